@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Checks the built book: links, images and anchors lead somewhere, every formula reaches the page as it was written, and
-code blocks name their language and are what they say.
+"""Checks the built book: links, images and anchors resolve, every formula reaches the page as written, and code
+blocks name their language and are valid in it.
 
     scripts/check_book.py BOOK      the folder that `mdbook build` has written
 
-Markdown takes backslashes, underscores and table bars for its own; a formula that lost one on the way is shown as text, or
-as another formula. Each formula of a chapter is therefore looked for on the built page. Ends with the line `N problems`.
+Markdown interprets backslashes, underscores and table bars; a formula that loses one is shown as text, or as another
+formula. Each formula of a chapter is therefore looked up on the built page. Ends with the line `N problems`.
 """
 
 import html
@@ -27,7 +27,7 @@ def problem(place, what):
 
 
 class Page(html.parser.HTMLParser):
-    """What a page refers to, the anchors that it has, and its text without code."""
+    """The references and anchors on a page, and its text without code."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
@@ -43,7 +43,7 @@ class Page(html.parser.HTMLParser):
         if tag in ("code", "script", "style"):
             self.in_code += 1
         elif not self.in_code:
-            # A tag inside a formula breaks it: MathJax finds formulas in running text alone.
+            # A tag inside a formula breaks it, because MathJax finds formulas only in running text.
             self.parts.append("\0")
 
     def handle_endtag(self, tag):
@@ -105,7 +105,7 @@ def check_formulas(chapter, text, page):
     for kind in (0, 1):
         there = {plain(formula) for formula in shown[kind]}
         for formula in written[kind]:
-            # Marks that Markdown takes as escapes of itself; `\,` and `\{` are TeX's and would be lost.
+            # Markdown's own escapes; `\,` and `\{` belong to TeX and would be lost.
             meant = re.sub(r"\\([\\_|*])", r"\1", formula)
             if plain(meant) not in there:
                 problem(chapter, f"this formula does not reach the page as written: {plain(formula)[:100]}")

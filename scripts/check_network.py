@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Compares dermis' U-Net with an independent one, both ways: weights made here are run there, weights written there are
-run here, those of the models that ship among them. Uses PyTorch where it is installed (Debian's python3-torch will do), else
-NumPy.
+"""Compares dermis' U-Net with an independent one in both directions: weights made here are run there, and weights
+written there are run here, including those of the shipped models. Uses PyTorch if it is installed (Debian's
+python3-torch will do), else NumPy.
 
     cargo build -p dermis-learn --example run_network
     python3 scripts/check_network.py target/debug/examples/run_network
 
-With --fixture FOLDER a small network is trained in PyTorch and written there as a state_dict, with an image and what PyTorch
-makes of it, for the test of crates/dermis-learn that needs neither Python nor PyTorch.
+With --fixture FOLDER it trains a small network in PyTorch and writes it there as a state_dict, with an image and
+PyTorch's output for it, for the test of crates/dermis-learn that needs neither Python nor PyTorch.
 """
 import json
 import pathlib
@@ -155,7 +155,8 @@ def with_torch(tensors, image, levels):
 
 
 def write_fixture(folder):
-    """A network as PyTorch users have it: trained there, its state_dict written by the safetensors library."""
+    """A network in the form that PyTorch users have: trained there, with its state_dict written by the safetensors
+    library."""
     from safetensors.torch import save_file
 
     torch.manual_seed(1)
@@ -182,7 +183,7 @@ def forward(tensors, image, levels):
 
 
 def shipped(root):
-    """Weights, architecture and image size of the models that ship."""
+    """Weights, architecture and image size of the shipped models."""
     for card in sorted((root / MODELS).glob("*.json")):
         card = json.loads(card.read_text())
         shape = [card["shape"][key] for key in ("inputs", "classes", "width", "levels")]
@@ -213,7 +214,7 @@ def main():
             print(f"{name}, width {width}, {levels} levels, {rows} x {columns}: largest difference {gap:.2e} of the largest logit")
             worst = max(worst, gap)
     print("compared with", f"PyTorch {torch.__version__}" if torch else f"NumPy {np.__version__}")
-    # PyTorch's own 32-bit arithmetic differs by up to 1.0e-6 from its 64-bit one on these networks.
+    # On these networks PyTorch's 32-bit results differ from its 64-bit ones by up to 1.0e-6.
     sys.exit(int(worst > 2e-6))
 
 

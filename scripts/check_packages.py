@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Checks what crates.io and docs.rs need of each crate that is published, and that no dependency asks for a newer compiler.
+"""Checks the requirements of crates.io and docs.rs for each published crate, and that no dependency needs a newer
+compiler.
 
     scripts/check_packages.py               the checks; ends with the line `N crates, N problems`
     scripts/check_packages.py --features    lists what the stage `features` builds: crate, then a feature or nothing
@@ -15,7 +16,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# crates.io takes no package above 10 MiB, and no more than five keywords of at most 20 characters.
+# crates.io limits packages to 10 MiB, and keywords to five of at most 20 characters.
 LARGEST_BYTES = 10 * 1024 * 1024
 problems = []
 
@@ -41,7 +42,7 @@ def members(data):
 def list_features(data):
     for package in members(data):
         features = sorted(set(package["features"]) - {"default"})
-        # An optional dependency is a feature of its own only where no feature names it by `dep:`.
+        # An optional dependency is a feature by itself only if no feature names it with `dep:`.
         if not features:
             continue
         print(package["name"])
@@ -50,7 +51,7 @@ def list_features(data):
 
 
 def outside_files(folder):
-    """Files that the sources embed from outside their crate; what only tests of the documentation embed does not count."""
+    """Files that the sources embed from outside their crate, except those embedded only by documentation tests."""
     found = []
     for file in sorted((folder / "src").rglob("*.rs")):
         text = re.sub(r"#\[cfg\(doctest\)\]\n.*\n", "", file.read_text(encoding="utf-8"))
@@ -79,7 +80,7 @@ def check_package(package, published):
         problem(f"categories are {package['categories']}, expected 1 to 5")
     for dependency in package["dependencies"]:
         if dependency["kind"] == "dev" and dependency["req"] == "*":
-            continue  # Left out of the package: tests are not run from there.
+            continue  # Left out of the package, because tests are not run from there.
         if dependency.get("path") and dependency["name"] not in published:
             problem(f"depends on {dependency['name']}, which is not published")
         elif dependency["req"] == "*":
@@ -100,7 +101,7 @@ def check_package(package, published):
 
 
 def check_compiler(data):
-    """No dependency that is built for users states a newer compiler than the crates do."""
+    """Checks that no dependency that is built for users states a newer compiler than the crates do."""
     packages = {package["id"]: package for package in data["packages"]}
     nodes = {node["id"]: node for node in data["resolve"]["nodes"]}
     ours = members(data)

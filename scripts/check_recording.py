@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Opens a recording with readers that know nothing of dermis and compares what they find.
+"""Opens a recording with readers that know nothing of dermis, and compares their results.
 
     check_recording.py press.mcap [--tables FRAMES.npy FRAMES.csv FRAMES.parquet] [--rerun]
 
-Needs mcap, mcap-ros2-support, rosbags and numpy from PyPI; pyarrow for a Parquet table; rerun-sdk for --rerun.
-Ends with status 1 and a message at the first thing that is not as it should be.
+Needs mcap, mcap-ros2-support, rosbags and numpy from PyPI; pyarrow for a Parquet table; rerun-sdk for --rerun. Ends
+with status 1 and a message at the first failure.
 """
 
 import argparse
@@ -57,7 +57,7 @@ def image_values(message):
 
 
 def with_mcap(path):
-    """The reference reader: counts, attachments, metadata, and frames decoded by the definitions in the file."""
+    """The reference reader: counts, attachments, metadata, and frames decoded with the definitions in the file."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -113,7 +113,7 @@ def with_mcap(path):
         require([touch.id for touch in there] == list(points[time_ns]["id"]), "identities of touches and points")
         require(np.allclose([touch.x_m for touch in there], points[time_ns]["x"], atol=1e-7), "places of touches")
     require(baselines and len(baselines[0].values) == len(baselines[0].noise_std), "the start-up baseline")
-    # Where the strongest touch is, the image is high: both say the same place, whatever dermis calls it.
+    # The image is high at the strongest touch, so the two must agree on the position, independently of dermis.
     time_ns = max(set(images) & set(touches), key=lambda t: max((x.amplitude for x in touches[t].touches), default=0.0))
     touch = max(touches[time_ns].touches, key=lambda x: x.amplitude)
     cloud = clouds[time_ns]
@@ -127,7 +127,7 @@ def with_mcap(path):
 
 
 def with_rosbags(path, frames):
-    """An independent implementation of ROS 2's formats: the same frames to the bit."""
+    """An independent implementation of ROS 2's formats: identical frames, bit for bit."""
     from rosbags.highlevel import AnyReader
 
     counts = Counter()
@@ -145,7 +145,7 @@ def with_rosbags(path, frames):
 
 
 def with_rerun(path):
-    """The viewer's importer: what it makes of each topic."""
+    """The viewer's importer, and its result for each topic."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "recording.rrd"
         rerun = Path(sys.executable).with_name("rerun")

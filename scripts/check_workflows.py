@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Reads the YAML under .github and checks the shape of workflows and issue forms. actionlint checks more; this is what can
-be said where it cannot be installed. Needs PyYAML."""
+"""Reads the YAML files under .github and checks the structure of workflows and issue forms. actionlint checks more;
+this covers machines where it cannot be installed. Needs PyYAML."""
 
 import sys
 from pathlib import Path

@@ -1,7 +1,9 @@
-"""Do sigmas hold? Presses of a skin's twin at random, errors in units of their sigmas: `scripts/press-anywhere --sigmas`.
+"""Checks standard deviations: random presses on a skin's twin, errors in units of sigma: `scripts/press-anywhere
+--sigmas`.
 
-Single presses, twos and threes, discs half as far again apart as they must be, a frame each. Radii are 0.6 to 1.4 times
-the usual one, pressures 0.3 to 2 times, both even in their logarithms, places anywhere within 85 % of the outline.
+Single presses, pairs and triples, with discs half as far apart again as necessary, one frame each. Radii are 0.6 to
+1.4 times the usual one and pressures 0.3 to 2 times, both uniform in their logarithms; places are anywhere within 85
+% of the outline.
 """
 
 import itertools
@@ -14,13 +16,13 @@ from twin_presses import Outline, built_in_file, place, seen, usual_press, write
 
 RADII = (0.6, 1.4)
 PRESSURES = (0.3, 2.0)
-# Discs of presses at once are so many times the sum of their radii apart.
+# Distance between the discs of simultaneous presses, in units of the sum of their radii.
 APART = 1.5
-# Touches of several at once are told apart where each is this share of the longer side from its press.
+# Simultaneous touches count as separated if each is within this share of the longer side from its press.
 NEAR = 0.125
-# Presses in the fifth nearest to the rim are near it.
+# Presses in the outermost fifth count as near the rim.
 RIM_SHARE = 0.2
-# What is asked of one sigma and of two and a half, in shares of errors.
+# Required shares of errors within one sigma and within two and a half.
 WITHIN_ONE = (0.60, 0.76)
 WITHIN_MORE = 0.95
 MORE = 2.5
@@ -31,7 +33,7 @@ def log_uniform(dice, low, high):
 
 
 def groups_at_random(outline, usual, at_once, presses, dice):
-    """Groups of so many presses that are clear of each other."""
+    """Groups of presses that keep clear of each other."""
     radius, pressure = usual
     groups = []
     while len(groups) < -(-presses // at_once):
@@ -49,13 +51,13 @@ def groups_at_random(outline, usual, at_once, presses, dice):
 
 
 def nearest_order(touches, group):
-    """The touches in the order of their presses, so that they are nearest in all."""
+    """The touches, assigned to their presses so that the total distance is smallest."""
     away = lambda order: sum(math.dist(place(touch), press[:2]) for touch, press in zip(order, group))  # noqa: E731
     return min(itertools.permutations(touches, len(group)), key=away)
 
 
 def coordinates(outline, groups, found):
-    """An entry for each press that was found: errors and sigmas (mm) of x and y, where and how hard it was."""
+    """For each press that was found: errors and sigmas (mm) in x and y, position and strength."""
     near = NEAR * max(outline.sides_mm)
     entries, complete = [], 0
     for frame, group in enumerate(groups):
@@ -101,7 +103,7 @@ def shares(entries):
 
 
 def split(entries):
-    """Entries by strength and by place."""
+    """Entries grouped by strength and by position."""
     by_pressure = sorted(entries, key=lambda entry: entry["pressure"])
     by_rim = sorted(entries, key=lambda entry: entry["from_rim"])
     half, rim = len(entries) // 2, round(RIM_SHARE * len(entries))
@@ -114,7 +116,7 @@ def split(entries):
 
 
 def measured(skin, options, folder):
-    """Rows of the table for one skin: how many presses at once, how many groups were found, shares, and all errors."""
+    """Rows of the table for one skin: number of simultaneous presses, groups found, shares, and all errors."""
     path = pathlib.Path(skin) if str(skin).endswith(".toml") else built_in_file(skin)
     outline = Outline(tomllib.loads(path.read_text())["frontend"]["shape"])
     usual = usual_press(folder, skin)
@@ -134,8 +136,8 @@ def measured(skin, options, folder):
 
 
 def is_held(share):
-    """Whether shares are what is asked for, give or take what so few presses scatter by."""
-    # Both errors of a press go together in part: one and a half coordinates a press.
+    """True if the shares meet the requirements, within the scatter of this number of presses."""
+    # The two errors of a press are partly correlated: count one and a half coordinates per press.
     scatter = lambda p: math.sqrt(p * (1.0 - p) / (1.5 * share["count"]))  # noqa: E731
     one = WITHIN_ONE[0] - scatter(WITHIN_ONE[0]) <= share["one"] <= WITHIN_ONE[1] + scatter(WITHIN_ONE[1])
     return one and share["more"] >= WITHIN_MORE - scatter(WITHIN_MORE)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs the notebooks of the book in place and keeps their outputs, small: pictures at 60 dots an inch, no metadata.
+"""Runs the book's notebooks in place and keeps their outputs small: pictures at 60 dots per inch, no metadata.
 
     pip install nbclient ipykernel matplotlib dist/dermis-*.whl
     python scripts/run_notebooks.py [docs/notebooks/1-first-evening.ipynb ...]
@@ -14,7 +14,7 @@ import nbformat
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "notebooks"
-# What one notebook may weigh.
+# Largest size of a notebook.
 MOST_BYTES = 150_000
 SETUP = "%config InlineBackend.figure_formats = ['png']\n%config InlineBackend.rc = {'figure.dpi': 60, 'figure.figsize': (5, 4)}"
 
@@ -22,7 +22,7 @@ SETUP = "%config InlineBackend.figure_formats = ['png']\n%config InlineBackend.r
 def main():
     for path in [Path(word) for word in sys.argv[1:]] or sorted(FOLDER.glob("*.ipynb")):
         notebook = nbformat.read(path, as_version=4)
-        # Pictures are small, which is nothing that a reader has to see.
+        # A setup cell that shrinks the pictures, which readers needn't see.
         notebook.cells.insert(0, nbformat.v4.new_code_cell(SETUP))
         with TemporaryDirectory() as folder:
             client = NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}})

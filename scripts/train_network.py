@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Trains the network of a training set with PyTorch on the processor, in 16-bit arithmetic where that is quicker.
+"""Trains a network on a training set with PyTorch on the CPU, in 16-bit arithmetic if that is faster.
 
     python3 scripts/train_network.py SET... STATE.safetensors --width 16 --passes 20
 
-Several sets of the same images may be given; every tenth shard is held out. Weights are averaged over
-the last steps (Polyak & Juditsky, SIAM J. Control Optim. 30, 1992). What is written is a state_dict, and beside it
-`STATE.scale` with the factors that images were multiplied by; `dermis train --weights STATE.safetensors --epochs 0
---input-scale FACTORS` makes a model of them. Needs torch and safetensors.
+Several sets of the same images may be given; every tenth shard is held out. Weights are averaged over the last steps
+(Polyak & Juditsky, SIAM J. Control Optim. 30, 1992). The output is a state_dict, and next to it `STATE.scale` with
+the factors that images were multiplied by; `dermis train --weights STATE.safetensors --epochs 0 --input-scale
+FACTORS` turns it into a model. Needs torch and safetensors.
 """
 
 import argparse
@@ -23,14 +23,15 @@ from check_network import UNet
 
 
 class Shards:
-    """Images and labels of the shards of some sets; every tenth shard is held out. Sets may grow meanwhile."""
+    """Images and labels in the shards of several sets; every tenth shard is held out. Sets may grow in the
+    meantime."""
 
     def __init__(self, folders):
         self.folders, self.known, self.parts = folders, set(), ([], [])
         self.classes = len(json.loads((folders[0] / "manifest.json").read_text())["classes"])
 
     def read(self):
-        """What there is by now: images and labels to learn from, and those held out."""
+        """The current data: images and labels for training, and those held out."""
         for shard in sorted(shard for folder in self.folders for shard in folder.glob("shard-*.safetensors")):
             if shard not in self.known:
                 self.known.add(shard)
@@ -41,7 +42,7 @@ class Shards:
 
 
 def turned(images, labels, random):
-    """The batch turned and mirrored, each half of it in its own way."""
+    """The batch rotated and mirrored, each half differently."""
     out = []
     for part in zip(images.chunk(2), labels.chunk(2)):
         turns, mirror = torch.randint(0, 4, (1,), generator=random).item(), torch.rand(1, generator=random).item() < 0.5

@@ -1,4 +1,4 @@
-"""Skins as files, their outlines, and presses on their twins: what scripts/press-anywhere measures with."""
+"""Skins as files, their outlines, and presses on their twins, for scripts/press-anywhere."""
 
 import csv
 import json
@@ -8,7 +8,7 @@ import pathlib
 import subprocess
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-# Presses at random keep to this share of the outline.
+# Random presses stay within this share of the outline.
 INSIDE_SHARE = 0.85
 
 
@@ -17,7 +17,7 @@ def built_in_file(name):
 
 
 def toml(value):
-    """A value as TOML writes it in one line."""
+    """A value as TOML on one line."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(key)} = {toml(inner)}" for key, inner in value.items()) + " }"
     if isinstance(value, list):
@@ -53,7 +53,8 @@ def place(row):
 
 
 def seen(folder, skin, presses, repeats, seed, again=False):
-    """Presses a twin and reads it: what was true in each frame, and the touches of each. `again` reads what is there."""
+    """Presses a twin and reads it; returns the true presses and the touches in each frame. `again` reads existing
+    files."""
     name = folder / f"{seed}"
     baseline, frames, truth, touches = (f"{name}-{what}.csv" for what in ("rest", "frames", "truth", "touches"))
     sampled = ("--baseline", baseline, "--frames", frames)
@@ -68,7 +69,7 @@ def seen(folder, skin, presses, repeats, seed, again=False):
 
 
 class Outline:
-    """The outline of a skin file, in millimetres about its middle."""
+    """The outline of a skin file, in millimetres about its centre."""
 
     def __init__(self, shape):
         (kind, sizes), *_ = shape.items()
@@ -85,7 +86,7 @@ class Outline:
         self.sides_mm = [high - low for low, high in zip(self.low, self.high)]
 
     def from_rim_mm(self, place):
-        """How far inside a place is; negative outside."""
+        """Distance of a place from the rim; negative outside."""
         if self.disc_mm is not None:
             return self.disc_mm - math.hypot(*place)
         edges = [(a, b) for rim in self.rims for a, b in zip(rim, [*rim[1:], rim[0]])]
@@ -97,7 +98,7 @@ class Outline:
         return away if inside else -away
 
     def places(self, count, dice):
-        """So many at random, away from the rim by the share of the shorter side that `dermis twin sample` keeps."""
+        """Random places, as far from the rim as in `dermis twin sample` (a share of the shorter side)."""
         margin = 0.5 * (1.0 - INSIDE_SHARE) * min(self.sides_mm)
         chosen = []
         while len(chosen) < count:
@@ -116,7 +117,7 @@ def from_edge(place, a, b):
 
 
 def write_presses(path, groups):
-    """A table of presses (x mm, y mm, radius mm, pressure kPa), those of a group together."""
+    """A table of presses (x mm, y mm, radius mm, pressure kPa), with the presses of a group in consecutive rows."""
     with open(path, "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["x_mm", "y_mm", "radius_mm", "pressure_kpa", "group"])
@@ -125,7 +126,7 @@ def write_presses(path, groups):
 
 
 def usual_press(folder, skin):
-    """Radius (mm) and pressure (kPa) that a skin is made for."""
+    """Radius (mm) and pressure (kPa) of a skin's usual press."""
     truth = folder / "usual.csv"
     files = ("--baseline", folder / "usual-rest.csv", "--frames", folder / "usual-frames.csv", "--truth", truth)
     dermis("twin", "sample", skin, "--presses", "random:1", "--seed", 1, *files)

@@ -1,6 +1,6 @@
-// Builds the page into the folder from which the dermis command embeds it. `node build.mjs --check` builds into memory
-// and fails when the committed files differ. `node build.mjs --demo FOLDER` builds the page that brings its skin with it:
-// the same files, and the worker that runs the skin's module (see scripts/wasm-demo).
+// Builds the page into the folder from which the dermis command embeds it. `node build.mjs --check` builds in memory
+// and fails if the committed files differ. `node build.mjs --demo FOLDER` builds the self-contained page: the same
+// files, and the worker that runs the skin's module (see scripts/wasm-demo).
 import { build } from "esbuild";
 import { mkdir, readFile, writeFile } from "node:fs/promises";
 import { dirname, join } from "node:path";
@@ -11,7 +11,7 @@ const assets = join(here, "../crates/dermis-cli/assets");
 const isCheck = process.argv.includes("--check");
 const demo = process.argv.includes("--demo") ? process.argv[process.argv.indexOf("--demo") + 1] : null;
 
-// Its licence asks that this text goes wherever the code goes.
+// Its licence requires this text wherever the code goes.
 const licence = `/*! uPlot, https://github.com/leeoniya/uPlot\n${await readFile(join(here, "node_modules/uplot/LICENSE"), "utf8")}*/`;
 
 const { outputFiles } = await build({
@@ -31,7 +31,7 @@ const files = new Map(outputFiles.map((file) => [file.path.split(/[\\/]/).pop(),
 for (const name of ["index.html", "icon.svg"]) files.set(name, await readFile(join(here, "public", name)));
 
 if (demo) {
-  // uPlot is in the page alone.
+  // Only the page contains uPlot.
   files.set("engine.js", Buffer.from(files.get("engine.js").toString().replace(licence, "").trimStart()));
   files.set("index.html", Buffer.from(files.get("index.html").toString().replace("<html ", '<html data-engine="engine.js" ')));
   await mkdir(demo, { recursive: true });

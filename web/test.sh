@@ -1,6 +1,7 @@
 #!/bin/sh
 # Tests the live page in a real browser: against the demo, or with DERMIS_BIN=path/to/dermis against `dermis run`
-# (DERMIS_ARGS adds arguments), or with BOOK=folder of the built book against the skin in its first page. Installs what is missing: npm packages, and Chromium where apt can.
+# (DERMIS_ARGS adds arguments), or with BOOK=folder of the built book against the skin in its first page. Installs
+# missing npm packages, and Chromium if apt is available.
 set -eu
 cd "$(dirname "$0")"
 
@@ -28,5 +29,5 @@ node build.mjs --check
 if [ -z "${DERMIS_BIN:-}${PAGE_DEMO_BIN:-}" ]; then
     cargo build --quiet --manifest-path ../Cargo.toml -p dermis-cli --example page_demo
 fi
-# One after the other: each has a server and a browser of its own, and wants the machine's pace.
+# Run one at a time: each has its own server and browser, and needs the machine's full speed.
 exec node --test --test-concurrency=1 tests/page.spec.mjs tests/instrument.spec.mjs tests/damage.spec.mjs

@@ -1,5 +1,5 @@
-//! A board of one's own behind the engine of the firmware, run on a computer: eight electrodes in a ring of resistors,
-//! a converter that this file makes up, and a host that asks for ten frames.
+//! A custom board for the firmware's engine, run on a computer: eight electrodes in a ring of resistors, a converter
+//! made up in this file, and a host that requests ten frames.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -15,19 +15,19 @@ use dermis_wire::{NO_ELECTRODE, Status};
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 // ANCHOR: board
-/// Eight electrodes; a current of 0.1 mA; a converter of 16 bits that needs two calls for a reading.
+/// Eight electrodes, a current of 0.1 mA, and a 16-bit converter that takes two calls per reading.
 struct RingBoard {
     is_converting: bool,
 }
 
-/// Ohm between two neighbours of the ring, and volts for one count of the converter.
+/// Resistance between neighbours in the ring, ohms, and volts per converter count.
 const RESISTOR_OHM: f32 = 1000.0;
 const CURRENT_A: f32 = 1e-4;
 const SCALE_V: f32 = 1e-5;
 
 impl RingBoard {
-    /// On a real board: multiplexers and the converter. Here: potentials in a ring of eight equal resistors, into which
-    /// the current enters at one electrode and which it leaves at another.
+    /// A real board would use multiplexers and the converter. Here: potentials in a ring of eight equal resistors,
+    /// with the current entering at one electrode and leaving at another.
     fn potential_v(source: u8, sink: u8, at: u8) -> f32 {
         let steps = |from: u8, to: u8| f32::from((to + 8 - from) % 8);
         let (along, other_way) = (steps(sink, source), 8.0 - steps(sink, source));
@@ -53,7 +53,7 @@ impl Board for RingBoard {
     }
 
     fn measure(&mut self, [source, sink, plus, minus]: [u8; 4]) -> nb::Result<Reading, Failure> {
-        // The first call starts the converter, the second one finds it done.
+        // The first call starts the converter; the second finds it done.
         self.is_converting = !self.is_converting;
         if self.is_converting {
             return Err(nb::Error::WouldBlock);
@@ -134,7 +134,7 @@ impl Write for Line {
     }
 }
 
-/// A clock that goes on by ten microseconds whenever it is read.
+/// A clock that advances by ten microseconds at every reading.
 struct Counter(Cell<u64>);
 
 impl Clock for Counter {

@@ -1,10 +1,10 @@
-//! What the scan engine needs of a board: settings, one reading at a time, and the checks that it can make of itself.
+//! The interface of a board to the scan engine: settings, single readings, and self-checks.
 
 use dermis_wire::Status;
 
 use crate::protocol::Named;
 
-/// What a board is, apart from how it is set.
+/// Fixed properties of a board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Facts {
     /// Make and model, at most 60 bytes.
@@ -13,17 +13,17 @@ pub struct Facts {
     pub electrodes: u8,
     /// Resolution of the converter in bits.
     pub adc_bits: u8,
-    /// Readings are magnitudes without a sign.
+    /// True if readings are magnitudes without sign.
     pub magnitude: bool,
-    /// They are coils: one sends, one receives, and there is no sink and no second one to read against.
+    /// True for coils: one sends and one receives, without a sink or a second one to read against.
     pub coils: bool,
-    /// Readings a second that converter and buses give, until a frame has been timed.
+    /// Readings per second supported by converter and buses, used until a frame has been timed.
     pub readings_per_s: f32,
-    /// Whether the drive's frequency can be set; without, it is direct current.
+    /// True if the drive frequency can be set; otherwise the drive is direct current.
     pub has_frequency: bool,
-    /// Whether contact impedances can be measured.
+    /// True if contact impedances can be measured.
     pub has_impedance: bool,
-    /// Protocols that it knows by name; the first is set at the start. Not empty.
+    /// Protocols known by name, at least one; the first is set at start-up.
     pub protocols: &'static [Named],
 }
 
@@ -32,41 +32,41 @@ pub struct Facts {
 pub struct Reading {
     /// The converter's counts.
     pub counts: i16,
-    /// What happened meanwhile: [`Status::SATURATED`], [`Status::COMPLIANCE`].
+    /// Events during the reading: [`Status::SATURATED`], [`Status::COMPLIANCE`].
     pub status: Status,
 }
 
-/// Why a board does not do something.
+/// Reason for refusing an operation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Failure {
-    /// It cannot take this number.
+    /// The argument is out of range.
     BadArgument,
-    /// It does not have this command.
+    /// The board doesn't support the command.
     Unknown,
-    /// A chip on one of its buses does not answer.
+    /// A chip on a bus doesn't answer.
     Bus,
 }
 
 /// A board: electrodes (or coils), a source, multiplexers, a converter.
 pub trait Board {
-    /// What it is.
+    /// Fixed properties.
     fn facts(&self) -> Facts;
 
-    /// Amplitude of the drive current as set, amperes.
+    /// Current setting of the drive amplitude, amperes.
     fn amplitude_a(&self) -> f32;
 
-    /// Sets the amplitude as near as it can; what it is then, amperes.
+    /// Sets the nearest possible amplitude and returns it, amperes.
     ///
     /// # Errors
     /// [`Failure::BadArgument`] beyond the source's range.
     fn set_amplitude_a(&mut self, amplitude_a: f32) -> Result<f32, Failure>;
 
-    /// Frequency of the drive as set, hertz; 0 for direct current.
+    /// Current setting of the drive frequency, hertz; 0 for direct current.
     fn frequency_hz(&self) -> f32 {
         0.0
     }
 
-    /// Sets the frequency as near as it can; what it is then, hertz.
+    /// Sets the nearest possible frequency and returns it, hertz.
     ///
     /// # Errors
     /// [`Failure::Unknown`] for direct current, [`Failure::BadArgument`] beyond the range, [`Failure::Bus`].
@@ -74,26 +74,27 @@ pub trait Board {
         Err(Failure::Unknown)
     }
 
-    /// Gain as set, by its code: the higher, the more volts a count stands for is divided.
+    /// Current gain code. A higher code means fewer volts per count.
     fn gain(&self) -> u8;
 
-    /// Codes of gain are below this.
+    /// Number of gain codes.
     fn gains(&self) -> u8;
 
     /// Sets the gain.
     ///
     /// # Errors
-    /// [`Failure::BadArgument`] for a code that it does not have, [`Failure::Bus`].
+    /// [`Failure::BadArgument`] for an unknown code, [`Failure::Bus`].
     fn set_gain(&mut self, code: u8) -> Result<(), Failure>;
 
-    /// Volts for one count at the present gain.
+    /// Volts per count at the current gain.
     fn scale_v(&self) -> f32;
 
-    /// Measures: electrode where the current enters, where it leaves, where the voltage is taken, against which
-    /// ([`dermis_wire::NO_ELECTRODE`] for ground). Called again with the same until the reading is there.
+    /// Measures with four electrodes: where the current enters, where it leaves, whose voltage is read, and against
+    /// which ([`dermis_wire::NO_ELECTRODE`] for ground). Call it again with the same arguments until the reading is
+    /// there.
     ///
     /// # Errors
-    /// `WouldBlock` while it measures; [`Failure::Bus`].
+    /// `WouldBlock` while it is measuring; [`Failure::Bus`].
     fn measure(&mut self, measurement: [u8; 4]) -> nb::Result<Reading, Failure>;
 
     /// Switches the current off.
@@ -102,16 +103,16 @@ pub trait Board {
     /// [`Failure::Bus`].
     fn quiet(&mut self) -> Result<(), Failure>;
 
-    /// Tests itself; how many numbers of `out` it has filled. Which they are, the board's documentation says.
+    /// Tests itself and returns the number of values filled in `out`. The board's documentation explains them.
     ///
     /// # Errors
     /// [`Failure::Bus`].
     fn self_test(&mut self, out: &mut [f32]) -> Result<usize, Failure>;
 
-    /// Contact impedance of an electrode, ohm; NaN where it is open.
+    /// Contact impedance of an electrode, ohms; NaN if it is open.
     ///
     /// # Errors
-    /// [`Failure::Unknown`] where it cannot measure them, [`Failure::Bus`].
+    /// [`Failure::Unknown`] if the board cannot measure it, [`Failure::Bus`].
     fn impedance_ohm(&mut self, _electrode: u8) -> Result<f32, Failure> {
         Err(Failure::Unknown)
     }

@@ -1,25 +1,25 @@
-//! What a host has asked, owned, so that it outlives the packet from which it was read.
+//! A host's request as owned data, so that it outlives the packet it was read from.
 
 use dermis_wire::{Command, Message, Request, VERSION, WireError};
 
 use crate::protocol::{Named, Protocol, Taken};
 
-/// A host's words.
+/// A message from a host.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Asked {
-    /// Who are you? In a version that this firmware speaks.
+    /// An identification request, in a version that this firmware supports.
     Hello { nonce: u32 },
-    /// Do this.
+    /// A command.
     Order { tag: u16, code: u8, order: Order },
-    /// Nothing for a device, or nothing that could be read.
+    /// A message not meant for devices, or an unreadable one.
     Nothing,
 }
 
-/// A command whose arguments have been looked at.
+/// A command with checked arguments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Order {
     List(Taken),
-    /// While frames flow their list cannot be replaced.
+    /// The list cannot be replaced while frames are being taken.
     ListWhileBusy,
     Name(Option<Named>),
     AmplitudeA(f32),
@@ -34,7 +34,7 @@ pub(crate) enum Order {
 }
 
 impl Asked {
-    /// What a message asks. Parts of a list go into `protocol` at once, unless the board is `busy` measuring it.
+    /// Interprets a message. Parts of a list go into `protocol` at once, unless the board is `busy` measuring it.
     pub(crate) fn of(
         message: Result<Message<'_>, WireError>,
         protocol: &mut Protocol<'_>,

@@ -1,6 +1,5 @@
-//! The converter of both boards, an ADS1115 on I2C, read once for each measurement through the driver crate `ads1x1x`.
-//! Ranges, in volts to either side, and the time of a conversion are those of its data sheet (Texas Instruments,
-//! SBAS444).
+//! The converter of both boards, an ADS1115 on I2C, read once per measurement through the driver crate `ads1x1x`.
+//! Ranges, in volts to either side, and conversion time are from its data sheet (Texas Instruments, SBAS444).
 
 use ads1x1x::{Ads1x1x, DataRate16Bit, FullScaleRange, TargetAddr, channel, ic, mode};
 use dermis_wire::Status;
@@ -9,19 +8,18 @@ use embedded_hal::i2c::I2c;
 
 use crate::board::{Failure, Reading};
 
-/// Full scale of each code of gain, volts, from the widest.
+/// Full scale of each gain code, volts, widest first.
 pub const RANGES_V: [f32; 6] = [6.144, 4.096, 2.048, 1.024, 0.512, 0.256];
-/// Conversions a second at its fastest.
+/// Highest rate, conversions per second.
 pub const CONVERSIONS_PER_S: f32 = 860.0;
-/// Readings a second that are left of them with a bus of 400 kHz: each takes a start, at least two looks and the
-/// result.
+/// Readings per second achieved over a 400 kHz bus: each takes a start, at least two polls and the result.
 pub const READINGS_PER_S: f32 = 600.0;
-/// Looks at the converter, 50 us apart, before it is given up.
+/// Most polls of the converter, 50 us apart, before giving up.
 const MOST_LOOKS: u32 = 200;
-/// A full scale in counts.
+/// Full scale in counts.
 const COUNTS: f32 = 32_768.0;
 
-/// Which inputs are compared.
+/// Inputs to compare.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Input {
     /// Input 0 against ground.
@@ -30,19 +28,19 @@ pub enum Input {
     Differential,
 }
 
-/// An ADS1115 in single conversions.
+/// An ADS1115 making single conversions.
 pub struct Converter<I> {
     chip: Ads1x1x<I, ic::Ads1115, ic::Resolution16Bit, mode::OneShot>,
     gain: u8,
-    /// The inputs of the conversion that goes on.
+    /// Input of the current conversion.
     pending: Option<Input>,
 }
 
 impl<I: I2c> Converter<I> {
-    /// The chip with its address pin at ground, at its fastest, in the widest range but one.
+    /// The chip with its address pin at ground, at its highest rate, in the second-widest range.
     ///
     /// # Errors
-    /// [`Failure::Bus`] where it does not answer.
+    /// [`Failure::Bus`] if it doesn't answer.
     pub fn new(i2c: I) -> Result<Self, Failure> {
         let mut converter = Self { chip: Ads1x1x::new_ads1115(i2c, TargetAddr::default()), gain: 0, pending: None };
         converter.chip.set_data_rate(DataRate16Bit::Sps860).map_err(|_| Failure::Bus)?;
@@ -50,7 +48,7 @@ impl<I: I2c> Converter<I> {
         Ok(converter)
     }
 
-    /// Range as set: its index in [`RANGES_V`].
+    /// Current range: its index in [`RANGES_V`].
     pub fn gain(&self) -> u8 {
         self.gain
     }
@@ -58,7 +56,7 @@ impl<I: I2c> Converter<I> {
     /// Sets the range.
     ///
     /// # Errors
-    /// [`Failure::BadArgument`] for one that it does not have, [`Failure::Bus`].
+    /// [`Failure::BadArgument`] for an unknown code, [`Failure::Bus`].
     pub fn set_gain(&mut self, code: u8) -> Result<(), Failure> {
         let range = match code {
             0 => FullScaleRange::Within6_144V,
@@ -74,12 +72,12 @@ impl<I: I2c> Converter<I> {
         Ok(())
     }
 
-    /// Volts for one count.
+    /// Volts per count.
     pub fn scale_v(&self) -> f32 {
         RANGES_V[usize::from(self.gain)] / COUNTS
     }
 
-    /// Starts a conversion, or continues to wait for it.
+    /// Starts a conversion, or polls the current one.
     ///
     /// # Errors
     /// `WouldBlock` until it has ended; [`Failure::Bus`].
@@ -102,10 +100,10 @@ impl<I: I2c> Converter<I> {
         }
     }
 
-    /// Reads, and waits for it.
+    /// Makes a reading and waits for it.
     ///
     /// # Errors
-    /// [`Failure::Bus`], also where the conversion does not end.
+    /// [`Failure::Bus`], also if the conversion doesn't end.
     pub fn wait(&mut self, input: Input, delay: &mut impl DelayNs) -> Result<Reading, Failure> {
         for _ in 0..MOST_LOOKS {
             match self.read(input) {
@@ -117,10 +115,10 @@ impl<I: I2c> Converter<I> {
         Err(Failure::Bus)
     }
 
-    /// Waits for a conversion that nobody wants any more: its result would be taken for the next one's.
+    /// Waits for a conversion that is no longer wanted, so that its result isn't taken for the next one's.
     ///
     /// # Errors
-    /// As [`Converter::wait`].
+    /// As for [`Converter::wait`].
     pub fn discard(&mut self, delay: &mut impl DelayNs) -> Result<(), Failure> {
         match self.pending {
             Some(input) => self.wait(input, delay).map(|_| ()),

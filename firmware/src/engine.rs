@@ -1,6 +1,6 @@
-//! The scan engine: listens, answers, measures and sends, a little with every call of [`Engine::poll`], so that a host
-//! is heard between two readings. Its memory is fixed: one part of a frame, one packet each way; that of the list of
-//! measurements is lent, so that the engine itself can be made on a small stack.
+//! The scan engine listens, answers, measures and sends, a little with every call of [`Engine::poll`], so that a host
+//! is heard between two readings. Its memory is fixed: one part of a frame, and one packet in each direction. Memory
+//! for the list of measurements is lent to it, so that the engine itself can be built on a small stack.
 
 use dermis_wire::{
     Command, Decoder, Describe, Element, Features, Frame, List, Message, Numbers, Part, Reply, ReplyStatus, Status,
@@ -13,39 +13,38 @@ use crate::command::{Asked, Order};
 use crate::protocol::{MOST_ELECTRODES, Named, Protocol, Taken};
 use crate::scan::{PART_READINGS, Scan};
 
-/// Longest command that is taken, as on the line: 50 measurements of a list.
+/// Longest command, as received: 50 measurements of a list.
 const COMMAND_BYTES: usize = 256;
-/// Longest packet that is sent: header and checksum of a packet, 4 and 24 bytes of a part, readings with their times.
+/// Longest packet sent: header and checksum of a packet, 4 and 24 bytes of a part, readings with their times.
 const PACKET_BYTES: usize = encoded_len(6 + 4 + 24 + PART_READINGS * (size_of::<i16>() + size_of::<u32>()));
-/// Longest name in a description.
+/// Longest list of names in a description.
 const NAMES_BYTES: usize = 96;
-/// Bytes that an engine takes at most, without board, port, clock and list.
+/// Upper bound on the size of an engine in bytes, without board, port, clock and list.
 pub const STATE_BUDGET: usize = 2 * 1024;
-/// A device that is silent for a second is taken for dead.
+/// Interval for signs of life. A device that is silent for a second is taken for dead.
 const HEARTBEAT_NS: u64 = 900_000_000;
 /// A reading that takes longer has failed: 17 conversions.
 const READING_NS: u64 = 20_000_000;
-/// A code of gain that leaves the choice to the device.
+/// Gain code that leaves the choice to the device.
 const AUTOMATIC: u8 = 255;
-/// Share of the range that the largest reading of a frame must stay below for the next finer one.
+/// Switch to the next finer range if the largest reading of a frame is below this many counts.
 const FINER_BELOW: u16 = 14_000;
 
-// Checked for every target that the crate is built for.
+// Checked for every target of the crate.
 const _: () = assert!(size_of::<Engine<'static, (), (), ()>>() <= STATE_BUDGET);
 
-/// A clock of the board.
+/// The board's clock.
 pub trait Clock {
     /// Nanoseconds since an origin of its choice; never runs backwards.
     fn now_ns(&mut self) -> u64;
 }
 
-/// Which of several boards this is.
+/// Distinguishes a board from others of its kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Identity {
     /// Serial number, at most 32 bytes.
     pub serial: &'static str,
-    /// Differs with every start of the board (a count kept in flash, or random bits); 0 where there is nothing of the
-    /// kind.
+    /// Differs at every start of the board (a counter in flash, or random bits); 0 if neither is available.
     pub boot: u32,
 }
 
@@ -63,22 +62,22 @@ pub struct Engine<'l, B, P, C> {
     running: bool,
     shots: u8,
     automatic_gain: bool,
-    /// The gain has changed since the frame before.
+    /// The gain has changed since the previous frame.
     gain_changed: bool,
-    /// Something that the description says has changed since it was sent.
+    /// Something in the description has changed since it was sent.
     changed: bool,
-    /// A reading of this frame has failed.
+    /// A reading in this frame has failed.
     failed: bool,
-    /// Time between frames that the host wants; 0 as fast as it goes.
+    /// Requested time between frames; 0 for as fast as possible.
     period_ns: u64,
-    /// Time that the last frame of this protocol took; 0 before the first.
+    /// Duration of the last frame with this protocol; 0 before the first.
     took_ns: u64,
     sent_ns: u64,
 }
 
 impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
-    /// An engine that waits for a host; the first poll says what it is. `list` is memory for a list of measurements
-    /// that a host sends, four bytes each; protocols that follow from a rule need none.
+    /// An engine that waits for a host; the first poll sends the description. `list` is memory for a host's list of
+    /// measurements, four bytes each; rule-based protocols need none.
     pub fn new(board: B, port: P, clock: C, identity: Identity, list: &'l mut [[u8; 4]]) -> Self {
         let facts = board.facts();
         let named = facts.protocols.first().copied().unwrap_or(Named::AdjacentSink);
@@ -103,11 +102,11 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         }
     }
 
-    /// Hears and answers what has come, and goes on with the scan by at most one step of a reading.
+    /// Reads and answers incoming messages, and advances the scan by at most one step of a reading.
     ///
     /// # Errors
-    /// What the port says. The engine can be polled again; what it was sending is lost, and the host knows by the
-    /// numbers.
+    /// Any error of the port. The engine can be polled again. Data being sent are lost, which the host notices by the
+    /// sequence numbers.
     pub fn poll(&mut self) -> Result<(), P::Error> {
         self.listen()?;
         if self.changed && (self.scan.is_between() || !self.is_scanning()) {
@@ -128,7 +127,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         &self.board
     }
 
-    /// True while frames are taken.
+    /// True while frames are being taken.
     pub fn is_scanning(&self) -> bool {
         self.running || self.shots > 0
     }
@@ -165,7 +164,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         self.send(&Message::Reply(Reply { tag, command: code, status, values }))
     }
 
-    /// Does it; the number of `values` to answer with.
+    /// Carries out an order; returns the number of `values` in the answer.
     fn act(&mut self, order: Order, values: &mut [f32]) -> Result<usize, ReplyStatus> {
         let refused = |failure| match failure {
             Failure::BadArgument => ReplyStatus::BadArgument,
@@ -206,7 +205,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         if matches!(order, Order::List(_) | Order::Name(_)) {
             self.took_ns = 0;
         }
-        // What was measured otherwise is no part of this frame.
+        // Discard readings made with the old settings.
         self.scan.restart();
         self.changed = true;
         let answered = matches!(order, Order::AmplitudeA(_) | Order::FrequencyHz(_) | Order::FramesPerS(_));
@@ -222,7 +221,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         Ok(set)
     }
 
-    /// By the last frame, or by what the board says before there was one.
+    /// From the duration of the last frame or, before the first, from the board's estimate.
     fn most_frames_per_s(&self) -> f32 {
         if self.took_ns > 0 {
             return 1e9 / self.took_ns as f32;
@@ -241,7 +240,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         Ok(usize::from(facts.electrodes))
     }
 
-    /// Goes on with the reading at hand, or begins the next.
+    /// Continues the current reading, or starts the next one.
     fn measure(&mut self) -> Result<(), P::Error> {
         let now_ns = self.clock.now_ns();
         if self.protocol.is_empty() {
@@ -305,12 +304,12 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
                 largest if largest < FINER_BELOW => (gain + 1).min(self.board.gains() - 1),
                 _ => gain,
             };
-            // A bus that fails here fails at the next reading, where it is reported.
+            // A bus that fails here fails again at the next reading, where it is reported.
             if wanted != gain && self.board.set_gain(wanted).is_ok() {
                 (self.gain_changed, self.changed) = (true, true);
             }
         }
-        // The first of a protocol is described.
+        // Send a description after the first frame of a protocol.
         self.changed |= self.took_ns == 0;
         self.took_ns = self.clock.now_ns().saturating_sub(self.scan.frame_ns).max(1);
         self.scan.next_frame();
@@ -323,7 +322,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
         }
     }
 
-    /// Says what this is and how it is set; `nonce` is 0 unless a host has asked.
+    /// Sends the description and settings; `nonce` is 0 unless a host has asked.
     fn describe(&mut self, nonce: u32) -> Result<(), P::Error> {
         let facts = self.board.facts();
         let most_frames_per_s = self.most_frames_per_s();
@@ -365,7 +364,7 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
     }
 }
 
-/// Sends a message; all that this firmware says fits into the packet's memory.
+/// Sends a message; all messages of this firmware fit into the packet's memory.
 fn write<P: Write>(message: &Message<'_>, packet: &mut [u8], port: &mut P) -> Result<(), P::Error> {
     match encode(message, packet) {
         Ok(bytes) => port.write_all(bytes),
@@ -373,14 +372,14 @@ fn write<P: Write>(message: &Message<'_>, packet: &mut [u8], port: &mut P) -> Re
     }
 }
 
-/// Bits of the commands that are obeyed.
+/// Bits of the supported commands.
 fn commands(has_frequency: bool, has_impedance: bool) -> u32 {
     let all = (1 << Command::COUNT) - 1;
     let without = |has: bool, command: Command<'_>| if has { 0 } else { 1 << command.code() };
     all & !without(has_frequency, Command::Frequency(0.0)) & !without(has_impedance, Command::ElectrodeImpedance)
 }
 
-/// Names with commas between them, as many as fit.
+/// Names separated by commas, as many as fit.
 fn joined<'m>(protocols: &[Named], memory: &'m mut [u8]) -> &'m str {
     let mut at = 0;
     for named in protocols {

@@ -1,10 +1,10 @@
-//! Firmware of tomographic backends: a scan engine that measures any list of electrode quadruples and speaks the wire,
-//! over boards that are described by what hangs on their buses. It needs a microcontroller with SPI, I2C, a serial line
-//! and 32 KiB of RAM, and drives all of them through embedded-hal 1.0 and embedded-io.
+//! Firmware for tomographic backends: a scan engine that measures any list of electrode quadruples and speaks the
+//! wire protocol, and boards described by the chips on their buses. It needs a microcontroller with SPI, I2C, a
+//! serial line and 32 KiB of RAM, all driven through embedded-hal 1.0 and embedded-io.
 //!
-//! [`Engine::poll`] is all that a main loop calls. [`mux64::Mux64`] is the resistance backend with a 64-channel
-//! multiplexer; [`magnitude::Magnitude`] is the induction backend with a rectifier. Another board implements [`Board`].
-//! The chapter on firmware in the book says how, with wiring and timing.
+//! A main loop only has to call [`Engine::poll`]. [`mux64::Mux64`] is the resistance backend with a 64-channel
+//! multiplexer; [`magnitude::Magnitude`] is the induction backend with a rectifier. Another board implements
+//! [`Board`]; the book's chapter on firmware explains how, with wiring and timing.
 
 #![no_std]
 

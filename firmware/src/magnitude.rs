@@ -1,11 +1,11 @@
-//! The induction backend of paper E: a synthesiser makes the sine, a programmable amplifier sets the current in the
-//! sending coil and another one the gain behind the receiving coil; a precision rectifier and a filter make its mean,
-//! which a converter reads. Banks of relays behind line decoders choose the coils, so that a reading is the magnitude
-//! of one pair's coupling.
+//! The induction backend of paper E. A synthesiser makes the sine. One programmable amplifier sets the current in the
+//! sending coil, another the gain after the receiving coil. A precision rectifier and a filter form the mean, which a
+//! converter reads. Relay banks with line decoders select the coils, so a reading is the magnitude of one pair's
+//! coupling.
 //!
-//! The paper gives the chain and no chips. Chosen here: an AD9833 (driver crate `ad983x`), two amplifiers of the
-//! MCP6S2x family, whose two bytes on SPI are those of their data sheet (Microchip, DS21117), an ADS1115, and decoders
-//! with four address lines each.
+//! The paper describes the chain but names no chips. Chosen here: an AD9833 (driver crate `ad983x`), two
+//! amplifiers of the MCP6S2x family, whose two-byte SPI commands are from their data sheet (Microchip, DS21117), an
+//! ADS1115, and decoders with four address lines each.
 
 use ad983x::marker::Ad9833Ad9837;
 use ad983x::{Ad983x, FrequencyRegister};
@@ -19,31 +19,31 @@ use crate::board::{Board, Facts, Failure, Reading};
 use crate::converter::{Converter, Input, READINGS_PER_S};
 use crate::protocol::Named;
 
-/// Most coils that four address lines choose from.
+/// Most coils that four address lines can select.
 pub const MOST_COILS: u8 = 16;
 /// Gains of the amplifiers, by code.
 pub const GAINS: [u8; 8] = [1, 2, 4, 5, 8, 10, 16, 32];
-/// Instruction of the amplifiers that writes the gain.
+/// Amplifier instruction that writes the gain.
 const WRITE_GAIN: u8 = 0x40;
 /// Bits of the synthesiser's phase accumulator.
 const PHASE_BITS: u32 = 28;
-/// Band of the instrument, hertz.
+/// Frequency range of the instrument, hertz.
 pub const BAND_HZ: [f32; 2] = [1e3, 100e3];
-/// Code of the converter's range: 2.048 V.
+/// Range code of the converter: 2.048 V.
 const RANGE: u8 = 2;
-/// Amplitude of a sine over the mean of its magnitude.
+/// Ratio of a sine's amplitude to the mean of its magnitude.
 const AMPLITUDE_OVER_MEAN: f32 = core::f32::consts::FRAC_PI_2;
 
-/// What the parts around the chips make of them.
+/// Properties of the circuit around the chips.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Chain {
     /// Coils connected.
     pub coils: u8,
     /// Clock of the synthesiser, hertz.
     pub clock_hz: f32,
-    /// Amplitude of the current in a coil at gain 1 of the sending amplifier, amperes.
+    /// Amplitude of a coil's current at gain 1 of the sending amplifier, amperes.
     pub current_a: f32,
-    /// From switching to the conversion: relays and filter, microseconds.
+    /// Time from switching to the conversion, for relays and filter, microseconds.
     pub settling_us: u32,
 }
 
@@ -60,7 +60,7 @@ impl<P: OutputPin> AddressLines<P> {
     }
 }
 
-/// What hangs on the buses.
+/// The parts on the buses.
 pub struct Parts<G, T, R, I, P, Q, D> {
     /// The synthesiser.
     pub synthesiser: G,
@@ -88,26 +88,26 @@ pub struct Magnitude<G, T, R, I, P, Q, D> {
     receiver: AddressLines<Q>,
     delay: D,
     chain: Chain,
-    /// Phase step of the synthesiser, and whether it runs.
+    /// Phase step of the synthesiser, and whether it is running.
     step: u32,
     runs: bool,
-    /// Codes of the two gains.
+    /// Codes of both gains.
     sending_gain: u8,
     receiving_gain: u8,
-    /// The measurement that goes on.
+    /// The current measurement.
     measuring: Option<[u8; 4]>,
 }
 
 impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPin, D: DelayNs>
     Magnitude<G, T, R, I, P, Q, D>
 {
-    /// A board at 20 kHz and gain 1 of both amplifiers.
+    /// A board at 20 kHz with both amplifiers at gain 1.
     ///
     /// # Errors
-    /// [`Failure::BadArgument`] for fewer than 2 or more than 16 coils or a clock that does not reach the band;
-    /// [`Failure::Bus`] where a chip does not answer.
+    /// [`Failure::BadArgument`] for fewer than 2 or more than 16 coils or a clock too slow for the frequency range;
+    /// [`Failure::Bus`] if a chip doesn't answer.
     pub fn new(parts: Parts<G, T, R, I, P, Q, D>, chain: Chain) -> Result<Self, Failure> {
-        // Fewer than four steps a period are no sine any more.
+        // With fewer than four steps per period it would no longer be a sine.
         let reaches = chain.clock_hz >= 4.0 * BAND_HZ[1] && chain.clock_hz.is_finite();
         if !(2..=MOST_COILS).contains(&chain.coils) || !reaches {
             return Err(Failure::BadArgument);
@@ -162,7 +162,7 @@ impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPi
         Ok(())
     }
 
-    /// Reading of the first two coils, volts at the coil.
+    /// Reading of the first pair of coils, volts at the coil.
     fn first_pair_v(&mut self) -> Result<f32, Failure> {
         self.select([0, NO_ELECTRODE, 1, NO_ELECTRODE])?;
         let reading = self.converter.wait(Input::Single, &mut self.delay)?;
@@ -191,7 +191,7 @@ impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPi
         self.chain.current_a * f32::from(GAINS[usize::from(self.sending_gain)])
     }
 
-    /// The amplifier's gain that comes nearest.
+    /// Uses the nearest gain of the amplifier.
     fn set_amplitude_a(&mut self, amplitude_a: f32) -> Result<f32, Failure> {
         let most_a = self.chain.current_a * f32::from(GAINS[GAINS.len() - 1]);
         if !(amplitude_a > 0.0 && amplitude_a <= most_a * 1.001) {
@@ -234,7 +234,7 @@ impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPi
         Ok(())
     }
 
-    /// Amplitude of the voltage at the receiving coil.
+    /// In volts of amplitude at the receiving coil.
     fn scale_v(&self) -> f32 {
         self.converter.scale_v() * AMPLITUDE_OVER_MEAN / f32::from(GAINS[usize::from(self.receiving_gain)])
     }
@@ -259,8 +259,8 @@ impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPi
         self.synthesiser.disable().map_err(|_| Failure::Bus)
     }
 
-    /// Voltage at coil 2 with the synthesiser off, then with coil 1 sending at the present amplitude, volts; and the
-    /// ratio of the readings at gains 2 and 1 of the sending amplifier, 2 where the chain is linear.
+    /// Voltage at coil 2 with the synthesiser off, then with coil 1 sending at the current amplitude, volts; and the
+    /// ratio of the readings at gains 2 and 1 of the sending amplifier, which is 2 for a linear chain.
     fn self_test(&mut self, out: &mut [f32]) -> Result<usize, Failure> {
         let before = self.sending_gain;
         self.quiet()?;

@@ -1,10 +1,10 @@
 //! The resistance backend of paper P (Sánchez-Delgado et al., Intelligent Service Robotics 17, 2024): a 64-channel
-//! analogue multiplexer with a current source on chip, on SPI, and a 16-bit converter on I2C. Four of the 64 electrodes
-//! at a time are connected: to the source, to its ground, and to the two analogue outputs, which go to the converter's
-//! inputs 0 and 1.
+//! analogue multiplexer with an on-chip current source, on SPI, and a 16-bit converter on I2C. Four of the 64
+//! electrodes are connected at a time: to the source, to its ground, and to the two analogue outputs, which lead to
+//! the converter's inputs 0 and 1.
 //!
-//! The paper names the chip (swmux of IMS CHIPS) and gives its facts, but no register map. The five bytes that
-//! [`Selection::bytes`] makes are therefore an assumption, and the only place to change for another chip.
+//! The paper names the chip (swmux of IMS CHIPS) and its specifications, but gives no register map. The five bytes of
+//! [`Selection::bytes`] are therefore an assumption, and the only place to change for another chip.
 
 use dermis_wire::{NO_ELECTRODE, Status};
 use embedded_hal::delay::DelayNs;
@@ -17,35 +17,36 @@ use crate::protocol::{MOST_ELECTRODES, Named};
 
 /// A step of the current source, amperes.
 pub const STEP_A: f32 = 2.6e-6;
-/// Most steps of the current source: 39 uA, the last one within its 40 uA.
+/// Most steps of the current source: 39 uA, just below its limit of 40 uA.
 pub const MOST_STEPS: u8 = 15;
-/// Most current that can be asked for, amperes.
+/// Largest current that can be requested, amperes.
 const MOST_A: f32 = 40e-6;
 /// Fastest clock of the multiplexer, Hz.
 pub const MOST_CLOCK_HZ: u32 = 10_000_000;
-/// Where the source of a 3.3 V supply has no voltage left, volts at an electrode.
+/// Voltage at an electrode at which the source, on a 3.3 V supply, stops regulating.
 const COMPLIANCE_V: f32 = 3.0;
-/// From switching to the conversion: 400 ohm of the switches and 20 pF of an input take 0.1 us to 16 bits, cables more.
+/// Time from switching to the conversion. 400 ohm of the switches and 20 pF of an input settle to 16 bits in 0.1 us;
+/// cables take longer.
 const SETTLING_NS: u32 = 10_000;
-/// Code of the range in which the board looks at itself.
+/// Range code for self-checks.
 const FINE: u8 = 5;
-/// Code of the range in which an open electrode shows.
+/// Range code that shows an open electrode.
 const WIDE: u8 = 1;
-/// Readings of the converter's own noise.
+/// Number of readings for the converter's own noise.
 const NOISE_READINGS: u16 = 16;
 
-/// What the multiplexer connects.
+/// Connections of the multiplexer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Selection {
     /// Steps of the current source.
     pub steps: u8,
-    /// Electrodes at the source, at its ground, at the outputs 0 and 1; [`NO_ELECTRODE`] leaves a line open.
+    /// Electrodes at the source, its ground, and the outputs 0 and 1; [`NO_ELECTRODE`] leaves a line open.
     pub lines: [u8; 4],
 }
 
 impl Selection {
-    /// What goes over SPI, and acts when the chip is deselected: the steps of current, then for source, ground, output
-    /// 0 and output 1 a byte with the electrode and bit 7 where the line is closed.
+    /// The bytes sent over SPI, which take effect when the chip is deselected: the current steps, then one byte each
+    /// for source, ground, output 0 and output 1, with the electrode, and bit 7 set if the line is closed.
     pub fn bytes(self) -> [u8; 5] {
         let line = |electrode: u8| if electrode == NO_ELECTRODE { 0 } else { 0x80 | (electrode & 0x3f) };
         let [source, sink, positive, negative] = self.lines.map(line);
@@ -60,17 +61,17 @@ pub struct Mux64<S, I, D> {
     delay: D,
     electrodes: u8,
     steps: u8,
-    /// The measurement that goes on.
+    /// The current measurement.
     measuring: Option<[u8; 4]>,
 }
 
 impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
-    /// A board with so many electrodes, at most [`MOST_ELECTRODES`]. The current is at its highest step, the range the
-    /// widest but one.
+    /// A board with this number of electrodes, at most [`MOST_ELECTRODES`]. It starts at the highest current step and
+    /// in the second-widest range.
     ///
     /// # Errors
-    /// [`Failure::BadArgument`] for fewer than 2 or more than 64 electrodes; [`Failure::Bus`] where the converter does
-    /// not answer.
+    /// [`Failure::BadArgument`] for fewer than 2 or more than 64 electrodes; [`Failure::Bus`] if the converter
+    /// doesn't answer.
     pub fn new(spi: S, i2c: I, delay: D, electrodes: u8) -> Result<Self, Failure> {
         if !(2..=MOST_ELECTRODES).contains(&electrodes) {
             return Err(Failure::BadArgument);
@@ -89,14 +90,14 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
         self.converter.discard(&mut self.delay)
     }
 
-    /// Volts between the outputs with so many steps of current.
+    /// Voltage between the outputs at this number of current steps.
     fn volts(&mut self, steps: u8, lines: [u8; 4]) -> Result<f32, Failure> {
         self.select(steps, lines)?;
         let reading = self.converter.wait(input(lines), &mut self.delay)?;
         Ok(f32::from(reading.counts) * self.converter.scale_v())
     }
 
-    /// Does something in another range, and returns to the one that is set.
+    /// Acts in another range, then restores the one that was set.
     fn in_range<T>(&mut self, gain: u8, act: impl FnOnce(&mut Self) -> Result<T, Failure>) -> Result<T, Failure> {
         self.discard()?;
         let before = self.converter.gain();
@@ -117,7 +118,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
         Ok([sum / f32::from(NOISE_READINGS), most - least])
     }
 
-    /// Mean and largest resistance of the ground switches, ohm: the current goes into an electrode and out of it again.
+    /// Mean and largest resistance of the ground switches, ohms, measured with the current entering and leaving at
+    /// the same electrode.
     fn switches_ohm(&mut self) -> Result<[f32; 2], Failure> {
         let current_a = f32::from(MOST_STEPS) * STEP_A;
         let (mut sum, mut most) = (0.0, 0.0_f32);
@@ -128,8 +130,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
         Ok([sum / f32::from(self.electrodes), most])
     }
 
-    /// Voltage between a driven electrode and one without current, by the current; NaN where the source reaches its
-    /// limit whichever of two electrodes sinks.
+    /// Voltage between a driven electrode and one without current, divided by the current; NaN if the source reaches
+    /// its limit with either of two electrodes as sink.
     fn contact_ohm(&mut self, electrode: u8) -> Result<f32, Failure> {
         let after = |step: u8| ((u16::from(electrode) + u16::from(step)) % u16::from(self.electrodes)) as u8;
         let (sinks, quiet) = ([after(1), after(2)], after(3));
@@ -158,7 +160,7 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Board for Mux64<S, I, D> {
             coils: false,
             readings_per_s: READINGS_PER_S,
             has_frequency: false,
-            // The check needs two electrodes to sink and one without current.
+            // The check needs two electrodes as sinks and one without current.
             has_impedance: self.electrodes >= 4,
             protocols: &[Named::AdjacentSink, Named::AdjacentGround, Named::Adjacent],
         }
@@ -215,8 +217,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Board for Mux64<S, I, D> {
         self.select(0, [NO_ELECTRODE; 4])
     }
 
-    /// Offset of the converter and its noise from peak to peak, volts; mean and largest resistance of the multiplexer's
-    /// ground switches, ohm.
+    /// Offset and peak-to-peak noise of the converter, volts; mean and largest resistance of the multiplexer's ground
+    /// switches, ohms.
     fn self_test(&mut self, out: &mut [f32]) -> Result<usize, Failure> {
         let found = self.in_range(FINE, |board| {
             let ([offset, noise], [mean, most]) = (board.noise_v()?, board.switches_ohm()?);
@@ -227,7 +229,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Board for Mux64<S, I, D> {
         Ok(count)
     }
 
-    /// Between the driven electrode and one without current: contact and the skin's spreading resistance close to it.
+    /// Between the driven electrode and one without current: the contact, and the skin's spreading resistance close
+    /// to it.
     fn impedance_ohm(&mut self, electrode: u8) -> Result<f32, Failure> {
         if electrode >= self.electrodes || self.electrodes < 4 {
             return Err(Failure::BadArgument);

@@ -1,28 +1,28 @@
-//! Which measurements a frame has, in which order: one of the lists that follow from a rule and take no memory, or a
-//! list that the host sent.
+//! The measurements of a frame, in order: one of the lists that follow from a rule and take no memory, or a list
+//! sent by the host.
 
 use dermis_wire::{List, NO_ELECTRODE};
 
 /// Most electrodes of a board.
 pub const MOST_ELECTRODES: u8 = 64;
 
-/// A list of measurements that follows from a rule.
+/// A list of measurements given by a rule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Named {
-    /// Neighbours drive, the last with the first; for each, every electrode is read against the one that sinks. With 64
-    /// electrodes the 4,096 measurements of paper P.
+    /// Neighbours drive, the last one with the first. For each drive, every electrode is read against the sink. With
+    /// 64 electrodes these are the 4,096 measurements of paper P.
     AdjacentSink,
-    /// The same against ground: what a converter without a second input reads.
+    /// The same against ground, for converters without a second input.
     AdjacentGround,
-    /// Neighbours drive, neighbours without a driven electrode are read, beginning after the drive: n (n - 3)
+    /// Neighbours drive, and neighbours without a driven electrode are read, starting after the drive: n (n - 3)
     /// measurements.
     Adjacent,
-    /// Each coil drives, and every coil of a higher number is read: n (n - 1) / 2 measurements.
+    /// Each coil drives, and every coil with a higher number is read: n (n - 1) / 2 measurements.
     HigherCoils,
 }
 
 impl Named {
-    /// Its name on the wire.
+    /// Name on the wire.
     pub fn name(self) -> &'static str {
         match self {
             Self::AdjacentSink => "adjacent-sink",
@@ -32,7 +32,7 @@ impl Named {
         }
     }
 
-    /// Measurements in a frame.
+    /// Number of measurements in a frame.
     pub fn len(self, electrodes: u8) -> u16 {
         let n = u16::from(electrodes);
         match self {
@@ -42,7 +42,7 @@ impl Named {
         }
     }
 
-    /// True for so few electrodes that there is nothing to measure.
+    /// True if there are too few electrodes to measure anything.
     pub fn is_empty(self, electrodes: u8) -> bool {
         self.len(electrodes) == 0
     }
@@ -76,14 +76,14 @@ impl Named {
     }
 }
 
-/// The protocol as set, with memory for a list of measurements.
+/// The current protocol, with memory for a list of measurements.
 #[derive(Debug)]
 pub struct Protocol<'l> {
     electrodes: u8,
     coils: bool,
     set: Set,
     list: &'l mut [[u8; 4]],
-    /// Measurements of a list that is being sent, so far, and those of the whole.
+    /// Measurements received of a list that is arriving, and their total.
     coming: (u16, u16),
 }
 
@@ -93,24 +93,24 @@ enum Set {
     Listed { len: u16 },
 }
 
-/// A part of a list was taken, or is none.
+/// Result of receiving a part of a list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Taken {
-    /// More parts must come; what was set before is gone where they used its memory.
+    /// More parts must follow. An earlier list is gone if its memory has been reused.
     Part,
-    /// The list is set.
+    /// The list is complete and set.
     Whole,
-    /// Not a list that fits or that can be measured.
+    /// The list doesn't fit or cannot be measured.
     Refused,
 }
 
 impl<'l> Protocol<'l> {
-    /// One that follows from a rule, for electrodes or for `coils`.
+    /// A rule-based protocol, for electrodes or for `coils`.
     pub fn new(electrodes: u8, coils: bool, named: Named, list: &'l mut [[u8; 4]]) -> Self {
         Self { electrodes, coils, set: Set::Named(named), list, coming: (0, 0) }
     }
 
-    /// Measurements in a frame.
+    /// Number of measurements in a frame.
     pub fn len(&self) -> u16 {
         match self.set {
             Set::Named(named) => named.len(self.electrodes),
@@ -118,12 +118,12 @@ impl<'l> Protocol<'l> {
         }
     }
 
-    /// True where there is nothing to measure.
+    /// True if there is nothing to measure.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Its name on the wire.
+    /// Name on the wire.
     pub fn name(&self) -> &'static str {
         match self.set {
             Set::Named(named) => named.name(),
@@ -139,13 +139,13 @@ impl<'l> Protocol<'l> {
         }
     }
 
-    /// Sets one that follows from a rule.
+    /// Sets a rule-based protocol.
     pub fn set_named(&mut self, named: Named) {
         (self.set, self.coming) = (Set::Named(named), (0, 0));
     }
 
-    /// Takes a part of a list. Parts come in order, and the list is set with its last one; until then, where a list was
-    /// set before, `fallback` is.
+    /// Takes a part of a list. Parts arrive in order, and the list is set with the last one. If a list was set
+    /// before, `fallback` applies until then.
     pub fn take(&mut self, first: u16, total: u16, part: List<'_, [u8; 4]>, fallback: Named) -> Taken {
         let continues = first == 0 || (first, total) == self.coming;
         let fits = total > 0 && usize::from(total) <= self.list.len() && !part.is_empty();

@@ -1,10 +1,10 @@
-//! Where a scan stands: which measurement is next, and the readings that wait to be sent.
+//! State of a scan: the next measurement, and the readings waiting to be sent.
 
 use dermis_wire::Status;
 
 use crate::board::Reading;
 
-/// Readings in a part of a frame.
+/// Readings per part of a frame.
 pub const PART_READINGS: usize = 128;
 
 /// A scan through the measurements of a frame.
@@ -12,24 +12,24 @@ pub const PART_READINGS: usize = 128;
 pub(crate) struct Scan {
     /// Number of the frame.
     pub(crate) sequence: u32,
-    /// The next measurement.
+    /// Index of the next measurement.
     pub(crate) index: u16,
-    /// Readings held, those before `index`.
+    /// Number of readings held, which precede `index`.
     pub(crate) held: usize,
     pub(crate) readings: [i16; PART_READINGS],
-    /// After the first reading held, ns.
+    /// Times after the start of the first reading held, ns.
     pub(crate) times_ns: [u32; PART_READINGS],
-    /// Start of the first reading held.
+    /// Start of the first reading held, ns.
     pub(crate) part_ns: u64,
-    /// What happened during the readings held.
+    /// Events during the readings held.
     pub(crate) status: Status,
-    /// What happened during the frame.
+    /// Events during the frame.
     pub(crate) frame_status: Status,
-    /// The frame's reading farthest from zero, counts.
+    /// Largest magnitude among the frame's readings, counts.
     pub(crate) largest: u16,
-    /// Start of the frame.
+    /// Start of the frame, ns.
     pub(crate) frame_ns: u64,
-    /// Start of the reading that goes on.
+    /// Start of the current reading, ns.
     pub(crate) reading_ns: Option<u64>,
 }
 
@@ -55,19 +55,19 @@ impl Scan {
         self.index == 0 && self.reading_ns.is_none()
     }
 
-    /// Begins the frame anew.
+    /// Restarts the frame.
     pub(crate) fn restart(&mut self) {
         (self.index, self.held, self.reading_ns) = (0, 0, None);
         (self.status, self.frame_status, self.largest) = (Status::default(), Status::default(), 0);
     }
 
-    /// The frame has been sent.
+    /// Moves on after the frame has been sent.
     pub(crate) fn next_frame(&mut self) {
         self.sequence = self.sequence.wrapping_add(1);
         self.restart();
     }
 
-    /// Keeps a reading; there is room for it.
+    /// Stores a reading; there must be room for it.
     pub(crate) fn keep(&mut self, reading: Reading) {
         let began_ns = self.reading_ns.take().unwrap_or(self.part_ns);
         if self.index == 0 {

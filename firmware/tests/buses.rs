@@ -1,4 +1,4 @@
-//! What the boards say on their buses, byte for byte, against the data sheets of the chips.
+//! The boards' traffic on their buses, byte for byte, compared with the data sheets of the chips.
 
 use dermis_firmware::board::{Board, Failure};
 use dermis_firmware::magnitude::{AddressLines, Chain, Magnitude, Parts};
@@ -11,8 +11,8 @@ use embedded_hal_mock::eh1::spi::{Mock as Spi, Transaction as Words};
 
 const ADC: u8 = 0x48;
 
-/// From the power-on state of 2.048 V and 128 a second to 860, then to 4.096 V: single conversions, comparator off. The
-/// chip's driver starts a conversion with each setting, whose result nobody reads.
+/// From the power-on state of 2.048 V and 128 per second to 860 per second, then to 4.096 V: single conversions,
+/// comparator off. The chip's driver starts a conversion with each setting, whose result is not read.
 fn set_up() -> Vec<Wires> {
     vec![Wires::write(ADC, vec![0x01, 0x85, 0xe3]), Wires::write(ADC, vec![0x01, 0x83, 0xe3])]
 }
@@ -24,7 +24,7 @@ fn spi(packets: &[&[u8]]) -> Spi<u8> {
     Spi::new(&transactions.collect::<Vec<_>>())
 }
 
-/// A conversion: is it idle, start, still busy, done, result.
+/// A conversion: check for idle, start, still busy, done, result.
 fn conversion(config: [u8; 2], result: i16) -> Vec<Wires> {
     let [high, low] = config;
     let is_idle = |idle: bool| Wires::write_read(ADC, vec![0x01], vec![if idle { 0x80 } else { 0x00 } | high, low]);
@@ -41,7 +41,7 @@ fn conversion(config: [u8; 2], result: i16) -> Vec<Wires> {
 fn a_measurement_is_a_selection_and_a_conversion() {
     let single_then_pair = [set_up(), conversion([0x43, 0xe3], 1234), conversion([0x03, 0xe3], -7)].concat();
     let mut i2c = I2c::new(&single_then_pair);
-    // Fifteen steps of current; electrodes 62 and 63 drive, 5 is read against ground; then 5 against 63.
+    // Fifteen current steps. Electrodes 62 and 63 drive, and 5 is read against ground, then against 63.
     let mut words = spi(&[&[15, 0x80 | 62, 0x80 | 63, 0x80 | 5, 0], &[15, 0x80 | 62, 0x80 | 63, 0x80 | 5, 0x80 | 63]]);
     let mut board = Mux64::new(words.clone(), i2c.clone(), NoopDelay::new(), 64).unwrap();
     for (measurement, counts) in [([62, 63, 5, NO_ELECTRODE], 1234), ([62, 63, 5, 63], -7)] {
@@ -57,7 +57,7 @@ fn a_measurement_is_a_selection_and_a_conversion() {
 
 #[test]
 fn an_abandoned_conversion_is_not_taken_for_the_next() {
-    // Both are single-ended: the chip's driver alone could not tell their results apart.
+    // Both are single-ended, so the chip's driver alone couldn't distinguish their results.
     let mut first = conversion([0x43, 0xe3], 111);
     let second = conversion([0x43, 0xe3], 222);
     first.remove(2);
@@ -105,7 +105,7 @@ fn boards_with_too_many_or_too_few_electrodes_are_refused() {
     }
 }
 
-/// Levels that the four address lines of a decoder take for each coil in turn.
+/// Levels of a decoder's four address lines for each coil in turn.
 fn lines(coils: &[u8]) -> [Pin; 4] {
     [0, 1, 2, 3].map(|bit| {
         let levels = coils.iter().map(|coil| if coil >> bit & 1 == 1 { State::High } else { State::Low });
@@ -115,10 +115,10 @@ fn lines(coils: &[u8]) -> [Pin; 4] {
 
 #[test]
 fn the_magnitude_chain_sets_synthesiser_amplifiers_and_decoders() {
-    // 20 kHz of a 25 MHz clock in 28 bits is 214748.36: word 214748 = 13 * 2^14 + 1756. Reset, words in two
-    // halves, both halves, then run.
+    // 20 kHz from a 25 MHz clock with 28 bits is 214748.36: word 214748 = 13 * 2^14 + 1756. Reset, write the word in
+    // two halves, then run.
     let mut synthesiser = spi(&[&[0x01, 0x00], &[0x21, 0x00], &[0x46, 0xdc], &[0x40, 0x0d], &[0x20, 0x00]]);
-    // Gain 1, then 0.1 A of 0.05 A at gain 1: gain 2.
+    // Gain 1. Then 0.1 A, with 0.05 A at gain 1: gain 2.
     let mut sending = spi(&[&[0x40, 0], &[0x40, 1]]);
     let mut receiving = spi(&[&[0x40, 0]]);
     let wires = [set_up(), vec![Wires::write(ADC, vec![0x01, 0x85, 0xe3])], conversion([0x45, 0xe3], 20_000)].concat();

@@ -1,4 +1,5 @@
-//! The engine and a host, on a simulated board whose skin is a ring of resistors: every command, against closed forms.
+//! The engine and a host, on a simulated board whose skin is a ring of resistors: every command, compared with closed
+//! forms.
 
 mod bench;
 
@@ -10,22 +11,23 @@ use dermis_firmware::{Engine, Named, STATE_BUDGET};
 use dermis_wire::NO_ELECTRODE;
 
 const ELECTRODES: u8 = 16;
-/// Resistors between neighbours, ohm.
+/// Resistance between neighbours, ohms.
 const RING_OHM: f64 = 1000.0;
-/// At each contact, ohm.
+/// Resistance of each contact, ohms.
 const CONTACT_OHM: f64 = 150.0;
-/// Of the multiplexer's ground switch, ohm.
+/// Resistance of the multiplexer's ground switch, ohms.
 const SWITCH_OHM: f64 = 400.0;
-/// Fifteen steps of the source.
+/// Current at fifteen steps of the source.
 const CURRENT_A: f64 = 39e-6;
 
-/// A ring of equal resistors with an electrode at each node, of which one may be open.
+/// A ring of equal resistors with an electrode at each node, one of which may be open.
 struct Ring {
     open: Option<u8>,
 }
 
-/// Potential of node `at` against the mean of all, for 1 A into `source` and out of `sink`: between two nodes d apart
-/// lie d (n - d) / n resistors, and a ring's potential is half of the difference of two such.
+/// Potential of node `at` relative to the mean of all nodes, for 1 A into `source` and out of `sink`. Between two
+/// nodes d apart there are d (n - d) / n resistors, and the potential in a ring is half the difference of two such
+/// values.
 fn ring_ohm(at: u8, source: u8, sink: u8) -> f64 {
     let n = f64::from(ELECTRODES);
     let between = |a: u8, b: u8| {
@@ -43,7 +45,7 @@ impl Analog for Ring {
         let is_open = |electrode: u8| self.open == Some(electrode);
         let flows = there(source) && there(sink) && (source == sink || !is_open(source) && !is_open(sink));
         let current_a = if flows { asked_a } else { 0.0 };
-        // Without a way for the current the source goes to its limit.
+        // Without a path for the current the source goes to its limit.
         let limit_v = if asked_a > 0.0 && !flows && there(source) { 3.3 } else { 0.0 };
         let contact_ohm = |electrode: u8| match electrode {
             _ if source == sink => 0.0,
@@ -56,7 +58,7 @@ impl Analog for Ring {
                 return 0.0;
             }
             if !flows {
-                // An open sink lifts the whole skin.
+                // An open sink raises the potential of the whole skin.
                 return if is_open(source) && electrode != source { 0.0 } else { limit_v };
             }
             let ring_ohm = ring_ohm(electrode, source, sink) - ring_ohm(sink, source, sink);
@@ -78,11 +80,12 @@ fn board(chips: &Shared<Ring>) -> Board {
         .expect("the converter answers")
 }
 
-/// Readings of the adjacent protocol in volts: each pair of neighbours but those of the drive spans 1/n of a resistor.
+/// Readings of the adjacent protocol, volts: every pair of neighbours except those of the drive spans 1/n of a
+/// resistor.
 fn check_adjacent(values: &[f64], current_a: f64, tolerance_v: f64) {
     assert_eq!(values.len(), 16 * 13);
-    // The potential falls from source to sink over the fifteen resistors of the long way, pairs run from sink to
-    // source.
+    // The potential falls from source to sink over the fifteen resistors of the longer path, and pairs run from sink
+    // to source.
     let expected_v = -current_a * RING_OHM / 16.0;
     for (channel, value) in values.iter().enumerate() {
         assert!((value - expected_v).abs() <= tolerance_v, "channel {channel}: {value} V, expected {expected_v} V");
@@ -106,7 +109,7 @@ fn readings_are_those_of_the_ring() {
     assert_eq!(description.protocol, "adjacent");
     assert_eq!(description.protocols, ["adjacent-sink", "adjacent-ground", "adjacent"]);
     assert!((description.amplitude_a - 39e-6).abs() < 1e-10);
-    // Told again once the first frame has been timed.
+    // Sent again once the first frame has been timed.
     assert!((2.5..3.2).contains(&description.most_frames_per_s), "{}", description.most_frames_per_s);
     assert_eq!(bench.inbox.losses(), (0, 0));
 }
@@ -120,7 +123,7 @@ fn the_range_follows_the_readings_frame_by_frame() {
             (frame.gain, frame.status.has(Status::GAIN_CHANGED))
         })
         .collect();
-    // Most are 39 uA times 15/16 of 1 kohm, two contacts and the switch, 64 mV: the finest range.
+    // Most readings are 39 uA times 15/16 of 1 kohm, two contacts and the switch: 64 mV, in the finest range.
     let expected = [(1, false), (2, true), (3, true), (4, true), (5, true), (5, false)];
     assert_eq!(gains, expected.map(|(gain, changed)| (Some(gain), changed)));
 }
@@ -164,7 +167,8 @@ fn every_command_is_answered() {
     // A count of 7.8 uV is 0.2 ohm at 39 uA.
     assert!((mean_ohm - 400.0).abs() < 0.2 && (most_ohm - 400.0).abs() < 0.2, "{mean_ohm} {most_ohm} ohm");
 
-    // Neighbours drive: 15/16 of a resistor lies between them, of which a third electrode, three on, sees 1 - 2/16.
+    // Neighbours drive: 15/16 of a resistor lies between them, of which another electrode, three further on, sees 1 -
+    // 2/16.
     let expected_ohm = CONTACT_OHM + ring_ohm(3, 3, 4) - ring_ohm(6, 3, 4);
     bench.chips.borrow_mut().analog.open = Some(9);
     let ohms = call(&mut bench, Order::ElectrodeImpedance).unwrap();
@@ -192,7 +196,7 @@ fn every_command_is_answered() {
 fn a_setting_in_the_midst_of_a_frame_begins_it_anew_and_loses_none() {
     let mut bench = bench(vec![Order::ProtocolName("adjacent".into()), Order::Gain(Some(5))], true);
     bench.frame();
-    // Beyond the first part of the frame, of 128 readings.
+    // Beyond the first part of the frame, which has 128 readings.
     (0..2000).for_each(|_| bench.step());
     bench.call(Order::AmplitudeA(10.4e-6)).unwrap();
     let (frame, _) = bench.frame();
@@ -205,7 +209,7 @@ fn a_board_that_went_on_measuring_is_met_again_as_it_was_set() {
     let setup = vec![Order::ProtocolName("adjacent".into()), Order::AmplitudeA(20.8e-6), Order::Gain(Some(5))];
     let mut bench = bench(setup.clone(), true);
     bench.frame();
-    // Half a frame and more passes while nobody listens, then the same host comes again.
+    // More than half a frame passes with nobody listening, then the same host comes back.
     (0..5000).for_each(|_| bench.step());
     let before = bench.frames.try_iter().count() as u64;
     let heard = bench.chips.borrow().selections;
@@ -213,7 +217,7 @@ fn a_board_that_went_on_measuring_is_met_again_as_it_was_set() {
     let (frame, _) = bench.frame();
     assert_eq!((frame.sequence, bench.inbox.losses()), (1 + before, (0, 0)), "nothing was stopped for it");
     assert!(bench.chips.borrow().selections - heard <= 2 * 208);
-    // Another host, that wants something else, stops and sets it.
+    // Another host with other requirements stops and reconfigures it.
     let other = vec![Order::Protocol(vec![[0, 8, 4, 12]; 9]), Order::AmplitudeA(10.4e-6)];
     bench.reconnect(Some(WireHost::with_control(other, true)));
     let (frame, _) = bench.frame();

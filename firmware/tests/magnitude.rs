@@ -1,5 +1,5 @@
-//! The induction backend before sixteen coils: synthesiser, amplifiers, decoders and rectifier as they stand in its
-//! chain, and a host that hears the coils' mutual inductances as magnitudes.
+//! The induction backend with sixteen coils: synthesiser, amplifiers, decoders and rectifier in order, and a host
+//! that reads the coils' mutual inductances as magnitudes.
 
 mod bench;
 
@@ -19,19 +19,19 @@ use embedded_hal::spi::{ErrorType as SpiErrorType, Operation, SpiDevice};
 const CLOCK_HZ: f64 = 25e6;
 const CURRENT_A: f64 = 0.05;
 
-/// Mutual inductance of two coils on a 4 x 4 grid of 75 mm pitch, as of two magnetic dipoles side by side, henry:
-/// negative.
+/// Mutual inductance of two coils on a 4 x 4 grid with 75 mm pitch, henry, modelled as two magnetic dipoles side by
+/// side: negative.
 fn mutual_h(a: u8, b: u8) -> f64 {
     let place = |coil: u8| [f64::from(coil % 4) * 0.075, f64::from(coil / 4) * 0.075];
     let ([ax, ay], [bx, by]) = (place(a), place(b));
-    // mu0 / (4 pi) N^2 A^2 / d^3 with 51 turns of 50 mm.
+    // mu0 / (4 pi) N^2 A^2 / d^3 with 51 turns of 50 mm diameter.
     -1e-7 * (51.0 * PI * 0.025 * 0.025_f64).powi(2) / (ax - bx).hypot(ay - by).powi(3)
 }
 
-/// What the chips of the chain hold.
+/// State of the chips in the chain.
 #[derive(Default)]
 struct State {
-    /// Low and high half of the synthesiser's word as they come, and whether it is held in reset.
+    /// Low and high half of the synthesiser's word as received, and whether it is held in reset.
     halves: [u16; 2],
     second: bool,
     held: bool,
@@ -43,7 +43,7 @@ struct State {
 struct Coils(Rc<RefCell<State>>);
 
 impl Analog for Coils {
-    /// The mean of the rectified sine behind the receiving amplifier.
+    /// The mean of the rectified sine after the receiving amplifier.
     fn outputs_v(&mut self, _: Selection) -> [f64; 2] {
         let state = self.0.borrow();
         let [sends, receives] = state.coils;
@@ -57,7 +57,7 @@ impl Analog for Coils {
     }
 }
 
-/// One device on SPI: the synthesiser, or an amplifier.
+/// A device on SPI: the synthesiser, or an amplifier.
 struct Chip {
     coils: Coils,
     amplifier: Option<usize>,
@@ -130,13 +130,13 @@ fn the_host_hears_mutual_inductances_as_magnitudes() {
     let board = Magnitude::new(parts, chain).expect("every chip answers");
     let setup = vec![Order::FrequencyHz(50e3), Order::AmplitudeA(0.4), Order::FramesPerS(1.0)];
     let mut bench = Bench::new(chips.clone(), board, setup, true);
-    // The gain settles first.
+    // Let the gain settle first.
     (0..6).for_each(|_| drop(bench.frame()));
     let (frame, took_s) = bench.frame();
     let description = bench.control.description().expect("it said");
     assert!(description.features.has(Features::MAGNITUDE));
     assert!((description.frequency_hz - 50e3).abs() < 0.1 && (description.amplitude_a - 0.4).abs() < 1e-6);
-    // The paper's instrument of 16 coils: a frame of 120 readings a second.
+    // The paper's instrument with 16 coils: 120 readings per frame, one frame per second.
     assert!((took_s - 1.0).abs() < 0.01, "{took_s} s a frame");
     let pairs = (0..16u8).flat_map(|a| (a + 1..16).map(move |b| (a, b)));
     let largest_v = frame.values.iter().fold(0.0, |most: f64, value| most.max(*value));
@@ -150,7 +150,7 @@ fn the_host_hears_mutual_inductances_as_magnitudes() {
             "{a}-{b}: {value} V, not {expected_v} V"
         );
     }
-    // With the synthesiser off nothing is heard; twice the current gives twice the voltage.
+    // With the synthesiser off there is no signal; twice the current gives twice the voltage.
     bench.call(Order::Stop).unwrap();
     assert!(coils.0.borrow().held, "the current is off");
     let [silent_v, present_v, ratio] = bench.call(Order::SelfTest).unwrap()[..] else { panic!("three numbers") };

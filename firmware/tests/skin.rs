@@ -1,5 +1,5 @@
-//! The resistance backend before the physics of paper P's disc: the firmware's own bytes, through the host's own
-//! decoder and the whole pipeline, give the touch where the skin is pressed.
+//! The resistance backend with the physics of paper P's disc: the firmware's own bytes, through the host's own
+//! decoder and the whole pipeline, give the touch at the pressed position.
 
 mod bench;
 
@@ -15,15 +15,15 @@ use dermis_twin::from_skin::patched_options;
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PatchedSkin};
 
-/// Resistance of the multiplexer's ground switch, ohm, as the paper gives it.
+/// Resistance of the multiplexer's ground switch, ohms, from the paper.
 const SWITCH_OHM: f64 = 400.0;
-/// Noise at the converter, volts: what the twin of these skins has.
+/// Noise at the converter, volts, as in the twin of these skins.
 const NOISE_V: f64 = 20e-6;
 
 /// Sheet and patches, as impedances between the electrodes.
 struct Sheet {
     skin: PatchedSkin,
-    /// Potential of the row's electrode for 1 A into the column's and out of the last, ohm.
+    /// Potential of the row's electrode for 1 A into the column's electrode and out of the last one, ohms.
     ohm: Vec<[f64; 64]>,
 }
 
@@ -49,7 +49,7 @@ impl Sheet {
 }
 
 impl Analog for Sheet {
-    /// The current comes back through the ground switch, over which the sink's electrode stands.
+    /// The current returns through the ground switch, which raises the potential of the sink's electrode.
     fn outputs_v(&mut self, Selection { steps, lines }: Selection) -> [f64; 2] {
         let [source, sink, positive, negative] = lines.map(usize::from);
         let current_a = f64::from(steps) * f64::from(STEP_A);
@@ -72,7 +72,7 @@ fn board(chips: &Shared<Sheet>) -> Mux64<Spi<Sheet>, Wires<Sheet>, Pause<Sheet>>
 #[test]
 fn the_firmwares_bytes_give_the_touch_where_the_skin_is_pressed() {
     let mut skin = Skin::open("piezo-disc").expect("a built-in skin");
-    // Coarser images than the file's 32 pixels a side, and so an operator in half the time.
+    // Coarser images than the file's 32 pixels per side, which halves the time for the operator.
     skin.imaging.grid = 24;
     let list = measured_list(&skin.protocol().expect("a protocol")).expect("four electrodes a channel");
     let setup = vec![Order::Protocol(list), Order::AmplitudeA((skin.backend.current_ma * 1e-3) as f32)];
@@ -86,7 +86,7 @@ fn the_firmwares_bytes_give_the_touch_where_the_skin_is_pressed() {
     let mut touches = Vec::new();
     let places_mm = [[-21.0, 14.0], [8.0, -33.0], [0.0, 3.0]];
     let mut errors_mm = Vec::new();
-    // The range settles in the first frames; then 32 make the baseline.
+    // The range settles in the first frames; the next 32 make the baseline.
     for n in 0..39 {
         let (frame, took_s) = bench.frame();
         assert_eq!((frame.values.len(), frame.channel_times_ns.len()), (4096, 4096));
@@ -117,6 +117,6 @@ fn the_firmwares_bytes_give_the_touch_where_the_skin_is_pressed() {
     }
     println!("frames of {slowest_s:.2} s; touches {errors_mm:.2?} mm off");
     assert_eq!(bench.inbox.losses(), (0, 0));
-    // The bound of the same skin's twin; patches are shorted whole, and their pitch of 10 mm shows.
+    // The error bound of the same skin's twin. Patches are shorted as a whole, so their pitch of 10 mm shows.
     assert!(errors_mm.iter().all(|error| *error < 6.0), "{errors_mm:?} mm");
 }

@@ -1,1 +1,1 @@
-"""What scripts/attack does to the built command."""
+"""The attacks that scripts/attack runs on the built command."""

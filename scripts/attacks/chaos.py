@@ -1,5 +1,5 @@
-"""A twin behind the wire, recorded, with three pages of which one never reads, under two faults a second of all kinds,
-and a kill -9 every minute."""
+"""A twin behind the wire, recorded, with three pages, one of which never reads, under two faults of all kinds per
+second, and a kill -9 every minute."""
 
 import json
 import signal
@@ -12,7 +12,7 @@ from .tools import Ground, Page, attack, check, connect
 from .wire import HELLO, START
 
 MINUTE_S = 60.0
-# What a recording that is killed may lack.
+# Most that a killed recording may lack, seconds.
 PROMISED_S = 1.0
 
 
@@ -28,7 +28,7 @@ class Session:
         )
         self.address = self.run.url()
         self.pages = [Page(self.address), Page(self.address)]
-        # The third one never reads.
+        # The third page never reads.
         self.stuck = Page(self.address, acknowledges=False, reads=False, receive_buffer=4096)
         self.memory = []
 
@@ -36,12 +36,12 @@ class Session:
         self.memory.append(self.run.memory_mb())
 
     def p99_ms(self):
-        """99th percentile from a frame's first byte to its results, over the session so far."""
+        """99th percentile of the time from a frame's first byte to its results, over the session until now."""
         states = self.pages[0].states
         return next(s["p99_us"] for s in states[-1][1]["latency"] if s["stage"] == "total") * 1e-3
 
     def stages_p99_ms(self):
-        """The same of each stage; what is in none of them is spent on damage, health and baselines."""
+        """The same for each stage; time in none of them goes into damage, health and baselines."""
         stages = self.pages[0].states[-1][1]["latency"]
         return ", ".join(f"{s['stage']} {s['p99_us'] * 1e-3:.1f}" for s in stages if s["stage"] != "total")
 
@@ -54,7 +54,7 @@ class Session:
             page.close()
 
     def killed(self):
-        """Kills it; what is left is recovered and compared with what the page was told."""
+        """Kills the run, recovers its recording and compares it with the frames shown on the page."""
         states = list(self.pages[0].states)
         at = time.time()
         self.run.kill()
@@ -66,7 +66,7 @@ class Session:
         there = numbers_of(self.ground, again)
         self.counted(there, states)
         last = states[-1][1]
-        # Frames that the page had been shown a second before the kill.
+        # Frames that the page had shown a second before the kill.
         old = [s["frame"] for _, s in states if int(s["time_ns"]) * 1e-9 < int(last["time_ns"]) * 1e-9 - PROMISED_S]
         kept = set(there)
         lacking = [n for n in old if n not in kept]
@@ -76,7 +76,7 @@ class Session:
         return len(there), at
 
     def counted(self, there, states):
-        """No number is missing in a recording that the counters do not know of."""
+        """Checks that the counters account for every number missing from a recording."""
         check(len(set(there)) == len(there), "a frame was recorded twice")
         missing = set(range(there[0], there[-1] + 1)) - set(there)
         losses = {c["name"]: c["value"] for c in states[-1][1]["counters"] if c["is_loss"]}
@@ -86,7 +86,7 @@ class Session:
 
 
 class Faults:
-    """Things that go wrong, one at a time."""
+    """Faults, one at a time."""
 
     def __init__(self, ground, twin, port):
         self.ground, self.twin, self.port, self.rng = ground, twin, port, ground.random
@@ -209,7 +209,7 @@ class Faults:
         self.open.append(connection)
 
     def stall(self, _):
-        """The instrument sends nothing for a while, and then all of it."""
+        """The instrument sends nothing for a while, then everything at once."""
         self.twin.signal(signal.SIGSTOP)
         time.sleep(self.rng.uniform(0.01, 0.3))
         self.twin.signal(signal.SIGCONT)
@@ -220,7 +220,7 @@ class Faults:
 
 
 class Presses:
-    """Ordinary use beside which chaos is measured: a press of a second, every two seconds, anywhere."""
+    """Ordinary use, as a reference for chaos: a one-second press at a random place every two seconds."""
 
     def __init__(self, ground, twin):
         self.twin, self.rng, self.asked = twin, ground.random, 0
@@ -275,7 +275,7 @@ def chaos(ground: Ground):
             f"session {number}: {kept} frames recovered, {session.missing} missing, counted {session.losses}, "
             f"p99 {p99s[-1]:.1f} ms ({stages}), {peaks[-1]:.0f} MB; twin {twin.memory_mb():.0f} MB"
         )
-    # The last one ends as a user ends it.
+    # The last session ends as a user would end it.
     last = Session(ground, port, number + 1)
     tared(last)
     last.run.signal(signal.SIGINT)
@@ -311,7 +311,7 @@ def chaos(ground: Ground):
 
 
 def watch(session, twin, seconds, faults, twin_memory):
-    """Lets a session run; something happens twice a second."""
+    """Lets a session run, with a fault twice a second."""
     end, next_fault, next_sample = time.monotonic() + seconds, time.monotonic(), time.monotonic()
     while time.monotonic() < end:
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""Names that are taken meanwhile, processes that are killed, disks that are full, names that talk to terminals."""
+"""File names taken in the meantime, killed processes, full disks, and names with terminal control characters."""
 
 import json
 import os
@@ -10,7 +10,7 @@ import time
 
 from .tools import Page, attack, check
 
-# A recording that is killed lacks at most this.
+# Most that a killed recording may lack, seconds.
 PROMISED_S = 1.0
 OURS = b"somebody else's\n"
 
@@ -22,7 +22,7 @@ def info(ground, path):
 
 
 def numbers_of(ground, path):
-    """Frame numbers of a recording, by its exported table."""
+    """Frame numbers of a recording, from its exported table."""
     table = ground.folder / "frames.csv"
     table.unlink(missing_ok=True)
     asked = ground.ask("export", path, "--out", table)
@@ -65,7 +65,7 @@ def final_names(ground):
 
 
 def appears(ground, what, question, target):
-    """A file appears under the final name while the command works: at its beginning, and when it has begun to write."""
+    """A file appears under the final name while the command works: at its start, and once it has started writing."""
     for moment in ("at work", "writing"):
         target.unlink(missing_ok=True)
         before = set(os.listdir(ground.folder))
@@ -90,7 +90,7 @@ def appears(ground, what, question, target):
 
 
 def stopped_while_writing(ground, command, target, before):
-    """Holds the command as soon as it has opened something to write, and puts a file under its final name."""
+    """Stops the command as soon as it has opened a file for writing, and puts a file under its final name."""
     while command.poll() is None:
         if set(os.listdir(ground.folder)) - before and not target.exists():
             command.signal(signal.SIGSTOP)
@@ -122,7 +122,7 @@ def early_signals(ground):
         command.wait(20)
         took = time.monotonic() - asked
         codes[command.code] = codes.get(command.code, 0) + 1
-        # Nothing was installed yet to hear the signal, or it was heard.
+        # The signal handler either was not installed yet, or worked.
         check(command.code in (0, 130, -signal.SIGINT), f"ended with {command.code}: {command.err()[-300:]}")
         check(took < 10, f"went on for {took:.1f} s")
         partial = target.with_name(f"early-{k}.partial.mcap")
@@ -149,7 +149,7 @@ def kill(ground):
         killed = time.time()
         command.kill()
         lines = [json.loads(line) for line in command.out().splitlines(True) if line.endswith("\n")]
-        # How old each frame was when the process was killed: the last one was printed then, the others came before it.
+        # Age of each frame when the process was killed: the last one had just been printed, the others earlier.
         since_last = max(0.0, killed - os.stat(command.out_file.name).st_mtime)
         ages = {line["sequence"]: since_last + lines[-1]["time_s"] - line["time_s"] for line in lines}
         check(not target.exists() and partial.exists(), f"kill {k}: {os.listdir(ground.folder)}")
@@ -192,7 +192,7 @@ def kill(ground):
 
 
 def forget(ground, *processes):
-    """Their logs and names: there are many."""
+    """Removes their logs and names, since there are many."""
     for process in processes:
         process.check_sound()
         ground.processes.remove(process)
@@ -219,7 +219,7 @@ def full_disk(ground):
         for question in (["record"], ["run", "--headless"]):
             outside = full(ground, disk, how, question, keywords)
         if mounted:
-            # All but some pages.
+            # All but a few pages.
             (disk / "other").write_bytes(bytes(1_800_000))
         else:
             keywords = {"preexec": lambda: limit(200_000)}
@@ -233,7 +233,7 @@ def full_disk(ground):
 
 
 def full(ground, disk, how, question, keywords):
-    """A recording that fills the disk; what is recovered of it elsewhere."""
+    """A recording that fills the disk, and its recovery to another disk."""
     target, partial = disk / "full.mcap", disk / "full.partial.mcap"
     name = "--out" if question == ["record"] else "--record"
     frames = 1500

@@ -1,4 +1,4 @@
-"""Those who reach the page: connections that stay half open, floods, strangers, messages that mean nothing."""
+"""Clients that reach the page: half-open connections, floods, strangers, meaningless messages."""
 
 import json
 import math
@@ -90,7 +90,7 @@ def floods(ground):
             time.sleep(0.01)
         ground.say(f"{what}: closed with {page.close_code} after {sent} or fewer")
         check(page.ended, f"{what}: {sent} were taken")
-        # A close frame may be lost where the sender has filled the line.
+        # A close frame may be lost if the sender has filled the line.
         check(page.close_code in (code, None), f"{what}: closed with {page.close_code} and not {code}")
         check(sent < 200_000, f"{what}: {sent} were taken")
         page.close()
@@ -123,7 +123,7 @@ def origins(ground):
     for named, origin, path, status in expected:
         with connect(port) as connection:
             got, _ = shake_hands(connection, named, origin, path)
-        # What cannot be a request is refused before its host is looked at.
+        # Malformed requests are refused before their host is checked.
         check(got == status or (status != 101 and got in (400, 403, 404, 421)), f"{named}, {origin}, {path}: {got}")
     for method in ("POST", "PUT", "DELETE", "TRACE", "CONNECT", "OPTIONS"):
         with connect(port) as connection:
@@ -211,7 +211,7 @@ def messages(ground):
             except OSError:
                 break
             sent += 1
-        # Below the allowed rate on the whole.
+        # Below the allowed rate overall.
         time.sleep(batch / 900)
         check(command.poll() is None, f"the command ended with {command.code}: {command.err()[-600:]}")
     page.close()

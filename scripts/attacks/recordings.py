@@ -1,4 +1,4 @@
-"""Recordings that were damaged on their way."""
+"""Recordings damaged in transit."""
 
 import os
 import re

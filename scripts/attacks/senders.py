@@ -1,4 +1,4 @@
-"""Instruments that send what they should not, and hosts that say nothing."""
+"""Instruments that send invalid data, and hosts that say nothing."""
 
 import math
 import random
@@ -23,7 +23,7 @@ def readings(k):
 
 
 def every(seconds, make):
-    """A sender of `make(k)` every so many seconds."""
+    """A sender that sends `make(k)` at a fixed interval."""
 
     def talk(connection, _, ended):
         k = 0
@@ -36,7 +36,7 @@ def every(seconds, make):
 
 
 def flood(chunk):
-    """A sender of one chunk as fast as it is taken."""
+    """A sender that repeats one chunk as fast as it is accepted."""
 
     def talk(connection, _, ended):
         while not ended.is_set():
@@ -59,7 +59,7 @@ def silent_client(ground):
     host.start()
     host.wait_for_frames(20, 20)
     ground.say("7 silent clients: the eighth has frames at once")
-    # All places taken by silent ones: they are sent away after five seconds.
+    # All places are taken by silent hosts, which are disconnected after five seconds.
     more = [connect(port) for _ in range(20)]
     served.until("sent away: it said nothing", 20)
     time.sleep(6)
@@ -89,7 +89,7 @@ def stuck_senders(ground):
         ("a web server", "wire", every(0.05, lambda k: b"HTTP/1.1 400 Bad Request\r\n\r\n<html>")),
     ]
     for what, instrument, talk in cases:
-        # Good ones to begin with, where lines are meant, so that the run is under way.
+        # If lines are expected, start with valid ones, so that the run gets going.
         port, count, end = serve(begin_well(talk) if instrument.startswith("lines") else talk)
         command = record(ground, port, instrument, 12, f"{what.replace(' ', '-')}.mcap")
         command.wait(60)
@@ -141,7 +141,7 @@ def half_floats(ground):
                     return
                 data = floats(k)
                 head = struct.pack("<4sHHI", b"DRMF", CHANNELS, k & 0xFFFF, zlib.crc32(data)) if is_headed else b""
-                # One in forty stops in the middle, and the next begins after it.
+                # One in forty stops in the middle, and the next follows directly.
                 connection.sendall((head + data)[:320] if k % 40 == 39 else head + data)
                 time.sleep(0.02)
 
@@ -249,7 +249,7 @@ def hostile_senders(ground):
             pass
         if k % 2:
             connection.close()
-    # One that asks for frames and never reads them.
+    # A host that requests frames and never reads them.
     stuck = connect(port)
     stuck.sendall(HELLO + START)
     time.sleep(8)

@@ -1,4 +1,4 @@
-"""Skin files and tables that ask for too much, name what is no file, or hold values that make no sense."""
+"""Skin files and tables that ask for too much, name something that isn't a file, or hold invalid values."""
 
 import copy
 import json
@@ -23,7 +23,7 @@ def frontend(shape=DISC, electrodes=RIM):
 
 
 def refused(ground, what, skin, names, seconds=10, memory_mb=400):
-    """A skin that is refused at once, with the key that is to be changed, before memory or time went into it."""
+    """Checks that a skin is refused at once, with the key to change, before it has taken memory or time."""
     asked = ground.ask("run", skin, "--headless", "--frames", 1, timeout=seconds + 60)
     text = asked.err()
     said = [line for line in text.splitlines() if line.startswith("error")] or text.splitlines()
@@ -41,7 +41,7 @@ def huge_skins(ground):
     square = "shape = { square = { side_mm = 100.0 } }"
     healing = ground.ask("skins", "show", "healing-square").out()
     check(square in healing or "side_mm" in healing, "healing-square is shown without its shape")
-    # Touches of a liquid are fitted with the interactions of all its pixels.
+    # Fitting touches of a liquid uses the interactions of all its pixels.
     liquid = ground.ask("skins", "show", "ionic-square").out()
     grid = ground.skin("grid.toml", re.sub(r"(?m)^grid = \d+", "grid = 512", liquid))
     refused(ground, "grid = 512", grid, ["imaging.grid = 512", "--memory"])
@@ -74,7 +74,7 @@ def long_line(ground):
         "commas.csv": b"1," * 5_000,
         "words.csv": b"no number\n" * 1000,
     }.items():
-        # In pieces: what this process has counts for what it starts.
+        # Write in pieces, because this process's memory limit also applies to its children.
         with (ground.folder / name).open("wb") as file:
             for _ in range(10_000):
                 file.write(piece)
@@ -132,7 +132,7 @@ def no_files(ground):
 
 
 def numbers(value, path=()):
-    """Where the keys of a skin are."""
+    """Paths to the keys of a skin."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from numbers(inner, (*path, key))
@@ -216,7 +216,7 @@ def skin_magnitudes(ground):
     check(tried >= min(len(cases), 20), "too few were tried")
 
 
-# Memory that every skin is given, and the longest that one may take within it.
+# Memory given to every skin, and the longest time that one may take with it.
 MOST_MB = 1000
 MOST_S = 300
 
@@ -262,7 +262,7 @@ def skin_keys(ground):
             file.close()
         if asked.code in (1, 2):
             words = [word for word in key.split(".") if not word.isdigit()]
-            # The key itself, or the table that it makes unfit.
+            # The key itself, or the table that it makes invalid.
             check(any(word in said for word in words), f"{shown}: the error names no key: {said[-300:]}")
             return "refused"
         return "ran"

@@ -1,4 +1,4 @@
-"""What all attacks use: the command as a process that is watched, a page's socket, figures and conditions."""
+"""Shared by all attacks: the command as a monitored process, a page's socket, figures and conditions."""
 
 import base64
 import json
@@ -19,13 +19,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 ATTACKS = {}
-# Panics and aborts, as Rust words them, and signals by which a process dies that nobody sent.
+# Rust's messages for panics and aborts, and fatal signals that nobody sent.
 PANIC = re.compile(r"panicked at|RUST_BACKTRACE|stack overflow|memory allocation of \d+ bytes failed")
 FATAL = {-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGILL, -signal.SIGFPE, 101}
 
 
 class NotHeld(Exception):
-    """An attack found something that is not as it should be."""
+    """An attack found a failure."""
 
 
 @dataclass
@@ -51,7 +51,7 @@ def check(condition, text):
 
 
 def dermis():
-    """The command that is attacked."""
+    """Path of the command under attack."""
     named = os.environ.get("DERMIS_BIN")
     places = [Path(named)] if named else [ROOT / "target" / kind / "dermis" for kind in ("release", "debug")]
     for place in places:
@@ -61,7 +61,7 @@ def dermis():
 
 
 class Ground:
-    """Where an attack works: a folder of its own, its processes, what it says."""
+    """Working area of an attack: its own folder, its processes and its messages."""
 
     def __init__(self, options):
         self.folder = Path(tempfile.mkdtemp(prefix="dermis-attack-"))
@@ -118,7 +118,7 @@ def carry_out(what, options):
 
 
 class Process:
-    """The command as it runs. What it writes goes to files, so that nothing of it waits for a reader."""
+    """The running command. Its output goes to files, so that it never waits for a reader."""
 
     def __init__(self, command, folder, stdin=False, preexec=None, env=None):
         self.name = " ".join(Path(command[0]).name if k == 0 else word for k, word in enumerate(command))
@@ -147,7 +147,7 @@ class Process:
         return Path(self.err_file.name).read_text(errors="replace")
 
     def poll(self):
-        """The status, where it has ended; what it used is kept."""
+        """The exit status, if it has ended; also records its resource usage."""
         if self.code is None:
             pid, status, usage = os.wait4(self.pid, os.WNOHANG)
             if pid:
@@ -180,16 +180,16 @@ class Process:
                 time.sleep(0.005)
 
     def type(self, text):
-        """Writes to its standard input."""
+        """Writes to the command's standard input."""
         self.popen.stdin.write(text.encode() if isinstance(text, str) else text)
         self.popen.stdin.flush()
 
     def peak_mb(self):
-        """The most memory that it had, once it has ended."""
+        """Peak memory, once it has ended."""
         return self.usage.ru_maxrss / 1024
 
     def memory_mb(self):
-        """The memory that it has."""
+        """Current memory."""
         try:
             text = Path(f"/proc/{self.pid}/status").read_text()
         except OSError:
@@ -198,7 +198,7 @@ class Process:
         return int(found[1]) / 1024 if found else 0.0
 
     def until(self, pattern, timeout=60, where="both"):
-        """Waits until it has written something."""
+        """Waits until the command has written something."""
         end = time.monotonic() + timeout
         while True:
             text = {"out": self.out, "err": self.err, "both": lambda: self.out() + self.err()}[where]()
@@ -213,7 +213,7 @@ class Process:
             time.sleep(0.02)
 
     def url(self):
-        """Host and port of its page."""
+        """Host and port of the command's page."""
         found = self.until(r"page: http://([\d.]+):(\d+)", 120)
         return found[1], int(found[2])
 
@@ -222,7 +222,7 @@ class Process:
         return int(self.until(r"--source tcp:[\d.]+:(\d+)", 120)[1])
 
     def check_sound(self):
-        """Neither a panic nor an abort, and no control characters in what it wrote."""
+        """Checks for panics and aborts, and for control characters in the output."""
         text = self.out() + self.err()
         check(not PANIC.search(text), f"{self.name}: a panic: {text[-600:]}")
         check(self.code not in FATAL, f"{self.name}: ended with {self.code}: {text[-600:]}")
@@ -230,7 +230,7 @@ class Process:
 
 
 class Page:
-    """One page: a WebSocket, read by a thread of its own."""
+    """One page: a WebSocket read by a separate thread."""
 
     def __init__(self, address, acknowledges=True, reads=True, receive_buffer=None):
         self.socket = socket.socket()
@@ -295,7 +295,7 @@ class Page:
             self.notices.append(message["text"])
 
     def frame(self, payload, kind=1):
-        """A masked frame of the WebSocket protocol, sent."""
+        """Sends a masked frame of the WebSocket protocol."""
         mask = os.urandom(4)
         length = len(payload)
         if length < 126:
@@ -316,7 +316,7 @@ class Page:
             self.ended = True
 
     def ask(self, command):
-        """Sends a command; its number."""
+        """Sends a command and returns its number."""
         self.next_id += 1
         self.send({"v": 1, "id": self.next_id, "command": command})
         return self.next_id
@@ -329,7 +329,7 @@ class Page:
             time.sleep(0.02)
 
     def runs(self, frames=5, timeout=60):
-        """Waits for so many further states after the baseline."""
+        """Waits for this many further states after the baseline."""
         tared = lambda: self.states and self.states[-1][1]["state"]["tare"]["kind"] == "tared"  # noqa: E731
         self.wait_for(tared, timeout, "baseline")
         count = len(self.states) + frames
@@ -341,7 +341,7 @@ class Page:
         return max(b - a for a, b in zip(times, times[1:]))
 
     def losses(self):
-        """Counters of frames that are losses, by name, as the page shows them."""
+        """Counters of lost frames, by name, as shown on the page."""
         counters = self.states[-1][1]["counters"]
         return {counter["name"]: counter["value"] for counter in counters if counter["is_loss"]}
 
@@ -354,7 +354,7 @@ class Page:
 
 
 def shake_hands(connection, host, origin, path="/ws", upgrade=True):
-    """Asks for the page or its socket; the status, and what came after the head."""
+    """Requests the page or its socket; returns the status and whatever came after the head."""
     key = base64.b64encode(os.urandom(16)).decode()
     lines = [f"GET {path} HTTP/1.1", f"Host: {host}"]
     if origin:
@@ -381,7 +381,8 @@ def open_descriptors(pid):
 
 
 def serve(talk, most=None):
-    """A socket whose guests are each served by `talk(connection, number)` in a thread; its port and a way to end it."""
+    """A socket that serves each guest by `talk(connection, number)` in a thread; returns its port and a way to close
+    it."""
     listener = socket.create_server(("127.0.0.1", 0), backlog=64)
     ended = threading.Event()
     count = [0]

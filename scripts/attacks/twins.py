@@ -1,4 +1,4 @@
-"""Work that people ask of a twin, in bursts: through the page, and on standard input of a served one."""
+"""Bursts of requests to a twin: through the page, and on standard input of a served one."""
 
 import random
 import signal
@@ -8,7 +8,7 @@ from .tools import Page, attack, check, connect
 from .wire import Host
 
 CUT = {"cut": {"from_mm": [0, 0], "to_mm": [20, 0]}}
-# Longest time without a frame at 25 frames a second, on a machine that does other things too.
+# Longest time without a frame at 25 frames per second, on a machine with other work to do, seconds.
 LONGEST_GAP_S = 1.0
 
 
@@ -40,7 +40,7 @@ def page_bursts(ground):
     page = Page(command.url())
     page.runs()
     page.ask({"demonstrate": False})
-    # What the machine does to a twin that nobody asks for anything.
+    # Measure the machine's effect on an idle twin.
     begun = time.monotonic()
     time.sleep(5)
     quiet = page.gap(begun)
@@ -59,7 +59,7 @@ def page_bursts(ground):
 
 
 def random_cut(dice):
-    """A cut anywhere on the skin, so that most cross each other and pads."""
+    """A cut at a random place on the skin, so that most cuts cross each other and pads."""
     return {"treat": {"cut": {end: [dice.uniform(-60, 60), dice.uniform(-60, 60)] for end in ("from_mm", "to_mm")}}}
 
 
@@ -69,7 +69,7 @@ def random_heal(dice):
     return {"treat": {"heal": {"at_mm": at, "radius_mm": radius, **heat}}}
 
 
-# Longest time without a state more than the quiet one, seconds: two frames and a half at 25 frames a second.
+# Longest additional time without a state compared with an idle twin, seconds: two and a half frames at 25 frames/s.
 LONGEST_TREATED_S = 0.1
 
 

@@ -1,4 +1,4 @@
-"""A host of the wire, as small as can be: it asks for frames and counts what comes (docs/src/wire.md)."""
+"""A minimal host for the wire: requests frames and counts them (docs/src/wire.md)."""
 
 import struct
 import threading
@@ -6,13 +6,13 @@ import time
 
 from .tools import check
 
-# The vectors `hello` and `start` of the chapter on the wire.
+# The test vectors `hello` and `start` from the chapter on the wire.
 HELLO = bytes.fromhex("000d01117856341201 0175e4f43600".replace(" ", ""))
 START = bytes.fromhex("00040112070206 05db2933ab00".replace(" ", ""))
 
 
 def unstuffed(packet):
-    """COBS undone."""
+    """Decodes COBS."""
     out, at = bytearray(), 0
     while at < len(packet):
         code = packet[at]

@@ -1,9 +1,9 @@
-// What carries messages between the page and the skin: a WebSocket to the server, or, in a page that brings its skin with
-// it, the worker that runs that skin. Both look the same to the connection.
+// Carries messages between the page and the skin: a WebSocket to the server or, in a self-contained page, the worker
+// that runs the skin. Both look the same to the connection.
 
 import type { EngineEnd, ToEngine } from "./engine";
 
-/** What the connection needs of a WebSocket. */
+/** The parts of a WebSocket that the connection needs. */
 export interface Channel {
   readonly isOpen: boolean;
   send(text: string): void;
@@ -13,14 +13,14 @@ export interface Channel {
 export interface ChannelListener {
   open(): void;
   message(data: string | ArrayBuffer): void;
-  /** `isFinal`: the other side ended it on purpose, and said why. */
+  /** `isFinal`: the other side closed it on purpose and gave a reason. */
   close(reason: string, isFinal: boolean): void;
 }
 
-/** The close code of a server that stops. */
+/** Close code of a server that is stopping. */
 const SERVER_STOPS = 1001;
 
-/** The server's WebSocket, or the worker that the page names in `data-engine`. */
+/** The server's WebSocket, or the worker named in the page's `data-engine`. */
 export function openChannel(listener: ChannelListener): Channel {
   const engine = document.documentElement.dataset.engine;
   return engine ? new WorkerChannel(engine, listener) : new SocketChannel(listener);
@@ -52,7 +52,7 @@ class SocketChannel implements Channel {
 }
 
 class WorkerChannel implements Channel {
-  /** From its first message on: before, it makes the skin. */
+  /** Opens with its first message; before that it is building the skin. */
   isOpen = false;
   private hasEnded = false;
   private readonly worker: Worker;

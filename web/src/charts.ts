@@ -1,4 +1,4 @@
-// Traces over the last seconds: touch amplitudes, and the channels that were chosen.
+// Traces of the last seconds: touch amplitudes, and the selected channels.
 
 import uPlot from "uplot";
 import type { Channels, Touch } from "./protocol";
@@ -6,14 +6,14 @@ import { THEME_EVENT } from "./layout";
 import { TOUCH_COLOURS } from "./view";
 
 const WINDOW_S = 20;
-/** At 100 updates a second. */
+/** Limit at 100 updates per second. */
 const MOST_POINTS = 2000;
 const CHANNEL_COLOURS = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#0072b2", "#f0e442", "#999999"];
 export const MOST_TRACES = CHANNEL_COLOURS.length;
 
 const css = (name: string) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** A plot of a few series against seconds; redrawn only when asked. */
+/** A plot of a few series against seconds; redrawn only on request. */
 class Strip {
   private plot: uPlot | null = null;
   private times: number[] = [];
@@ -37,13 +37,13 @@ class Strip {
 
   push(time_s: number, values: (number | null)[]): void {
     const last = this.times.length - 1;
-    // A replay that starts again runs backwards.
+    // The time goes backwards when a replay restarts.
     if (last >= 0 && time_s < this.times[last]) this.begin(this.names);
     this.times.push(time_s);
     this.series.forEach((one, index) => one.push(values[index] ?? null));
     let stale = Math.max(this.times.length - MOST_POINTS, 0);
     while (this.times[stale] < time_s - WINDOW_S) stale += 1;
-    // Dropped in chunks: moving the arrays for every point would cost more than drawing them.
+    // Drop old points in chunks: shifting the arrays for every point would cost more than drawing them.
     if (stale < MOST_POINTS / 10) return;
     this.times.splice(0, stale);
     for (const one of this.series) one.splice(0, stale);
@@ -52,7 +52,7 @@ class Strip {
   draw(): void {
     const end = this.times[this.times.length - 1];
     if (!this.plot || end === undefined) return;
-    // Seconds before now, so that the grid stands still and the traces move.
+    // Use seconds before now, so that the grid stands still and the traces move.
     const ago = this.times.map((time) => time - end);
     this.plot.setData([ago, ...this.series] as uPlot.AlignedData, true);
   }
@@ -85,7 +85,7 @@ class Strip {
   }
 }
 
-/** A little room above and below, also around a constant. */
+/** Adds a little room above and below, even around a constant. */
 function spread(low: number | null, high: number | null): [number, number] {
   if (low === null || high === null || !Number.isFinite(low) || !Number.isFinite(high)) return [0, 1];
   const room = high > low ? 0.06 * (high - low) : Math.abs(high) * 0.05 || 1;
@@ -124,7 +124,7 @@ export class AmplitudeStrip {
   }
 }
 
-/** Values of the chosen channels. */
+/** Values of the selected channels. */
 export class ChannelStrip {
   private readonly strip: Strip;
   private chosen: number[] = [];
@@ -154,7 +154,7 @@ export class ChannelStrip {
   }
 }
 
-/** Channel numbers written as `1, 5, 20-24`, from 1, to indices from 0. Null when it cannot be read. */
+/** Converts channel numbers from 1, written as `1, 5, 20-24`, to indices from 0. Null if the text is invalid. */
 export function parseChannels(text: string, count: number): number[] | null {
   const chosen = new Set<number>();
   for (const part of text.split(/[\s,;]+/).filter(Boolean)) {

@@ -1,12 +1,12 @@
-// What a network makes of the frame, over the image: where conductivity is raised (compressed) and where it is lowered
-// (damaged), each in its colour, as opaque as it is probable.
+// A network's result for the frame, drawn over the image: pixels of raised (compressed) and lowered (damaged)
+// conductivity, each class in its colour, with the probability as opacity.
 
 import type { Classes } from "./protocol";
 
-/** Canvas words (alpha comes from the probability): blue, green, red from the highest byte. */
+/** Canvas words with blue, green, red from the highest byte; alpha comes from the probability. */
 const COMPRESSED = 0xf0e600;
 const DAMAGED = 0x7a3bff;
-/** Below this nothing is drawn. */
+/** Lower probabilities are not drawn. */
 const LEAST = 0.1;
 
 export class ClassOverlay {
@@ -39,7 +39,7 @@ export class ClassOverlay {
     this.context.putImageData(this.pixels, 0, 0);
   }
 
-  /** Probabilities at a place given as shares of width and height from the top left, in words; empty where none are known. */
+  /** Probabilities at a place, given as shares of width and height from the top left, as text; empty if unknown. */
   describe(across: number, down: number): string {
     if (!this.shown || across < 0 || across >= 1 || down < 0 || down >= 1) return "";
     const { rows, cols, lowered, raised } = this.shown;

@@ -1,10 +1,9 @@
-// Colour maps in which equal steps look equal, from their published control points, and the range that they span. The range
-// begins at zero, and does not follow each frame unless asked to, so that a colour means the same value from one frame to
-// the next.
+// Perceptually uniform colour maps from their published control points, and the range that they span. The range
+// starts at zero and doesn't follow each frame unless requested, so that a colour means the same value in all frames.
 
 /** viridis and cividis: ten equally spaced points of the maps by van der Walt, Smith and Firing (CC0) and by Nuñez,
  * Anderton and Renslow (2018). signed: RdBu of ColorBrewer
- * (Cynthia Brewer, Apache-2.0), reversed, whose middle is zero. */
+ * (Cynthia Brewer, Apache-2.0), reversed, with zero in the middle. */
 const CONTROL_POINTS = {
   viridis: "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725",
   cividis: "00224e 123570 3b496c 575d6d 707173 8a8678 a59c74 c3b369 e1cc55 fee838",
@@ -42,7 +41,7 @@ export class Range {
     this.held = this.hint ? [...this.hint] : [0, 0];
   }
 
-  /** The range for this image. */
+  /** Updates the range for an image and returns it. */
   update(values: Float32Array): [number, number] {
     let low = Infinity;
     let high = -Infinity;
@@ -55,14 +54,14 @@ export class Range {
     }
     if (this.mode === "fixed") return [...this.fixed];
     const [least, most] = this.mode === "frame" && low <= high ? [low, high] : this.held;
-    // Zero is where nothing presses: the lowest colour, or the middle one of a map with two sides.
+    // Zero means no press: the lowest colour, or the middle one of a two-sided map.
     const size = this.isSymmetric ? Math.max(-least, most) : most;
     const top = size > 0 ? size : (this.hint?.[1] ?? 1);
     return [this.isSymmetric ? -top : 0, top];
   }
 }
 
-/** Paints values into pixels; NaN stays clear. */
+/** Paints values into pixels; NaN stays transparent. */
 export function paint(values: Float32Array, pixels: Uint32Array, colours: Uint32Array, [low, high]: [number, number]): void {
   const scale = high > low ? 255 / (high - low) : 0;
   for (let index = 0; index < values.length; index += 1) {

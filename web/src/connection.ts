@@ -1,5 +1,5 @@
-// The connection to the server, or to the skin in the page: reconnects by itself, acknowledges updates so that no more
-// are sent than the page can take, and matches answers to what was asked.
+// The connection to the server, or to the skin in the page. It reconnects automatically, acknowledges updates so that
+// the page never gets more than it can take, and matches answers to requests.
 
 import { type Channel, openChannel } from "./channel";
 import { type Alive, type Channels, type Classes, type Command, type Image, type Notice, type Scene, type State, VERSION, decode } from "./protocol";
@@ -18,9 +18,9 @@ export interface Listener {
   notice(notice: Notice): void;
 }
 
-/** The server says that it lives every second; silence for this long is a lost connection. */
+/** The server sends a sign of life every second; silence for this long means a lost connection. */
 const SILENCE_MS = 5000;
-/** No update for this long: the pipeline is silent. */
+/** Without an update for this long, the pipeline counts as silent. */
 const STALE_MS = 2000;
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
 
@@ -30,7 +30,7 @@ export class Connection {
   private nextId = 1;
   private heard = 0;
   private updated = 0;
-  /** What the server said when it stopped. */
+  /** The reason given by the server when it stopped. */
   private farewell = "";
 
   constructor(private readonly listener: Listener) {
@@ -38,7 +38,7 @@ export class Connection {
     setInterval(() => this.watch(), 500);
   }
 
-  /** Asks the pipeline for something. False when there is no connection. */
+  /** Sends a request to the pipeline. False if there is no connection. */
   ask(command: Command): boolean {
     return this.send({ v: VERSION, id: this.nextId++, command });
   }

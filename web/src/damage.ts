@@ -1,4 +1,5 @@
-// Damage: drawn over the picture, listed with its state and healing, and the baselines that it is judged against.
+// Damage: drawn over the picture, and listed with its state and healing, together with the baselines it is measured
+// against.
 
 import type { DamageView, Scene } from "./protocol";
 import { rows, write } from "./panels";
@@ -7,7 +8,7 @@ import { element } from "./view";
 const find = (id: string) => document.getElementById(id)!;
 const duration = (seconds: number) => (seconds < 120 ? `${seconds.toFixed(0)} s` : seconds < 7200 ? `${(seconds / 60).toFixed(0)} min` : `${(seconds / 3600).toFixed(1)} h`);
 
-/** Why a new baseline is proposed; since when follows. */
+/** Reasons for proposing a new baseline; the duration follows. */
 const REASONS = {
   offset: "the skin rests at other values than its baseline's; at rest",
   healed: "damage has healed; at rest",

@@ -1,6 +1,6 @@
-// The skin in the page: a worker that runs the twin and its pipeline, a module of WebAssembly (crates/dermis-wasm), and
-// hands on its messages, the same as the server's. What the page posts: text that it says to the skin, or whether it is
-// hidden, in which case the skin rests. What it gets: messages, or an object with the reason why there are no more.
+// The skin in the page: a worker that runs the twin and its pipeline as a WebAssembly module (crates/dermis-wasm) and
+// passes on its messages, which are the same as a server's. The page posts text for the skin, or whether it is
+// hidden, in which case the skin pauses. It gets messages, or an object with the reason why there are no more.
 
 interface Exports {
   memory: WebAssembly.Memory;
@@ -14,16 +14,16 @@ interface Exports {
   dermis_output_bytes(): number;
 }
 
-/** What the page posts. */
+/** Messages posted by the page. */
 export type ToEngine = { text: string } | { isHidden: boolean };
-/** What the page gets beside messages. */
+/** Sent to the page in addition to messages. */
 export interface EngineEnd {
   reason: string;
 }
 
 const FRAMES_PER_S = 30;
 const REST_MS = 1000;
-/** Kinds of messages that `dermis_next` gives. */
+/** Kinds of messages returned by `dermis_next`. */
 const [NOTHING, TEXT] = [0, 1];
 
 const scope = self as unknown as { postMessage(message: string | ArrayBuffer | EngineEnd, transfer?: Transferable[]): void; onmessage: ((event: MessageEvent<ToEngine>) => void) | null };
@@ -43,7 +43,7 @@ class Engine {
 
   constructor(private readonly skin: Exports) {}
 
-  /** Makes the skin and runs it until it fails. */
+  /** Builds the skin and runs it until it fails. */
   start(): void {
     this.guarded(() => {
       if (!this.skin.dermis_start(FRAMES_PER_S)) throw new Error(this.text());
@@ -68,7 +68,7 @@ class Engine {
   private next(): void {
     const period_ms = this.isHidden ? REST_MS : 1000 / FRAMES_PER_S;
     const now = performance.now();
-    // What was missed is not made up for: the skin's own clock is the page's.
+    // Missed frames are not made up for: the skin's clock follows the page's.
     this.due = Math.max(this.due + period_ms, now);
     setTimeout(() => this.guarded(() => this.run()), this.due - now);
   }
@@ -80,7 +80,7 @@ class Engine {
     this.next();
   }
 
-  /** Hands on all messages that wait. */
+  /** Passes on all waiting messages. */
   private pass(): void {
     for (;;) {
       const kind = this.skin.dermis_next();
@@ -102,7 +102,7 @@ class Engine {
     return this.decoder.decode(this.bytes());
   }
 
-  /** A module that trapped has left the reason in its output, and runs no further. */
+  /** A module that has trapped leaves the reason in its output and runs no further. */
   private guarded(action: () => void): void {
     try {
       action();

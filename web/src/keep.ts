@@ -1,9 +1,9 @@
-// What is seen, as files: the picture with its drawing and colours as PNG, the image's values and touches as CSV.
+// Saves the view to files: the picture with its drawing and colours as PNG, the image's values and touches as CSV.
 
 import { brief } from "./charts";
 import type { Image, Scene, State } from "./protocol";
 
-/** What of an SVG element's look comes from the style sheet. */
+/** Style properties of SVG elements that come from the style sheet. */
 const LOOKS = ["display", "fill", "fill-opacity", "fill-rule", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linecap", "stroke-linejoin", "paint-order", "vector-effect", "font-weight", "font-family"];
 const MARGIN = 12;
 const LEGEND = 46;
@@ -20,7 +20,7 @@ function nameOf(scene: Scene, frame: number, ending: string): string {
   return `${scene.skin.replace(/[^\w.-]+/g, "-")}-frame-${frame}.${ending}`;
 }
 
-/** The drawing over the image, with the style sheet's look written into it. */
+/** The drawing over the image, with the style sheet's properties written into it. */
 function drawing(overlay: SVGSVGElement, width: number, height: number): Promise<HTMLImageElement> {
   const copy = overlay.cloneNode(true) as SVGSVGElement;
   const originals = overlay.querySelectorAll<SVGElement>("*");
@@ -35,10 +35,10 @@ function drawing(overlay: SVGSVGElement, width: number, height: number): Promise
   return picture.decode().then(() => picture);
 }
 
-/** The browser's image element; `Image` is the skin's here. */
+/** The browser's image element, since `Image` means the skin's image here. */
 const Image_ = globalThis.Image;
 
-/** Saves the picture as the stage shows it, with the bar of its colours. */
+/** Saves the picture as shown on the stage, with its colour bar. */
 export async function savePicture(scene: Scene, frame: number, stage: HTMLElement, overlay: SVGSVGElement, bar: HTMLCanvasElement, range: [number, number], unit: string): Promise<void> {
   const ratio = Math.max(devicePixelRatio, 2);
   const box = stage.getBoundingClientRect();
@@ -78,7 +78,7 @@ export async function savePicture(scene: Scene, frame: number, stage: HTMLElemen
   if (blob) save(blob, nameOf(scene, frame, "png"));
 }
 
-/** Saves a row for each pixel of the skin, and before them, as remarks, what is shown and the touches. */
+/** Saves one row for each pixel of the skin, preceded by comments with the view's description and the touches. */
 export function saveTable(scene: Scene, image: Image, state: State | null): void {
   const { x_min_mm, x_max_mm, y_min_mm, y_max_mm } = scene.grid;
   const quantity = [scene.image_quantity, scene.image_unit && `in ${scene.image_unit}`].filter(Boolean).join(" ");

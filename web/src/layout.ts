@@ -1,8 +1,8 @@
-// The page's own look: which panels are there and how large, light or dark. What is set is kept.
+// The page's layout: visible panels and their sizes, light or dark theme. The settings are saved.
 
 import { type Settings, type Theme, initialSettings, loadSettings, saveSettings } from "./settings";
 
-/** Told when light and dark change places; what draws with the theme's colours draws anew. */
+/** Fired when the theme changes, so that drawings in the theme's colours are redrawn. */
 export const THEME_EVENT = "dermis-theme";
 
 const SIDE = { least: 0.2, most: 0.75, step: 0.02 };
@@ -72,7 +72,7 @@ export class Layout {
     document.dispatchEvent(new Event(THEME_EVENT));
   }
 
-  /** Dragged, or moved by arrow keys; a double click gives the first size back. */
+  /** Sizes change by dragging or with the arrow keys; a double click restores the original size. */
   private bindSplitter(handle: HTMLElement, what: "side" | "bottom"): void {
     const limits = what === "side" ? SIDE : BOTTOM;
     const size = (event: PointerEvent) => {

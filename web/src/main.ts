@@ -1,5 +1,5 @@
-// The live page: wires the connection, the picture, the traces and the controls. Messages only store what is newest; the
-// drawing happens once per display frame.
+// The live page: connects the connection, the picture, the traces and the controls. Messages only store the newest
+// data; drawing happens once per display frame.
 
 import "uplot/dist/uPlot.min.css";
 import "./page.css";
@@ -19,7 +19,7 @@ import { View } from "./view";
 
 /** Charts and tables change at most this often; the picture follows every display frame. */
 const PANEL_PERIOD_MS = 50;
-/** The hyperparameter's slider is logarithmic, in this many steps. */
+/** Number of steps of the hyperparameter's slider, which is logarithmic. */
 const SLIDER_STEPS = 1000;
 
 function find<T extends Element = HTMLElement>(id: string): T {
@@ -44,7 +44,7 @@ const treater = new Treater(view, () => connection, find<HTMLInputElement>("radi
 let scene: Scene | null = null;
 let classes: Classes | null = null;
 let image: Image | null = null;
-/** The image on the stage, and the range of its colours; the same as the last one unless the view is paused. */
+/** The image on the stage and its colour range; identical to the latest unless the view is paused. */
 let shown: { image: Image; state: State | null; range: [number, number] } | null = null;
 let channels: Channels | null = null;
 let state: State | null = null;
@@ -75,7 +75,7 @@ function begin(next: Scene): void {
   scene = next;
   presser.forget();
   if (!isNew) {
-    // A connection that came back shows the same skin: what people set stays as it was. The server may be a new one.
+    // After reconnecting, the skin is the same, so keep the user's settings. The server may be a new one.
     if (chosen.length) connection.ask({ choose_channels: chosen });
     return;
   }
@@ -103,7 +103,7 @@ function begin(next: Scene): void {
   chooseChannels();
 }
 
-/** The bent skin in space, or laid flat. */
+/** Shows the bent skin in space, or flattened. */
 function showSolid(isSolid: boolean): void {
   find<HTMLInputElement>("solid-box").checked = isSolid;
   presser.release();
@@ -166,7 +166,7 @@ function setText(id: string, text: string): void {
   if (target.textContent !== text) target.textContent = text;
 }
 
-/** What the network makes of the frame, and how far to trust it. */
+/** Shows the network's result for the frame, and how far to trust it. */
 function showClasses(seen: State["classes"]): void {
   find("classes-choice").hidden = !seen;
   const novelty = seen?.novelty ?? null;
@@ -178,7 +178,7 @@ function chooseTool(tool: Tool): void {
   treater.choose(tool);
 }
 
-/** The slider shows what the pipeline uses, but not while somebody moves it. */
+/** Makes the slider follow the pipeline, except while somebody moves it. */
 function followHyperparameter(value: number): void {
   if (!scene || performance.now() - sliderTouchedAt < 1000 || !(value > 0)) return;
   setText("hyperparameter-value", value.toExponential(2));
@@ -306,7 +306,7 @@ function bindPicture(): void {
   }
 }
 
-/** Calls at most once per period, and once more with what came last. */
+/** Calls at most once per period, and once more with the last arguments. */
 function throttled(action: () => void, period_ms: number): () => void {
   let timer: number | undefined;
   return () => {
@@ -326,9 +326,9 @@ function countShown(): void {
   }, 1000);
 }
 
-// The token is in a cookie by now; it need not stay in the address, where it would be copied along.
+// The token is stored in a cookie by now. Remove it from the address, where it would be copied along.
 if (location.search.includes("token=")) history.replaceState(null, "", location.pathname);
-// Inside another page there is room for the picture and the touches.
+// Embedded in another page there is only room for the picture and the touches.
 document.body.classList.toggle("embedded", new URLSearchParams(location.search).has("embed"));
 bindControls();
 bindPicture();

@@ -1,9 +1,9 @@
-// The noise of every channel as bars on a logarithmic scale; those far above the median stand out.
+// The noise of every channel as bars on a logarithmic scale; channels far above the median are highlighted.
 
 import { brief } from "./charts";
 import { THEME_EVENT } from "./layout";
 
-/** Beyond this multiple of the median a channel is marked. */
+/** Multiple of the median above which a channel is highlighted. */
 const LOUD = 5;
 
 export class NoiseBars {

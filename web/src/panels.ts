@@ -1,5 +1,5 @@
-// Tables, badges and messages. Rows are kept and only what changed is written: tables that are rebuilt fifty times a second
-// can neither be read nor selected.
+// Tables, badges and messages. Rows are reused and only changes are written, because a table rebuilt fifty times a
+// second can neither be read nor selected.
 
 import { brief } from "./charts";
 import type { Fault, Health, Notice, Pipeline, Scene, State, Touch } from "./protocol";
@@ -14,7 +14,7 @@ export function write(cell: Element, text: string): void {
   if (cell.textContent !== text) cell.textContent = text;
 }
 
-/** Makes `body` have a row of `cells` texts for each key, in order, reusing rows. */
+/** Gives `body` one row of `cells` texts per key, in order, reusing rows. */
 export function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTableRowElement[] {
   const present = new Map([...body.children].map((row) => [(row as HTMLElement).dataset.key, row as HTMLTableRowElement]));
   const made = [...wanted].map(([key, cells]) => {
@@ -32,13 +32,13 @@ export function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTabl
   return made;
 }
 
-/** Beyond its calibration a force is only known to be less or more than the end of the range. */
+/** Outside its calibration a force is only known to be below or above the end of the range. */
 function forceSign(range: Touch["force_range"]): string {
   if (range === "below") return "< ";
   return range === "above" || range === "saturated" ? "> " : "";
 }
 
-/** Decimal places of a length that is known to this sigma, in millimetres. */
+/** Decimal places for a length in millimetres with this standard deviation. */
 function placesOf(sigma_mm: number | null): number {
   return sigma_mm !== null && sigma_mm < 0.2 ? 2 : 1;
 }
@@ -69,7 +69,7 @@ function explain(row: HTMLElement, text: string): void {
 export function showLatency(latency: State["latency"]): void {
   const made = rows(find("latency"), new Map(latency.map(({ stage, p50_us, p99_us }) => [stage, [stage, p50_us.toFixed(0), p99_us.toFixed(0)]])));
   made.forEach((row, index) => explain(row, wordFor(latency[index].stage)));
-  // An upper bound: the stages rarely have their worst frame together.
+  // An upper bound, since the stages rarely have their worst frame at the same time.
   const sum_us = latency.reduce((sum, { p99_us }) => sum + p99_us, 0);
   write(find("latency-sum"), sum_us >= 1000 ? `${(sum_us / 1000).toFixed(1)} ms` : `${sum_us.toFixed(0)} µs`);
 }
@@ -85,7 +85,7 @@ export function showCounters(counters: State["counters"]): void {
 
 const duration = (seconds: number) => (seconds < 120 ? `${seconds.toFixed(0)} s` : `${(seconds / 60).toFixed(0)} min`);
 
-/** What is broken, in words, and since when; says so where nothing is. */
+/** Lists the faults in words with their duration, or says that there are none. */
 export function showHealth({ frame, left_out, electrodes, channels }: Health, scene: Scene): void {
   const name = scene.modality === "mit" ? "coil" : "electrode";
   const how = ({ kind, with: other }: Fault) => (kind === "shorted" ? `shorted with ${other}` : kind);
@@ -149,7 +149,7 @@ export function showMessage(level: Notice["level"], text: string): void {
   const list = find("messages");
   const newest = list.firstElementChild as HTMLElement | null;
   const time = new Date().toLocaleTimeString([], { hour12: false });
-  // The same again is counted, not listed again.
+  // Count a repeated message instead of listing it again.
   if (newest?.dataset.text === text) {
     const times = Number(newest.dataset.times) + 1;
     newest.dataset.times = String(times);

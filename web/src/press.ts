@@ -1,10 +1,10 @@
-// Pressing the twin with mouse, pen, fingers or keys. What is pressed is sent at most once per drawn frame and pointer.
+// Presses on the twin with mouse, pen, fingers or keys. Updates are sent at most once per display frame and pointer.
 
 import type { Connection } from "./connection";
 import type { Press, Scene } from "./protocol";
 import type { View } from "./view";
 
-/** The keyboard's press has a number that browsers give to no pointer. */
+/** Pointer id of the keyboard's press, which no browser assigns. */
 const KEYS = 0xffffffff;
 
 /** Sets the range of a slider, with a round step of about a hundredth of it. */
@@ -22,11 +22,11 @@ interface Held extends Press {
 }
 
 export class Presser {
-  /** More to say about a place than where it is. */
+  /** Further text about a place, after its coordinates. */
   describe: (x_mm: number, y_mm: number) => string = () => "";
   private readonly held = new Map<number, Held>();
   private cursor: Held | null = null;
-  /** What the mouse is over, millimetres. */
+  /** Position under the mouse, millimetres. */
   private hovered: [number, number] | null = null;
   private scene: Scene | null = null;
 
@@ -62,20 +62,20 @@ export class Presser {
     limit(this.pressure, press.pressure_kpa, press.initial_pressure_kpa);
   }
 
-  /** The server has let go of everything: the connection is a new one. */
+  /** Call this after reconnecting: the server has released all presses. */
   forget(): void {
     this.held.clear();
     this.cursor = null;
     this.show();
   }
 
-  /** Lets go of everything. */
+  /** Releases all presses. */
   release(): void {
     for (const pointer of [...this.held.keys()]) this.up(pointer);
     this.leave();
   }
 
-  /** Sends what moved since the last drawn frame, and says what is under the mouse by now. */
+  /** Sends presses moved since the last display frame, and updates the text for the place under the mouse. */
   flush(): void {
     if (this.hovered) this.tell(this.hovered);
     for (const press of this.held.values()) {
@@ -140,7 +140,7 @@ export class Presser {
     slider.dispatchEvent(new Event("input"));
   }
 
-  /** New radius or pressure, also for what is pressed already. */
+  /** Applies a new radius or pressure, also to current presses. */
   private resize(): void {
     const [radius_mm, pressure_kpa] = [Number(this.radius.value), Number(this.pressure.value)];
     for (const held of this.held.values()) Object.assign(held, { radius_mm, pressure_kpa, isMoved: true });

@@ -23,12 +23,12 @@ export interface Scene {
   skin: string;
   modality: string;
   is_twin: boolean;
-  /** The twin can be cut and healed. */
+  /** True if the twin can be cut and healed. */
   is_treatable: boolean;
-  /** Damage is looked for. */
+  /** True if the skin is watched for damage. */
   watches_damage: boolean;
   outline_mm: Point[][];
-  /** Of the cylinder that the sheet is bent on; null: flat. */
+  /** Diameter of the cylinder that the sheet is bent around; null if flat. */
   bend_diameter_mm: number | null;
   electrodes: Electrode[];
   grid: Grid;
@@ -57,7 +57,7 @@ export interface Touch {
   sigma_y_mm: number | null;
   force_n: number | null;
   force_range: "within" | "below" | "above" | "saturated" | "none" | null;
-  /** Where else it may be, with the probability that it is there instead. */
+  /** An alternative position, with its probability. */
   other: { x_mm: number; y_mm: number; probability: number } | null;
 }
 
@@ -68,12 +68,12 @@ export interface Pipeline {
   recording: string | null;
   recorded_frames: number;
   hyperparameter: number;
-  /** The twin shows touches by itself while nobody presses. */
+  /** True while the twin shows touches by itself when nobody presses. */
   demonstrates: boolean;
 }
 
 export interface Fault {
-  /** From 1. */
+  /** Counted from 1. */
   number: number;
   kind: "lost" | "shorted" | "inconsistent" | "noisy" | "dead" | "stuck" | "saturated" | "missing";
   with: number | null;
@@ -81,7 +81,7 @@ export interface Fault {
 }
 
 export interface Health {
-  /** What is wrong with the frames as a whole: touches are unknown. */
+  /** Fault of the frames as a whole, during which touches are unknown. */
   frame: { kind: "frozen" | "saturated" | "flipped" | "out-of-range" | "blank"; for_s: number } | null;
   left_out: number;
   electrodes: Fault[];
@@ -96,7 +96,7 @@ export interface Damage {
   length_mm: number;
   direction_deg: number;
   ends_mm: [Point, Point];
-  /** Largest drop of the image at its worst. */
+  /** Largest drop of the image since the damage began. */
   depth: number;
   /** Share that has healed. */
   healed: number;
@@ -106,7 +106,7 @@ export interface Damage {
 export interface DamageView {
   list: Damage[];
   baselines: { origin: string; reason: string; age_s: number }[];
-  /** Index of the baseline that damage is judged against. */
+  /** Index of the baseline that damage is measured against. */
   intact: number | null;
   proposal: { reason: "offset" | "healed" | "touched"; for_s: number; offset_sigma: number } | null;
 }
@@ -187,7 +187,7 @@ type Binary = { kind: "image"; image: Image } | { kind: "channels"; channels: Ch
 const MAGIC = 0x534d5244; // "DRMS" read as a little-endian word
 const HEADER_BYTES = 32;
 
-/** Reads a binary message; null for one that this version does not know. */
+/** Reads a binary message; null if this version doesn't know it. */
 export function decode(buffer: ArrayBuffer): Binary | null {
   const view = new DataView(buffer);
   if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC || view.getUint16(4, true) !== VERSION) return null;

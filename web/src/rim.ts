@@ -1,11 +1,11 @@
-// Skins whose rim crosses pixels: the image is painted a little beyond the rim and cut off along the outline.
+// For skins whose rim crosses pixels: paints the image slightly beyond the rim and clips it along the outline.
 
 import type { Point, Scene } from "./protocol";
 
-/** Pixels that are painted beyond the rim. */
+/** Number of pixels painted beyond the rim. */
 const BEYOND = 2;
 
-/** Whether a place lies within rings, holes left out: a line to the right crosses their edges an odd number of times. */
+/** True if a point lies in the rings, excluding holes: a line to the right has an odd number of crossings. */
 function isWithin([x, y]: Point, rings: Point[][]): boolean {
   let crossings = 0;
   for (const ring of rings) {
@@ -19,7 +19,7 @@ function isWithin([x, y]: Point, rings: Point[][]): boolean {
 }
 
 export class Rim {
-  /** Pixels beyond the rim, those beside the skin first. */
+  /** Pixels beyond the rim, nearest to the skin first. */
   private readonly beyond: number[] = [];
   private readonly rows: number;
   private readonly cols: number;
@@ -40,7 +40,7 @@ export class Rim {
     }
   }
 
-  /** The values with those beyond the rim filled in by the mean of their neighbours. Used until the next call. */
+  /** The values, with those beyond the rim set to the mean of their neighbours. Valid until the next call. */
   fill(values: Float32Array, rows: number, cols: number): Float32Array {
     if (rows !== this.rows || cols !== this.cols) return values;
     if (this.filled.length !== values.length) this.filled = new Float32Array(values.length);

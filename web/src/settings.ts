@@ -1,14 +1,14 @@
-// What people set of the page itself, kept in this browser: hidden panels, sizes, theme. A browser that keeps nothing, or
-// keeps nonsense, shows the page as it is at first.
+// The user's page settings, saved in this browser: hidden panels, sizes, theme. If the browser saves nothing, or the
+// saved text is invalid, the page starts with its defaults.
 
 const KEY = "dermis-page";
 
 export type Theme = "auto" | "light" | "dark";
 
 export interface Settings {
-  /** Panels put away, by the id of their box. */
+  /** Hidden panels, by the id of their box. */
   away: string[];
-  /** Share of the width that the panels beside the picture have. */
+  /** Share of the width used by the panels next to the picture. */
   side: number | null;
   /** Height of the panels below, pixels. */
   bottom: number | null;
@@ -30,7 +30,7 @@ export function loadSettings(): Settings {
     if (typeof bottom === "number" && bottom > 0) settings.bottom = bottom;
     if (theme === "light" || theme === "dark") settings.theme = theme;
   } catch {
-    // Nothing is kept, or not by this page.
+    // Nothing was saved, or not by this page.
   }
   return settings;
 }
@@ -39,6 +39,6 @@ export function saveSettings(settings: Settings): void {
   try {
     localStorage.setItem(KEY, JSON.stringify(settings));
   } catch {
-    // Not kept; it holds until the page is closed.
+    // Saving failed; the setting holds until the page is closed.
   }
 }

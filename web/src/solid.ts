@@ -1,15 +1,15 @@
-// A skin bent on a cylinder, drawn in space: the image's pixels as quadrilaterals on the bent sheet, seen from where the
-// mouse turns it. The cylinder's axis runs along y behind the sheet, as in the skin file; the view has no perspective.
+// Draws a bent skin in space: the image's pixels as quadrilaterals on the bent sheet, in a view that the mouse
+// rotates. The cylinder's axis runs along y behind the sheet, as in the skin file; the projection has no perspective.
 
 import type { Point, Scene, Touch } from "./protocol";
 
 type Solid3 = [number, number, number];
 
-/** Radians that a drag over one pixel of the window turns by. */
+/** Rotation per window pixel of dragging, radians. */
 const TURN_PER_PIXEL = 0.008;
-/** Points of each circle that shows where the cylinder is. */
+/** Points on each circle that outlines the cylinder. */
 const CIRCLE_POINTS = 96;
-/** Steps that an edge of the outline is divided into, so that it follows the bend. */
+/** Steps per edge of the outline, so that it follows the bend. */
 const EDGE_STEPS = 24;
 
 export class SolidView {
@@ -34,7 +34,7 @@ export class SolidView {
     new ResizeObserver(() => this.draw()).observe(stage);
   }
 
-  /** True where the skin is bent; a flat one has no other side. */
+  /** Returns true if the skin is bent; a flat one has no such view. */
   begin(scene: Scene, colourOf: (id: number) => string): boolean {
     this.scene = scene;
     this.colourOf = colourOf;
@@ -51,7 +51,7 @@ export class SolidView {
     this.draw();
   }
 
-  /** Takes over colours, one word a pixel as the flat picture's, 0 for none. */
+  /** Takes the colours, one word per pixel as in the flat picture, 0 for none. */
   image(pixels: Uint32Array, rows: number, cols: number): void {
     this.pixels = pixels;
     this.size = [rows, cols];
@@ -69,13 +69,13 @@ export class SolidView {
     this.draw();
   }
 
-  /** A point of the sheet laid flat, in space: x to the right, y up, z to the viewer, about the middle of the cylinder. */
+  /** A point of the flattened sheet in space: x to the right, y up, z to the viewer, from the cylinder's centre. */
   private bend(x: number, y: number): Solid3 {
     const angle = x / this.radius;
     return [this.radius * Math.sin(angle), y, this.radius * Math.cos(angle)];
   }
 
-  /** Where a point in space is drawn, and how near it is. */
+  /** Projects a point in space to the screen, with its depth. */
   private project([x, y, z]: Solid3): Solid3 {
     const [sine, cosine] = [Math.sin(this.yaw), Math.cos(this.yaw)];
     const [across, depth] = [x * cosine + z * sine, z * cosine - x * sine];
@@ -92,7 +92,7 @@ export class SolidView {
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     context.clearRect(0, 0, width, height);
     const { y_min_mm, y_max_mm } = this.scene.grid;
-    // Whatever way it is turned, it stays inside.
+    // Fits inside at every rotation.
     this.scale = (0.46 * Math.min(width, height)) / Math.hypot(this.radius, (y_max_mm - y_min_mm) / 2);
     context.lineWidth = ratio;
     const ink = getComputedStyle(canvas).color;
@@ -120,7 +120,7 @@ export class SolidView {
     context.globalAlpha = 1;
   }
 
-  /** The image, farthest pixels first. The inner side of the sheet is darker. */
+  /** Draws the image, farthest pixels first. The inner side of the sheet is darker. */
   private quads(): void {
     const { pixels, scene, context } = this;
     if (!pixels || !scene) return;
@@ -140,7 +140,7 @@ export class SolidView {
     order.sort((one, other) => one.near - other.near);
     for (const { index, at } of order) {
       const [a, b, c, d] = [corners[at], corners[at + 1], corners[at + cols + 2], corners[at + cols + 1]];
-      // Drawn clockwise where the outer side is seen: the window's y grows downwards.
+      // The outer side is visible if the corners run clockwise, since the window's y grows downwards.
       const isOuter = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0;
       const shade = isOuter ? 1 : 0.45;
       const word = pixels[index];
@@ -165,7 +165,7 @@ export class SolidView {
     }
   }
 
-  /** Electrodes as dots and touches as rings, those on the far side faint. */
+  /** Draws electrodes as dots and touches as rings, faintly on the far side. */
   private marks(ratio: number): void {
     const { context } = this;
     const alpha = (x: number) => (this.project(this.bend(x, 0))[2] >= this.project([0, 0, 0])[2] ? 1 : 0.25);

@@ -1,2 +1,2 @@
-// Stylesheets are gathered by the bundler into page.css.
+// The bundler collects stylesheets into page.css.
 declare module "*.css";

@@ -1,5 +1,5 @@
-// What is done to the twin of a self-healing skin besides pressing it: cut with the mouse, heal with a heat pad, let time
-// lapse, put a new sheet in.
+// Treatments of a self-healing skin's twin: cutting with the mouse, healing with a heat pad, time lapse, and a new
+// sheet.
 
 import type { Connection } from "./connection";
 import type { Point, Scene } from "./protocol";
@@ -24,7 +24,7 @@ export class Treater {
     private readonly radius: HTMLInputElement,
   ) {
     const { stage } = view;
-    // Before the presser sees them.
+    // Capture events before the presser sees them.
     stage.addEventListener("pointerdown", (event) => this.down(event), { capture: true });
     stage.addEventListener("pointermove", (event) => this.move(event), { capture: true });
     stage.addEventListener("pointerup", (event) => this.up(event), { capture: true });

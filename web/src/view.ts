@@ -1,5 +1,5 @@
-// The picture of the skin: the image on a canvas, and over it a drawing in millimetres (x right, y up) of the outline, the
-// numbered electrodes, touches and their trails.
+// The picture of the skin: the image on a canvas, with a drawing on top in millimetres (x right, y up) of the
+// outline, the numbered electrodes, and touches with their trails.
 
 import { Range, paint, table } from "./colour";
 import type { Electrode, Image, Point, Scene, Touch } from "./protocol";
@@ -8,7 +8,7 @@ import { SolidView } from "./solid";
 
 const SVG = "http://www.w3.org/2000/svg";
 const TRAIL_POINTS = 120;
-/** Colours by which touches are told apart, here and in their traces: Okabe and Ito's, told apart by colour-blind eyes too. */
+/** Colours that distinguish touches, here and in their traces: those of Okabe and Ito, also for colour-blind eyes. */
 export const TOUCH_COLOURS = ["#e69f00", "#56b4e9", "#d55e00", "#cc79a7", "#009e73", "#0072b2", "#f0e442", "#999999"];
 
 export function touchColour(id: number): string {
@@ -22,13 +22,13 @@ export function element<K extends keyof SVGElementTagNameMap>(name: K, attribute
   return made;
 }
 
-/** The next of 1, 2, 5, 10, 20 and so on. */
+/** The next number in the sequence 1, 2, 5, 10, 20 and so on. */
 function roundStep(least: number): number {
   const power = 10 ** Math.floor(Math.log10(Math.max(least, 1e-6)));
   return power * ([1, 2, 5].find((part) => part * power >= least * 0.999) ?? 10);
 }
 
-/** A number of the axes, with as many digits as their step has. */
+/** An axis label, with as many digits as the step needs. */
 function label(value: number, step: number): string {
   return (Math.abs(value) < step / 2 ? 0 : value).toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
 }
@@ -37,7 +37,7 @@ interface Drawn {
   group: SVGGElement;
   circle: SVGCircleElement;
   label: SVGTextElement;
-  /** Where else the touch may be: drawn only where that is not known. */
+  /** An alternative position of the touch, drawn only if the position is ambiguous. */
   other: SVGCircleElement;
   otherLabel: SVGTextElement;
 }
@@ -66,7 +66,7 @@ export class View {
     readonly overlay: SVGSVGElement,
     private readonly bar: HTMLCanvasElement,
     solid: HTMLCanvasElement,
-    /** Canvases that lie over the image, pixel on pixel. */
+    /** Canvases on top of the image, aligned pixel by pixel. */
     private readonly over: HTMLCanvasElement[],
   ) {
     this.solid = new SolidView(solid, stage);
@@ -84,7 +84,7 @@ export class View {
     const [left, right, bottom, top] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
     const size = Math.max(right - left, top - bottom);
     const margin = 0.055 * size;
-    // Room for the axes' numbers.
+    // Leave room for the axis labels.
     const axis = 0.06 * size;
     this.unit = size / 100;
     this.overlay.style.setProperty("--unit", String(this.unit));
@@ -147,7 +147,7 @@ export class View {
     this.ageTrails(live);
   }
 
-  /** Shows where the mouse, fingers or keys press. */
+  /** Shows the presses of mouse, fingers and keys. */
   presses(presses: Iterable<{ x_mm: number; y_mm: number; radius_mm: number; isDown: boolean }>): void {
     const rings = [...presses].map(({ x_mm, y_mm, radius_mm, isDown }) => {
       const group = element("g", { class: isDown ? "press down" : "press" });
@@ -161,7 +161,7 @@ export class View {
     this.pressLayer.replaceChildren(...rings);
   }
 
-  /** Where on the skin a point of the window lies, in millimetres; in space the mouse turns the skin and presses nowhere. */
+  /** The point of the skin under a window point, millimetres; null in the spatial view, where the mouse rotates. */
   skinFromWindow(clientX: number, clientY: number): Point | null {
     if (this.solid.isShown) return null;
     const matrix = this.overlay.getScreenCTM();
@@ -170,13 +170,13 @@ export class View {
     return [point.x, -point.y];
   }
 
-  /** Puts the canvas where the drawing shows the image's grid. */
+  /** Aligns the canvas with the image's grid in the drawing. */
   private place(): void {
     const matrix = this.overlay.getScreenCTM();
     if (!matrix || !this.scene) return;
     const { grid, outline_mm } = this.scene;
     const stage = this.stage.getBoundingClientRect();
-    // Along the outline, in pixels of the window from the image's corner.
+    // Clip along the outline, in window pixels from the image's corner.
     const rings = outline_mm.map((ring) => ring.map(([x, y]): Point => [(x - grid.x_min_mm) * matrix.a, (y - grid.y_max_mm) * matrix.d]));
     const clip = `path(evenodd, "${rings.map((ring) => path(ring, true)).join("")}")`;
     const corner = new DOMPoint(grid.x_min_mm, -grid.y_max_mm).matrixTransform(matrix);
@@ -189,7 +189,7 @@ export class View {
     }
   }
 
-  /** Millimetres along the lower and the left edge. */
+  /** Millimetre scales along the lower and left edges. */
   private axes([left, right]: Point, [bottom, top]: Point, margin: number): SVGGElement {
     const group = element("g", { class: "axes" });
     const step = roundStep(Math.max(right - left, top - bottom) / 8);
@@ -218,7 +218,7 @@ export class View {
     if (outline_mm.length > 2) group.append(element("path", { d: path(outline_mm, true) }));
     else if (outline_mm.length === 2) group.append(element("path", { class: "segment", d: path(outline_mm, false) }));
     else group.append(element("circle", { cx: x, cy: -y, r: 1.1 * this.unit }));
-    // On a rim segment the number stands inside the skin, where nothing covers it.
+    // Put the number of a rim segment inside the skin, where nothing covers it.
     const inward = outline_mm.length === 2 ? 1 - (4.2 * this.unit) / Math.max(Math.hypot(x, y), 5 * this.unit) : 1;
     group.append(element("text", { class: "number", x: x * inward, y: -y * inward, "font-size": 3.1 * this.unit, dy: "0.36em" }, String(number)));
     return group;
@@ -256,7 +256,7 @@ export class View {
     circle.setAttribute("cx", String(x));
     circle.setAttribute("cy", String(-y));
     circle.setAttribute("r", String(radius));
-    // The label keeps to the side with more room.
+    // Put the label on the side with more room.
     const isRight = x > 0;
     label.setAttribute("x", String(isRight ? x - radius - this.unit : x + radius + this.unit));
     label.setAttribute("y", String(-y + this.unit));
@@ -276,7 +276,7 @@ export class View {
     trail.line.setAttribute("d", path(trail.points, false));
   }
 
-  /** The trail of a touch that ended runs out. */
+  /** Shortens the trail of a touch that has ended. */
   private ageTrails(live: Set<number>): void {
     for (const [id, trail] of this.trails) {
       if (live.has(id)) continue;

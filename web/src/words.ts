@@ -1,4 +1,4 @@
-// What the page's words mean, shown where the mouse rests on them. Those of the markup itself stand in index.html.
+// Explanations of the page's terms, shown under the mouse. Those for the markup itself are in index.html.
 
 const STAGES: Record<string, string> = {
   queue: "From the frame's first byte to the start of processing",
@@ -27,7 +27,7 @@ const BADGES: [RegExp, string][] = [
   [/ × /, "Pixels of the image, columns by rows"],
 ];
 
-/** Explanation of a stage of the pipeline or of a counter; empty for others. */
+/** Explanation of a pipeline stage or a counter; empty for other names. */
 export function wordFor(name: string): string {
   return STAGES[name] ?? COUNTERS[name] ?? "";
 }

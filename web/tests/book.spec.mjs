@@ -1,5 +1,5 @@
-// The skin in the book's first page, as a reader meets it: a picture, then a skin that feels presses where they are made.
-// BOOK names the built book, with what scripts/wasm-demo makes in it.
+// The skin on the book's first page, as a reader sees it: first a picture, then a skin that feels presses in the
+// right place. BOOK names the built book, including the output of scripts/wasm-demo.
 
 import assert from "node:assert/strict";
 import { readdir, stat } from "node:fs/promises";
@@ -8,7 +8,7 @@ import { after, before, test } from "node:test";
 import { keepPicture, serveFiles, startBrowser, touchRows, windowFromSkin } from "./browser.mjs";
 
 const book = process.env.BOOK;
-/** What the page may load in all. */
+/** Largest total size of the page. */
 const MOST_BYTES = 4_000_000;
 /** The indenter's radius. */
 const NEAR_MM = 10;
@@ -27,14 +27,14 @@ async function open(address, options = {}) {
   return { page, requests, complaints };
 }
 
-/** Waits until the skin in a page or frame is ready to be pressed. */
+/** Waits until the skin in a page or frame can be pressed. */
 async function ready(skin) {
   await skin.waitForSelector("[data-connection='live']", { timeout: 120_000 });
   await skin.waitForSelector("#wait", { state: "hidden" });
   await skin.waitForFunction(() => document.querySelector("#tare-state").textContent.startsWith("baseline"), null, { timeout: 120_000 });
 }
 
-/** The frame in the first page, started. */
+/** Starts and returns the frame on the first page. */
 async function poke(page) {
   await page.click("#poke-start");
   const frame = await (await page.waitForSelector("#poke iframe")).contentFrame();
@@ -99,10 +99,10 @@ test("the first page loads no skin before it is asked to, then one that feels a 
   await page.waitForTimeout(3000);
   const [fps, shown] = await Promise.all(["#fps", "#shown"].map((id) => frame.locator(id).textContent().then(Number)));
   t.diagnostic(`${fps} frames/s, ${shown} shown/s`);
-  // How fast is a matter of the machine; that frames come is not.
+  // The frame rate depends on the machine, but frames must arrive.
   assert.ok(fps > 2 && shown > 1, `${fps} frames/s, ${shown} shown/s`);
   const foreign = requests.filter((url) => !url.startsWith(server.address) && !url.startsWith("data:") && !url.startsWith("blob:"));
-  // Formulas are set by MathJax, which the book loads from where mdbook says.
+  // Formulas are typeset by MathJax, which the book loads from the address set by mdbook.
   assert.deepEqual(foreign.filter((url) => !url.includes("mathjax") && !url.includes("MathJax")), []);
   assert.deepEqual(complaints.filter((text) => !/mathjax/i.test(text)), []);
   await page.close();
@@ -115,7 +115,7 @@ test("all of the page stands beside it, and what the skin cannot do is said", as
   for (const id of ["#noise", "#latency", "#traces", "#messages"]) assert.ok(await page.locator(id).isVisible(), id);
   await page.click("#tare");
   await page.waitForFunction(() => document.querySelector("#messages").textContent.includes("tar"));
-  // The keyboard: the shortcut of a button that is not there is refused with the reason.
+  // The keyboard: the shortcut of a missing button is refused with the reason.
   await page.keyboard.press("r");
   await page.waitForFunction(() => document.querySelector("#messages").textContent.includes("no disk"));
   await page.waitForFunction(() => [...document.querySelectorAll("#latency tr")].some((row) => Number(row.cells[1].textContent) > 0));

@@ -1,4 +1,4 @@
-// What the browser tests share: a server to look at (the demo, or the real command named by DERMIS_BIN) and a browser.
+// Shared by the browser tests: a server (the demo, or the real command named by DERMIS_BIN) and a browser.
 
 import { spawn } from "node:child_process";
 import { existsSync } from "node:fs";
@@ -12,7 +12,7 @@ import { chromium } from "playwright-core";
 const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
 const START_LIMIT_MS = 120_000;
 
-/** Against the demo there are no options of the real command to try. */
+/** The demo has none of the real command's options. */
 export const isDemo = !process.env.DERMIS_BIN && !process.env.BOOK;
 
 function commandLine(port, extra) {
@@ -22,7 +22,7 @@ function commandLine(port, extra) {
   return ["cargo", ["run", "--quiet", "-p", "dermis-cli", "--example", "page_demo", "--", "--port", port, ...extra]];
 }
 
-/** Starts the server, on any free port unless told otherwise, and waits until it prints `page: ADDRESS`. */
+/** Starts the server, on any free port by default, and waits until it prints `page: ADDRESS`. */
 export async function startServer(port = 0, extra = []) {
   const [program, args] = commandLine(String(port), extra);
   const server = spawn(program, args, { cwd: root, stdio: ["ignore", "pipe", "pipe"] });
@@ -53,7 +53,7 @@ export async function startServer(port = 0, extra = []) {
 
 const KINDS = { ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png", ".wasm": "application/wasm", ".woff2": "font/woff2" };
 
-/** Serves a folder of files; `hidden`: a folder in it that is not there. */
+/** Serves a folder of files; `hidden` names a folder in it to leave out. */
 export async function serveFiles(folder, hidden) {
   const serving = createServer(async (request, response) => {
     const path = normalize(decodeURIComponent(new URL(request.url, "http://files").pathname)).replace(/\/$/, "/index.html");
@@ -66,7 +66,7 @@ export async function serveFiles(folder, hidden) {
   return { address: `http://127.0.0.1:${serving.address().port}`, stop };
 }
 
-/** What there is to look at: the page of a server, or, with BOOK, the one that brings its skin with it. */
+/** The page to test: a server's or, with BOOK, the self-contained one. */
 export async function startPage() {
   if (!process.env.BOOK) return startServer();
   const files = await serveFiles(process.env.BOOK);
@@ -81,26 +81,26 @@ export async function startBrowser() {
   return chromium.launch({ executablePath, args: ["--no-sandbox", "--disable-dev-shm-usage"] });
 }
 
-/** Opens the page, keeping what it loads and complains about. */
+/** Opens the page and records its requests and complaints. */
 export async function openPage(browser, address, options = {}) {
   const page = await browser.newPage({ viewport: { width: 1440, height: 900 }, ...options });
   const requests = [];
   const complaints = [];
   page.on("request", (request) => requests.push(request.url()));
   page.on("websocket", (socket) => requests.push(socket.url()));
-  // That tests read pictures back is their own doing.
+  // Warnings about reading pictures back are caused by the tests themselves.
   const isOwn = (text) => text.includes("readback operations using getImageData");
   page.on("console", (message) => ["error", "warning"].includes(message.type()) && !isOwn(message.text()) && complaints.push(message.text()));
   page.on("pageerror", (error) => complaints.push(String(error)));
   await page.goto(address);
   await page.waitForSelector("[data-connection='live']");
   await page.waitForSelector("#wait", { state: "hidden" });
-  // Before the baseline is there, a press would become part of it.
+  // Wait for the baseline, or a press would become part of it.
   await page.waitForFunction(() => document.querySelector("#tare-state").textContent.startsWith("baseline"));
   return { page, requests, complaints };
 }
 
-/** The point of the window over a point of the skin. */
+/** The point in the window for a point on the skin. */
 export async function windowFromSkin(page, x_mm, y_mm) {
   return page.locator("#overlay").evaluate((svg, [x, y]) => {
     const point = new DOMPoint(x, -y).matrixTransform(svg.getScreenCTM());
@@ -108,18 +108,18 @@ export async function windowFromSkin(page, x_mm, y_mm) {
   }, [x_mm, y_mm]);
 }
 
-/** Touches as the table shows them. */
+/** Touches as listed in the table. */
 export async function touchRows(page) {
   return page.locator("#touches tr").evaluateAll((rows) => rows.map(({ dataset }) => ({ id: dataset.id, x_mm: Number(dataset.xMm), y_mm: Number(dataset.yMm) })));
 }
 
-/** Frames that the pipeline has taken in. */
+/** Number of frames that the pipeline has processed. */
 export async function processedFrames(page) {
   return Number(await page.locator("[data-counter='frames'] td").nth(1).textContent());
 }
 
-/** Waits until what `read` gives is wanted, and returns it; fails with what there was last, after the limit and, where frames
- * are limited too, not before so many have been taken in: on a machine that is too slow, frames wait in a queue for long. */
+/** Waits until the result of `read` meets the condition, and returns it. Fails with the last result after the time
+ * limit and, if given, not before this many processed frames: on a slow machine frames may queue for long. */
 export async function waitUntil(page, what, read, isWanted, { ms = 30_000, frames = 0 } = {}) {
   const until = Date.now() + ms;
   const first = frames > 0 ? await processedFrames(page) : 0;
@@ -134,19 +134,19 @@ export async function waitUntil(page, what, read, isWanted, { ms = 30_000, frame
   throw new Error(`${what}: not seen within ${ms} ms and ${frames} frames; there was ${JSON.stringify(seen)}; messages: ${JSON.stringify(told)}`);
 }
 
-/** Waits until the rows of the touches are wanted; fails with what there was. */
+/** Waits until the rows of touches meet the condition; on failure shows the last rows. */
 export async function waitForRows(page, isWanted, ms = 8000, frames = 0) {
   return waitUntil(page, "touches", () => touchRows(page), isWanted, { ms, frames });
 }
 
-/** Puts the mouse down at a place of the skin, millimetres. */
+/** Puts the mouse down at a place on the skin, millimetres. */
 export async function pressAt(page, x_mm, y_mm) {
   const { x, y } = await windowFromSkin(page, x_mm, y_mm);
   await page.mouse.move(x, y);
   await page.mouse.down();
 }
 
-/** A picture of the window, where PAGE_PICTURES names a folder. */
+/** Saves a picture of the window if PAGE_PICTURES names a folder. */
 export async function keepPicture(page, name) {
   const folder = process.env.PAGE_PICTURES;
   if (!folder) return;
@@ -154,20 +154,20 @@ export async function keepPicture(page, name) {
   await page.screenshot({ path: join(folder, `${name}.png`) });
 }
 
-/** Damage as the list shows it. */
+/** Damage as shown in the list. */
 export async function damageRows(page) {
   return page.locator("#damages tr").evaluateAll((rows) => rows.map(({ dataset }) => ({
     id: dataset.id, state: dataset.state, x_mm: Number(dataset.xMm), y_mm: Number(dataset.yMm), length_mm: Number(dataset.lengthMm), healed: Number(dataset.healed), for_s: Number(dataset.forS),
   })));
 }
 
-/** Baselines as the history shows them, oldest first. */
+/** Baselines as shown in the history, oldest first. */
 export async function baselineRows(page) {
   return page.locator("#baselines tr").evaluateAll((rows) => rows.map((row) => ({ origin: row.dataset.origin, reason: row.cells[1].textContent, isIntact: row.dataset.isIntact === "true" })));
 }
 
-/** Where the class overlay is drawn in the colour of compressed or of damaged pixels: how much (the sum of opacities, 0 to 1
- * each) and about which place of the skin. */
+/** Pixels of the class overlay in the colour of compressed or damaged: their amount (the sum of opacities, 0 to
+ * 1 each) and their centroid on the skin. */
 export async function classesSeen(page) {
   return page.locator("#classes").evaluate((canvas) => {
     const { width, height } = canvas;

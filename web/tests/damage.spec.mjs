@@ -1,5 +1,5 @@
-// Classes, damage and healing in a real browser, on the twin of a skin that can be cut: everything is done with the mouse,
-// and read from what the page shows. One server for all of them, in order, as one visitor would do it.
+// Classes, damage and healing in a real browser, on the twin of a skin that can be cut. Everything is done with the
+// mouse and read from the page. One server serves all tests, in order, as for a single visitor.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -7,13 +7,13 @@ import { baselineRows, classesSeen, damageRows, isDemo, keepPicture, openPage, p
 
 // The demo has no sheet to cut.
 const real = { skip: isDemo };
-/** As far as a touch may appear from where the mouse pressed. */
+/** Largest distance of a touch from the mouse's press. */
 const REACH_MM = 4;
-/** A cut of 20 mm, as the paper's, and how well the page has to show it. */
+/** A 20 mm cut, as in the paper, and the required accuracy. */
 const CUT = { from: [15, 18], to: [31, 30], middle: [23, 24], length_mm: 20, direction_deg: 36.9 };
 const OFF_MM = 3;
 const LONGER_MM = 4;
-/** Waiting ends after both: machines that are too slow drop frames, and are behind by those that wait. */
+/** Waiting ends only after both limits, because slow machines drop frames and lag behind by the frames in the queue. */
 const SLOW = { ms: 60_000, frames: 700 };
 
 let server;
@@ -34,7 +34,7 @@ after(async () => {
 const near = ([x_mm, y_mm], reach_mm = REACH_MM) => (row) => Math.hypot(row.x_mm - x_mm, row.y_mm - y_mm) <= reach_mm;
 const isOpen = ({ state }) => ["confirmed", "covered", "healing"].includes(state);
 
-/** Waits until nothing has touched the skin for a good number of frames: one without touches may lie in a gap of the stream. */
+/** Waits until nothing has touched the skin for many frames; a single frame without touches may be a gap. */
 async function untouched(page) {
   let since = await processedFrames(page);
   const calm = async () => {
@@ -68,16 +68,16 @@ test("a press raises compressed pixels where it is, which vanish after it; the o
   await classes((seen) => seen.compressed.weight === 0 && seen.damaged.weight === 0);
   const place = [-20, 10];
   await pressAt(page, ...place);
-  // The centroid of a blob is nearer than a touch's reach; its lobes may add a stray pixel.
+  // A blob's centroid is more accurate than a touch; its lobes may add a stray pixel.
   const seen = await classes(({ compressed }) => compressed.weight > 10 && near(place, 5)(compressed));
   console.log(`pressed at ${place} mm; compressed pixels at ${seen.compressed.x_mm.toFixed(1)}, ${seen.compressed.y_mm.toFixed(1)} mm`);
   const { x, y } = await windowFromSkin(page, ...place);
-  // Words follow the mouse; a hand is never quite still.
+  // The text follows the mouse; a hand is never quite still.
   const words = () => page.mouse.move(x + Math.random() * 2 - 1, y).then(() => page.locator("#cursor").textContent());
   const share = (text) => Number(/compressed (\d+) %/.exec(text)?.[1] ?? 0);
   await waitUntil(page, "probabilities under the mouse", words, (text) => share(text) > 50, SLOW);
   assert.match(await page.locator("#classes-state").textContent(), /network|thresholds/);
-  // By key: the mouse is busy.
+  // Use the keyboard, as the mouse is busy.
   await page.locator("#classes-box").press("Space");
   assert.equal((await classesSeen(page)).isShown, false, "switched off");
   await page.locator("#classes-box").press("Space");
@@ -143,14 +143,14 @@ test("a tare is kept in the history and hides no damage", real, async () => {
   const baselines = await waitUntil(page, "a third baseline", () => baselineRows(page), (rows) => rows.length === 3, SLOW);
   assert.deepEqual(baselines.map((row) => [row.origin, row.isIntact]), [["start", true], ["damage taken in", false], ["tare", false]], "the intact skin is still what damage is judged against");
   const since = (await damageRows(page))[0].for_s;
-  // Well beyond the time in which a damage is believed or dropped.
+  // Well beyond the time in which damage is confirmed or dropped.
   const [damage] = await damages(page, ([now]) => now?.for_s > since + 3);
   assert.ok(damage.state === "confirmed" && near(CUT.middle, OFF_MM)(damage), JSON.stringify(damage));
 });
 
 test("heat heals the cut in time-lapse, and its progress rises to the end", real, async () => {
   const { page } = opened;
-  // A pad that covers the cut.
+  // A heat pad that covers the cut.
   await page.locator("#radius").fill("15");
   await choose(page, "tool", "heal");
   await choose(page, "time-lapse", "720");
@@ -168,7 +168,7 @@ test("heat heals the cut in time-lapse, and its progress rises to the end", real
     return now?.state === "healed" && now.healed > 0.9;
   });
   console.log(`healed: ${course.map((share) => share.toFixed(2)).join(", ")}`);
-  // What heat does to the sheet about the cut blurs the estimate a little.
+  // The effect of heat on the sheet around the cut blurs the estimate slightly.
   course.forEach((share, index) => assert.ok(share >= Math.max(...course.slice(0, index + 1)) - 0.15, `it does not fall: ${course}`));
   assert.ok(course[0] < 0.2, `it begins with an open cut: ${course}`);
   assert.equal(await page.locator("#damage-count").textContent(), "0", "what is healed is no damage");
@@ -180,7 +180,7 @@ test("a new sheet in its place is at rest; the new baseline that is proposed for
   await choose(page, "tool", "press");
   await choose(page, "time-lapse", "1");
   await page.locator("#renew").click();
-  // Half a minute of rest, once what the heat has left has settled.
+  // Half a minute of rest, once the effects of the heat have settled.
   await waitUntil(page, "a proposal", () => page.locator("#proposal").isVisible(), Boolean, { ms: 180_000, frames: 4000 });
   assert.match(await page.locator("#proposal-text").textContent(), /at rest for/);
   await untouched(page);

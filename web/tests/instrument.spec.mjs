@@ -1,5 +1,5 @@
-// The page as an instrument: colours and axes that can be read, panels that go where they are wanted and stay there, light and
-// dark, help, files of what is seen, small windows, and what a checker of accessibility has to say.
+// The page as an instrument: readable colours and axes, panels that can be moved and stay in place, light and dark
+// themes, help, saved files, small windows, and the findings of an accessibility checker.
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
@@ -22,7 +22,7 @@ after(async () => {
 
 const open = (options) => openPage(browser, server.address, options);
 
-/** Nothing but the page presses: a twin's demonstration is stopped and has ended. */
+/** Makes sure that only the page presses: stops a twin's demonstration and waits for its end. */
 async function calm(page) {
   if (isDemo) return;
   const isOn = await page.locator("#demo").evaluate((button) => button.getAttribute("aria-pressed") === "true");
@@ -44,8 +44,8 @@ test("colours begin at zero, and the press that the skin is made for is plain to
     await page.waitForTimeout(1500);
     const share = (await amplitude()) / high;
     console.log(`the first press fills ${(100 * share).toFixed(0)} % of the colours`);
-    // How deep it is by then depends on the machine: plain to see, and below the end of the scale. Half of it is tested
-    // where the time is the test's (crates/dermis-page/tests/scene.rs).
+    // The depth reached by now depends on the machine, but must be clearly visible and below the end of the scale.
+    // That half the scale is reached is tested with a controlled clock (crates/dermis-page/tests/scene.rs).
     assert.ok(share > 0.2 && share < 1, `${share} of ${high}`);
     assert.equal(await page.locator("#range-low").textContent(), "0", "also where a press makes something else negative");
     await keepPicture(page, "instrument-pressed");
@@ -108,7 +108,7 @@ test("panels go away, take other sizes, and are so when the page is opened again
   await page.locator("#panels summary").click();
   await page.locator("#layout-reset").click();
   assert.ok(Math.abs((await width()) - first) < 3 && (await page.locator("#noise-panel").isVisible()), "as at first");
-  // What another program has left under the page's name does no harm.
+  // Data left by another program under the page's name does no harm.
   await page.evaluate(() => localStorage.setItem("dermis-page", "[1, {"));
   await load();
   assert.ok(await page.locator("#noise-panel").isVisible());
@@ -139,7 +139,7 @@ test("a question mark opens the keys, and words say what they mean", async () =>
   await page.keyboard.press("Escape");
   assert.equal(await page.locator("#help").isVisible(), false);
   const unexplained = await page.locator("header [id='fps'], #touches-panel th, #latency tr, #counters tr, #badges .badge").evaluateAll((all) => all.filter((one) => !one.closest("[title]")?.title).map((one) => one.textContent));
-  // The stages of the demo are its own.
+  // The demo has its own stages.
   assert.deepEqual(isDemo ? [] : unexplained, []);
   await page.close();
 });
@@ -156,7 +156,7 @@ test("what is seen is saved as a picture and as a table", async () => {
   const [width, height] = [picture.bytes.readUInt32BE(16), picture.bytes.readUInt32BE(20)];
   assert.ok(width > 600 && height > 500, `${width} x ${height}`);
   if (process.env.PAGE_PICTURES) await (await import("node:fs/promises")).writeFile(`${process.env.PAGE_PICTURES}/instrument-saved.png`, picture.bytes);
-  // It holds what the stage shows: outline and numbers over the image, so many colours.
+  // It contains what the stage shows: outline and numbers over the image, in many colours.
   const colours = await page.evaluate(async (base64) => {
     const image = new Image();
     image.src = `data:image/png;base64,${base64}`;
@@ -174,7 +174,7 @@ test("what is seen is saved as a picture and as a table", async () => {
   assert.equal(lines[0], "x_mm,y_mm,value");
   const cells = lines.slice(1).map((line) => line.split(",").map(Number));
   assert.ok(cells.length > 100 && cells.every((row) => row.length === 3 && row.every(Number.isFinite)), `${cells.length} pixels`);
-  // The middle of the pixels is the middle of the skin.
+  // The centre of the pixels is the centre of the skin.
   for (const axis of [0, 1]) assert.ok(Math.abs(cells.reduce((sum, row) => sum + row[axis], 0) / cells.length) < 1);
   await page.close();
 });
@@ -199,7 +199,7 @@ for (const colorScheme of ["light", "dark"]) {
       const { violations } = await page.evaluate(() => globalThis.axe.run());
       assert.deepEqual(violations.map(({ id, nodes }) => `${what}: ${id}: ${nodes.map((node) => node.html.slice(0, 120)).join(" ; ")}`), []);
     };
-    // The server lets no script in that is not the page's own; the tester may.
+    // The server's policy blocks scripts from elsewhere, but the test can inject one.
     await page.evaluate(await readFile(axe, "utf8"));
     await look("page");
     await page.locator("#panels summary").click();

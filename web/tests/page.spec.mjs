@@ -1,5 +1,5 @@
 // The live page in a real browser. By default against the demo (`page_demo`); with DERMIS_BIN=path/to/dermis against
-// `dermis run`, whose default twin is pressed the same way.
+// `dermis run`, whose default twin is pressed in the same way.
 
 import assert from "node:assert/strict";
 import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
@@ -8,7 +8,7 @@ import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { isDemo, openPage, startBrowser, startServer, touchRows, waitForRows, windowFromSkin } from "./browser.mjs";
 
-/** As far as a touch may appear from where the mouse pressed: the twin's pixels, physics and smoothing move it by a few mm. */
+/** Largest distance of a touch from the press; the twin's pixels, physics and smoothing shift it by a few mm. */
 const REACH_MM = 6;
 let server;
 let browser;
@@ -35,10 +35,11 @@ test("electrodes carry their numbers, from 1", async () => {
 test("a press on the twin shows a touch where it pressed, which follows and ends", async () => {
   const { page } = opened;
   await page.locator("#trails").uncheck();
-  // The twin's demonstration waits for who presses, but a press close to its touch would be taken for that touch, moved on.
+  // The twin's demonstration pauses during a press, but a press close to its last touch would be taken for that
+  // touch, moved.
   if (!isDemo) await waitForRows(page, (now) => now.length === 0, 30_000);
   const before = new Set((await touchRows(page)).map((row) => row.id));
-  // Off the demo's circling blob by more than the reach.
+  // Farther from the demo's circling blob than the tolerance.
   const [x_mm, y_mm] = [-6, 4];
   const press = await windowFromSkin(page, x_mm, y_mm);
   await page.mouse.move(press.x, press.y);
@@ -50,7 +51,7 @@ test("a press on the twin shows a touch where it pressed, which follows and ends
   assert.equal(await page.locator(`#overlay [data-touch="${touch.id}"] text`).count(), 1, "the touch is drawn with its number");
 
   const target = await windowFromSkin(page, 6, -5);
-  // As slowly as a hand: a leap would be another touch.
+  // As slowly as a hand, because a jump would be a new touch.
   for (let step = 1; step <= 20; step += 1) {
     await page.mouse.move(press.x + ((target.x - press.x) * step) / 20, press.y + ((target.y - press.y) * step) / 20);
     await page.waitForTimeout(50);
@@ -90,7 +91,7 @@ test("the hyperparameter's slider reaches the pipeline and comes back", async ()
   const original = await output.textContent();
   await page.locator("#hyperparameter").focus();
   for (let step = 0; step < 5; step += 1) await page.keyboard.press("ArrowRight");
-  // Longer than the slider is left alone after being moved: what shows then came from the pipeline.
+  // Longer than the slider ignores the pipeline after being moved, so the value shown now comes from the pipeline.
   await page.waitForTimeout(1500);
   assert.ok(Number(await output.textContent()) > Number(original), `from ${original} to ${await output.textContent()}`);
   for (let step = 0; step < 5; step += 1) await page.keyboard.press("ArrowLeft");
@@ -116,7 +117,7 @@ test("it keeps pace with the skin", async () => {
   const rate = ((await frames()) - first) / ((Date.now() - since) / 1000);
   const mean = shown.reduce((sum, value) => sum + value, 0) / shown.length;
   console.log(`pipeline ${rate.toFixed(1)} frames/s; drawn ${mean.toFixed(1)}/s over 5 s (${shown.join(", ")}); aim 45`);
-  // Far below the aim: continuous-integration machines share their cores.
+  // Far below the goal, because continuous-integration machines share their cores.
   assert.ok(mean >= 20, `drawn ${mean.toFixed(1)} images/s`);
 });
 
@@ -130,12 +131,12 @@ test("a press is let go when its page closes", async () => {
   await waitForRows(opened.page, (now) => !now.some(near(4, 5)));
 });
 
-// Only the real command has an instrument that breaks; the demo has none.
+// Only the real command has an instrument that can break.
 test("an electrode that is lost is named, with since when, and cleared when it is back", { skip: isDemo }, async () => {
   const folder = await mkdtemp(join(tmpdir(), "dermis-page-"));
   const skin = join(folder, "broken.toml");
   const sound = await readFile(new URL("../../crates/dermis-skin/skins/healing-square.toml", import.meta.url), "utf8");
-  // Long after the baseline; long enough that a slow machine opens the page meanwhile.
+  // Long after the baseline, and long enough for a slow machine to open the page in the meantime.
   await writeFile(skin, `${sound}\n[[twin.faults]]\nopen_electrodes = [5]\nfrom_s = 5.0\nuntil_s = 20.0\n`);
   const broken = await startServer(0, [skin]);
   try {
@@ -145,7 +146,7 @@ test("an electrode that is lost is named, with since when, and cleared when it i
     await shows("channels left out");
     assert.deepEqual(await page.locator("#overlay .electrodes .lost text").allTextContents(), ["5"], "the lost electrode is marked, and no other");
     await page.waitForFunction(() => /electrode 5 is lost since frame \d+/.test(document.querySelector("#messages").textContent));
-    // Since when: the time goes on.
+    // The duration is shown and increases.
     await shows("electrode 5 lost for [3-9]");
     await shows("all channels sound");
     assert.equal(await page.locator("#overlay .electrodes .lost").count(), 0, "no electrode is marked any more");

@@ -21,34 +21,34 @@ pub const MOST_PATCHES: usize = 256;
 /// Joint values older than this are stale unless the body file says otherwise, milliseconds: ten periods of a robot
 /// that publishes at 50 Hz, the slowest in common use.
 const STALE_AFTER_MS: f64 = 200.0;
-/// Longest offset of a patch on its link, mm.
+/// Largest offset of a patch on its link, mm.
 const MOST_MM: f64 = 1e5;
 
 /// A robot and the skins on it.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Its name.
+    /// Name of the body.
     pub name: String,
     /// The body file.
     pub file: PathBuf,
-    /// The robot's URDF file, where it has one, and what it says.
+    /// The robot's URDF file and its content, if there is one.
     pub urdf: Option<(PathBuf, Urdf)>,
-    /// Its links and joints.
+    /// Links and joints.
     pub kinematics: Kinematics,
     /// Source of joint values named in the body file.
     pub joint_source: Option<String>,
     /// Joint values older than this are stale, seconds.
     pub joints_stale_after_s: f64,
-    /// Joint values until others come: those of `joints.at`.
+    /// Joint values from `joints.at`, used until others arrive.
     pub first_joints: JointValues,
-    /// The skins, in the order of the file.
+    /// The skins, in file order.
     pub patches: Vec<Patch>,
 }
 
 /// A skin on a link.
 #[derive(Clone, Debug)]
 pub struct Patch {
-    /// Its name, unlike any other on the body.
+    /// Name, unique on the body.
     pub name: String,
     /// The skin.
     pub skin: Skin,
@@ -56,7 +56,7 @@ pub struct Patch {
     pub source: String,
     /// Number of the link that carries it.
     pub link: usize,
-    /// Its place on the link.
+    /// Its pose on the link.
     pub link_from_patch: Transform,
     /// Frames of the untouched skin, `FILE[#FRAMES]`.
     pub baseline: Option<String>,
@@ -66,17 +66,17 @@ pub struct Patch {
     pub forces: Option<PathBuf>,
 }
 
-/// Something wrong with a body.
+/// A problem of a body.
 #[derive(Debug)]
 pub struct Problem {
     /// The problem, with its file and line.
     pub error: Error,
-    /// It affects drawings only.
+    /// True if it affects drawings only.
     pub only_drawn: bool,
 }
 
 impl Patch {
-    /// How the skin lies in the patch's frame.
+    /// The shape of the skin in the patch's frame.
     pub fn surface(&self) -> Surface {
         self.skin.surface()
     }
@@ -86,16 +86,16 @@ impl Body {
     /// Reads a body file, its URDF file and its skins.
     ///
     /// # Errors
-    /// The first thing that is wrong; meshes that cannot be read are passed over.
+    /// The first problem found; meshes that cannot be read are ignored.
     pub fn open(file: &Path) -> Result<Self, Error> {
         let (body, problems) = Self::examine(file)?;
         problems.into_iter().find(|problem| !problem.only_drawn).map_or(Ok(body), |problem| Err(problem.error))
     }
 
-    /// Reads a body file and leaves out the patches that cannot be used; also everything that is wrong.
+    /// Reads a body file without the patches that cannot be used, and returns all problems.
     ///
     /// # Errors
-    /// Files that cannot be read or parsed, and joints that make no tree: there is no body then.
+    /// A file cannot be read or parsed, or the joints don't form a tree; then there is no body.
     pub fn examine(file: &Path) -> Result<(Self, Vec<Problem>), Error> {
         let (source, text) = Source::open(file)?;
         Builder { source, problems: Vec::new() }.build(text)
@@ -113,7 +113,7 @@ impl Body {
         self.patches.iter().flat_map(of).collect()
     }
 
-    /// Name of the frame that results are given in: the link that no joint carries.
+    /// Name of the frame that results are given in: the root link, which no joint carries.
     pub fn root(&self) -> &str {
         self.kinematics.link_name(self.kinematics.root())
     }
@@ -266,7 +266,7 @@ impl Builder {
         })
     }
 
-    /// The link and the place on it: those of the patch, or else those of its skin file.
+    /// The link and pose of a patch: from the patch, or else from its skin file.
     fn mount(&self, text: &PatchText, skin: &Skin, kinematics: &Kinematics) -> Result<(usize, Transform), Error> {
         let name = text.name.get_ref();
         for (field, place, most) in [("xyz_mm", &text.xyz_mm, MOST_MM), ("rpy_deg", &text.rpy_deg, 360.0)] {
@@ -314,7 +314,7 @@ impl Builder {
     }
 }
 
-/// Pose of a patch on its link, from a place in millimetres and angles in degrees.
+/// Pose of a patch on its link, from an offset in millimetres and angles in degrees.
 pub fn mount_transform(xyz_mm: Vector, rpy_deg: Vector) -> Transform {
     Transform::from_xyz_rpy(xyz_mm.map(|mm| 1e-3 * mm), rpy_deg.map(f64::to_radians))
 }

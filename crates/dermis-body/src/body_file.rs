@@ -1,4 +1,4 @@
-//! A body file as written, with the position of every value that can be wrong.
+//! A body file as written, with the position of every value that could be wrong.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use toml::Spanned;
 
 use crate::error::Error;
 
-/// Largest body file that is read, bytes.
+/// Largest body file, bytes.
 const MOST_BYTES: u64 = 4 << 20;
 
 /// A body file.
@@ -50,7 +50,7 @@ pub(crate) struct PatchText {
     pub forces: Option<PathBuf>,
 }
 
-/// A body file's text, which turns positions of values into lines.
+/// A body file's text, for converting positions of values into line numbers.
 #[derive(Debug)]
 pub(crate) struct Source {
     pub file: PathBuf,

@@ -1,4 +1,4 @@
-//! Errors of bodies: file, line, value and expected value.
+//! Errors of bodies, with file, line, value and expected value.
 
 use std::path::PathBuf;
 
@@ -13,18 +13,18 @@ pub enum Error {
     Io {
         /// The file.
         file: PathBuf,
-        /// The system's message.
+        /// Error from the operating system.
         source: std::io::Error,
     },
-    /// A body file that is no TOML, or has unknown or missing keys; the message shows the place.
+    /// A body file that isn't TOML, or has unknown or missing keys; the message shows the place.
     #[error("{}: {message}", file.display())]
     BodyFile {
         /// The file.
         file: PathBuf,
-        /// The problem, with line and column.
+        /// The fault, with line and column.
         message: String,
     },
-    /// A key of a body file holds a value that makes no sense.
+    /// A key in a body file has an invalid value.
     #[error("{}, line {line}: {field} = {value}: expected {expected}", file.display())]
     BodyField {
         /// The file.
@@ -38,14 +38,14 @@ pub enum Error {
         /// The expected value.
         expected: String,
     },
-    /// Something in a URDF file that is no robot.
+    /// A URDF file that doesn't describe a robot.
     #[error("{}, line {line}: {message}", file.display())]
     Urdf {
         /// The file.
         file: PathBuf,
         /// Its line, from 1.
         line: usize,
-        /// The problem and the expected content.
+        /// The fault, and the expected content.
         message: String,
     },
     /// The skin of a patch.
@@ -57,18 +57,18 @@ pub enum Error {
         line: usize,
         /// Name of the patch.
         patch: String,
-        /// The problem.
+        /// The cause.
         source: dermis_skin::Error,
     },
-    /// Joint values that cannot be used.
+    /// Invalid joint values.
     #[error("joint values: {message}")]
     Joints {
-        /// The problem and the expected content.
+        /// The fault, and the expected content.
         message: String,
     },
 }
 
-/// Names for people; after the twelfth their number.
+/// Names as a list for people; beyond the twelfth only their number.
 pub(crate) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
     const MOST: usize = 12;
     let all: Vec<&str> = names.collect();

@@ -1,4 +1,4 @@
-//! Files that a body names: bounded reads, `package://` paths, checks of meshes.
+//! Files referenced by a body: bounded reads, `package://` paths, checks of meshes.
 
 use std::fs::File;
 use std::io::Read;
@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use crate::error::Error;
 
-/// Bytes of a mesh that are looked at: beginnings of every format lie within, and all of a text file's first vertex.
+/// Bytes of a mesh to examine: enough for the start of every format, and for the first vertex of a text file.
 const LOOKED_AT: u64 = 64 << 10;
 
-/// A text of at most `most` bytes.
+/// Reads a text of at most `most` bytes.
 pub(crate) fn read_text(file: &Path, most: u64) -> Result<String, Error> {
     let io = |source| Error::Io { file: file.to_path_buf(), source };
     let metadata = std::fs::metadata(file).map_err(io)?;
@@ -25,12 +25,12 @@ pub(crate) fn read_text(file: &Path, most: u64) -> Result<String, Error> {
     Ok(text)
 }
 
-/// Path of the file that a `filename` in URDF names: a path beside the URDF file, `file://PATH`, or `package://NAME/PATH`.
-/// Packages are those given, or else folders of that name in a folder that the URDF file is in, or above it, or in
-/// `ROS_PACKAGE_PATH` or below `share` in `AMENT_PREFIX_PATH`.
+/// Path of the file behind a URDF `filename`: a path relative to the URDF file, `file://PATH`, or
+/// `package://NAME/PATH`. A package is one of those given, or else a folder with its name in any folder above the
+/// URDF file, in `ROS_PACKAGE_PATH`, or below `share` in `AMENT_PREFIX_PATH`.
 ///
 /// # Errors
-/// The reason why there is no such file, and the expected content.
+/// The reason why the file wasn't found, and the expected content.
 pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)]) -> Result<PathBuf, String> {
     let folder = urdf.parent().unwrap_or(Path::new(""));
     if let Some(path) = filename.strip_prefix("file://") {
@@ -63,10 +63,10 @@ pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)
     Ok(place.ok_or_else(unknown)?.join(path))
 }
 
-/// Checks that the content of a file fits its ending: STL, OBJ, COLLADA, PLY, glTF. Other endings pass.
+/// Checks that the content of a file matches its ending: STL, OBJ, COLLADA, PLY, glTF. Other endings are accepted.
 ///
 /// # Errors
-/// The problem and the expected content.
+/// The fault, and the expected content.
 pub(crate) fn check_mesh(file: &Path) -> Result<(), String> {
     let mut start = Vec::new();
     let opened = File::open(file).map_err(|error| error.to_string())?;
@@ -80,7 +80,7 @@ pub(crate) fn check_mesh(file: &Path) -> Result<(), String> {
     let is_it = match ending.as_str() {
         "stl" => {
             let counted = start.get(80..84).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
-            // Text begins with "solid", but so do binary files of some programs.
+            // Text files begin with "solid", but so do some programs' binary files.
             counted.is_some_and(|count| length == 84 + 50 * u64::from(count))
                 || (text.trim_start().starts_with("solid") && text.contains("facet"))
         }

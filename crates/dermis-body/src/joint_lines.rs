@@ -1,5 +1,5 @@
-//! Joint values as JSON lines: `{"joints": {"elbow": 0.7}}`, or the two lists of `sensor_msgs/JointState`,
-//! `{"name": ["elbow"], "position": [0.7]}`; radians, of sliding joints metres. Either may have `time_s`.
+//! Joint values as JSON lines: `{"joints": {"elbow": 0.7}}`, or the two lists of `sensor_msgs/JointState`, `{"name":
+//! ["elbow"], "position": [0.7]}`; radians, or metres for sliding joints. Both may have `time_s`.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::Deserialize;
 use crate::error::Error;
 use crate::kinematics::{Assigned, JointValues, Kinematics};
 
-/// Longest line that is read, bytes: two thousand joints.
+/// Longest line, bytes: two thousand joints.
 pub const MOST_LINE_BYTES: usize = 1 << 17;
 
 /// One line.
@@ -19,7 +19,7 @@ struct Line {
     joints: Option<BTreeMap<String, f64>>,
     name: Option<Vec<String>>,
     position: Option<Vec<f64>>,
-    // Other fields of JointState, which are not needed here.
+    // Other fields of JointState, which are not needed.
     #[serde(default, rename = "header")]
     _header: serde::de::IgnoredAny,
     #[serde(default, rename = "velocity")]
@@ -31,18 +31,18 @@ struct Line {
 /// Content of a line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointLine {
-    /// Its time, seconds, where it has one.
+    /// Time, seconds, if given.
     pub time_s: Option<f64>,
-    /// Joints that it moved.
+    /// Number of joints set.
     pub taken: usize,
-    /// Names that the robot does not have.
+    /// Names of joints that the robot does not have.
     pub unknown: Vec<String>,
 }
 
-/// Takes a line's values. Where it has an error, none is taken.
+/// Applies a line's values. If the line has an error, none is applied.
 ///
 /// # Errors
-/// [`Error::Joints`]: a line that is no such object, names and positions of different number, values that are not
+/// [`Error::Joints`] if the line is not such an object, the numbers of names and positions differ, or a value is not
 /// finite.
 pub fn take_line(text: &str, kinematics: &Kinematics, values: &mut JointValues) -> Result<JointLine, Error> {
     let fail = |message: String| Error::Joints { message };

@@ -1,4 +1,4 @@
-//! Forward kinematics: the tree of a robot's joints, checked, and the transforms along it.
+//! Forward kinematics: the checked tree of a robot's joints, and the transforms along it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -21,7 +21,7 @@ pub struct Kinematics {
 #[derive(Clone, Debug)]
 struct TreeLink {
     name: String,
-    /// The joint that carries it, and the link which that joint is on.
+    /// The joint that carries this link, and the link that joint is attached to.
     carried_by: Option<(usize, usize)>,
 }
 
@@ -31,7 +31,8 @@ struct TreeJoint {
     motion: Motion,
     parent_from_joint: Transform,
     limits: Option<[f64; 2]>,
-    /// Joint whose value moves it, factor on that value, and offset: itself, 1 and 0 unless it mimics.
+    /// Joint whose value moves this one, the factor on that value, and an offset: the joint itself, 1 and 0 unless it
+    /// mimics another.
     source: usize,
     multiplier: f64,
     offset: f64,
@@ -45,28 +46,28 @@ enum Motion {
     Unknown,
 }
 
-/// Values of a robot's joints, radians or metres; `None` where none is known. Joints that mimic others have none of
-/// their own.
+/// Values of a robot's joints, radians or metres; `None` if unknown. Joints that mimic others have no value of their
+/// own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointValues(Vec<Option<f64>>);
 
 /// Result of assigning a value to a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Assigned {
-    /// It moves the joint.
+    /// The value was accepted.
     Taken,
-    /// The joint is fixed, or follows another: its value is not its own.
+    /// The joint is fixed or mimics another, so it has no value of its own.
     NotItsOwn,
     /// The robot has no such joint.
     Unknown,
 }
 
 impl Kinematics {
-    /// Checks that the joints of a robot make a tree, and that mimicked joints exist. `file` is for messages.
+    /// Checks that the joints of a robot form a tree and that mimicked joints exist. `file` is only used in messages.
     ///
     /// # Errors
-    /// [`Error::Urdf`], with the line: two links or joints of one name, links that do not exist, a link that two joints
-    /// carry, joints in a circle, several links that nothing carries, a joint that mimics one that is not there, itself
+    /// [`Error::Urdf`], with the line: two links or joints with the same name, links that do not exist, a link
+    /// carried by two joints, a cycle of joints, several root links, or a joint that mimics itself, a missing joint,
     /// or one that moves in several directions.
     pub fn new(urdf: &Urdf, file: &Path) -> Result<Self, Error> {
         let fail = |line: usize, message: String| Error::Urdf { file: file.to_path_buf(), line, message };
@@ -133,7 +134,7 @@ impl Kinematics {
         }
     }
 
-    /// Number of the link that nothing carries.
+    /// Number of the root link, which no joint carries.
     pub fn root(&self) -> usize {
         self.order[0]
     }
@@ -153,12 +154,12 @@ impl Kinematics {
         self.link_numbers.get(name).copied()
     }
 
-    /// The link which a link's joint is on; `None` for the root.
+    /// The link that a link's joint is attached to; `None` for the root.
     pub fn parent(&self, link: usize) -> Option<usize> {
         self.links[link].carried_by.map(|(_, parent)| parent)
     }
 
-    /// Names of the joints that have values of their own, in the order of the file.
+    /// Names of the joints with values of their own, in file order.
     pub fn moving_joints(&self) -> impl Iterator<Item = &str> {
         self.joints
             .iter()
@@ -167,12 +168,12 @@ impl Kinematics {
             .map(|(_, joint)| joint.name.as_str())
     }
 
-    /// Lower and upper end of a joint, radians or metres, where it has limits.
+    /// Lower and upper limit of a joint, radians or metres, if it has limits.
     pub fn limits(&self, joint: &str) -> Option<[f64; 2]> {
         self.joints[*self.joint_numbers.get(joint)?].limits
     }
 
-    /// Names of the joints whose values say where a link is.
+    /// Names of the joints that determine the pose of a link.
     ///
     /// # Errors
     /// The name of a joint on the way that moves in several directions.
@@ -190,21 +191,21 @@ impl Kinematics {
         Ok(names)
     }
 
-    /// No joint has a value.
+    /// Values for all joints, each unknown.
     pub fn unknown(&self) -> JointValues {
         JointValues(vec![None; self.joints.len()])
     }
 
-    /// Every joint stands at 0, or at its nearer end where 0 is outside its limits.
+    /// Every joint at 0, or at its nearer limit if 0 is outside its range.
     pub fn at_rest(&self) -> JointValues {
         let rest = |joint: &TreeJoint| joint.limits.map_or(0.0, |[lower, upper]| 0f64.clamp(lower, upper));
         JointValues(self.joints.iter().map(|joint| Some(rest(joint))).collect())
     }
 
-    /// Sets a joint's value, radians or metres. Limits do not bound it: a robot may stand beyond them.
+    /// Sets a joint's value, radians or metres. Values beyond the limits are accepted, since a robot may be there.
     ///
     /// # Errors
-    /// [`Error::Joints`] for a value that is no finite number.
+    /// [`Error::Joints`] for a value that is not finite.
     pub fn assign(&self, values: &mut JointValues, joint: &str, value: f64) -> Result<Assigned, Error> {
         let Some(&number) = self.joint_numbers.get(joint) else { return Ok(Assigned::Unknown) };
         if !self.joints[number].has_own_value(number) {
@@ -217,7 +218,7 @@ impl Kinematics {
         Ok(Assigned::Taken)
     }
 
-    /// Value of a joint, radians or metres, also of one that follows another. `None` where it is not known.
+    /// Value of a joint, radians or metres, including joints that mimic others; `None` if unknown.
     pub fn value(&self, values: &JointValues, joint: &str) -> Option<f64> {
         self.value_of(values, *self.joint_numbers.get(joint)?)
     }
@@ -238,7 +239,7 @@ impl Kinematics {
         Some(here_from_link)
     }
 
-    /// Poses of all links, by number: one product each.
+    /// Poses of all links, by number, with one product each.
     pub fn root_from_links(&self, values: &JointValues) -> Vec<Option<Transform>> {
         let mut all = vec![None; self.links.len()];
         for &link in &self.order {
@@ -252,7 +253,7 @@ impl Kinematics {
         all
     }
 
-    /// Pose of a link on its parent; `None` for the root, and if the joint between them has no value.
+    /// Pose of a link relative to its parent; `None` for the root, or if the joint between them has no value.
     pub fn parent_from_link(&self, link: usize, values: &JointValues) -> Option<Transform> {
         let (number, _) = self.links[link].carried_by?;
         self.parent_from_child(number, values)
@@ -276,7 +277,7 @@ impl TreeJoint {
     }
 }
 
-/// Links with every parent before its children; otherwise the line and what is wrong there.
+/// Links ordered so that every parent precedes its children; on failure the line and the fault.
 fn ordered(links: &[TreeLink], urdf: &Urdf) -> Result<Vec<usize>, (usize, String)> {
     let mut roots = (0..links.len()).filter(|&link| links[link].carried_by.is_none());
     let Some(root) = roots.next() else {
@@ -313,7 +314,7 @@ fn ordered(links: &[TreeLink], urdf: &Urdf) -> Result<Vec<usize>, (usize, String
     Err((urdf.links[lost].line, message))
 }
 
-/// A joint with whatever it mimics resolved; otherwise the line and what is wrong there.
+/// A joint with its mimicry resolved; on failure the line and the fault.
 fn tree_joint(urdf: &Urdf, numbers: &BTreeMap<String, usize>, number: usize) -> Result<TreeJoint, (usize, String)> {
     let joint = &urdf.joints[number];
     let fail = |message: String| (joint.line, format!("joint {}: {message}", joint.name));

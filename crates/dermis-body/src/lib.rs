@@ -1,8 +1,8 @@
-//! Skins mounted on a robot: where its links are, and what touches them, in every frame.
+//! Skins mounted on a robot: the positions of its links and the touches on them, in every frame of reference.
 //!
-//! A body file names a robot's URDF file and mounts skins on its links. [`Body`] reads it, [`Kinematics`] says where the
-//! links are for given joint values, [`SpatialTouch`] puts a touch into any frame, and [`Wrench`] adds touches up to a
-//! force and a torque with their covariance.
+//! A body file names a robot's URDF file and mounts skins on its links. [`Body`] reads it, [`Kinematics`] gives the
+//! poses of the links for given joint values, [`SpatialTouch`] transforms a touch into any frame, and [`Wrench`] sums
+//! touches to a force and a torque with their covariance.
 //!
 //! ```
 //! use dermis_body::{Body, SpatialTouch, Taxels};
@@ -33,10 +33,10 @@
 //! ```
 //!
 //! # Frames
-//! The *patch's* frame is the skin's: x right, y up, z out of the skin toward whatever touches, origin at the middle of
-//! the sheet. The *link's* frame is that of the URDF file, and the *root's* that of the link which no joint carries.
-//! `a_from_b` takes coordinates in b to coordinates in a. Lengths are metres, angles radians. Forces and wrenches act on
-//! the sensor: a press pushes against the outward normal.
+//! The *patch's* frame is the skin's: x right, y up, z out of the skin towards whatever touches it, origin at the
+//! centre of the sheet. The *link's* frame is that of the URDF file, and the *root's* frame is that of the link which
+//! no joint carries. `a_from_b` transforms coordinates in b to coordinates in a. Lengths are metres, angles radians.
+//! Forces and wrenches act on the sensor: a press pushes against the outward normal.
 
 mod body;
 mod body_file;

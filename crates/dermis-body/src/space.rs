@@ -1,5 +1,5 @@
-//! Touches and cells of a skin in space: position, outward normal, force and their covariances, in the frame of the
-//! patch or any other. Forces act on the sensor: whatever presses on a skin pushes against its outward normal.
+//! Touches and cells of a skin in space: position, outward normal, force and their covariances, in the patch's frame
+//! or any other. Forces act on the sensor: whatever presses on a skin pushes against its outward normal.
 
 use dermis_tomo::mesh::{PixelMap, Surface};
 use dermis_touch::force::ForceReading;
@@ -7,7 +7,7 @@ use dermis_touch::{LoadQuantity, Touch};
 
 use crate::transform::{Matrix, Transform, Vector, scaled};
 
-/// Force of a touch, newtons, not negative.
+/// Force of a touch, newtons, never negative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceEstimate {
     /// Magnitude.
@@ -21,16 +21,16 @@ pub struct ForceEstimate {
 pub struct SpatialTouch {
     /// Position, metres.
     pub position_m: Vector,
-    /// Covariance of the position, m^2. It lies in the skin: nothing is uncertain along the normal.
+    /// Covariance of the position, m^2. It is confined to the skin's surface, without uncertainty along the normal.
     pub covariance_m2: Matrix,
-    /// Outward normal of the skin there: unit length, toward whatever touches.
+    /// Outward unit normal of the skin at the touch.
     pub normal: Vector,
-    /// Force on the sensor, newtons: against the normal. `None` where no calibration tells it.
+    /// Force on the sensor, newtons, opposite to the normal. `None` without a calibration.
     pub force_n: Option<Vector>,
 }
 
 impl SpatialTouch {
-    /// A touch of the flat skin on its surface, in the patch's frame.
+    /// Maps a touch on the flat skin onto its surface, in the patch's frame.
     pub fn of(touch: &Touch, surface: &Surface, force: Option<ForceEstimate>) -> Self {
         let SurfacePoint { position_m, normal, along, .. } = SurfacePoint::at(surface, touch.position_m);
         let c = &touch.covariance_m2;
@@ -48,7 +48,7 @@ impl SpatialTouch {
         Self { position_m, covariance_m2, normal, force_n }
     }
 
-    /// The same in the outer frame of a transform.
+    /// The touch transformed into the outer frame of a transform.
     #[must_use]
     pub fn in_frame(&self, outer_from_inner: &Transform) -> Self {
         Self {
@@ -60,8 +60,8 @@ impl SpatialTouch {
     }
 }
 
-/// The force that a touch was read as, where it can be trusted: by a calibration of forces (`residual_n` is the root
-/// mean square of its errors), or by one of pokes with known forces. `None` outside the calibrated range.
+/// The force of a touch, if it can be trusted: from a force calibration (`residual_n` is the root mean square of its
+/// errors), or from a calibration by pokes of known force. `None` outside the calibrated range.
 pub fn trusted_force(touch: &Touch, residual_n: Option<f64>) -> Option<ForceEstimate> {
     if let Some(force_n) = touch.force.and_then(ForceReading::valid_n) {
         return Some(ForceEstimate { force_n, sigma_n: residual_n? });
@@ -71,14 +71,14 @@ pub fn trusted_force(touch: &Touch, residual_n: Option<f64>) -> Option<ForceEsti
     is_sound.then_some(ForceEstimate { force_n: load.value.max(0.0), sigma_n: load.sigma })
 }
 
-/// A point of a surface, and how it changes along the sheet.
+/// A point on a surface, with its derivatives along the sheet.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SurfacePoint {
     pub position_m: Vector,
     pub normal: Vector,
-    /// Change of the position with x and y of the sheet: unit vectors.
+    /// Derivatives of the position by x and y of the sheet: unit vectors.
     pub along: [Vector; 2],
-    /// Change of the normal with x and y of the sheet, 1/m.
+    /// Derivatives of the normal by x and y of the sheet, 1/m.
     pub normal_along: [Vector; 2],
 }
 
@@ -94,17 +94,17 @@ impl SurfacePoint {
     }
 }
 
-/// The cells of a skin in its patch's frame: the pixels of its images that lie on it, in the order of
+/// The cells of a skin in its patch's frame: the image pixels that lie on it, in the order of
 /// [`PixelMap::inside_pixels`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Taxels {
-    /// Number of each one's pixel in the image, row-major.
+    /// Pixel number of each cell in the image, row-major.
     pub pixels: Vec<u32>,
-    /// Middles, metres.
+    /// Centres, metres.
     pub positions_m: Vec<Vector>,
     /// Outward normals.
     pub normals: Vec<Vector>,
-    /// Areas of the skin within them, m^2.
+    /// Area of skin within each, m^2.
     pub areas_m2: Vec<f64>,
 }
 
@@ -126,12 +126,12 @@ impl Taxels {
         self.pixels.len()
     }
 
-    /// True where there are none.
+    /// True if there are no cells.
     pub fn is_empty(&self) -> bool {
         self.pixels.is_empty()
     }
 
-    /// The same in the outer frame of a transform.
+    /// The cells transformed into the outer frame of a transform.
     #[must_use]
     pub fn in_frame(&self, outer_from_patch: &Transform) -> Self {
         Self {

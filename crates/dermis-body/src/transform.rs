@@ -1,30 +1,30 @@
-//! Rigid transforms. `a_from_b` takes coordinates in frame b to coordinates in frame a, so that
+//! Rigid transforms. `a_from_b` transforms coordinates in frame b to coordinates in frame a, so
 //! `a_from_c = a_from_b * b_from_c`.
 
 use std::ops::Mul;
 
-/// A vector or a point, metres where it is a place.
+/// A vector or a point; points are in metres.
 pub type Vector = [f64; 3];
 
-/// A 3 x 3 matrix by rows.
+/// A 3 x 3 matrix, row by row.
 pub type Matrix = [[f64; 3]; 3];
 
 /// A rotation followed by a translation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform {
-    /// Rotation matrix by rows.
+    /// Rotation matrix, row by row.
     pub rotation: Matrix,
     /// Origin of the inner frame in the outer one, metres.
     pub translation_m: Vector,
 }
 
 impl Transform {
-    /// The two frames are the same.
+    /// The transform between identical frames.
     pub const IDENTITY: Self =
         Self { rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation_m: [0.0; 3] };
 
-    /// From a translation in metres and roll, pitch and yaw in radians, as URDF has them: turns about the fixed axes x,
-    /// y and z in this order, `Rz(yaw) Ry(pitch) Rx(roll)`.
+    /// A transform from a translation in metres and roll, pitch and yaw in radians, with URDF's convention: rotations
+    /// about the fixed axes x, y and z in this order, `Rz(yaw) Ry(pitch) Rx(roll)`.
     pub fn from_xyz_rpy(translation_m: Vector, [roll, pitch, yaw]: Vector) -> Self {
         let ((sr, cr), (sp, cp), (sy, cy)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
         let rotation = [
@@ -35,7 +35,7 @@ impl Transform {
         Self { rotation, translation_m }
     }
 
-    /// From a translation in metres and a quaternion `x y z w` of length 1.
+    /// A transform from a translation in metres and a unit quaternion `x y z w`.
     pub fn from_quaternion(translation_m: Vector, [x, y, z, w]: [f64; 4]) -> Self {
         let rotation = [
             [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
@@ -45,7 +45,7 @@ impl Transform {
         Self { rotation, translation_m }
     }
 
-    /// A turn by an angle in radians about an axis of length 1 (Rodrigues' formula).
+    /// A rotation by an angle in radians about a unit axis (Rodrigues' formula).
     pub fn turn([x, y, z]: Vector, angle_rad: f64) -> Self {
         let (s, c) = angle_rad.sin_cos();
         let d = 1.0 - c;
@@ -57,41 +57,41 @@ impl Transform {
         Self { rotation, translation_m: [0.0; 3] }
     }
 
-    /// A shift, metres.
+    /// A translation, metres.
     pub fn shift(translation_m: Vector) -> Self {
         Self { translation_m, ..Self::IDENTITY }
     }
 
-    /// `b_from_a` of `a_from_b`.
+    /// Returns `b_from_a` for `a_from_b`.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = transposed(&self.rotation);
         Self { rotation, translation_m: times(&rotation, self.translation_m).map(|v| -v) }
     }
 
-    /// A point of the inner frame, in the outer one.
+    /// Transforms a point from the inner frame to the outer one.
     #[must_use]
     pub fn point_m(&self, point_m: Vector) -> Vector {
         add(times(&self.rotation, point_m), self.translation_m)
     }
 
-    /// A direction or a force of the inner frame, in the outer one: turned and not moved.
+    /// Transforms a direction or a force from the inner frame to the outer one: rotated but not shifted.
     #[must_use]
     pub fn vector(&self, vector: Vector) -> Vector {
         times(&self.rotation, vector)
     }
 
-    /// A covariance of the inner frame, in the outer one: `R C R^T`.
+    /// Transforms a covariance from the inner frame to the outer one: `R C R^T`.
     #[must_use]
     pub fn covariance(&self, covariance: &Matrix) -> Matrix {
         product(&product(&self.rotation, covariance), &transposed(&self.rotation))
     }
 
-    /// The rotation as a quaternion `x y z w` of length 1 with `w >= 0`.
+    /// The rotation as a unit quaternion `x y z w` with `w >= 0`.
     #[must_use]
     pub fn quaternion(&self) -> [f64; 4] {
         let r = &self.rotation;
-        // Each of the four is largest somewhere; dividing by it loses no digits.
+        // Divide by the largest component, which loses no digits.
         let squares = [
             1.0 + r[0][0] - r[1][1] - r[2][2],
             1.0 - r[0][0] + r[1][1] - r[2][2],
@@ -128,12 +128,12 @@ pub(crate) fn subtract(a: Vector, b: Vector) -> Vector {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// Vector product.
+/// Cross product.
 pub(crate) fn cross(a: Vector, b: Vector) -> Vector {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Inner product.
+/// Dot product.
 pub(crate) fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }

@@ -1,6 +1,6 @@
-//! A robot as its URDF file describes it: links, joints, and the shapes that links are drawn as. Of the format
-//! (<http://wiki.ros.org/urdf/XML>, version 1.1 of which adds `quat_xyzw`) inertias, materials, transmissions and
-//! extensions of simulators are passed over.
+//! A robot as described by its URDF file: links, joints, and the shapes of the links. Inertias, materials,
+//! transmissions and simulator extensions of the format (<http://wiki.ros.org/urdf/XML>, version 1.1 of which adds
+//! `quat_xyzw`) are ignored.
 
 use std::path::Path;
 
@@ -9,21 +9,21 @@ use roxmltree::{Document, Node, ParsingOptions};
 use crate::error::Error;
 use crate::transform::{Transform, Vector, length, scaled};
 
-/// Largest URDF file that is read, bytes: four times the largest robot descriptions in use.
+/// Largest URDF file, bytes: four times the largest robot descriptions in use.
 pub const MOST_BYTES: u64 = 64 << 20;
-/// Most links.
+/// Most links in a robot.
 const MOST_LINKS: usize = 10_000;
-/// Longest length in a URDF file, metres.
+/// Largest length in a URDF file, metres.
 const MOST_M: f64 = 1e4;
 
-/// A robot's links and joints, each with the line that it stands on. The joints make a tree.
+/// A robot's links and joints, each with its line number. The joints need not form a tree yet.
 #[derive(Clone, Debug)]
 pub struct Urdf {
     /// Name of the robot.
     pub name: String,
-    /// Links in the order of the file.
+    /// Links in file order.
     pub links: Vec<Link>,
-    /// Joints in the order of the file.
+    /// Joints in file order.
     pub joints: Vec<Joint>,
 }
 
@@ -71,23 +71,23 @@ pub enum Geometry {
     },
     /// Triangles in a file.
     Mesh {
-        /// As the URDF file has it: a path, `file://...` or `package://...`.
+        /// As written in the URDF file: a path, `file://...` or `package://...`.
         filename: String,
     },
 }
 
-/// How a joint moves.
+/// Motion of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointKind {
-    /// Not at all.
+    /// None.
     Fixed,
-    /// About its axis, between limits.
+    /// Rotation about its axis, between limits.
     Revolute,
-    /// About its axis, without end.
+    /// Rotation about its axis, without limits.
     Continuous,
-    /// Along its axis.
+    /// Translation along its axis.
     Prismatic,
-    /// In more than one direction (planar, floating, spherical): no single value says where it is.
+    /// Motion in more than one direction (planar, floating, spherical), which a single value cannot describe.
     Other,
 }
 
@@ -98,49 +98,49 @@ pub struct Joint {
     pub name: String,
     /// Line in the file, from 1.
     pub line: usize,
-    /// How it moves.
+    /// Motion.
     pub kind: JointKind,
-    /// Link nearer to the root.
+    /// Parent link, nearer to the root.
     pub parent: String,
-    /// Link that it carries.
+    /// Child link.
     pub child: String,
     /// Its pose at value 0.
     pub parent_from_joint: Transform,
-    /// Axis in its own frame, of length 1.
+    /// Unit axis in its own frame.
     pub axis: Vector,
-    /// Lower and upper end, radians or metres, where it has limits.
+    /// Lower and upper limit, radians or metres, if it has limits.
     pub limits: Option<[f64; 2]>,
-    /// The joint that it follows.
+    /// The joint that it mimics.
     pub mimic: Option<Mimic>,
 }
 
-/// A joint that follows another: `multiplier * value + offset`.
+/// Mimicry of another joint: `multiplier * value + offset`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mimic {
-    /// The joint that it follows.
+    /// The joint that it mimics.
     pub joint: String,
-    /// Factor on the other's value.
+    /// Factor on the other joint's value.
     pub multiplier: f64,
     /// Offset, radians or metres.
     pub offset: f64,
 }
 
 impl Urdf {
-    /// Reads a file.
+    /// Reads a URDF file.
     ///
     /// # Errors
-    /// A file that cannot be read or is too large, and as [`Urdf::parse`].
+    /// The file cannot be read or is too large; otherwise as for [`Urdf::parse`].
     pub fn open(file: &Path) -> Result<Self, Error> {
         Self::parse(&crate::files::read_text(file, MOST_BYTES)?, file)
     }
 
-    /// Reads a text; `file` is for messages. Whether the joints make a tree is told by [`crate::Kinematics::new`].
+    /// Parses a text; `file` is only used in messages. [`crate::Kinematics::new`] checks that the joints form a tree.
     ///
     /// # Errors
-    /// Text that is no XML or no robot, and numbers that are none, each with its line.
+    /// The text is not XML or not a robot, or has invalid numbers; the message gives the line.
     pub fn parse(text: &str, file: &Path) -> Result<Self, Error> {
         let fail = |line: usize, message: String| Error::Urdf { file: file.to_path_buf(), line, message };
-        // Entities of a document type make large texts of small ones.
+        // Entities in a document type can expand a small text into a huge one.
         let options = ParsingOptions { allow_dtd: false, ..ParsingOptions::default() };
         let document = Document::parse_with_options(text, options).map_err(|error| {
             let is_cut_off =
@@ -160,7 +160,7 @@ impl Urdf {
 
 /// A document being read.
 struct Reader<'a> {
-    /// Offsets of every line but the first, bytes.
+    /// Byte offsets of all lines but the first.
     line_starts: Vec<usize>,
     file: &'a Path,
 }
@@ -210,7 +210,7 @@ impl Reader<'_> {
         Ok(Link { name, line: self.line(node), shapes })
     }
 
-    /// None where it has no geometry that is known here.
+    /// `None` if it has no geometry of a known kind.
     fn shape(&self, node: Node<'_, '_>, quaternions: bool) -> Result<Option<Shape>, Error> {
         let link_from_shape = self.origin(node, quaternions)?;
         let Some(geometry) = child(node, "geometry").and_then(|geometry| geometry.children().find(Node::is_element))

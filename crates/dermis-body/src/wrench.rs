@@ -5,7 +5,7 @@ use dermis_tomo::mesh::Surface;
 use crate::space::{ForceEstimate, SurfacePoint};
 use crate::transform::{Transform, Vector, add, cross, scaled, subtract};
 
-/// A 6 x 6 matrix by rows: three components of the force, three of the torque.
+/// A 6 x 6 matrix, row by row: three force components, then three torque components.
 pub type Matrix6 = [[f64; 6]; 6];
 
 /// Force and torque on a body.
@@ -15,16 +15,16 @@ pub struct Wrench {
     pub force_n: Vector,
     /// Torque about `about_m`, newton metres.
     pub torque_nm: Vector,
-    /// The point that the torque is about, metres, in the frame of all numbers here.
+    /// The reference point of the torque, metres, in the same frame as all other values.
     pub about_m: Vector,
-    /// Covariance of force (N) and torque (N m) in this order: N^2, N^2 m, N^2 m^2.
+    /// Covariance of force (N) and torque (N m), in this order: N^2, N^2 m, N^2 m^2.
     pub covariance: Matrix6,
 }
 
-/// A press on a surface: where on the sheet laid flat, how surely, and how hard.
+/// A press on a surface: position on the flattened sheet with its uncertainty, and force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Press {
-    /// Position on the sheet laid flat, metres.
+    /// Position on the flattened sheet, metres.
     pub position_m: [f64; 2],
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
@@ -33,20 +33,20 @@ pub struct Press {
 }
 
 impl Wrench {
-    /// Nothing presses.
+    /// The wrench without any press.
     pub fn none_about(about_m: Vector) -> Self {
         Self { force_n: [0.0; 3], torque_nm: [0.0; 3], about_m, covariance: [[0.0; 6]; 6] }
     }
 
-    /// The wrench of a press on a skin that lies in a frame, about a point of that frame. Errors of position and force
-    /// count as independent. On a curved skin an error of position also turns the force.
+    /// The wrench of a press, about a point of the frame that the skin lies in. Errors of position and force count as
+    /// independent. On a curved skin an error of position also rotates the force.
     pub fn of(press: &Press, surface: &Surface, frame_from_patch: &Transform, about_m: Vector) -> Self {
         let point = SurfacePoint::at(surface, press.position_m);
         let turned = |vector: Vector| frame_from_patch.vector(vector);
         let normal = turned(point.normal);
         let arm = subtract(frame_from_patch.point_m(point.position_m), about_m);
         let force_n = scaled(normal, -press.force.force_n);
-        // How force and torque change with x, y and the force's magnitude.
+        // Derivatives of force and torque by x, y and the force's magnitude.
         let derivative = |force_change: Vector, arm_change: Vector| -> [f64; 6] {
             let torque_change = add(cross(arm_change, force_n), cross(arm, force_change));
             let ([a, b, c], [d, e, f]) = (force_change, torque_change);
@@ -72,7 +72,7 @@ impl Wrench {
         Self { force_n, torque_nm: cross(arm, force_n), about_m, covariance }
     }
 
-    /// Adds another about the same point of the same frame, whose errors are independent of this one's.
+    /// Adds another wrench about the same point of the same frame, with independent errors.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
         let mut covariance = self.covariance;
@@ -92,7 +92,7 @@ impl Wrench {
 mod tests {
     use super::*;
 
-    /// Standard normal numbers from a small generator, by Box and Muller.
+    /// Standard normal numbers from a small generator, by the Box-Muller method.
     struct Normals(u64);
 
     impl Normals {
@@ -112,7 +112,7 @@ mod tests {
         let surface = Surface::Cylinder { radius_m: 0.06 };
         let frame = Transform::from_xyz_rpy([0.3, -0.1, 0.4], [0.4, 1.1, -0.6]);
         let about_m = [0.05, 0.02, -0.1];
-        // Correlated errors of position: 0.8 mm and 0.5 mm.
+        // Correlated position errors of 0.8 mm and 0.5 mm.
         let (sx, sy, correlation) = (0.8e-3, 0.5e-3, 0.6);
         let covariance_m2 = [[sx * sx, correlation * sx * sy], [correlation * sx * sy, sy * sy]];
         let force = ForceEstimate { force_n: 4.0, sigma_n: 0.1 };

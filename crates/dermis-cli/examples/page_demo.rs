@@ -1,4 +1,4 @@
-//! The live page without a skin: a blob circles on a 100 mm square, and another appears where the page is pressed.
+//! The live page without a skin: a blob circles on a 100 mm square, and another appears wherever the page is pressed.
 //! `cargo run -p dermis-cli --example page_demo -- [--port 8080] [--fps 50] [--grid 64] [--token]` prints the page's
 //! address.
 
@@ -23,7 +23,7 @@ struct Demo {
     hub: Hub,
     update: Update,
     presses: BTreeMap<u64, Press>,
-    /// What touched in the last frame, for phases.
+    /// Touches in the last frame, for telling new touches from continued ones.
     touched: Vec<u64>,
     started: Instant,
     tared: Instant,
@@ -114,7 +114,7 @@ impl Demo {
         }
     }
 
-    /// The next frame: Gaussian blobs, and channel values that follow them.
+    /// Makes the next frame: Gaussian blobs, and channel values to match.
     fn fill(&mut self) {
         let update = &mut self.update;
         let time_s = self.started.elapsed().as_secs_f64();
@@ -151,7 +151,7 @@ fn amplitude(blob: &Press) -> f64 {
 }
 
 fn touch(blob: &Press, before: &[u64]) -> TouchView {
-    // Small numbers that stay: page and pointer folded together.
+    // Small, stable ids made from page and pointer.
     let id = (blob.pointer_id >> 32) * 10 + blob.pointer_id % 10;
     TouchView {
         id,
@@ -207,7 +207,7 @@ fn scene(grid: usize) -> Scene {
     }
 }
 
-/// Four square pads of 6 mm on each side, the first at the left of the lower side, counter-clockwise.
+/// Four square 6 mm pads on each side, counter-clockwise from the left end of the lower side.
 fn electrode(number: u32) -> ElectrodeView {
     let along = 23.5 * (f64::from((number - 1) % 4) - 1.5);
     let rim = HALF_SIDE_MM - 4.0;

@@ -1,10 +1,10 @@
-//! The whole of `dermis run` under load for as long as asked: an instrument on a socket sends 208 channels at a fixed
-//! rate; image, touches, recording and page follow, with three viewers, one of which never reads.
+//! A load test of the whole of `dermis run`. An instrument on a socket sends 208 channels at a fixed rate; image,
+//! touches, recording and page follow, with three viewers, one of which never reads.
 //!
-//! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after
-//! `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end; it fails if a
-//! frame was lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut`
-//! the skin is cut after so many seconds, and left alone for six, in which it becomes known.
+//! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after `cargo
+//! build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if a frame was
+//! lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut` the skin
+//! is cut after that many seconds, then left alone for six while the cut is recognised.
 
 use std::error::Error;
 use std::io::{Read, Write};
@@ -31,11 +31,11 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
 const SKIN: &str = "healing-square";
-/// Frames that are sent over and over: at rest, then pressed.
+/// Frames in the repeated sequence: first at rest, then pressed.
 const LOOP: usize = 600;
-/// Time between two frames of the twin that they come from, seconds.
+/// Time between two frames of the twin that made them, seconds.
 const TWIN_S: f64 = 0.04;
-/// Memory may vary by this after the first minute.
+/// Largest relative growth of memory after the first minute.
 const MOST_GROWTH: f64 = 0.1;
 
 type Failure = Box<dyn Error + Send + Sync>;
@@ -65,11 +65,11 @@ fn main() -> Result<(), Failure> {
     outcome
 }
 
-/// What the instrument reads.
+/// The frames that the instrument plays.
 struct Played {
     intact: Vec<Vec<f64>>,
     cut: Vec<Vec<f64>>,
-    /// Frames before the cut, and of rest after it.
+    /// Frames before the cut, and frames of rest after it.
     cut_after: f64,
     rest: f64,
 }
@@ -85,7 +85,7 @@ impl Played {
     }
 }
 
-/// Frames of the twin's readings, half of them pressed by a finger that moves, on a skin that is cut or not.
+/// Frames of the twin on an intact or cut skin. In half of them a moving finger presses.
 fn frames(cut: bool) -> Result<Vec<Vec<f64>>, Failure> {
     let mut kit = TwinKit::of(&Skin::open(SKIN)?)?;
     if cut {
@@ -106,7 +106,7 @@ fn frames(cut: bool) -> Result<Vec<Vec<f64>>, Failure> {
     Ok(frames)
 }
 
-/// Plays the instrument to one host until told to stop.
+/// Plays the instrument to one host until stopped.
 fn send(
     listener: &TcpListener,
     played: &Played,
@@ -161,7 +161,7 @@ fn write_all(stream: &mut TcpStream, mut bytes: &[u8]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// `dermis run` of the same build, beside this example's folder.
+/// Starts `dermis run` of the same build, next to this example's folder.
 fn run(device: u16, page: u16, recording: &PathBuf) -> Result<Child, Failure> {
     let examples = env::current_exe()?;
     let folder = examples.parent().and_then(|folder| folder.parent()).ok_or("no folder of builds")?;
@@ -173,7 +173,7 @@ fn run(device: u16, page: u16, recording: &PathBuf) -> Result<Child, Failure> {
         .spawn()?)
 }
 
-/// Three viewers; prints what the first is told, and judges it at the end.
+/// Runs three viewers, prints the messages to the first one, and judges them at the end.
 async fn watch(page: SocketAddr, child: &mut Child, seconds: f64, sent: &AtomicU64) -> Result<(), Failure> {
     let mut first = None;
     for _ in 0..100 {
@@ -275,14 +275,14 @@ fn figures(state: &Value) -> String {
     )
 }
 
-/// Resident memory of a process.
+/// Resident memory of a process, KiB.
 fn memory_kib(process: u32) -> Result<u64, Failure> {
     let status = fs::read_to_string(format!("/proc/{process}/status"))?;
     let line = status.lines().find(|line| line.starts_with("VmRSS:")).ok_or("no VmRSS")?;
     Ok(line.split_whitespace().nth(1).ok_or("no figure")?.parse()?)
 }
 
-/// Asks a process to end as Ctrl-C does.
+/// Asks a process to end, as Ctrl-C does.
 fn end(process: u32) -> Result<(), Failure> {
     let status = Command::new("kill").args(["-INT", &process.to_string()]).status()?;
     if status.success() { Ok(()) } else { Err("dermis could not be told to end".into()) }

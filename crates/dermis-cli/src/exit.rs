@@ -1,4 +1,4 @@
-//! Exit codes and error messages. The mapping from errors to codes is by type, not by text.
+//! Exit codes and error messages. Errors map to codes by type, not by text.
 
 use std::io;
 
@@ -15,20 +15,20 @@ const FAILED: u8 = 1;
 pub const BAD_INPUT: u8 = 2;
 const DATA_LOST: u8 = 3;
 
-/// How a command that did not fail ended.
+/// How a command ended, if it didn't fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Everything asked for is there.
+    /// Everything requested was done.
     Done,
-    /// It looked for problems and found some; which has been said.
+    /// It looked for problems and reported some.
     ProblemsFound,
-    /// It ran to its end, but frames were lost or damaged on the way; how many has been said.
+    /// It ran to its end, but frames were lost or damaged on the way; the number has been reported.
     DataLost,
 }
 
 impl Outcome {
-    /// Data lost if any frame was, which is said with the counts: by the source, on the way, or by a recording, which
-    /// may also have failed without losing one. `incomplete` is what could not be read of the source, in words.
+    /// Data loss if any frame was lost by the source, on the way, or by a recording, or if the recording failed. Logs
+    /// the counts. `incomplete` describes the part of the source that could not be read.
     pub fn of_frames(
         counters: AcquisitionCounters,
         incomplete: Option<&str>,
@@ -49,7 +49,8 @@ impl Outcome {
         Outcome::DataLost
     }
 
-    /// Frames of a twin that a busy computer skipped are not lost data. Logs their number and removes them from the count.
+    /// Removes frames of a twin that a busy computer skipped, which are not lost data, from the count, and logs their
+    /// number.
     pub fn without_twins_frames(counters: AcquisitionCounters) -> AcquisitionCounters {
         if counters.dropped > 0 {
             tracing::warn!(frames = counters.dropped, "the computer was too busy for some frames of the twin");
@@ -57,7 +58,7 @@ impl Outcome {
         AcquisitionCounters { dropped: 0, ..counters }
     }
 
-    /// The code for the shell.
+    /// The exit code.
     pub fn code(self) -> u8 {
         match self {
             Outcome::Done => 0,
@@ -67,12 +68,12 @@ impl Outcome {
     }
 }
 
-/// Arguments that are well formed one by one but do not go together, or name something that cannot be.
+/// Arguments that are valid one by one but not together, or that name something impossible.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct UsageError(pub String);
 
-/// Prints `error: ...`, then the causes that the message does not contain already, one a line.
+/// Prints `error: ...`, then one line for each cause that the message doesn't contain already.
 pub fn report(error: &anyhow::Error) {
     let mut said = plain(&error.to_string());
     eprintln!("error: {said}");
@@ -87,7 +88,7 @@ pub fn report(error: &anyhow::Error) {
     }
 }
 
-/// What to try, for errors that are met first.
+/// Advice on the errors that users meet first.
 fn hint_of(cause: &(dyn std::error::Error + 'static)) -> Option<&'static str> {
     if let Some(error) = cause.downcast_ref() {
         return hint_of_dermis(error);
@@ -147,12 +148,12 @@ fn hint_of_device(error: &DeviceError) -> Option<&'static str> {
     }
 }
 
-/// True where the reader of our output closed it, as `head` does: no failure of ours.
+/// True if the reader of our output closed it, as `head` does; that is not a failure.
 pub fn reader_has_gone(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// 2 where the input is to blame, 1 where the machine is.
+/// 2 if the input is to blame, 1 if the machine is.
 pub fn code_of(error: &anyhow::Error) -> u8 {
     error.chain().find_map(code_of_cause).unwrap_or(FAILED)
 }
@@ -184,7 +185,7 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
         Error::Io { source, .. } => code_of_io(source),
         Error::Device(error) => code_of_device(error),
         Error::Learn(error) => code_of_learn(error),
-        // A skin whose twin would cost too much, for one.
+        // For example a skin whose twin would cost too much.
         Error::Twin(TwinError::Skin(error)) => code_of_skin(error),
         Error::Forward(error) => code_of_forward(error),
         Error::Inverse(error) => code_of_inverse(error),
@@ -258,7 +259,7 @@ fn code_of_device(error: &DeviceError) -> u8 {
     }
 }
 
-/// A path that leads nowhere was mistyped; anything else is the machine's doing.
+/// A path that leads nowhere is a typing error; any other I/O error is the machine's fault.
 fn code_of_io(error: &io::Error) -> u8 {
     use io::ErrorKind::{InvalidData, InvalidInput, IsADirectory, NotADirectory, NotFound};
     let is_input = matches!(error.kind(), NotFound | IsADirectory | NotADirectory | InvalidInput | InvalidData);

@@ -1,6 +1,6 @@
-//! Signals that ask the command to end. Until something is under way that has to be finished, the first one ends the
-//! process at once; from then on the first lets it finish, and the second ends it within a second: recordings are made
-//! whole even if the rest of the process is busy or stuck.
+//! Handles signals that ask the command to end. While nothing needs finishing, the first signal ends the process at
+//! once. Otherwise the first lets it finish, and the second ends it within a second; recordings are completed even if
+//! the rest of the process is busy or stuck.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, Once, PoisonError};
@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use dermis::record::RecordingStop;
 
-/// What a shell expects of a command that was interrupted.
+/// Exit code of an interrupted command, as shells expect.
 const INTERRUPTED: i32 = 130;
-/// For recordings to be made whole after the second signal.
+/// Time for completing recordings after the second signal.
 const LAST_WORDS: Duration = Duration::from_millis(800);
 
 static INSTALLED: Once = Once::new();
@@ -19,15 +19,16 @@ static IS_UNDER_WAY: AtomicBool = AtomicBool::new(false);
 static SIGNALS: AtomicU32 = AtomicU32::new(0);
 static RECORDINGS: Mutex<Vec<RecordingStop>> = Mutex::new(Vec::new());
 
-/// Nothing is under way: a process that runs a second command begins it as the first one.
+/// Resets the state, so that a second command in the same process starts like the first.
 pub fn reset() {
     IS_UNDER_WAY.store(false, Ordering::SeqCst);
     RAISED.store(false, Ordering::SeqCst);
     SIGNALS.store(0, Ordering::SeqCst);
 }
 
-/// From here on the first signal is a wish, which the caller looks for in what is returned. Commands that never come
-/// here leave the signals to the process. Where the system refuses them, they end the process as they always do.
+/// From here on the first signal only sets the returned flag, which the caller has to check. A command that never
+/// calls this leaves signals to the process. If the operating system refuses the handler, signals end the process as
+/// usual.
 pub fn begin() -> &'static AtomicBool {
     IS_UNDER_WAY.store(true, Ordering::SeqCst);
     INSTALLED.call_once(|| {
@@ -38,7 +39,7 @@ pub fn begin() -> &'static AtomicBool {
     &RAISED
 }
 
-/// This recording is to be made whole whatever happens.
+/// Registers a recording that must be completed whatever happens.
 pub fn protect(recording: RecordingStop) {
     let mut recordings = RECORDINGS.lock().unwrap_or_else(PoisonError::into_inner);
     recordings.retain(|other| !other.has_ended());
@@ -48,14 +49,14 @@ pub fn protect(recording: RecordingStop) {
 fn on_signal() {
     let signals = SIGNALS.fetch_add(1, Ordering::SeqCst) + 1;
     if !IS_UNDER_WAY.load(Ordering::SeqCst) {
-        // Nothing has been written that is not whole.
+        // Nothing incomplete has been written.
         std::process::exit(INTERRUPTED);
     }
     RAISED.store(true, Ordering::SeqCst);
     if signals < 2 {
         return;
     }
-    // A lock that is held by a stuck thread must not hold up the end.
+    // A lock held by a stuck thread must not delay the end.
     let recordings = RECORDINGS.try_lock().map(|all| all.clone()).unwrap_or_default();
     recordings.iter().for_each(RecordingStop::ask);
     let until = std::time::Instant::now() + LAST_WORDS;

@@ -1,7 +1,7 @@
-//! The `dermis` command as a library: [`run_command`] parses arguments and hands them to one module per command, so
-//! that the binary and the Python package run the same. Beside it the live page, kept apart from the commands so that
-//! it can be tested and demonstrated without a skin, and what opens the sources that `--source` names. Programs of your
-//! own build on the crate `dermis`; this one is for those who want its page.
+//! The `dermis` command as a library. [`run_command`] parses arguments and hands them to one module per command, so
+//! that the binary and the Python package run the same code. The live page is separate from the commands, so that it
+//! can be tested and demonstrated without a skin; also here is the code that opens the sources named by `--source`.
+//! Your own programs should build on the crate `dermis`; use this one if you want its page.
 //!
 //! ```
 //! use dermis_cli::page::{Hub, PageOptions, Scene, Update, serve};
@@ -16,8 +16,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The module [`page`] is all of the page: the server, what it tells pages ([`page::Update`]), and what they ask
-//! ([`page::Command`]).
+//! The module [`page`] contains the whole page: the server, the messages to pages ([`page::Update`]), and the pages'
+//! requests ([`page::Command`]).
 
 #![forbid(unsafe_code)]
 
@@ -45,23 +45,23 @@ struct Cli {
     /// Say more on stderr; twice for details.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Memory that preparing a skin may use, such as 8GB, however long that takes; three quarters of the machine's
-    /// where left out.
+    /// Memory that preparing a skin may use, such as 8GB, however long it takes; default: three quarters of the
+    /// machine's.
     #[arg(long, global = true, value_name = "SIZE", value_parser = dermis::skin::budget::parse_bytes)]
     memory: Option<u64>,
     #[command(subcommand)]
     command: Command,
 }
 
-/// Runs a command line, the program's name first, and returns its exit code: 0 done, 1 failed, 2 bad usage or bad file,
-/// 3 finished but data was lost. Results go to stdout, messages to stderr.
+/// Runs a command line, starting with the program's name, and returns its exit code: 0 done, 1 failed, 2 bad usage or
+/// bad file, 3 finished but data was lost. Results go to stdout, messages to stderr.
 pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) => {
-            // Where even the message cannot be written, the code is all that is left. A message with what was typed in
-            // it commands no terminal; colours are for those that hold nothing of the kind.
+            // If even the message cannot be written, only the exit code is left. A message that quotes input must not
+            // send control sequences to the terminal; colours are kept only if it contains none of them.
             let text = error.render().to_string();
             let said = terminal::plain(&text);
             let _ = match (said == text, error.use_stderr()) {
@@ -79,7 +79,7 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
     interrupt::reset();
     dermis_device::remember(arguments.iter().skip(1).flat_map(|word| named_files(word)));
-    // What is written in one go stays together; nothing in it commands a terminal.
+    // Buffered so that output isn't interleaved, and filtered so that it sends no control sequences to a terminal.
     let mut out = io::BufWriter::new(terminal::Plain::new(io::stdout().lock()));
     let result = cli.command.run(&mut out).and_then(|outcome| {
         out.flush()?;
@@ -89,7 +89,7 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Ok(outcome) => outcome.code(),
         Err(error) if exit::reader_has_gone(&error) => 0,
         Err(error) => {
-            // Results that came before the failure are still results; a second failure has nowhere to be told.
+            // Results from before the failure are still results. A second failure cannot be reported anywhere.
             let _ = out.flush();
             exit::report(&error);
             exit::code_of(&error)
@@ -97,15 +97,15 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
-/// The skin as a drawing: outline, electrodes and their numbers, as `dermis skins draw` has it.
+/// A drawing of the skin with outline and numbered electrodes, as made by `dermis skins draw`.
 ///
 /// # Errors
-/// A skin that cannot be meshed.
+/// The skin cannot be meshed.
 pub fn skin_svg(skin: &dermis::Skin) -> anyhow::Result<String> {
     commands::skin_svg(skin)
 }
 
-/// Options of earlier versions are understood; what they are called now is said.
+/// Options of earlier versions are still accepted, with a hint at their new names.
 fn hint_at_new_spellings(arguments: &[OsString]) {
     const RENAMED: [(&str, &str, &str); 2] =
         [("segment", "--reference", "--baseline"), ("train-set", "--noise-db", "--snr-db")];
@@ -118,13 +118,13 @@ fn hint_at_new_spellings(arguments: &[OsString]) {
     }
 }
 
-/// The files that an argument may name: `press.csv` itself, or what stands behind `--out=`.
+/// Files that an argument may name: `press.csv` itself, or the part after `--out=`.
 fn named_files(word: &OsStr) -> impl Iterator<Item = PathBuf> {
     let behind = word.to_str().and_then(|text| text.split_once('=')).map(|(_, file)| PathBuf::from(file));
     [Some(PathBuf::from(word)), behind].into_iter().flatten()
 }
 
-/// Log lines go to stderr, so that stdout holds results alone.
+/// Sends log lines to stderr, so that stdout holds only results.
 fn start_logging(verbose: u8) {
     let level = match verbose {
         0 => "warn,understood=info",
@@ -137,6 +137,6 @@ fn start_logging(verbose: u8) {
         .with_writer(io::stderr)
         .with_target(false)
         .with_ansi(io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty()));
-    // A process that runs a second command logs as for the first.
+    // Fails for a second command in the same process, which then logs as the first did.
     let _ = logging.try_init();
 }

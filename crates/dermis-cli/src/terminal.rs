@@ -1,14 +1,14 @@
-//! What goes to a terminal: text of files, instruments and recordings may hold control characters, which would move the
-//! cursor, change titles or worse. They are written as `\\x1b` and the like; line ends and tabs stay.
+//! Output to a terminal. Text from files, instruments and recordings may contain control characters, which would move
+//! the cursor, change titles or worse. They are written as `\\x1b` and the like; line ends and tabs stay.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};
 
-/// A writer that lets no control character through.
+/// A writer that blocks control characters.
 #[derive(Debug)]
 pub struct Plain<W> {
     inner: W,
-    /// The first byte of a character that may turn out to be a control character of two bytes.
+    /// The first byte of a character that may turn out to be a two-byte control character.
     held: bool,
 }
 
@@ -16,7 +16,7 @@ pub struct Plain<W> {
 const LEAD: u8 = 0xc2;
 
 impl<W: Write> Plain<W> {
-    /// To here.
+    /// A filter in front of `inner`.
     pub fn new(inner: W) -> Self {
         Self { inner, held: false }
     }
@@ -58,7 +58,7 @@ impl<W: Write> Write for Plain<W> {
     }
 }
 
-/// Text without control characters but for line ends and tabs.
+/// Text without control characters other than line ends and tabs.
 pub fn plain(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for character in text.chars() {
@@ -82,7 +82,7 @@ mod tests {
         let kept = "25 \u{b5}m \u{b0} \u{4e2d}\u{1f600}\tline\n";
         assert_eq!(plain(kept), kept);
         for (text, expected) in [(bad, good), (kept, kept)] {
-            // In pieces of any size, so that characters are cut in the middle.
+            // In pieces of every size, so that characters are split.
             for size in 1..=text.len() {
                 let mut out = Plain::new(Vec::new());
                 text.as_bytes().chunks(size).for_each(|piece| out.write_all(piece).unwrap());

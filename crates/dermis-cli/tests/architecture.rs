@@ -1,5 +1,5 @@
-//! The rules of ARCHITECTURE.md: who uses whom, which crates stay free of files, sockets and clocks, and that
-//! no files depend on each other in a circle.
+//! The rules of ARCHITECTURE.md: which crates use which, which crates stay free of files, sockets and clocks, and
+//! that files don't depend on each other in a circle.
 
 #[path = "architecture/file_graph.rs"]
 mod file_graph;
@@ -10,24 +10,24 @@ use std::path::{Path, PathBuf};
 /// The crate whose macros expand to unsafe code.
 const EXPANDS_TO_UNSAFE: &str = "dermis-py";
 
-/// The crate whose functions JavaScript calls by name, which counts as unsafe; and the file that they are in.
+/// The crate whose functions JavaScript calls by name, which counts as unsafe, and the file that contains them.
 const EXPORTS_NAMES: (&str, &str) = ("dermis-wasm", "exports.rs");
 
-/// What a pure crate has no business with.
+/// Names that a pure crate must not use.
 const OUTSIDE_WORLD: [&str; 6] = ["std::fs", "std::net", "std::process", "std::env", "Instant::now", "SystemTime"];
 
 fn crates() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Names of our crates that a manifest depends on, in any of its dependency tables.
+/// Our crates among a manifest's dependencies, in any of its dependency tables.
 fn our_dependencies(manifest: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     let mut in_dependencies = false;
     for line in manifest.lines().map(str::trim) {
         if let Some(table) = line.strip_prefix('[').and_then(|line| line.strip_suffix(']')) {
             in_dependencies = table.ends_with("dependencies");
-            // A table of its own for one dependency: [dependencies.dermis-tomo].
+            // A separate table for one dependency: [dependencies.dermis-tomo].
             let own = table.rsplit_once("dependencies.").map(|(_, name)| name.trim_matches('"'));
             found.extend(own.filter(|name| name.starts_with("dermis")).map(String::from));
         } else if in_dependencies && line.starts_with("dermis") {
@@ -35,7 +35,7 @@ fn our_dependencies(manifest: &str) -> BTreeSet<String> {
             found.insert(name);
         }
     }
-    // Where tests find their data; it is in no crate that is shipped.
+    // Finds data for tests; not part of any published crate.
     found.remove("dermis-testdata");
     found
 }
@@ -66,7 +66,7 @@ fn sources(folder: &Path, files: &mut Vec<PathBuf>) {
 struct Row {
     floor: u32,
     name: String,
-    /// `None` where it may use all others.
+    /// `None` if it may use all others.
     uses: Option<BTreeSet<String>>,
     is_pure: bool,
 }
@@ -75,7 +75,7 @@ fn architecture() -> String {
     std::fs::read_to_string(crates().join("../ARCHITECTURE.md")).expect("ARCHITECTURE.md")
 }
 
-/// The table of crates in ARCHITECTURE.md: floor, crate, reason, what it uses, files and the like.
+/// The table of crates in ARCHITECTURE.md: floor, crate, reason, uses, files and the like.
 fn table() -> Vec<Row> {
     let text = architecture();
     let rows = text.lines().filter_map(|line| {

@@ -22,9 +22,9 @@ use dermis_device::instruments::npy;
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The unit square as four triangles round its middle, electrodes along its left and right sides, 1 A from left to
-/// right: the potential is linear, so that all values are known. With conductivity s and contact impedance z, v = 1/s +
-/// 2 z and dv/ds = -1/(4 s^2) for each element.
+/// The unit square as four triangles around its centre, with electrodes along its left and right sides and 1 A from
+/// left to right. The potential is linear, so all values are known: with conductivity s and contact impedance z, v =
+/// 1/s + 2 z and dv/ds = -1/(4 s^2) for each element.
 const SQUARE: &str = r#"{
     "dim": 2, "n_nodes": 5, "n_elems": 4, "n_elec": 2, "n_meas": 1, "made_by": "hand",
     "nodes": [[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]],
@@ -83,14 +83,14 @@ impl Desk {
         command.output().expect("the command starts")
     }
 
-    /// Runs a command that must succeed; its standard output.
+    /// Runs a command that must succeed, and returns its standard output.
     fn done(&self, arguments: &[&str]) -> String {
         let output = self.run(arguments);
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
         text(&output.stdout)
     }
 
-    /// Runs a command that must be refused with this code and leave no file behind; its message.
+    /// Runs a command that must be refused with this code and leave no file behind, and returns its message.
     fn refused(&self, arguments: &[&str], code: i32) -> String {
         let before = self.names();
         let output = self.run(arguments);
@@ -168,7 +168,7 @@ fn ratios_are_given_under_each_definition() {
     let desk = Desk::with(&[("frames.csv", "9,-9,5\n11,-11,5\n9,-9,5\n11,-11,5\n")]);
     let json: Value = serde_json::from_str(&desk.done(&["snr", "--frames", "frames.csv", "--json"])).expect("JSON");
     assert_eq!((&json["frames"], &json["reading"]), (&Value::from(4), &Value::from("value")));
-    // Mean 10, squared deviations 4 in all, std = sqrt(4/3) (divided by n - 1), sum of squares 404.
+    // Mean 10, sum of squared deviations 4, std = sqrt(4/3) (divided by n - 1), sum of squares 404.
     let ratio = 10.0 / (4.0_f64 / 3.0).sqrt();
     let expected = [10.0 * ratio.log10(), 10.0 * 101.0_f64.log10(), 20.0 * ratio.log10()];
     let names = ["ionic-as-printed", "healing-energy", "amplitude"];
@@ -263,7 +263,7 @@ fn write_rows(desk: &Desk, name: &str, rows: &[Vec<f64>]) {
     std::fs::write(desk.path(name), rows.iter().map(line).collect::<String>()).expect("a file");
 }
 
-/// What the examples of `reconstruct` and `calibrate` name: frames of two skins as their models have them.
+/// The files named in the examples of `reconstruct` and `calibrate`: frames of two skins, from their models.
 fn measured_files(desk: &Desk) {
     let prepare = |name: &str| {
         let skin = dermis::skin::Skin::open(name).expect("a built-in skin");
@@ -277,7 +277,7 @@ fn measured_files(desk: &Desk) {
     write_rows(desk, "rest.csv", std::slice::from_ref(&square.voltages));
     let presses = [[0.0, 0.0], [0.02, 0.01], [-0.02, 0.0]].map(|at| touched(&square, at, 0.3));
     write_rows(desk, "press.csv", &presses);
-    // What a recorder leaves that never came to its end.
+    // The remains of a recorder that never finished.
     let layout = dermis_device::Layout::Channels { count: 1 };
     let head = dermis::record::RecordingHead::new("name = \"a\"\n", layout, "test");
     drop(dermis::record::Recorder::create(&desk.path("broken.mcap"), &head).expect("a recording"));
@@ -354,7 +354,7 @@ fn frames_that_do_not_fit_the_skin_leave_nothing_behind() {
     }
 }
 
-/// Sixteen positions, the fourth of them two metres off.
+/// Sixteen positions; the fourth is two metres off.
 fn off_the_skin() -> String {
     let row = |k: i32| if k == 3 { "2,0\n".to_string() } else { format!("{},0\n", 0.001 * f64::from(k)) };
     format!("x_m,y_m\n{}", (0..16).map(row).collect::<String>())
@@ -390,7 +390,7 @@ fn the_doctor_s_code_tells_whether_something_is_wrong() {
     let bad: Vec<&Value> = checks.as_array().expect("a list").iter().filter(|check| check["answer"] == "bad").collect();
     assert_eq!(bad.len(), 1, "{bad:?}");
     assert!(bad[0]["found"].as_str().is_some_and(|found| found.starts_with("channel 30 ")), "{bad:?}");
-    // Nobody listens at port 1 of this machine.
+    // Nothing listens on port 1 of this machine.
     let output = desk.run(&["doctor", "--source", "tcp:127.0.0.1:1", "--wait-s", "0.5"]);
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stdout).contains("BAD  connection"), "{}", text(&output.stdout));

@@ -1,5 +1,5 @@
-//! The documentation says what is: its links lead somewhere, its skin file is one, and every key of a skin file is in
-//! it.
+//! The documentation matches the code: its links resolve, its skin file is valid, and it covers every key of a skin
+//! file.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ fn text(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Every Markdown file that people read first, and every chapter.
+/// Every Markdown file that newcomers read, and every chapter.
 fn pages() -> Vec<PathBuf> {
     let root = root();
     let mut pages: Vec<PathBuf> = [
@@ -81,7 +81,7 @@ fn every_chapter_is_in_the_summary() {
     }
 }
 
-/// TOML blocks of a page that are whole skin files.
+/// TOML blocks of a page that are complete skin files.
 fn skins_of(page: &str) -> Vec<&str> {
     let blocks = page.split("```toml\n").skip(1).filter_map(|rest| rest.split("\n```").next());
     blocks.filter(|block| block.starts_with("name = ") && block.contains("[backend]")).collect()
@@ -98,7 +98,7 @@ fn skin_files_of_the_book_are_some() {
             channels.push((electrodes, skin.protocol().expect("it has a protocol").channel_count()));
         }
     }
-    // The tutorial's, which the sketch for the Arduino sends 40 numbers for, and that of the chapter on skin files.
+    // The tutorial's skin, for which the Arduino sketch sends 40 numbers, and the one in the chapter on skin files.
     assert!(channels.contains(&(8, 40)) && channels.contains(&(16, 208)), "{channels:?}");
 }
 
@@ -113,7 +113,7 @@ fn every_key_of_a_skin_file_is_in_the_book() {
     }
 }
 
-/// What a command says of itself.
+/// The help text of a command.
 fn help(words: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_dermis")).args(words).arg("--help").output();
     String::from_utf8_lossy(&output.expect("the command starts").stdout).into_owned()
@@ -127,7 +127,7 @@ fn commands_and_flags_of_the_book_are_those_of_the_command() {
         let content = text(&page);
         let blocks = content.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
         for line in blocks.flat_map(str::lines).filter_map(|line| line.trim().strip_prefix("dermis ")) {
-            // A comment begins with a number sign after a space; a choice of frames does not.
+            // A comment is a number sign after a space; a selection of frames has no space before it.
             let words: Vec<&str> = line.split(" #").next().unwrap_or(line).split_whitespace().collect();
             let depth = if matches!(words[0], "skins" | "twin") { 2 } else { 1 };
             let command: Vec<String> = words.iter().take(depth).map(ToString::to_string).collect();

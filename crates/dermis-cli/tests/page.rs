@@ -1,5 +1,5 @@
-//! The live page's server as strangers and slow pages meet it: who is let in, what is refused and how, what is lost
-//! when somebody does not keep up, and that a press never stays on the skin after its page is gone.
+//! The live page's server as strangers and slow pages meet it: who is let in, which requests are refused and
+//! how, what a page loses if it doesn't keep up, and that a press never outlives its page.
 
 #[path = "page/access.rs"]
 mod access;
@@ -20,7 +20,7 @@ use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::{Error as SocketError, Message};
 use tokio_tungstenite::{WebSocketStream, client_async};
 
-/// Only reached when something hangs.
+/// Only reached if something hangs.
 const HANG: Duration = Duration::from_secs(300);
 const LOOPBACK: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
 
@@ -62,7 +62,7 @@ fn update(frame: u64, side: usize) -> Update {
     update
 }
 
-/// Sends a request as it stands and returns the whole answer.
+/// Sends a raw request and returns the whole answer.
 fn raw(address: SocketAddr, request: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("it listens");
     stream.set_read_timeout(Some(HANG)).expect("a time limit");
@@ -127,7 +127,7 @@ async fn next_json(socket: &mut Socket, kind: &str) -> Value {
     }
 }
 
-/// Reads until the server closes, and returns why.
+/// Reads until the server closes, and returns the reason.
 async fn closed(socket: &mut Socket) -> CloseCode {
     loop {
         match timeout(HANG, socket.next()).await.expect("an end before the time limit") {
@@ -284,7 +284,7 @@ async fn of_hyperparameters_the_last_one_counts_even_where_the_queue_is_full() {
     for id in 2..42_u32 {
         ask(&mut socket, id.into(), json!({"hyperparameter": f64::from(id)})).await;
     }
-    // All but the last are answered: a later one has taken their place.
+    // All except the last are answered, because a later one has replaced them.
     for id in 2..41_u32 {
         let answer = next_json(&mut socket, "answer").await;
         assert_eq!((&answer["id"], &answer["ok"]), (&json!(id), &json!(true)), "{answer}");
@@ -303,7 +303,7 @@ async fn a_full_queue_refuses_presses_but_never_loses_a_release() {
     assert_eq!(answer["id"], 2);
     assert!(answer["text"].as_str().is_some_and(|text| text.contains("behind")), "{answer}");
     ask(&mut socket, 3, json!({"release": {"pointer_id": 1}})).await;
-    // Its refusal shows that the queue was full when the release came.
+    // This refusal shows that the queue was full when the release arrived.
     assert_eq!(next_json(&mut socket, "answer").await["id"], 3);
     let Command::Press(pressed) = request(&served.requests).await.command else { panic!("expected a press") };
     assert_eq!(request(&served.requests).await.command, Command::Release { pointer_id: pressed.pointer_id });
@@ -323,9 +323,9 @@ async fn a_message_beyond_the_limit_ends_the_connection() {
 async fn too_many_messages_end_the_connection() {
     let served = serve_with(PageOptions { most_messages_per_s: 1, ..PageOptions::default() }, true, 64);
     let mut socket = open(served.server.local_addr()).await;
-    // Far more than one a second, also where this machine needs seconds for some.
+    // Far more than one per second, even if this machine takes seconds for some.
     for id in 0..200 {
-        // The server may close while this is still sending.
+        // The server may close the connection while this is still sending.
         let message = json!({"v": 1, "id": id, "command": "record_stop"}).to_string();
         if socket.send(Message::text(message)).await.is_err() {
             break;
@@ -344,7 +344,7 @@ async fn a_page_too_many_is_told_so_and_a_place_becomes_free() {
     assert_eq!(closed(&mut open(address).await).await, CloseCode::Again);
     assert_eq!(served.hub.stats().clients, 2);
     drop(one);
-    // The server notices when it next writes to the lost connection, at the latest after a second.
+    // The server notices at its next write to the lost connection, at most a second later.
     timeout(HANG, async {
         while served.hub.stats().clients == 2 {
             tokio::time::sleep(Duration::from_millis(10)).await;
@@ -368,14 +368,14 @@ async fn a_page_that_does_not_acknowledge_misses_updates_and_others_do_not() {
         assert_eq!(state["frame"], frame);
         say(&mut quick, json!({"v": 1, "ack": state["sequence"]})).await;
     }
-    // Eight are under way without an acknowledgement, and no more.
+    // Exactly eight may be in flight without acknowledgement.
     let mut last = Value::Null;
     for _ in 0..8 {
         last = next_json(&mut stuck, "state").await;
     }
     assert!(last["frame"].as_u64().is_some_and(|frame| frame <= 60));
     say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;
-    // Once it is back, it gets the newest one, unless that was among the eight.
+    // Once it is back it gets the newest update, unless that was one of the eight.
     while last["frame"] != 60 {
         last = next_json(&mut stuck, "state").await;
         say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;
@@ -391,7 +391,7 @@ async fn a_page_that_never_reads_holds_up_nobody() {
     let _stuck = open(address).await;
     let mut quick = open(address).await;
     next_json(&mut quick, "scene").await;
-    // 1 MiB each: far more than the system buffers for a connection that nobody reads.
+    // 1 MiB each: far more than the system buffers for an unread connection.
     for frame in 1..=40 {
         served.hub.publish(&update(frame, 512)).expect("well formed");
         let state = next_json(&mut quick, "state").await;

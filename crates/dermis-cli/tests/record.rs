@@ -1,4 +1,4 @@
-//! Recordings as a script sees them: replayed to the digit, killed and recovered, on a disk that is full, exported.
+//! Recordings as a script sees them: replayed exactly, killed and recovered, on a full disk, exported.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -26,12 +26,12 @@ fn done(directory: &Path, arguments: &[&str]) -> String {
     text(&output)
 }
 
-/// What `info --json` says.
+/// The output of `info --json`.
 fn info(directory: &Path, file: &str) -> Value {
     serde_json::from_str(&done(directory, &["info", file, "--json"])).expect("JSON")
 }
 
-/// The twin's demonstration as fast as it goes.
+/// The twin's demonstration at full speed.
 const QUICK: [&str; 4] = ["--speed", "0", "--frames", "120"];
 
 #[test]
@@ -45,8 +45,8 @@ fn a_replay_prints_what_the_run_printed() {
     let found = info(desk.path(), "a.mcap");
     assert_eq!((&found["frames"], &found["whole"], &found["dropped"]), (&120.into(), &true.into(), &0.into()));
     assert_eq!(found["skin"], "healing-square");
-    // At 25 frames/s and at most 10 images/s every third frame of the 88 after the baseline has one. A machine that is
-    // too busy leaves some out.
+    // At 25 frames/s and at most 10 images/s, every third of the 88 frames after the baseline has an image. A busy
+    // machine skips some.
     let images = found["messages"]["/dermis/image"].as_u64().expect("a count");
     assert!((1..=30).contains(&images), "{images} images");
 
@@ -78,7 +78,7 @@ fn tables_hold_the_readings_exactly() {
     assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));
 }
 
-/// A process that is killed in the end.
+/// A process that is killed on drop.
 struct Running(Child);
 
 impl Drop for Running {
@@ -89,8 +89,8 @@ impl Drop for Running {
     }
 }
 
-/// Runs and records the twin at its own pace, kills it once it has printed `lines` lines, and returns the last one's
-/// number.
+/// Runs and records the twin in real time, kills it once it has printed `lines` lines, and returns the last line's
+/// sequence number.
 fn killed(directory: &Path, lines: usize) -> u64 {
     let child = Command::new(env!("CARGO_BIN_EXE_dermis"))
         .args(["run", "--headless", "--record", "k.mcap"])
@@ -110,7 +110,7 @@ fn killed(directory: &Path, lines: usize) -> u64 {
 #[test]
 fn a_run_that_is_killed_loses_at_most_its_last_second() {
     // Moments spread over more than two flushes, at 25 frames/s: 1.0 to 2.5 s after the first frame; `DERMIS_KILLS`
-    // adds some.
+    // adds more.
     let more: usize = std::env::var("DERMIS_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(0);
     let anywhere = (0..more).map(|k| 26 + (k * 37) % 60);
     for lines in [26, 35, 44, 60].into_iter().chain(anywhere) {
@@ -122,19 +122,19 @@ fn a_run_that_is_killed_loses_at_most_its_last_second() {
         assert!(said.contains("at most its last second"), "{said}");
         let recovered = info(desk.path(), "k.mcap");
         assert_eq!((&recovered["whole"], &recovered["frames"]), (&true.into(), &partial["frames"]));
-        // None twice: every number from the first to the last is there or in a gap.
+        // No duplicates: every number from first to last is either present or in a gap.
         let count = |key: &str| recovered[key].as_u64().expect("a count");
         assert_eq!(count("last") - count("first") + 1, count("frames") + count("missing"), "{recovered}");
-        // The twin numbers its frames by the clock, 25 a second, whether or not this machine keeps up.
+        // The twin numbers its frames by the clock, 25 per second, whether or not this machine keeps up.
         let saved = recovered["last"].as_u64().expect("frames survive");
         println!("killed after {lines} lines: the last {} ms are missing", 40 * printed.saturating_sub(saved));
         assert!(printed.saturating_sub(saved) < 25, "frame {printed} was printed, {saved} is the last saved");
     }
 }
 
-/// Runs the command with files limited to `kib` KiB, as on a disk that fills up.
+/// Runs the command with file size limited to `kib` KiB, as on a disk that fills up.
 fn on_a_small_disk(directory: &Path, kib: u32, arguments: &[&str]) -> Output {
-    // The shell counts in blocks of 512 bytes. Told to ignore the signal, the system refuses the write instead.
+    // The shell counts in blocks of 512 bytes. With the signal ignored, the write fails instead.
     let limit = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", 2 * kib);
     Command::new("sh")
         .args(["-c", &limit, env!("CARGO_BIN_EXE_dermis")])
@@ -145,7 +145,7 @@ fn on_a_small_disk(directory: &Path, kib: u32, arguments: &[&str]) -> Output {
         .expect("a shell")
 }
 
-/// A recording of the resting skin with the noise of an instrument, `frames` frames that do not compress.
+/// A recording of the skin at rest with an instrument's noise, `frames` frames that don't compress.
 fn resting(path: &Path, frames: u64) {
     let skin = dermis::skin::Skin::open("healing-square").expect("a built-in skin");
     let prepared = dermis::live::prepare::Prepared::new(skin).expect("a skin that meshes");
@@ -172,7 +172,7 @@ fn a_full_disk_stops_the_recording_and_not_the_stream() {
     let desk = tempfile::tempdir().expect("a directory");
     resting(&desk.path().join("rest.mcap"), 3000);
     let source = ["--source", "rest.mcap", "--speed", "0"];
-    // Five megabytes of readings, in chunks of one.
+    // Five megabytes of readings, in chunks of one megabyte.
     let output =
         on_a_small_disk(desk.path(), 2500, &[&["run", "--headless", "--record", "a.mcap"], &source[..]].concat());
     let said = message(&output);
@@ -188,7 +188,7 @@ fn a_full_disk_stops_the_recording_and_not_the_stream() {
     assert!(said.contains(&format!("not_recorded={}", 3000 - saved)), "{saved} saved: {said}");
     assert!(!desk.path().join("a.mcap").exists());
 
-    // There is nothing left to do for a command that only records.
+    // A command that only records has nothing left to do.
     let output = on_a_small_disk(desk.path(), 2500, &[&["record", "--out", "b.mcap"], &source[..]].concat());
     assert_eq!(output.status.code(), Some(3), "{}", message(&output));
     assert!(message(&output).contains("frames were lost") && text(&output).contains("lost"), "{}", message(&output));
@@ -217,7 +217,7 @@ fn every_command_that_reads_a_damaged_recording_ends_with_3_and_says_so() {
             let is_named = said.contains(&format!("{file} could not be read whole"));
             assert!(code == 0 || command[0] == "replay" || is_named, "{command:?}: {said}");
             for made in ["again.mcap", "table.csv"] {
-                // Only one of the commands makes each.
+                // Each of the commands makes only one of these files.
                 let _ = std::fs::remove_file(desk.path().join(made));
             }
         }
@@ -340,7 +340,7 @@ fn an_interruption_at_any_moment_leaves_a_whole_recording_or_none() {
         std::thread::sleep(std::time::Duration::from_millis(milliseconds));
         interrupt(&running);
         let ended = running.0.wait().expect("it ends");
-        // Before the command has taken signals over, the system ends it; nothing has been written then either.
+        // If the command hasn't installed its handler yet, the signal kills it; nothing has been written then either.
         assert!(matches!(ended.code(), Some(0 | 130) | None), "after {milliseconds} ms: {ended:?}");
         assert!(!desk.path().join("a.partial.mcap").exists(), "after {milliseconds} ms a partial file is left");
         if desk.path().join("a.mcap").exists() {

@@ -31,7 +31,7 @@ fn message(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Done, or, on a machine too slow for the twin's rate, done with a loss that was counted and said.
+/// Checks that the command succeeded or, on a machine too slow for the twin's rate, reported a counted loss.
 fn assert_done(output: &Output) {
     let text = message(output);
     match output.status.code() {
@@ -41,8 +41,8 @@ fn assert_done(output: &Output) {
     }
 }
 
-/// The same touches in the same frames. A replay at the recorded pace stamps frames with its own clock, by which drift
-/// is followed and touches are predicted: positions may differ by less than half a millimetre, which is a third of a
+/// Checks for the same touches in the same frames. A replay in real time stamps frames with its own clock, which
+/// affects drift and the prediction of touches, so positions may differ by up to half a millimetre, a third of a
 /// pixel.
 fn assert_same_touches(replay: &[Value], live: &[Value]) {
     assert_eq!(replay.len(), live.len());
@@ -69,11 +69,11 @@ fn a_twin_prints_one_line_a_frame_and_its_recording_replays_the_same_touches() {
     let live = lines(&live);
     assert_eq!(live.len(), 100);
     let touched = live.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
-    // The demonstration begins after the baseline's frames and presses from its first second on, 25 frames later.
+    // The demonstration starts after the baseline's frames and presses 25 frames (one second) later.
     assert!(touched > 20, "only {touched} of 100 lines have touches");
 
     let replay = run(desk.path(), &["--source", "x.mcap", "--speed", "0", "--headless"]);
-    // What the live run lost is missing from its recording too, and said again.
+    // Frames lost by the live run are missing from its recording too, and reported again.
     assert_done(&replay);
     assert_same_touches(&lines(&replay), &live);
 }
@@ -96,7 +96,7 @@ fn an_unknown_skin_is_bad_usage() {
     assert!(message(&output).contains("no-such-skin"), "{}", message(&output));
 }
 
-/// A twin that is served, and killed in the end.
+/// A served twin that is killed on drop.
 struct Served(Child);
 
 impl Drop for Served {
@@ -124,8 +124,8 @@ fn a_twin_that_is_served_is_run_from_its_address() {
     let lines = lines(&live);
     assert_eq!(lines.len(), 220);
     let touched = lines.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
-    // As with the twin inside the command: a host sees it untouched at first, for as long as it needs to get ready, and
-    // then the demonstration.
+    // Like the twin inside the command: a host sees it untouched for as long as it needs to get ready, and then the
+    // demonstration.
     assert!(touched > 20, "only {touched} of 220 lines have touches");
 }
 
@@ -163,7 +163,7 @@ fn every_kind_of_file_is_a_source() {
     let recorded = run(desk.path(), &["--source", "frames.npy", "--speed", "0", "--headless", "--record", "x.mcap"]);
     assert_eq!(recorded.status.code(), Some(0), "{}", message(&recorded));
     assert_eq!(lines(&recorded).len(), 40, "a NumPy table");
-    // Frames without times are as far apart as the skin's, however fast they are played.
+    // Frames without times are spaced at the skin's rate, however fast they are played.
     let recording = Recording::open(&desk.path().join("x.mcap")).expect("a recording");
     let mut replay = Replay::new(recording, Pacing::Immediate, Repeat::Once).expect("it plays");
     let (mut frame, mut last_ns) = (Frame::default(), None);
@@ -212,7 +212,7 @@ fn a_device_is_asked_and_measures_once() {
     let ohms: Vec<f64> = contacts["impedance_ohm"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
     // 5e-4 ohm.m^2 over pads of 6 mm by 6 mm, in single precision.
     assert!(code == Some(0) && ohms.len() == 16 && ohms.iter().all(|ohm| (ohm - 13.8889).abs() < 1e-3), "{ohms:?}");
-    // A twin measures what its skin file says, with the one gain that it has.
+    // A twin measures as its skin file says, with its single gain.
     for (arguments, reason) in [
         (&["twin:healing-square", "--protocol", "adjacent"][..], "does not take a protocol"),
         (&["twin:healing-square", "--gain", "3"], "cannot take this"),

@@ -1,7 +1,7 @@
-//! The exchange format of EIT problems, `case.json`: a mesh, electrodes, stimulation and measurement as explicit lists,
-//! and conductivities by name. Signs and units are those of EIDORS (current counted into the body, SI, 2D of thickness
-//! 1); indices count from zero. Keys that are not used here are passed over, since other tools write results beside the
-//! problem.
+//! The exchange format of EIT problems, `case.json`: a mesh, electrodes, explicit lists of stimulations and
+//! measurements, and named conductivities. Signs and units follow EIDORS (current into the body is positive, SI,
+//! 2D of thickness 1); indices count from zero. Unknown keys are ignored, since other tools write their results into
+//! the same file.
 //!
 //! | key | holds |
 //! |---|---|
@@ -29,7 +29,8 @@ use serde_json::Value;
 use crate::Error;
 use field::Field;
 
-/// Wider than any tank, and narrower than a skin of 10 mm whose millimetres are taken for metres.
+/// Widest mesh accepted without a stated unit, metres: wider than any tank, and narrower than a 10 mm skin whose
+/// millimetres are read as metres.
 const WIDEST_M: f64 = 5.0;
 
 /// A problem read from a `case.json`.
@@ -40,11 +41,11 @@ pub struct Case {
     pub body: ElectrodedMesh,
     /// Stimulation and measurement.
     pub protocol: Protocol,
-    /// The `sigma_NAME` lists, by NAME; checked when they are asked for.
+    /// The `sigma_NAME` lists, by NAME; checked on use.
     conductivities: BTreeMap<String, Value>,
 }
 
-/// Which conductivity of a case is meant: one of its own by name, or a file with one value an element.
+/// Selects a conductivity: a name in the case, or a file with one value per element.
 ///
 /// ```
 /// use dermis_lab::case::ConductivityChoice;
@@ -77,18 +78,17 @@ impl Case {
     /// Reads and checks a case.
     ///
     /// # Errors
-    /// A file that cannot be read, that is no JSON, that lacks a key, or that holds a value that makes no sense: counts
-    /// that disagree, indices out of range, values that are not finite, meshes and electrodes that [`Mesh::new`] and
-    /// [`ElectrodedMesh::new`] refuse, stimulations that do not add to zero. The message names file, key, index and
-    /// value.
+    /// The file cannot be read, isn't JSON, lacks a key or holds an invalid value: counts that disagree, indices
+    /// out of range, values that are not finite, meshes and electrodes that [`Mesh::new`] and [`ElectrodedMesh::new`]
+    /// reject, stimulations that don't sum to zero. The message names file, key, index and value.
     pub fn open(file: &Path) -> Result<Self, Error> {
         Self::parse(&read_bytes(file)?, file)
     }
 
-    /// As [`Case::open`] from the file's content; `file` is for messages.
+    /// Like [`Case::open`], from the file's content; `file` is only used in messages.
     ///
     /// # Errors
-    /// As [`Case::open`].
+    /// As for [`Case::open`].
     pub fn parse(content: &[u8], file: &Path) -> Result<Self, Error> {
         let document: Value = serde_json::from_slice(content).map_err(|error| syntax_error(content, file, &error))?;
         let root = Field::root(file, &document);
@@ -107,12 +107,14 @@ impl Case {
         Ok(Self { file: file.to_path_buf(), body, protocol, conductivities })
     }
 
-    /// A mesh of Gmsh with a skin's protocol: the electrodes are the groups named by the prefix and a number, with the
-    /// skin's contact impedance on the rim; `hom` is the skin's sheet conductance. `unit_m`: metres in a unit of the
-    /// file; metres where left out, but a mesh wider than 5 m is then refused.
+    /// Combines a Gmsh mesh with a skin's protocol.
+    ///
+    /// Electrodes are the groups named by the prefix and a number; the skin's contact impedance applies on the rim,
+    /// and its sheet conductance becomes `hom`. `unit_m` is the length of the file's unit in metres. Without it the
+    /// file is taken to be in metres, and a mesh wider than 5 m is rejected.
     ///
     /// # Errors
-    /// A file that is no such mesh, one without these groups, another number of electrodes than the protocol's.
+    /// The file is not such a mesh, lacks these groups, or has a different number of electrodes from the protocol.
     pub fn of_mesh(file: &Path, skin: &Skin, prefix: &str, unit_m: Option<f64>) -> Result<Self, Error> {
         let refuse =
             |field: &str, reason: String| Error::Content { file: file.to_path_buf(), field: field.into(), reason };
@@ -148,11 +150,13 @@ impl Case {
         Ok(Self { file: file.to_path_buf(), body, protocol, conductivities })
     }
 
-    /// The conductivity that was chosen, one value an element. A name of the case goes before a file of that name; a
-    /// file is a NumPy array or a text table, with the values in one column or one row.
+    /// The selected conductivity, one value per element.
+    ///
+    /// A name in the case takes precedence over a file of that name. A file is a NumPy array or a text table with the
+    /// values in one column or one row.
     ///
     /// # Errors
-    /// Neither exists, a wrong number of values, or values that are not positive and finite.
+    /// Neither exists, the number of values is wrong, or a value is not positive and finite.
     pub fn conductivity(&self, choice: &ConductivityChoice) -> Result<Vec<f64>, Error> {
         let elements = self.body.mesh.element_count();
         let name = choice.0.strip_prefix("sigma_").unwrap_or(&choice.0);
@@ -177,7 +181,7 @@ impl Case {
         conductivity_file(file, elements)
     }
 
-    /// Names of the conductivities that the case holds.
+    /// Names of the conductivities in the case.
     pub fn conductivity_names(&self) -> impl Iterator<Item = &str> {
         self.conductivities.keys().map(String::as_str)
     }
@@ -242,7 +246,7 @@ fn coordinates(node: &Field<'_>) -> Result<[f64; 3], Error> {
     Ok(xyz)
 }
 
-/// Triangles or tetrahedra, as the first element says, compared with `dim`.
+/// Triangles or tetrahedra, judged by the first element and checked against `dim`.
 fn kind(root: &Field<'_>, elems: &Field<'_>) -> Result<CellKind, Error> {
     const EXPECTED: &str = "3 node indices (triangle) or 4 (tetrahedron)";
     let Some(first) = elems.list("a list of elements")?.next() else {
@@ -292,7 +296,7 @@ fn electrode(field: &Field<'_>, mesh: &Mesh) -> Result<Electrode, Error> {
     }
 }
 
-/// The node of a point electrode: `node`, or a list `nodes` of one.
+/// The node of a point electrode: `node`, or `nodes` with a single entry.
 fn point(field: &Field<'_>, node_count: usize) -> Result<u32, Error> {
     if field.get("node").is_none()
         && let Some(nodes) = field.get("nodes")
@@ -313,7 +317,7 @@ fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
     let stimulations = rows(&stim, electrodes, "currents (one an electrode)")?;
     for (row, field) in stimulations.iter().zip(stim.list("a list of rows")?) {
         let (sum, scale) = (row.iter().sum::<f64>(), row.iter().fold(0.0, |most: f64, i| most.max(i.abs())));
-        // Currents written with ten digits or more add to zero within this.
+        // Tolerance on the sum: currents written with ten digits or more meet it.
         if !(scale > 0.0 && sum.abs() <= 1e-6 * scale) {
             return Err(field.error(format!("adds to {sum:e} A; expected currents that add to 0, not all of them 0")));
         }
@@ -340,7 +344,7 @@ fn rows(field: &Field<'_>, columns: usize, what: &str) -> Result<Vec<Vec<f64>>, 
     if rows.is_empty() { Err(field.refuse("at least one row")) } else { Ok(rows) }
 }
 
-/// Compares an optional count with the list that it counts.
+/// Checks an optional count against the length of its list.
 fn check_count(root: &Field<'_>, key: &str, found: usize, list: &str) -> Result<(), Error> {
     match root.get(key) {
         Some(count) if count.number()? != found as f64 => Err(count.refuse(&format!("{found}, the length of {list}"))),
@@ -352,8 +356,8 @@ fn content_error(file: &Path, field: &str, reason: &dyn fmt::Display) -> Error {
     Error::Content { file: file.to_path_buf(), field: field.to_string(), reason: reason.to_string() }
 }
 
-/// A message for text that is no JSON, with a hint where the cause is common: numbers that JSON cannot hold, or an end
-/// before its time.
+/// The message for text that isn't JSON, with a hint for the common causes: numbers that JSON cannot hold, or a
+/// truncated file.
 fn syntax_error(content: &[u8], file: &Path, error: &serde_json::Error) -> Error {
     let place = format!("line {}, column {}", error.line(), error.column());
     let line = content.split(|byte| *byte == b'\n').nth(error.line().saturating_sub(1)).unwrap_or_default();
@@ -375,7 +379,7 @@ fn syntax_error(content: &[u8], file: &Path, error: &serde_json::Error) -> Error
 mod tests {
     use super::*;
 
-    /// The unit square as four triangles round its middle, an electrode on its left and one on its right side.
+    /// The unit square as four triangles around its centre, with one electrode on the left side and one on the right.
     const SQUARE: &str = r#"{
         "nodes": [[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]],
         "elems": [[0, 1, 4], [2, 1, 4], [2, 3, 4], [0, 3, 4]],

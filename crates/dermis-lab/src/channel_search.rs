@@ -1,10 +1,10 @@
-//! Which order the numbers of an unknown file are in: a baseline is compared with what a skin's model would read under
-//! every protocol that gives as many numbers, for every order of its lists, either sign, and electrodes counted from
-//! another one or the other way round. What fits is said as the lines of a skin file.
+//! Finds the channel order of an unknown file. A baseline is compared with the readings that a skin's model predicts
+//! under every protocol with the right number of readings, for every order of its lists, either sign, and electrodes
+//! counted from any of them in either direction. The best match is reported as the lines of a skin file.
 //!
-//! All of it follows from one solution: with the transfer impedances Z, a drive (a, b) of current I (in at b, out at a)
-//! and a reading (c, d) give `I (Z_cb - Z_ca - Z_db + Z_da)`. A body that looks the same when it is turned cannot tell
-//! from where its electrodes are counted: such candidates are one, and how many they are is said.
+//! Everything follows from one solution: with the transfer impedances Z, a drive (a, b) of current I (in at b, out at
+//! a) and a reading (c, d) give `I (Z_cb - Z_ca - Z_db + Z_da)`. In a body with rotational symmetry the readings
+//! don't depend on where the count starts; such candidates are merged into one, and their number is reported.
 
 mod body_model;
 mod hypothesis;
@@ -19,43 +19,43 @@ use self::body_model::{BodyModel, Data};
 use self::hypothesis::{Hypothesis, Shape, score};
 use crate::Error;
 
-/// Electrodes of a skin that is not known.
+/// Numbers of electrodes to try when the skin is unknown.
 const ELECTRODES: std::ops::RangeInclusive<usize> = 4..=128;
-/// Readings of a frame that are searched at most.
+/// Largest frame searched, in readings.
 const MOST_READINGS: usize = 1 << 16;
-/// Candidates in the answer.
+/// Most candidates in the answer.
 const LISTED: usize = 10;
-/// Predictions that correlate so well are the same but for the mesh.
+/// Correlation above which two predictions count as the same, apart from mesh error.
 const SAME: f64 = 0.9998;
-/// Fits that are looked through for the answer.
+/// Most fits considered for the answer.
 const MOST_RANKED: usize = 2500;
-/// Below this correlation nothing fits.
+/// Minimum correlation for a match.
 pub const LEAST: f64 = 0.9;
-/// So much better than any other must the best fit to be sure.
+/// Minimum lead over every other candidate for a clear answer.
 const CLEAR: f64 = 0.02;
 
-/// For each channel of a skin its number in a file, and the factor that makes that number the skin's.
+/// For each channel of a skin, its index in a file and the factor that converts the file's number to the skin's.
 pub type ChannelMap = (Vec<u32>, Vec<f64>);
 
-/// One way to read the numbers, and how well it fits.
+/// One interpretation of the file's numbers, and how well it fits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OrderCandidate {
-    /// In words.
+    /// The interpretation in words.
     pub description: String,
     /// Number of electrodes.
     pub electrodes: usize,
     /// Pearson correlation of the baseline with the model.
     pub correlation: f64,
-    /// The correlation less 0.003 for each departure from a plain protocol; what candidates are ranked by.
+    /// The correlation less 0.003 for each departure from a plain protocol. Candidates are ranked by it.
     pub score: f64,
-    /// Other candidates that predict the same numbers for this body.
+    /// Number of other candidates that predict the same readings for this body.
     pub same: usize,
-    /// Every channel of the file by its electrodes, where no drive and measuring pattern say the same.
+    /// Every channel of the file by its electrodes, if no combination of drive and measuring patterns describes them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<ListedChannel>>,
-    /// As in a skin file; `Listed` where `channels` says it.
+    /// As in a skin file; `Listed` if `channels` is given.
     pub drive: DrivePattern,
-    /// As in a skin file; `Listed` where `channels` says it.
+    /// As in a skin file; `Listed` if `channels` is given.
     pub measure: MeasurePattern,
     /// As in a skin file.
     pub order: ReadingOrder,
@@ -63,26 +63,26 @@ pub struct OrderCandidate {
     pub driven: DrivenChannels,
     /// As in a skin file.
     pub reads: Reads,
-    /// Signs of the readings, where the file has magnitudes.
+    /// Signs of the readings, if the file holds magnitudes.
     #[serde(skip)]
     signs: Option<Vec<f64>>,
 }
 
-/// What a search has found.
+/// The result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FoundOrder {
-    /// Numbers of a frame.
+    /// Readings in a frame.
     pub readings: usize,
-    /// Frames that were averaged.
+    /// Number of frames averaged.
     pub frames: usize,
-    /// The best first; at most ten.
+    /// The candidates, best first; at most ten.
     pub candidates: Vec<OrderCandidate>,
-    /// The best fits, and clearly better than all others.
+    /// True if the best candidate fits, and clearly better than all others.
     pub is_clear: bool,
 }
 
 impl OrderCandidate {
-    /// A skin whose backend reads the file like this.
+    /// The skin with its backend changed to read the file in this order.
     pub fn on(&self, skin: &Skin) -> Skin {
         let mut skin = match &self.channels {
             Some(channels) => skin.clone().with_channels(channels.clone()),
@@ -92,11 +92,11 @@ impl OrderCandidate {
         skin
     }
 
-    /// For each number of the file the channel of the skin that reads the same, and the factor that makes it the skin's;
-    /// `None` where the file holds other channels than the skin.
+    /// Maps the file's numbers to the skin's channels: for each channel its index in the file, and the factor that
+    /// converts that number to the skin's. `None` if the file holds other channels than the skin.
     ///
     /// # Errors
-    /// A skin whose protocol does not work out.
+    /// The skin's protocol is invalid.
     pub fn to_skin(&self, skin: &Skin) -> Result<Option<ChannelMap>, Error> {
         let (own, file) = (skin.protocol()?, self.on(skin).protocol()?);
         let mut found = own.same_channels(&file);
@@ -108,7 +108,7 @@ impl OrderCandidate {
         Ok(found)
     }
 
-    /// The lines of `[backend]` in a skin file that say this.
+    /// The lines of `[backend]` in a skin file that describe this order.
     pub fn lines(&self) -> String {
         let value = |value: serde_json::Result<serde_json::Value>| toml_of(&value.unwrap_or_default());
         let reads = match self.reads {
@@ -127,12 +127,12 @@ impl OrderCandidate {
 }
 
 impl FoundOrder {
-    /// The best candidate, if it fits.
+    /// The best candidate, if it fits well enough.
     pub fn fitting(&self) -> Option<&OrderCandidate> {
         self.candidates.first().filter(|best| best.correlation >= LEAST)
     }
 
-    /// What was found, in one sentence.
+    /// The result in one sentence.
     pub fn verdict(&self) -> String {
         let Some(best) = self.candidates.first() else {
             return format!("nothing fits: no protocol of 4 to 128 electrodes gives {} readings", self.readings);
@@ -154,7 +154,7 @@ impl FoundOrder {
     }
 }
 
-/// A JSON value as TOML in one line.
+/// A JSON value as TOML on one line.
 pub fn toml_of(value: &serde_json::Value) -> String {
     match value {
         serde_json::Value::Object(fields) => {
@@ -172,9 +172,8 @@ pub fn toml_of(value: &serde_json::Value) -> String {
 /// are tried.
 ///
 /// # Errors
-/// Frames without two different readings, or with too many; a skin of coils (all of whose pairs are read in one order)
-/// or with a readout circuit,
-/// or one that cannot be solved.
+/// The frames have too many readings or no two different ones; the skin has coils (all pairs are read in one order)
+/// or a readout circuit, or its model cannot be solved.
 pub fn find_order(baseline: &FrameTable, skin: Option<&Skin>) -> Result<FoundOrder, Error> {
     let (measured, is_complex) = mean_of(baseline);
     let readings = measured.len();
@@ -205,7 +204,7 @@ pub fn find_order(baseline: &FrameTable, skin: Option<&Skin>) -> Result<FoundOrd
     Ok(FoundOrder { readings, frames: baseline.frames(), candidates: found, is_clear })
 }
 
-/// Mean of the frames, channel by channel over what is finite; of complex readings their magnitude.
+/// Mean of the frames per channel, ignoring values that are not finite. Complex readings are averaged as magnitudes.
 fn mean_of(table: &FrameTable) -> (Vec<f64>, bool) {
     let channels = table.channels();
     let (mut sums, mut counts) = (vec![0.0; channels], vec![0_u32; channels]);
@@ -227,7 +226,8 @@ fn models(skin: Option<&Skin>, readings: usize) -> Result<Vec<BodyModel>, Error>
     if let Some(skin) = skin {
         return Ok(vec![BodyModel::of(skin)?]);
     }
-    // Drives are as many as electrodes, or half as many, and each has no more readings than there are electrodes.
+    // There are as many drives as electrodes, or half as many, and no drive has more readings than there are
+    // electrodes.
     let possible = |count: &usize| {
         count * count >= readings && Shape::all(*count).iter().any(|shape| shape.readings(*count) == readings)
     };
@@ -241,7 +241,7 @@ fn models(skin: Option<&Skin>, readings: usize) -> Result<Vec<BodyModel>, Error>
     ELECTRODES.filter(possible).map(disc).collect()
 }
 
-/// Pearson correlation over what is finite; 0 where nothing varies.
+/// Pearson correlation over the finite values; 0 if either side is constant.
 fn correlation(predicted: &[f64], measured: &[f64], of: impl Fn(f64) -> f64) -> f64 {
     let pairs = || predicted.iter().zip(measured).filter(|(_, m)| m.is_finite()).map(|(p, m)| (of(*p), *m));
     let count = pairs().count().max(1) as f64;
@@ -259,7 +259,7 @@ fn correlation(predicted: &[f64], measured: &[f64], of: impl Fn(f64) -> f64) -> 
 /// A hypothesis with its correlation.
 type Scored = (f64, Hypothesis);
 
-/// A hypothesis about one of several bodies, and how well it fits.
+/// A hypothesis about one of several bodies, with its correlation.
 struct Fit {
     model: usize,
     correlation: f64,
@@ -294,7 +294,7 @@ impl Fit {
     }
 }
 
-/// Best first, those that predict the same as one.
+/// Candidates, best first. Fits that predict the same readings are merged.
 fn rank(mut fits: Vec<Fit>, models: &[BodyModel]) -> Vec<OrderCandidate> {
     fits.sort_by(|a, b| score(b.correlation, &b.hypothesis).total_cmp(&score(a.correlation, &a.hypothesis)));
     struct Group {
@@ -306,7 +306,7 @@ fn rank(mut fits: Vec<Fit>, models: &[BodyModel]) -> Vec<OrderCandidate> {
     for fit in fits.into_iter().take(MOST_RANKED) {
         let Some(predicted) = models[fit.model].predict(&fit.hypothesis) else { continue };
         let known = groups.iter().position(|group| {
-            // Those of other signs fit by their magnitudes or not at all.
+            // Fits that differ in the signs match by their magnitudes or not at all.
             let alike = correlation(&predicted, &group.predicted, |value| value);
             alike.abs() > SAME || (fit.hypothesis.rectified && (fit.correlation - group.fit.correlation).abs() < 1e-9)
         });

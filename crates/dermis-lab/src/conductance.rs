@@ -1,10 +1,11 @@
-//! The conductance of a sheet in siemens, with its uncertainty, from frames of one state: no baseline.
+//! Absolute imaging: the conductance of a sheet in siemens, with its uncertainty, from frames of a single state. No
+//! baseline is needed.
 //!
-//! The sheet's conductance sigma is `S exp(y)` on a mesh's elements. The prior of y is a constant of its own and a
-//! Gaussian process; the readings have noise, estimated from the frames or from reciprocal channels, and an error of the
-//! model. Every step solves the problem linearised at the last one (Tarantola, Inverse Problem Theory, 2005, eq. 3.51),
-//! `y+ = P J'(J P J' + C)^-1 (v - F(y) + J y)`, and the last one's covariance `P - P J'(J P J' + C)^-1 J P` is the
-//! posterior's. The error of the coarse mesh at the uniform sheet is computed on a fine one and taken away.
+//! The conductance on a mesh's elements is `S exp(y)`. The prior of y is an unknown constant plus a Gaussian process.
+//! The readings have noise, estimated from the frames or from reciprocal channels, and a model error. Each step
+//! solves the problem linearised about the previous one (Tarantola, Inverse Problem Theory, 2005, eq. 3.51), `y+ = P
+//! J'(J P J' + C)^-1 (v - F(y) + J y)`; the posterior covariance is that of the last step, `P - P J'(J P J' + C)^-1 J
+//! P`. The coarse mesh's error for the uniform sheet is computed on a fine mesh and subtracted.
 
 mod regions;
 
@@ -20,81 +21,81 @@ use serde::Serialize;
 use self::regions::regions;
 use crate::Error;
 
-/// Elements of the mesh that conductances are estimated on: finer than 16 to 64 electrodes resolve.
+/// Elements of the mesh that conductances are estimated on: finer than 16 to 64 electrodes can resolve.
 const ELEMENTS: usize = 2500;
-/// Elements of the mesh that the coarse one's error is measured against. Its own is about a fifth.
+/// Elements of the fine mesh that the coarse one's error is measured against. Its own error is about a fifth of that.
 const FINE_ELEMENTS: usize = 12_000;
-/// Error of the model beyond noise, as a share of each reading: places and widths of electrodes to a tenth of a
+/// Model error beyond noise, as a share of each reading: electrode positions and widths are off by about a tenth of a
 /// millimetre.
 const MODEL_ERROR: f64 = 1e-3;
-/// Prior deviation of log conductance about its mean: half to double is within two.
+/// Prior deviation of log conductance about its mean: two deviations span half to double.
 const SPREAD: f64 = 0.35;
-/// Prior deviation of the mean: the uniform fit is that good.
+/// Prior deviation of the mean, as good as the uniform fit.
 const MEAN_SPREAD: f64 = 0.3;
-/// Distance over which conductances are alike, in radii of a disc of the sheet's area.
+/// Correlation length of the conductance, in radii of a disc with the sheet's area.
 const LENGTH: f64 = 0.12;
-/// Steps at most.
+/// Most steps.
 const STEPS: usize = 10;
-/// A step that changes no element by more is the last.
+/// Stop after a step that changes no element by more than this.
 const SMALLEST_STEP: f64 = 1e-3;
-/// Largest change of log conductance in a step.
+/// Largest change of log conductance in one step.
 const LARGEST_STEP: f64 = 0.7;
-/// Minimum correlation with a uniform sheet; below it the order of channels is wrong.
+/// Minimum correlation with a uniform sheet. Below it the channel order must be wrong.
 const LEAST_CORRELATION: f64 = 0.8;
-/// Frames from which the noise of their mean is taken.
+/// Minimum number of frames for estimating the noise of their mean.
 const ENOUGH_FRAMES: usize = 4;
-/// Most channels: their covariance takes 8 bytes a pair.
+/// Most channels: the covariance takes 8 bytes per pair.
 const MOST_CHANNELS: usize = 6000;
 
 /// A region that differs from the sheet around it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Region {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub x_m: f64,
-    /// Its middle, metres.
+    /// Centre, metres.
     pub y_m: f64,
-    /// Radius of a disc of its area, metres.
+    /// Radius of a disc with its area, metres.
     pub radius_m: f64,
     /// Its conductance, siemens.
     pub conductance_s: f64,
-    /// Standard deviation of that, siemens.
+    /// Standard deviation of the conductance, siemens.
     pub sigma_s: f64,
 }
 
-/// What [`conductance`] finds.
+/// Result of [`conductance`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Conductance {
-    /// Frames that were averaged.
+    /// Number of frames averaged.
     pub frames: usize,
-    /// Channels that were read.
+    /// Number of channels with a reading.
     pub channels: usize,
-    /// Median sheet conductance, siemens (the inverse of ohms a square).
+    /// Median sheet conductance, siemens (the inverse of ohms per square).
     pub sheet_s: f64,
-    /// Standard deviation of that, siemens.
+    /// Standard deviation of the median, siemens.
     pub sheet_sigma_s: f64,
-    /// Conductance of the uniform sheet that fits best, siemens.
+    /// Conductance of the best-fitting uniform sheet, siemens.
     pub uniform_s: f64,
-    /// Root mean square of the residuals, in standard deviations of the readings; about 1 or less where noise and model
-    /// are as assumed. Above 1 it widens all uncertainties.
+    /// Root mean square of the residuals, in standard deviations of the readings. About 1 or less if noise and model
+    /// error are as assumed; a value above 1 widens all uncertainties.
     pub misfit: f64,
-    /// Places that differ by more than three standard deviations and by 5 %.
+    /// Regions that differ by more than three standard deviations and by more than 5 %.
     pub regions: Vec<Region>,
     /// The pixels of the images.
     #[serde(skip)]
     pub grid: PixelGrid,
-    /// Sheet conductance of every pixel, siemens, row 0 at the top; NaN outside.
+    /// Sheet conductance of each pixel, siemens, row 0 at the top; NaN outside.
     #[serde(skip)]
     pub image_s: Vec<f64>,
-    /// Its standard deviation, siemens.
+    /// Standard deviation of each pixel, siemens.
     #[serde(skip)]
     pub sigma_s: Vec<f64>,
 }
 
-/// Estimates the conductance of a sheet from frames of one state.
+/// Estimates the conductance of a sheet from frames of a single state.
 ///
 /// # Errors
-/// A skin of coils, of a readout circuit or of differences; frames that are not the skin's, whose channels are in another
-/// order or of reversed sign; a model that cannot be solved.
+/// The skin has coils, a readout circuit or is read as differences; the frames don't belong to the skin, or their
+/// channels have another order or a reversed sign; the model cannot be solved.
 pub fn conductance(skin: &Skin, frames: &FrameTable) -> Result<Conductance, Error> {
     let refuse = |what: String, expected: &str, got: String| Error::Frames { what, expected: expected.into(), got };
     if skin.modality == Modality::Mit || skin.backend.circuit.is_some() || skin.backend.differences {
@@ -132,7 +133,7 @@ pub fn conductance(skin: &Skin, frames: &FrameTable) -> Result<Conductance, Erro
         let what = format!("correlation of the readings with a uniform {}", skin.name);
         return Err(refuse(what, "0.8 or more", got));
     }
-    // Twice, since contact impedances do not change with the sheet.
+    // Two passes, because contact impedances don't scale with the sheet.
     let first_s = file_s / measured.gain(&at_file);
     let at_first = uniform(&fine, first_s)?;
     let uniform_s = first_s / measured.gain(&at_first);
@@ -146,7 +147,7 @@ pub fn conductance(skin: &Skin, frames: &FrameTable) -> Result<Conductance, Erro
 /// The mean frame.
 struct Measured {
     values: Vec<f64>,
-    /// Standard error of each mean; NaN where too few frames say.
+    /// Standard error of each mean; NaN with too few frames.
     errors: Vec<f64>,
 }
 
@@ -169,14 +170,14 @@ impl Measured {
         Self { values, errors }
     }
 
-    /// Least-squares factor on a model's readings.
+    /// Least-squares gain from a model's readings to the measured ones.
     fn gain(&self, model: &[f64]) -> f64 {
         let pairs = || self.values.iter().zip(model).filter(|(value, _)| value.is_finite());
         pairs().map(|(value, model)| value * model).sum::<f64>() / pairs().map(|(_, model)| model * model).sum::<f64>()
     }
 
-    /// Variance of each reading: noise, pooled over the channels, and the model's error. With fewer than four frames the
-    /// noise comes from the differences of reciprocal channels, or is half a per cent of the median reading.
+    /// Variance of each reading: noise, pooled over the channels, plus the model error. With fewer than four frames
+    /// the noise comes from the differences of reciprocal channels, or is half a per cent of the median reading.
     fn variances(&self, model: &[f64], reciprocal: &[Option<(u32, f64)>]) -> Vec<f64> {
         let known: Vec<f64> =
             self.errors.iter().map(|error| error * error).filter(|square| square.is_finite()).collect();
@@ -185,7 +186,7 @@ impl Measured {
                 let (other, ratio) = (*partner)?;
                 Some((self.values[channel] - ratio * self.values[other as usize]).abs())
             });
-            // The median of |a - b| is 0.6745 sqrt(2) deviations.
+            // The median of |a - b| is 0.6745 sqrt(2) standard deviations.
             let typical = median(differences.filter(|difference| difference.is_finite()).collect());
             let size = median(model.iter().map(|value| value.abs()).collect()).unwrap_or(0.0);
             typical.map_or((5e-3 * size).powi(2), |difference| (difference / (0.6745 * 2.0_f64.sqrt())).powi(2))
@@ -201,12 +202,12 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Mean and covariance of log conductance over the uniform sheet's, by element.
+/// Mean and covariance of each element's log conductance, relative to the uniform sheet.
 struct Posterior {
     log: Vec<f64>,
     misfit: f64,
     prior: Mat<f64>,
-    /// `J P` and `(J P J' + C)^-1 J P`, in deviations of the readings.
+    /// `J P` and `(J P J' + C)^-1 J P`, in standard deviations of the readings.
     jp: Mat<f64>,
     weighted: Mat<f64>,
 }
@@ -230,7 +231,7 @@ impl Posterior {
             let sigma: Vec<f64> = log.iter().map(|y| uniform_s * f64::exp(*y)).collect();
             let solution = model.solve(&sigma)?;
             let (voltages, jacobian) = (solution.voltages(), solution.jacobian());
-            // In deviations of the readings, by log conductance.
+            // Scaled to standard deviations of the readings, per unit of log conductance.
             let j = Mat::from_fn(present.len(), elements, |row, element| {
                 jacobian.row(present[row])[element] * sigma[element] / deviations[row]
             });
@@ -270,7 +271,7 @@ impl Posterior {
         (0..self.log.len()).map(|k| self.misfit.max(1.0) * variance(k).max(0.0).sqrt()).collect()
     }
 
-    /// Standard deviations of weighted means, one a column of elements' weights.
+    /// Standard deviations of weighted means; each column of `weights` holds one mean's weights over the elements.
     fn deviations_of(&self, weights: &Mat<f64>) -> Vec<f64> {
         let of_prior = &self.prior * weights;
         let (of_data, of_weighted) = (&self.jp * weights, &self.weighted * weights);
@@ -308,12 +309,12 @@ impl Posterior {
     }
 }
 
-/// Distance over which conductances are alike, metres.
+/// Correlation length of the conductance, metres.
 fn length_m(mesh: &Mesh) -> f64 {
     LENGTH * (mesh.measures().iter().sum::<f64>() / std::f64::consts::PI).sqrt()
 }
 
-/// Covariance of log conductance between the elements.
+/// Prior covariance of log conductance between elements.
 fn prior(mesh: &Mesh) -> Mat<f64> {
     let length = length_m(mesh);
     let places: Vec<[f64; 3]> = (0..mesh.element_count()).map(|element| mesh.centroid(element)).collect();

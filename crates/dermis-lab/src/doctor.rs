@@ -1,5 +1,5 @@
-//! The examination behind `dermis doctor`: frames of an untouched skin are looked at one question after the other, and
-//! each answer says in plain words what was found and what to do.
+//! The examination behind `dermis doctor`. It runs a series of checks on frames of an untouched skin; each answer
+//! says in plain words what was found and what to do about it.
 
 mod wiring;
 
@@ -15,68 +15,69 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{Modality, Skin};
 
-/// Fewest frames that an examination takes: the baseline, and what recognises faults after it.
+/// Minimum number of frames to examine: enough for the baseline and for fault detection after it.
 pub const FEWEST_FRAMES: u64 = 64;
-/// Rates may differ by this share from the one that the skin file has.
+/// Relative tolerance on the frame rate that the skin file states.
 const RATE_SHARE: f64 = 0.1;
-/// Noise of this share of the largest reading is too much for touches.
+/// Largest noise that still allows touches, as a share of the largest reading.
 const NOISE_SHARE: f64 = 0.01;
-/// Channels this many times as noisy as the median one, and noisier than a tenth of [`NOISE_SHARE`], are named.
+/// Channels are named as noisy if they exceed the median noise by this factor and are above a tenth of
+/// [`NOISE_SHARE`].
 const NOISY_TIMES: f64 = 10.0;
-/// Least correlation of the baseline with the model.
+/// Minimum correlation of the baseline with the model.
 const LEAST_CORRELATION: f64 = 0.9;
-/// Most that reciprocal channels may differ by, median relative to their size.
+/// Largest mismatch of reciprocal channels: the median difference relative to their size.
 const MOST_MISMATCH: f64 = 0.05;
-/// Contacts this many times as resistive as the median one are named.
+/// Contacts are named if they exceed the median resistance by this factor.
 const POOR_TIMES: f64 = 5.0;
-/// A thousand, give or take what skin files are wrong about conductances and currents.
+/// Range that counts as a factor of a thousand, allowing for errors of conductance and current in the skin file.
 const THOUSAND: [f64; 2] = [250.0, 4000.0];
-/// Channels named at most.
+/// Most channels named in one answer.
 const MOST_NAMED: usize = 8;
 
-/// How a question was answered.
+/// Outcome of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Answer {
-    /// As it should be.
+    /// All is well.
     Good,
     /// Something is wrong.
     Bad,
-    /// It could not be asked here.
+    /// The check didn't apply.
     Skipped,
 }
 
-/// One question and its answer.
+/// One check and its outcome.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Check {
-    /// What was looked at.
+    /// Name of the check.
     pub name: &'static str,
-    /// How it was answered.
+    /// Outcome.
     pub answer: Answer,
-    /// What was found.
+    /// Finding.
     pub found: String,
-    /// What to do about it; empty where nothing need be done.
+    /// Advice; empty if nothing needs doing.
     pub advice: String,
 }
 
 impl Check {
-    /// All is well.
+    /// A check that passed.
     pub fn good(name: &'static str, found: impl Into<String>) -> Self {
         Self { name, answer: Answer::Good, found: found.into(), advice: String::new() }
     }
 
-    /// Something is wrong, and what to do.
+    /// A check that failed, with advice.
     pub fn bad(name: &'static str, found: impl Into<String>, advice: impl Into<String>) -> Self {
         Self { name, answer: Answer::Bad, found: found.into(), advice: advice.into() }
     }
 
-    /// It could not be asked, and why.
+    /// A check that didn't apply, with the reason.
     pub fn skipped(name: &'static str, found: impl Into<String>) -> Self {
         Self { name, answer: Answer::Skipped, found: found.into(), advice: String::new() }
     }
 }
 
-/// What frames have told.
+/// Data collected from the frames.
 struct Seen {
     pipeline: Pipeline,
     layout: Layout,
@@ -84,16 +85,18 @@ struct Seen {
     elapsed_s: f64,
     lost: u64,
     bad: u64,
-    /// Channels that stood at the largest value that any of them had, with others.
+    /// Channels that repeatedly shared the largest magnitude of a frame with other channels.
     at_end: Vec<usize>,
 }
 
-/// Examines the frames of a source, at most `most` of them, waiting at most `patience` for each: what was found, in the
-/// order in which it is worth looking at. The skin must not be touched. `contacts_ohm` is what the instrument has
-/// measured of its electrodes' contacts, where it can.
+/// Examines up to `most` frames of a source, waiting up to `patience` for each, and returns the checks in the order
+/// in which they are worth reading.
+///
+/// The skin must not be touched. `contacts_ohm` holds the contact impedances measured by the instrument, if it can
+/// measure them.
 ///
 /// # Errors
-/// A skin that cannot be prepared. What is wrong with the source is an answer.
+/// The skin cannot be prepared. Problems of the source are reported as answers.
 pub fn examine(
     skin: Skin,
     source: &mut dyn Source,
@@ -137,7 +140,7 @@ pub fn examine(
 }
 
 impl Seen {
-    /// Takes in frames; why there were too few, if so.
+    /// Collects frames; returns the reason if there were too few.
     fn watch(&mut self, source: &mut dyn Source, most: u64, patience: Duration) -> Result<(), String> {
         let (mut frame, mut first_ns, mut last_ns) = (Frame::with_capacity(self.layout.channels()), None, 0);
         let (mut waited, mut largest) = (Instant::now(), 0.0);
@@ -179,7 +182,7 @@ impl Seen {
         &self.pipeline.prepared().skin
     }
 
-    /// Channels by number and label.
+    /// Channels by number and label, for a message.
     fn named(&self, channels: &[usize]) -> String {
         let prepared = self.pipeline.prepared();
         let name = |&channel: &usize| format!("{} ({})", channel + 1, prepared.protocol.channel_label(channel));
@@ -242,7 +245,7 @@ impl Seen {
         Check::bad("saturation", found, "lower the gain or the drive current")
     }
 
-    /// Electrodes, then channels with faults of their own.
+    /// Electrode faults first, then faults of single channels.
     fn faults(&self) -> Vec<Check> {
         let health = self.pipeline.health();
         let word = if self.skin().modality == Modality::Mit { "coil" } else { "electrode" };
@@ -314,8 +317,8 @@ impl Seen {
         Check::good("reciprocity", found)
     }
 
-    /// Readings and model in different units: a thousand between them is millivolts read as volts, or the other way
-    /// round.
+    /// Detects different units of readings and model: a factor of a thousand means millivolts read as volts, or the
+    /// other way round.
     fn scale(&self) -> Check {
         const NAME: &str = "scale";
         let (prepared, (baseline, _)) = (self.pipeline.prepared(), self.pipeline.baseline());
@@ -341,15 +344,15 @@ impl Seen {
         Check::good(NAME, found)
     }
 
-    /// The lines of a skin file that say which order the readings are in, where that is clear. Frames that hold more
-    /// than the skin's channels were put in order already.
+    /// The lines of a skin file that describe the order of the readings, if the order is clear. Frames with more
+    /// numbers than the skin has channels have already been reordered.
     fn order_lines(&self) -> Option<String> {
         let found = self.searched()?;
         let best = found.candidates.first().filter(|_| found.is_clear)?;
         Some(best.lines().trim_end().replace('\n', "; "))
     }
 
-    /// The result of a search through all orders.
+    /// Result of a search over all orders.
     fn searched(&self) -> Option<FoundOrder> {
         let Layout::Channels { count } = self.layout else { return None };
         let (rest, _) = self.pipeline.baseline();
@@ -398,7 +401,7 @@ impl Seen {
     }
 }
 
-/// Contacts that are open, or far more resistive than the others.
+/// Contacts that are open, or far more resistive than the rest.
 fn contact_impedance(skin: &Skin, contacts_ohm: Option<&[f32]>) -> Check {
     const NAME: &str = "contact impedance";
     let Some(contacts_ohm) = contacts_ohm else {
@@ -447,7 +450,7 @@ fn electrode_check(word: &str, fault: &dermis_touch::health::ElectrodeFault) -> 
             format!("{word} {number} is lost: its channels are dead or wild"),
             format!("fasten {word} {number} and its wire; until then the skin goes on without it"),
         )),
-        // Each pair once.
+        // Report each pair once.
         ElectrodeFaultKind::Shorted { with } if with > fault.electrode => Some(Check::bad(
             "electrodes",
             format!("{word}s {number} and {} are shorted", with + 1),
@@ -457,8 +460,8 @@ fn electrode_check(word: &str, fault: &dermis_touch::health::ElectrodeFault) -> 
     }
 }
 
-/// Counts channels at the frame's largest size where at least two share it exactly, and it is what it was in the frame
-/// before (in `last`): a converter's end.
+/// Counts saturated channels. A converter's limit shows as a largest magnitude that at least two channels share
+/// exactly and that is unchanged since the frame before (kept in `last`).
 fn count_ends(raw: &[f64], last: &mut f64, ends: &mut [usize]) {
     let largest = raw.iter().map(|v| v.abs()).filter(|v| v.is_finite()).fold(0.0, f64::max);
     let before = std::mem::replace(last, largest);

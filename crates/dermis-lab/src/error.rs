@@ -1,10 +1,10 @@
-//! Errors of this crate: what failed, where, the value, and what was expected.
+//! Errors of this crate: each gives the failed operation, the place, the value found and the value expected.
 
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why something could not be done.
+/// An error of this crate.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -22,34 +22,34 @@ pub enum Error {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// Error from the operating system.
         source: std::io::Error,
     },
     /// A thread could not be started.
     #[error("thread {what}: {source}")]
     Thread {
-        /// What it is for.
+        /// Purpose of the thread.
         what: &'static str,
-        /// What the system says.
+        /// Error from the operating system.
         source: std::io::Error,
     },
-    /// Whoever asked for it wants it no longer.
+    /// The caller cancelled the work.
     #[error("interrupted")]
     Interrupted,
-    /// A file whose contents are not what they should be.
+    /// A file with invalid content.
     #[error("{}: {field}: {reason}", file.display())]
     Content {
         /// The file.
         file: PathBuf,
         /// Line, key or column.
         field: String,
-        /// Value found and what was expected.
+        /// The value found and the value expected.
         reason: String,
     },
     /// Frames that do not fit the skin.
     #[error("{what}: expected {expected}, got {got}")]
     Frames {
-        /// Which frames.
+        /// Description of the frames.
         what: String,
         /// Expected.
         expected: String,

@@ -1,6 +1,6 @@
-//! What dermis makes of measurements that others published: the work behind `dermis evidence`. Each set of measured
-//! data has a file that runs the public path on it (skin file, [`reconstruct`](mod@crate::reconstruct), calibration,
-//! pipeline) and says what was known, what was tuned on these data, what a plain method makes of them and what is
+//! Runs dermis on measurements published by others; the work behind `dermis evidence`. Each data set has a file that
+//! takes it through the public path (skin file, [`reconstruct`](mod@crate::reconstruct), calibration, pipeline) and
+//! states what was known, what was tuned on these data, how a plain method performs on them, and what others have
 //! published.
 //!
 //! ```no_run

@@ -1,5 +1,5 @@
-//! The experiments of the published skins, replayed on their twins: what was pressed where, what the paper read off,
-//! and what comes out here, side by side. Twins, noise and repeats are seeded, so that a replay is the same every time.
+//! The experiments of the published skins, replayed on their twins. Each shows the presses, the paper's result and
+//! the result here next to each other. Twins, noise and repeats are seeded, so a replay always gives the same result.
 
 pub mod em;
 pub mod healing;

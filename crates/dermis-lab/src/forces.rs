@@ -1,6 +1,6 @@
-//! Force calibrations of skins: presses of known force, on a twin or from frames of hardware, to a file that live and
-//! offline runs read forces by. The signal is the height of the touch's peak in the image; where several places were
-//! pressed, a gain over the surface makes them alike (the single calibration line of paper I).
+//! Force calibration: turns presses of known force, on a twin or from recorded frames, into a file that live and
+//! offline runs use to report forces. The signal is the height of the touch's peak in the image. If several places
+//! were pressed, a gain map over the surface brings them onto one calibration line (as in paper I).
 
 use dermis_live::imager::Imager;
 use dermis_live::reference::{Reference, are_pairs, check_frames};
@@ -15,27 +15,27 @@ use dermis_live::stages::touches::TouchStage;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
 
-/// Frames averaged for one press of a twin.
+/// Frames averaged for each press of a twin.
 const FRAMES: usize = 10;
-/// Places that a smooth gain map needs.
+/// Minimum number of places for a smooth gain map.
 const SMOOTH_GAIN: usize = 6;
 
-/// Presses of a twin: the same forces at several places.
+/// A plan for pressing a twin: the same forces at several places.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PressPlan {
     /// Diameter of the round indenter, metres.
     pub indenter_m: f64,
     /// Largest force, newtons.
     pub most_n: f64,
-    /// Forces at each place, evenly from a share of the largest on.
+    /// Number of forces at each place, evenly spaced starting from a share of the largest.
     pub steps: usize,
 }
 
 impl PressPlan {
-    /// What the twin's sliders begin with: the indenter, and half as much force again.
+    /// The default plan: the initial indenter of the twin's sliders, and 1.5 times their initial force.
     ///
     /// # Errors
-    /// A skin without twin.
+    /// The skin has no twin.
     pub fn of(skin: &Skin) -> Result<Self, Error> {
         let press = TwinKit::of(skin)?.press;
         let area_m2 = std::f64::consts::PI * press.initial_radius_m.powi(2);
@@ -47,11 +47,12 @@ impl PressPlan {
     }
 }
 
-/// Presses the twin of a skin in the middle and on two rings around it (nine places), and reads the strongest touch of
-/// each image. Presses that are not seen are left out. `progress` gets presses done and presses in all.
+/// Presses the twin of a skin at its centre and on two rings around it (nine places), and reads the strongest
+/// touch of each image. Presses that are not detected are left out. `progress` gets the number of presses done and
+/// the total.
 ///
 /// # Errors
-/// A skin without twin, forces or an indenter that make no sense, presses none of which is seen.
+/// The skin has no twin, the forces or the indenter are invalid, or no press is detected.
 pub fn press_twin(
     skin: &Skin,
     plan: &PressPlan,
@@ -83,7 +84,7 @@ pub fn press_twin(
     seen(samples, all)
 }
 
-/// The middle, and eight places on two rings turned against each other.
+/// The centre and eight places on two rings, one rotated against the other.
 fn places(half_width_m: f64) -> Vec<[f64; 2]> {
     let ring = |radius: f64, first: f64| {
         (0..4).map(move |k| {
@@ -94,11 +95,11 @@ fn places(half_width_m: f64) -> Vec<[f64; 2]> {
     std::iter::once([0.0, 0.0]).chain(ring(0.3, 0.3)).chain(ring(0.6, 0.3 + std::f64::consts::FRAC_PI_4)).collect()
 }
 
-/// Signals of pokes of known force: the strongest touch of each frame's image. `baselines` has one frame for all pokes
-/// or one for each; frames in the protocol's order.
+/// Signals of pokes with known force: the strongest touch in each frame's image. `baselines` holds one frame for all
+/// pokes or one for each. Frames are in the protocol's order.
 ///
 /// # Errors
-/// Pokes without forces, counts that disagree, frames in none of which a touch is seen.
+/// The pokes have no forces, the counts disagree, or no frame shows a touch.
 pub fn force_samples(
     prepared: &Prepared,
     baselines: &[Vec<f64>],
@@ -149,11 +150,11 @@ fn seen(samples: Vec<ForceSample>, presses: usize) -> Result<Vec<ForceSample>, E
     Ok(samples)
 }
 
-/// Fits a calibration; with presses at several places also the gain over the surface: smooth from six places on, else
-/// interpolated. A place's gain is the slope of its signals through the origin.
+/// Fits a calibration. With presses at several places it also fits a gain map over the surface: smooth from six
+/// places on, otherwise interpolated. The gain of a place is the slope of its signals through the origin.
 ///
 /// # Errors
-/// Too few samples for the curve, or a curve that does not rise.
+/// There are too few samples for the curve, or the curve doesn't rise.
 pub fn fit_forces(
     samples: &[ForceSample],
     kind: CurveKind,
@@ -172,7 +173,7 @@ pub fn fit_forces(
         slopes.iter().map(|(place, product, square)| (*place, product / square)).unzip();
     let gain = match positions.len() {
         0 | 1 => None,
-        // Places on one conic leave the smooth map undetermined.
+        // If all places lie on one conic, the smooth map is undetermined.
         SMOOTH_GAIN.. => {
             Some(GainMap::quadratic(&positions, &gains).or_else(|_| GainMap::inverse_distance(&positions, &gains))?)
         }

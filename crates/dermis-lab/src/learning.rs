@@ -1,5 +1,5 @@
-//! Training sets simulated from a skin file ([`train_set`]), and labels for recorded frames, with a network or without
-//! ([`segment`]).
+//! Training sets simulated from a skin file ([`train_set`]), and segmentation of recorded frames, with or without a
+//! network ([`segment`]).
 
 mod model_mismatch;
 mod score;

@@ -1,4 +1,4 @@
-//! What happens at a desk, not on a robot: twins as instruments, design, examination, offline images, calibration,
+//! Work done at a desk rather than on a robot: twins as instruments, design, diagnosis, offline images, calibration,
 //! training sets and the published experiments.
 //!
 //! ```
@@ -19,13 +19,13 @@
 //! | module | |
 //! |---|---|
 //! | [`twin_source`], [`twin_sample`], [`serve`](mod@serve) | twins as sources, as labelled data, behind a socket |
-//! | [`design`], [`tolerances`](mod@tolerances) | what a skin can do before it is built; what a workshop's errors cost |
-//! | [`doctor`], [`channel_search`], [`measured_list`] | what is wrong with an instrument; the order of its readings; what it is told |
+//! | [`design`], [`tolerances`](mod@tolerances) | a skin's abilities before it is built; the cost of manufacturing errors |
+//! | [`doctor`], [`channel_search`], [`measured_list`] | faults of an instrument; the order of its readings; its protocol as a list |
 //! | [`reconstruct`](mod@reconstruct), [`forces`], [`learning`] | files to images and touches; force calibrations; training sets, labels |
 //! | [`case`], [`solve`] | single forward problems |
 //! | [`conductance`](mod@conductance) | a sheet in siemens, from one state |
-//! | [`experiments`], [`report`], [`twin_bench`] | published experiments again |
-//! | [`evidence`] | measured data of others: errors of dermis beside a plain method's |
+//! | [`experiments`], [`report`], [`twin_bench`] | replays of published experiments |
+//! | [`evidence`] | data measured by others: errors of dermis and of a plain method |
 
 pub mod case;
 pub mod channel_search;

@@ -1,5 +1,5 @@
-//! A skin's protocol as instruments are told it over the wire: for each channel four electrodes, those of the current
-//! and those of the voltage.
+//! A skin's protocol in the form that goes over the wire to an instrument: for each channel four electrodes, two for
+//! the current and two for the voltage.
 
 use dermis_device::instruments::wire::Order;
 use dermis_skin::Skin;
@@ -8,12 +8,12 @@ use dermis_wire::NO_ELECTRODE;
 
 use crate::Error;
 
-/// What makes an instrument on the wire measure as a skin file says, as far as it can be told: protocol, current,
-/// frequency.
+/// Commands that configure an instrument on the wire to measure as the skin file says, as far as the wire allows:
+/// protocol, current, frequency.
 ///
 /// # Errors
-/// A skin whose protocol does not work out, or a list of channels that four electrodes each do not describe: an instrument
-/// left as it is set would send other channels without a word.
+/// The skin's protocol is invalid, or its channels cannot be described by four electrodes each. Leaving the
+/// instrument's own setting would silently yield other channels.
 pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     let protocol = measured_list(&skin.protocol()?).map(Order::Protocol);
     if protocol.is_none() && skin.backend.channels.is_some() {
@@ -28,12 +28,12 @@ pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     Ok(protocol.into_iter().chain([amplitude]).chain(frequency).collect())
 }
 
-/// The channels of a protocol in order, each as the electrode where the current enters, where it leaves, where the
-/// voltage is taken, against which; [`NO_ELECTRODE`] where there is none. A channel that reads an electrode against
-/// itself reads the sink against itself.
+/// The channels of a protocol in order. Each has the electrode where the current enters, the one where it leaves, the
+/// one whose voltage is read, and the one it is read against; [`NO_ELECTRODE`] if there is none. A channel that reads
+/// an electrode against itself is sent as the sink against itself.
 ///
-/// `None` for protocols that four electrodes do not describe: currents or voltages of more than two electrodes, weights
-/// that are not opposite, electrodes beyond 254.
+/// `None` for protocols that four electrodes cannot describe: currents or voltages over more than two electrodes,
+/// weights that are not opposite, electrodes beyond 254.
 pub fn measured_list(protocol: &Protocol) -> Option<Vec<[u8; 4]>> {
     let quadruple = |channel: usize| {
         let [source, sink] = ends(protocol.stimulation_of(channel))?;

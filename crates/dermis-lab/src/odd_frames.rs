@@ -1,19 +1,21 @@
-//! Frames that cannot be of the same skin and instrument as their baseline: of another sign, or larger or smaller by
-//! orders of magnitude; and baselines that are so far from the model. Nothing is made of such frames, and it is said.
+//! Detects frames that cannot come from the same skin and instrument as their baseline, because their sign differs or
+//! they are larger or smaller by orders of magnitude, and baselines that differ from the model in the same way. Such
+//! frames are reported and not used.
 
 use dermis_touch::health::FrameFaultKind;
 
-/// Root mean square over that of the baseline, above which and below whose inverse a frame is not of it. Presses make
-/// voltages several times as large or small.
+/// Limit of the ratio of root mean squares, frame to baseline, in either direction. A press changes voltages by a
+/// factor of several at most.
 const OFF: f64 = 300.0;
-/// Projection on the baseline below which a frame has the other sign.
+/// Projection on the baseline below which the frame's sign is reversed.
 const FLIPPED: f64 = -0.5;
-/// The model's voltages over the baseline's, above which and below whose inverse their units are worth a word.
+/// Limit of the ratio of voltages, model to baseline, in either direction, beyond which the units are reported as
+/// suspicious.
 const OTHER_UNIT: f64 = 1e4;
-/// Frames named in a message; further ones are counted.
+/// Most frames named in a message; the rest are counted.
 const MOST_NAMED: usize = 8;
 
-/// What is wrong with a frame beside its baseline, if anything is (NaN: missing).
+/// The fault of a frame compared with its baseline, if any (NaN: missing).
 pub(crate) fn odd(frame: &[f64], baseline: &[f64]) -> Option<FrameFaultKind> {
     let both = || frame.iter().zip(baseline).filter(|(value, rest)| value.is_finite() && rest.is_finite());
     let sum = |of: &dyn Fn(f64, f64) -> f64| both().map(|(value, rest)| of(*value, *rest)).sum::<f64>();
@@ -31,7 +33,7 @@ pub(crate) fn odd(frame: &[f64], baseline: &[f64]) -> Option<FrameFaultKind> {
     (along < FLIPPED * rest).then_some(FrameFaultKind::Flipped)
 }
 
-/// What is to be said of frames that are wrong: one line of each kind.
+/// Messages about faulty frames, one line per kind of fault.
 pub(crate) fn describe(odd: &[Option<FrameFaultKind>]) -> Vec<String> {
     let kinds = [FrameFaultKind::OutOfRange, FrameFaultKind::Blank, FrameFaultKind::Flipped];
     let line = |kind: FrameFaultKind| {
@@ -53,7 +55,7 @@ pub(crate) fn describe(odd: &[Option<FrameFaultKind>]) -> Vec<String> {
     kinds.into_iter().filter_map(line).collect()
 }
 
-/// What is to be said of a baseline whose sign or unit is not the model's.
+/// Message about a baseline whose sign or unit differs from the model's.
 pub(crate) fn describe_baseline(baseline: &[f64], model: &[f64]) -> Option<String> {
     let both = || baseline.iter().zip(model).filter(|(value, _)| value.is_finite());
     let sum = |of: &dyn Fn(f64, f64) -> f64| both().map(|(value, volts)| of(*value, *volts)).sum::<f64>();

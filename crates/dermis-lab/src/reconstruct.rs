@@ -1,4 +1,4 @@
-//! Recorded frames to images and touches, offline: what `dermis reconstruct` does.
+//! Turns recorded frames into images and touches offline; the work behind `dermis reconstruct`.
 
 use dermis_live::imager::Refiner;
 use std::path::PathBuf;
@@ -23,75 +23,77 @@ use dermis_live::stages::refinement::Refinement;
 use dermis_record::sink::{ImageStack, Sink, TouchColumns, TouchTable};
 use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
 
-/// What to reconstruct and where to put it.
+/// Input and output of a reconstruction.
 #[derive(Clone, Debug)]
 pub struct Request {
     /// The skin.
     pub skin: Skin,
-    /// Baseline frames: one or more, or as many as there are frames (then each frame has its own, and frames have
-    /// nothing to do with each other). `None`: the frames are differences from the untouched skin already.
+    /// Baseline frames: one or more, or as many as there are frames. In the latter case each frame has its own
+    /// baseline, and frames are independent of each other. `None` if the frames already are differences from the
+    /// untouched skin.
     pub baseline: Option<FileSpec>,
     /// The frames.
     pub frames: FileSpec,
-    /// How both files are read.
+    /// How to read both files.
     pub read: ReadOptions,
-    /// Recordings of another skin, and calibrations of it, are used as this skin's.
+    /// Accept recordings and calibrations of another skin as this skin's.
     pub as_skin: bool,
     /// A calibration of the skin.
     pub calibration: Option<PathBuf>,
     /// A force calibration of the skin.
     pub forces: Option<PathBuf>,
-    /// lambda, in place of the skin file's rule.
+    /// lambda, overriding the skin file's rule.
     pub hyperparameter: Option<f64>,
-    /// Where the table of touches goes: columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; a
+    /// Output file of the touches, with columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; a
     /// frame without touch has no row.
     pub touches: Option<PathBuf>,
-    /// Where the images go: NPY, frames x rows x columns, f32, row 0 at the top, NaN outside.
+    /// Output file of the images: NPY, frames x rows x columns, f32, row 0 at the top, NaN outside.
     pub images: Option<PathBuf>,
 }
 
-/// How it went.
+/// Summary of a reconstruction.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// Mismatches of scale and sign between model, baseline and frames, in words.
+    /// Mismatches of scale and sign between model, baseline and frames, as messages.
     pub mismatches: Vec<String>,
     /// Frames reconstructed.
     pub frames: usize,
-    /// Rows of the table of touches.
+    /// Rows in the table of touches.
     pub touch_rows: usize,
     /// lambda.
     pub hyperparameter: f64,
-    /// Frames in which channels were missing.
+    /// Frames with missing channels.
     pub frames_with_missing: usize,
-    /// Channels left out of all frames, from 0: they do not rest while nothing touches the skin.
+    /// Channels excluded from all frames, from 0, because they change even without a touch.
     pub left_out: Vec<u32>,
-    /// Frames that the baseline is the mean of; `None` where each frame has its own, or frames are differences.
+    /// Number of frames averaged for the baseline; `None` if each frame has its own or frames are differences.
     pub averaged: Option<usize>,
-    /// Where the channel noise comes from.
+    /// Source of the channel noise.
     pub noise_source: NoiseSource,
-    /// Does the baseline look like the skin's model?
+    /// Comparison of the baseline with the skin's model.
     pub order: OrderReport,
-    /// The circuit found, where the skin file asks for that (`backend.circuit = "learn"`).
+    /// The fitted circuit, if the skin file asks for one (`backend.circuit = "learn"`).
     pub circuit: Option<CircuitFit>,
 }
 
-/// Rate at which frames without times are taken to come, where the skin file gives none.
+/// Assumed rate of frames without time stamps if the skin file gives none.
 const DEFAULT_FRAMES_PER_S: f64 = 20.0;
 
-/// Reconstructs all frames; `progress` is told how much is done and how much there is in all: frames, or Gauss-Newton
-/// steps where the skin file asks for them.
+/// Reconstructs all frames. `progress` gets the work done and the total: frames, or Gauss-Newton steps if the skin
+/// file asks for them.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit the skin, a calibration of another skin, outputs that cannot be written. No
-/// partial file is left under its final name.
+/// Files cannot be read or don't fit the skin, the calibration belongs to another skin, or an output cannot be
+/// written. No partial file is left under its final name.
 pub fn reconstruct(request: &Request, progress: impl FnMut(usize, usize)) -> Result<Report, Error> {
     reconstruct_to(request, None, None, progress)
 }
 
-/// [`reconstruct`] within a program: by a calibration that is in no file, and into a sink beside the request's files.
+/// [`reconstruct`] for use inside a program: accepts a calibration that is not in a file, and an extra sink next to
+/// the request's files.
 ///
 /// # Errors
-/// As [`reconstruct`], and what the sink says.
+/// As for [`reconstruct`], and errors of the sink.
 pub fn reconstruct_into(
     request: &Request,
     calibration: Option<&Calibration>,
@@ -111,7 +113,7 @@ fn reconstruct_to(
     if let Some(lambda) = request.hyperparameter {
         skin.imaging.hyperparameter = HyperparameterChoice::Number(lambda);
     }
-    // Offline every frame counts at once: a touch need not be seen twice before it is reported.
+    // Offline every frame counts by itself: report a touch at first sight.
     skin.touch.least_frames = 1;
     skin.backend.differences |= request.baseline.is_none();
     if !request.as_skin && request.read.format.is_none() {
@@ -178,13 +180,13 @@ fn reconstruct_to(
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
     let differences_to = |reference: &Reference| -> Vec<Vec<f64>> {
         let difference = |(index, frame): (usize, &Vec<f64>)| match odd[index] {
-            // Nothing has changed, as far as is known.
+            // Assume no change for faulty frames.
             Some(_) => vec![0.0; frame.len()],
             None => reference.difference(frame, own(index)),
         };
         frames.iter().enumerate().map(difference).collect()
     };
-    // Rules and noise look at the frames that are what they should be.
+    // The noise and the rules for lambda use only sound frames.
     let mut data = differences_to(&reference);
     let mut sound = odd.iter().map(Option::is_none);
     if odd.iter().any(Option::is_none) {
@@ -193,7 +195,7 @@ fn reconstruct_to(
     if !paired {
         reference.estimate_noise(&data);
     }
-    // Channels that no longer rest, as those over a cut, are left out, also of the pokes.
+    // Leave out channels that have changed at rest, for example over a cut, in the frames and in the pokes.
     let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
     let left_out = match calibration.filter(|_| paired && by_pokes) {
         Some(calibration) => calibration.unsound_channels(&baselines),
@@ -206,7 +208,7 @@ fn reconstruct_to(
     let calibration = fitted_anew.as_ref().or(calibration);
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(&prepared, calibration, reference, &data)?;
-    // A calibration may have scaled the channels anew.
+    // A calibration may have rescaled the channels.
     let mut differences = differences_to(&reference);
     set_channels(&mut differences, &left_out, f64::NAN);
     let refinement = prepared.skin.imaging.refinement.filter(|_| !by_pokes);
@@ -264,7 +266,7 @@ fn reconstruct_to(
         if let Some(refinement) = &refinement {
             refinement.threshold(&mut image);
         }
-        // Files show a value wherever there is skin; touches were found without those repeated values.
+        // Image files show a value wherever there is skin. The touches were found without these repeated values.
         rim.iter().for_each(|&(pixel, nearest)| image[pixel] = image[nearest]);
         touches.clear();
         touches.extend(

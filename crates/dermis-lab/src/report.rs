@@ -1,20 +1,20 @@
-//! Experiments and what they give: tables and figures, without a look.
+//! Experiments and their results: tables and figures, independent of how they are drawn.
 
 use crate::Error;
 
-/// How a figure of a table came about.
+/// Origin of a figure in a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A parameter was chosen so that this agrees; no evidence of anything.
+    /// A parameter was tuned to match it, so it proves nothing.
     Fitted,
-    /// Follows from the physics of the twin.
+    /// Follows from the twin's physics.
     Predicted,
-    /// Follows from how images and touches are made of the readings.
+    /// Follows from the algorithms that turn readings into images and touches.
     Algorithm,
 }
 
 impl Kind {
-    /// For tables.
+    /// The word used in tables.
     pub fn word(self) -> &'static str {
         match self {
             Self::Fitted => "fitted",
@@ -24,118 +24,118 @@ impl Kind {
     }
 }
 
-/// One line of a table: a figure of the paper and the same here.
+/// One line of a table: a figure from the paper and its counterpart here.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// What.
+    /// Name of the quantity.
     pub quantity: String,
-    /// Its unit, empty for numbers and counts.
+    /// Unit; empty for ratios and counts.
     pub unit: &'static str,
-    /// What the paper gives, if it gives a number.
+    /// Value in the paper, if it gives one.
     pub paper: Option<f64>,
-    /// What the twin and dermis give.
+    /// Value from the twin and dermis.
     pub here: f64,
-    /// How it came about.
+    /// Origin of the value here.
     pub kind: Kind,
 }
 
-/// How a curve is drawn.
+/// Style of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
-    /// Points that are joined.
+    /// Connected points.
     Line,
-    /// Points by themselves.
+    /// Separate points.
     Points,
-    /// Repeats: several points of one x, to be shown as their mean and standard deviation.
+    /// Repeats: several points per x, shown as their mean and standard deviation.
     Repeats,
-    /// Points that the paper prints.
+    /// Points printed in the paper.
     PaperPoints,
-    /// A line that the paper prints, or a bound that it gives.
+    /// A line printed in the paper, or a bound stated there.
     PaperLine,
 }
 
-/// A curve of a figure.
+/// A curve in a figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// Its name in the legend; curves of one name have one colour and one entry.
+    /// Name in the legend; curves with the same name share a colour and an entry.
     pub name: String,
     /// (x, y); a line breaks at a point that is not finite.
     pub points: Vec<[f64; 2]>,
-    /// How they are drawn.
+    /// Style.
     pub look: Look,
 }
 
-/// An image of a figure.
+/// An image in a figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImagePanel {
-    /// What it shows.
+    /// Title.
     pub name: String,
-    /// What the values are, with their unit; panels of one quantity share a scale.
+    /// Quantity with its unit; panels of the same quantity share a scale.
     pub quantity: &'static str,
     /// Row-major, row 0 at the top, NaN outside.
     pub values: Vec<f32>,
-    /// Where something truly pressed, as shares of width and height from the top left corner.
+    /// True positions of the presses, as shares of width and height from the top left corner.
     pub marks: Vec<[f64; 2]>,
-    /// Radius of the upright cylinder that the skin lies on, as a share of the image's width; none where it is flat.
+    /// Radius of the upright cylinder that the skin lies on, as a share of the image's width; `None` if it is flat.
     pub bend: Option<f64>,
-    /// Width of the image, millimetres; none where its width is no length.
+    /// Width of the image, millimetres; `None` if the width is not a length.
     pub width_mm: Option<f64>,
 }
 
-/// A figure, without a look.
+/// A figure, independent of how it is drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Figure {
-    /// Curves over one axis.
+    /// Curves with common axes.
     Curves {
-        /// Name of its file.
+        /// File name.
         name: &'static str,
-        /// Above it.
+        /// Title above the curves.
         title: String,
-        /// What is shown and how it came about, for a reader of the figure alone.
+        /// Caption: what is shown and how it was made, for readers who see only the figure.
         caption: String,
-        /// With its unit.
+        /// Label with unit.
         x_label: &'static str,
-        /// With its unit.
+        /// Label with unit.
         y_label: &'static str,
         /// The curves.
         curves: Vec<Curve>,
     },
-    /// Images of one grid.
+    /// Images on a common grid.
     Images {
-        /// Name of its file.
+        /// File name.
         name: &'static str,
-        /// Above them.
+        /// Title above the images.
         title: String,
-        /// What is shown and how it came about, for a reader of the figure alone.
+        /// Caption: what is shown and how it was made, for readers who see only the figure.
         caption: String,
-        /// Pixels in a row.
+        /// Pixels per row.
         columns: usize,
         /// The images.
         panels: Vec<ImagePanel>,
     },
 }
 
-/// What an experiment gives.
+/// Results of an experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// As in `I2`.
+    /// Identifier, such as `I2`.
     pub id: &'static str,
-    /// One line.
+    /// One-line title.
     pub title: &'static str,
-    /// Its table.
+    /// Table of results.
     pub rows: Vec<Row>,
-    /// Its figures.
+    /// Figures.
     pub figures: Vec<Figure>,
-    /// What was fitted, assumed, or needs saying.
+    /// Notes on what was fitted or assumed, and other remarks.
     pub notes: Vec<String>,
 }
 
-/// Something that is replayed.
+/// An experiment that can be replayed.
 #[derive(Clone, Copy)]
 pub struct Experiment {
-    /// As in `I2`.
+    /// Identifier, such as `I2`.
     pub id: &'static str,
-    /// One line.
+    /// One-line title.
     pub title: &'static str,
     pub(crate) run: fn() -> Result<Report, Error>,
 }
@@ -147,10 +147,10 @@ impl std::fmt::Debug for Experiment {
 }
 
 impl Experiment {
-    /// Replays it.
+    /// Replays the experiment.
     ///
     /// # Errors
-    /// A twin that cannot be made or solved.
+    /// The twin cannot be built or solved.
     pub fn run(&self) -> Result<Report, Error> {
         (self.run)()
     }

@@ -1,5 +1,5 @@
-//! One-shot answers about a [`Case`]: its forward model, and difference images by the one-step inverse
-//! `x = (J'WJ + lambda^2 R)^-1 J'W dv` with the conventions of EIDORS, for comparison with other software.
+//! One-shot computations on a [`Case`], for comparison with other software: its forward model, and difference
+//! images by the one-step inverse `x = (J'WJ + lambda^2 R)^-1 J'W dv` with the conventions of EIDORS.
 
 use dermis_tomo::eit::{ForwardModel, Jacobian};
 use dermis_tomo::inverse::{ImageBasis, InverseError, LinearProblem, Prior, Weighting};
@@ -9,7 +9,7 @@ use faer::{Mat, Side, linalg::solvers::Solve};
 use crate::Error;
 use crate::case::Case;
 
-/// Which prior a difference image is made with.
+/// Prior of a difference image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DifferencePrior {
     /// R = I.
@@ -20,15 +20,15 @@ pub enum DifferencePrior {
     Noser,
 }
 
-/// How a difference image is made.
+/// Settings of a difference image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DifferenceSpec {
     /// The prior.
     pub prior: DifferencePrior,
-    /// lambda; enters squared.
+    /// lambda, which enters squared.
     pub hyperparameter: f64,
-    /// False: `dv = v - v0` and W = I. True: `dv = v/v0 - 1`, rows of J over v0, and `W = diag(v1^2)` with v1 the
-    /// voltages at conductivity 1 everywhere.
+    /// If false, `dv = v - v0` and W = I. If true, `dv = v/v0 - 1`, the rows of J are divided by v0, and `W =
+    /// diag(v1^2)`, where v1 are the voltages at conductivity 1 everywhere.
     pub normalised: bool,
 }
 
@@ -36,19 +36,20 @@ impl Case {
     /// The forward model of the case.
     ///
     /// # Errors
-    /// Electrode counts that disagree, or a system whose structure is refused.
+    /// The numbers of electrodes disagree, or the system's structure is rejected.
     pub fn forward_model(&self) -> Result<ForwardModel, Error> {
         Ok(ForwardModel::new(self.body.clone(), self.protocol.clone())?)
     }
 }
 
-/// The change of conductivity, per element, that explains the difference between the model's voltages at `reference`
-/// and at `changed`, linearised at `reference`. Exact for every prior and size: the Laplace prior's constants, which it
-/// does not weigh, are solved for apart.
+/// The change of conductivity per element that explains the difference between the model's voltages at `reference`
+/// and at `changed`, linearised at `reference`.
+///
+/// Exact for every prior and size. The Laplace prior doesn't penalise constants, so these are solved for separately.
 ///
 /// # Errors
-/// Conductivities that the model refuses, a reference voltage of zero where differences are normalised, a
-/// hyperparameter that is not positive and finite, or a system that is singular.
+/// A conductivity is rejected by the model, a reference voltage is zero although differences are normalised, the
+/// hyperparameter is not positive and finite, or the system is singular.
 pub fn difference_image(
     model: &ForwardModel,
     reference: &[f64],
@@ -88,8 +89,8 @@ fn normalise(jacobian: &mut Jacobian, dv: &mut [f64], v0: &[f64]) -> Result<(), 
     Ok(())
 }
 
-/// The image with the Laplace prior, whose R has the constants as null space: `x = c 1 + z` with z zero at the last
-/// element, where R without that element's row and column is positive definite with inverse P. In whitened data,
+/// The image with the Laplace prior, whose R has the constants as its null space: `x = c 1 + z` with z zero at the
+/// last element. Without that element's row and column R is positive definite, with inverse P. In whitened data, with
 /// `K = J P J' + lambda^2`, c is the generalised least-squares fit of `J 1` to dv, and `z = P J' K^-1 (dv - c J 1)`.
 fn laplace_image(
     jacobian: &Jacobian,
@@ -125,7 +126,7 @@ fn laplace_image(
     Ok((0..unknowns).map(|k| level + image[(k, 0)]).collect())
 }
 
-/// `P B` for the Laplace prior held at zero at its last unknown.
+/// `P B` for the Laplace prior with its last unknown held at zero.
 fn grounded_laplace_inverse(basis: &ImageBasis, mut b: Mat<f64>) -> Result<Mat<f64>, Error> {
     let held = basis.len() - 1;
     let mut entries: Vec<(u32, u32, f64)> = Vec::with_capacity(3 * basis.neighbours.len() + 1);
@@ -136,7 +137,8 @@ fn grounded_laplace_inverse(basis: &ImageBasis, mut b: Mat<f64>) -> Result<Mat<f
             entries.push((first.max(second), first.min(second), -2.0));
         }
     }
-    // A row of its own keeps the numbering; its right-hand side is zero, and so is its solution.
+    // Keep a row for the held unknown so that the numbering stays. Its right-hand side is zero, and so is its
+    // solution.
     entries.push((held as u32, held as u32, 1.0));
     for column in 0..b.ncols() {
         b[(held, column)] = 0.0;
@@ -175,7 +177,7 @@ mod tests {
         let basis = ImageBasis::of_elements(&model.body().mesh);
         let weights: Vec<f64> = (0..jacobian.rows).map(|k| 1.0 + (k % 5) as f64).collect();
         for weighting in [Weighting::Identity, Weighting::Diagonal(weights)] {
-            // Small enough for the linear problem to take its dense form, which is exact for a singular prior.
+            // Small enough for the dense form of the linear problem, which is exact for a singular prior.
             let matrix = Prior::Laplace.matrix(jacobian.as_mat(), &weighting, &basis).unwrap();
             let problem = LinearProblem::new(jacobian.as_mat(), weighting.clone(), matrix).unwrap();
             for lambda in [1e-3, 1e-1] {

@@ -1,12 +1,13 @@
-//! What a workshop gets wrong, and what it costs: a skin is built many times with errors of every kind, each time as a
-//! twin, and read by the model of the skin file, which knows nothing of the errors.
+//! Estimates what manufacturing errors cost. A skin is built many times as a twin, with errors of every kind, and
+//! read with the model of the skin file, which knows nothing of the errors.
 //!
-//! Errors are normal and cut off at three deviations, because a workshop throws worse ones away. Factors that spread
-//! over more than a few per cent (contact impedance, conductivity, noise) are log-normal. The sizes are assumptions of
-//! what care with hand tools, laser cutters and printers leaves; a file replaces any of them.
+//! Errors are normal and cut off at three standard deviations, because a workshop discards worse parts. Factors that
+//! spread over more than a few per cent (contact impedance, conductivity, noise) are log-normal. The default sizes
+//! are assumptions about careful work with hand tools, laser cutters and printers; a file can replace any of them.
 //!
-//! Every cause has random numbers of its own, drawn from seed, sample and cause. So a sample has the same errors alone
-//! and among others (but for electrodes that would touch), and reports do not depend on the number of threads.
+//! Every cause has its own random numbers, drawn from seed, sample and cause. A sample therefore has the same errors
+//! alone and in combination (except for electrodes that would touch), and reports don't depend on the number of
+//! threads.
 
 mod bench;
 mod cause;

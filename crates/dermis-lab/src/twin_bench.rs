@@ -1,4 +1,4 @@
-//! A twin on the bench: pressed with known forces, read with noise, imaged as its skin file says.
+//! A twin on the bench: pressed with known forces, read with noise, and imaged as its skin file says.
 
 use dermis_mit::LiftOffFit;
 use dermis_tomo::mesh::Surface;
@@ -21,15 +21,15 @@ use dermis_twin::TwinKit;
 /// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.806_65;
 
-/// Weight of a mass in newtons.
+/// Weight of a mass, newtons.
 pub fn grams_n(grams: f64) -> f64 {
     grams * 1e-3 * GRAVITY
 }
 
-/// Frames of the resting skin behind a baseline.
+/// Frames at rest in a baseline.
 const BASELINE_FRAMES: usize = 100;
 
-/// A twin, its instrument and what makes images of its readings.
+/// A twin, its instrument, and what is needed to image its readings.
 #[derive(Debug)]
 pub struct Rig {
     prepared: Prepared,
@@ -45,31 +45,31 @@ impl Rig {
     /// The twin of a built-in skin, with a baseline of 100 frames at rest.
     ///
     /// # Errors
-    /// A skin without twin, or one that cannot be made.
+    /// The skin has no twin, or the twin cannot be built.
     pub fn new(skin_name: &str) -> Result<Self, Error> {
         Self::of(Skin::open(skin_name)?)
     }
 
-    /// As [`Rig::new`], of a skin of one's own.
+    /// Like [`Rig::new`], for any skin.
     ///
     /// # Errors
-    /// As [`Rig::new`].
+    /// As for [`Rig::new`].
     pub fn of(skin: Skin) -> Result<Self, Error> {
         let kit = TwinKit::of(&skin)?;
         let (frontend, instrument, _) = kit.twin.into_parts();
         Self::from_parts(skin, frontend, instrument)
     }
 
-    /// From a frontend and an instrument of one's own.
+    /// A rig with a custom frontend and instrument.
     ///
     /// # Errors
-    /// As [`Rig::new`].
+    /// As for [`Rig::new`].
     pub fn from_parts(
         mut skin: Skin,
         mut frontend: Box<dyn Frontend>,
         mut instrument: Instrument,
     ) -> Result<Self, Error> {
-        // Every frame counts at once: presses are held still and averaged here.
+        // Every frame counts by itself, because presses are held still and averaged here.
         skin.touch.least_frames = 1;
         let frame_s = 1.0 / skin.backend.frames_per_s.unwrap_or(20.0);
         let prepared = Prepared::new(skin)?;
@@ -92,7 +92,7 @@ impl Rig {
         &self.prepared
     }
 
-    /// What differences are taken against.
+    /// The reference for differences.
     pub fn reference(&self) -> &Reference {
         &self.reference
     }
@@ -107,56 +107,55 @@ impl Rig {
         self.frame_s
     }
 
-    /// Readings under these indenters, one frame after the other.
+    /// Reads consecutive frames under these indenters.
     ///
     /// # Errors
-    /// Loads off the skin or larger than it; fields that cannot be solved.
+    /// A load is off the skin or larger than it, or the fields cannot be solved.
     pub fn frames(&mut self, indenters: &[Indenter], count: usize) -> Result<Vec<Vec<f64>>, Error> {
         read(&mut self.frontend, &mut self.instrument, indenters, count, self.frame_s)
     }
 
-    /// Mean of so many frames under these indenters, after one that lets the mechanics settle.
+    /// Mean of `count` frames under these indenters, after one for the mechanics to settle.
     ///
     /// # Errors
-    /// As [`Rig::frames`].
+    /// As for [`Rig::frames`].
     pub fn mean_frame(&mut self, indenters: &[Indenter], count: usize) -> Result<Vec<f64>, Error> {
         let frames = self.frames(indenters, count)?;
         let channels = self.prepared.channels();
         Ok((0..channels).map(|c| frames.iter().map(|frame| frame[c]).sum::<f64>() / count as f64).collect())
     }
 
-    /// Takes frames under these indenters as the new baseline: the user's choice of what is not to be seen.
+    /// Takes frames under these indenters as the new baseline, so that this load no longer shows.
     ///
     /// # Errors
-    /// As [`Rig::frames`].
+    /// As for [`Rig::frames`].
     pub fn tare(&mut self, indenters: &[Indenter]) -> Result<(), Error> {
         let frames = self.frames(indenters, BASELINE_FRAMES)?;
         self.reference = Reference::of(&self.prepared, &frames)?;
         Ok(())
     }
 
-    /// The image of a frame: row-major, NaN outside.
+    /// The image of a frame: row-major, NaN outside the skin.
     ///
     /// # Errors
-    /// A frame of another length.
+    /// The frame has the wrong length.
     pub fn image(&mut self, frame: &[f64]) -> Result<Vec<f32>, Error> {
         let mut image = vec![f32::NAN; self.prepared.map.grid().len()];
         self.reconstructor.image(&self.reference.difference(frame, None), &mut image)?;
         Ok(image)
     }
 
-    /// Travel of the elements in the image made last, where these are solved for.
+    /// Travel of the elements in the last image, if it was solved for.
     pub fn heights(&self) -> Option<&LiftOffFit> {
         self.reconstructor.imager.heights()
     }
 
-    /// Takes differences against another reference from now on.
+    /// Sets another reference for differences.
     pub fn set_reference(&mut self, reference: Reference) {
         self.reference = reference;
     }
 
-    /// How far from a place an image has its values: root mean square distance weighted with their squares,
-    /// millimetres.
+    /// Spread of an image around a place: root mean square distance weighted by the squared values, millimetres.
     pub fn spread_mm(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
         let columns = self.columns();
         let finite = image.iter().enumerate().filter(|(_, value)| value.is_finite());
@@ -167,10 +166,10 @@ impl Rig {
         1e3 * (moment / total).sqrt()
     }
 
-    /// Touches of the image made last ([`Rig::image`]), which has nothing to do with the one before, strongest first.
+    /// Touches of the last image ([`Rig::image`]), treated as independent of the previous one, strongest first.
     ///
     /// # Errors
-    /// An image of another size.
+    /// The image has the wrong size.
     pub fn touches(&mut self, image: &[f32]) -> Result<Vec<Contact>, Error> {
         self.frames += 1;
         let time_ns = self.frames * 1_000_000_000;
@@ -181,17 +180,17 @@ impl Rig {
         Ok(stage.contacts().iter().take(begun).copied().collect())
     }
 
-    /// Reads the forces of touches by a calibration from now on.
+    /// Sets or removes the calibration that gives touches their forces.
     pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
         self.reconstructor.touches.set_forces(forces);
     }
 
-    /// Image, with the indenters' places marked.
+    /// An image panel with the indenters' positions marked.
     pub fn panel(&self, name: impl Into<String>, values: &[f32], places_m: &[[f64; 2]]) -> ImagePanel {
         panel_of(&self.prepared, name, values, places_m)
     }
 
-    /// Pixels in a row of an image.
+    /// Pixels per row of an image.
     pub fn columns(&self) -> usize {
         self.prepared.map.grid().columns
     }
@@ -210,7 +209,7 @@ impl Rig {
         [grid.left_m + column * grid.pixel_m, grid.top_m - row * grid.pixel_m]
     }
 
-    /// Mean of the image over the pixels (3 x 3 of them, less at a rim) around a place.
+    /// Mean of the image over the 3 x 3 pixels around a place, fewer at a rim.
     pub fn mean_around(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
         let grid = self.prepared.map.grid();
         let column = ((x - grid.left_m) / grid.pixel_m).floor() as i64;
@@ -225,7 +224,7 @@ impl Rig {
     }
 }
 
-/// Image of a skin, with places marked.
+/// An image panel of a skin, with places marked.
 pub(super) fn panel_of(
     prepared: &Prepared,
     name: impl Into<String>,
@@ -249,7 +248,7 @@ pub(super) fn disc(centre_m: [f64; 2], diameter_mm: f64, force_n: f64) -> Indent
     Indenter { centre_m, shape: Shape::Disc { radius_m: 0.5e-3 * diameter_mm }, load: Load::ForceN(force_n) }
 }
 
-/// Distance of two places in millimetres.
+/// Distance between two places, millimetres.
 pub(super) fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
     1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
 }
@@ -261,7 +260,7 @@ fn read(
     count: usize,
     frame_s: f64,
 ) -> Result<Vec<Vec<f64>>, Error> {
-    // A load that the skin cannot bear would be dropped in silence, and the experiment be one of nothing.
+    // A load that the skin cannot bear would be dropped silently, and the experiment would measure nothing.
     indenters.iter().try_for_each(|indenter| frontend.check_indenter(indenter))?;
     let mut frames = Vec::with_capacity(count);
     for _ in 0..count {

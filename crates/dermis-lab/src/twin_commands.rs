@@ -1,6 +1,6 @@
-//! Commands on their way to a running twin: one bounded queue for pages, standard input and whoever else commands it.
-//! What a later command makes pointless leaves the queue, equal commands are one, and what does not fit is refused with
-//! the reason.
+//! The queue of commands to a running twin: one bounded queue for pages, standard input and all other callers. A
+//! later command removes those that it makes pointless, equal commands are merged, and a command that doesn't fit is
+//! refused with the reason.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -8,76 +8,76 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use dermis_twin::Treatment;
 use dermis_twin::instrument::Fault;
 
-/// Presses and faults that may wait for the next frame.
+/// Most presses and faults queued for the next frame.
 pub const MOST_WAITING: usize = 256;
-/// Treatments that may wait, while others are being prepared.
+/// Most treatments queued while others are being prepared.
 pub const MOST_TREATMENTS: usize = 64;
 
-/// What can be done to a running twin.
+/// A command to a running twin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TwinCommand {
-    /// Press, or go on pressing elsewhere or otherwise.
+    /// Start a press, or change a current one.
     Press {
-        /// Who presses.
+        /// Identifies the press.
         pointer: u64,
-        /// Where, metres.
+        /// Position, metres.
         position_m: [f64; 2],
         /// Radius of the indenter, metres.
         radius_m: f64,
-        /// Pressure under it, pascal.
+        /// Pressure, pascals.
         pressure_pa: f64,
     },
-    /// Stop pressing.
+    /// End a press.
     Release {
-        /// Who stops.
+        /// Identifies the press.
         pointer: u64,
     },
-    /// Something of the instrument breaks, with all that is broken already.
+    /// Add a fault to the instrument.
     Break(Fault),
     /// Cut, heat or renew a self-healing sheet.
     Treat(Treatment),
-    /// Show touches by itself while nobody presses, or not any more.
+    /// Switch the demonstration on or off, which shows touches while nobody presses.
     Demonstrate(bool),
-    /// Nothing is broken any more, whatever the skin file says.
+    /// Remove all faults, including those of the skin file.
     Repair,
 }
 
-/// Why a command was not taken.
+/// Reason for refusing a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandRefused {
-    /// Too many wait already.
+    /// The queue is full.
     #[error("{waiting} {what} wait for the twin already; expected fewer, or a pause between them")]
     Full {
-        /// Of what kind.
+        /// Kind of command.
         what: &'static str,
-        /// How many.
+        /// Number already queued.
         waiting: usize,
     },
-    /// The twin is no longer there.
+    /// The twin has ended.
     #[error("the twin has ended")]
     Ended,
 }
 
 #[derive(Debug, Default)]
 struct Waiting {
-    /// Presses, releases, faults.
+    /// Presses, releases and faults.
     quick: VecDeque<TwinCommand>,
     treatments: VecDeque<Treatment>,
 }
 
-/// Where commands go in; any number of threads may hold one.
+/// The sending end; any number of threads may hold one.
 #[derive(Clone, Debug)]
 pub struct TwinCommands(Weak<Mutex<Waiting>>);
 
-/// Where they come out.
+/// The receiving end.
 #[derive(Debug, Default)]
 pub(crate) struct CommandQueue(Arc<Mutex<Waiting>>);
 
 impl TwinCommands {
-    /// Hands a command on; it acts at the next frame, or with it what came after it.
+    /// Queues a command. It acts at the next frame, together with any that follow before then.
     ///
     /// # Errors
-    /// A queue that is full, a twin that has ended.
+    /// The queue is full, or the twin has ended.
     pub fn send(&self, command: TwinCommand) -> Result<(), CommandRefused> {
         let waiting = self.0.upgrade().ok_or(CommandRefused::Ended)?;
         let mut waiting = locked(&waiting);
@@ -98,18 +98,18 @@ impl CommandQueue {
         locked(&self.0).quick.pop_front()
     }
 
-    /// All treatments that wait.
+    /// Takes all queued treatments.
     pub fn treatments(&self) -> Vec<Treatment> {
         locked(&self.0).treatments.drain(..).collect()
     }
 
-    /// Whether a new sheet is asked for, which makes all treatments before it pointless.
+    /// True if a new sheet is requested, which makes all earlier treatments pointless.
     pub fn renews(&self) -> bool {
         locked(&self.0).treatments.contains(&Treatment::Renew)
     }
 }
 
-/// The queue holds whole commands whatever panicked.
+/// A panic elsewhere cannot leave the queue inconsistent, so a poisoned lock is usable.
 fn locked(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
     waiting.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -121,7 +121,7 @@ impl Waiting {
             Press { pointer, .. } | Release { pointer } => {
                 let of_it = |other: &&mut TwinCommand| matches!(other, Press { pointer: p, .. } | Release { pointer: p } if *p == pointer);
                 let last = self.quick.iter_mut().rev().find(of_it);
-                // A press that ends and begins anew within a frame stays two.
+                // Keep a release followed by a new press within one frame as two commands.
                 if let Some(last) = last.filter(|last| !matches!((&**last, &command), (Release { .. }, Press { .. }))) {
                     *last = command;
                     return Ok(());
@@ -132,7 +132,7 @@ impl Waiting {
             Demonstrate(_) => self.quick.retain(|other| !matches!(other, Demonstrate(_))),
             Break(_) | Treat(_) => {}
         }
-        // Who lets go is heard in any case: nothing must stay pressed for want of room.
+        // Always accept releases: nothing may stay pressed because the queue is full.
         let most = if matches!(command, Release { .. }) { 2 * MOST_WAITING } else { MOST_WAITING };
         if self.quick.len() >= most {
             return Err(CommandRefused::Full { what: "commands", waiting: self.quick.len() });

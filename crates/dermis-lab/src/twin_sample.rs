@@ -1,8 +1,8 @@
-//! Labelled data of a skin that need not exist: its twin is pressed as a table says, and its frames are written as
-//! files that `dermis reconstruct` and `dermis calibrate` read, with the instrument's noise.
+//! Simulated, labelled data of a skin: its twin is pressed according to a table, and its frames are written, with the
+//! instrument's noise, to files that `dermis reconstruct` and `dermis calibrate` read.
 //!
-//! Each press is made on a rested skin and held for a second before its frames are taken, so that a viscoelastic layer
-//! answers as in a press of a second, whatever was pressed before.
+//! Each press starts on a rested skin and is held for a second before its frames are taken. A viscoelastic layer thus
+//! responds the same way whatever was pressed before.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -19,64 +19,67 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
 use crate::Error;
+use crate::tolerances::frontend_of;
 
-/// Frames of the untouched skin.
+/// Frames of the untouched skin in the baseline.
 pub const BASELINE_FRAMES: usize = 32;
-/// How long a press is held before its frames are taken, seconds.
+/// Time that a press is held before its frames are taken, seconds.
 const HELD_S: f64 = 1.0;
-/// How long the skin rests before a press, seconds: far longer than any cover remembers.
+/// Rest before a press, seconds: far longer than any cover remembers.
 const REST_S: f64 = 1e5;
-/// Presses, and frames of each, that one request may ask for.
+/// Most presses, and most frames, in one request.
 const MOST_PRESSES: usize = 1_000_000;
 const MOST_FRAMES: usize = 10_000_000;
-/// Readings in all, 8 bytes each: 16 GiB.
+/// Most readings in total; at 8 bytes each, 16 GiB.
 const MOST_READINGS: usize = 2_000_000_000;
-/// Random presses keep to this share of the outline, about its middle.
+/// Random presses stay within this share of the outline about its centre.
 const INSIDE_SHARE: f64 = 0.85;
-/// After so many places in a row that are none, half the distance from the rim is enough,
+/// Halve the required distance from the rim after this many misses in a row.
 const MOST_MISSED: usize = 10_000;
-/// down to this share of the shorter side.
+/// Smallest distance from the rim, as a share of the shorter side.
 const LEAST_MARGIN: f64 = 1e-6;
 
-/// What is to be made, and where to.
+/// Content and destination of a data set.
 #[derive(Clone, Debug)]
 pub struct SampleRequest {
     /// The skin.
     pub skin: Skin,
-    /// What presses, in order; all of one entry press together.
+    /// Presses in order; all indenters of one entry press together.
     pub presses: Vec<Vec<Indenter>>,
     /// File of the untouched skin's frames.
     pub baseline: PathBuf,
     /// File of the presses' frames.
     pub frames: PathBuf,
-    /// Table of what was true in each frame.
+    /// Output table with the true presses in each frame.
     pub truth: Option<PathBuf>,
-    /// Seed of the noise; the skin file's where left out.
+    /// Seed of the noise; the skin file's if `None`.
     pub seed: Option<u64>,
     /// Number of a skin that a workshop builds within the file's tolerances; as drawn where left out.
     pub built: Option<u64>,
-    /// Frames of each press.
+    /// Frames per press.
     pub repeats: usize,
 }
 
-/// What was made.
+/// Counts of the data made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sampled {
     /// Frames of presses.
     pub frames: usize,
-    /// Presses, those together counted once.
+    /// Presses, counting simultaneous ones once.
     pub presses: usize,
-    /// Readings of a frame.
+    /// Readings in a frame.
     pub channels: usize,
-    /// Presses during which the model left its validity, as where a membrane touches the bottom.
+    /// Presses that took the model out of its range of validity, for example when a membrane touches the bottom.
     pub outside_validity: usize,
 }
 
-/// Reads a table of presses: columns x_mm, y_mm (or x_m, y_m), one of force_n and pressure_kpa, and, where given, radius_mm (else the
+/// Reads a table of presses.
+///
+/// Columns are x_mm, y_mm (or x_m, y_m), either force_n or pressure_kpa, and optionally radius_mm (default: the
 /// skin's usual one) and group: rows of the same group press together.
 ///
 /// # Errors
-/// A file that is no such table, values that are missing or make no sense, with the row.
+/// The file is not such a table, or a value is missing or invalid; the message names the row.
 pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>>, Error> {
     let table = csv::read_numbers(path)?.in_millimetres();
     let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
@@ -108,7 +111,7 @@ pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>
             if value >= low && value <= high {
                 return Ok(value);
             }
-            // The header is the first line.
+            // The header is line 1.
             let reason = format!("{value}; expected {low} to {high}");
             Err(content(format!("line {}, {name}", row + 2), reason))
         };
@@ -141,11 +144,11 @@ pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>
     Ok(presses)
 }
 
-/// So many single presses at random places within 85 % of the outline, of the skin's usual radius and pressure. Where
-/// an outline is so thin that hardly any place is that far from its rim, places nearer to the rim count as well.
+/// Single presses at random places within 85 % of the outline, with the skin's usual radius and pressure. If the
+/// outline is so thin that hardly any place is that far from its rim, places nearer to the rim are accepted.
 ///
 /// # Errors
-/// An outline with hardly any inside.
+/// The outline has hardly any interior.
 pub fn random_presses(
     outline: &Outline,
     usual: &PressRange,
@@ -164,7 +167,7 @@ pub fn random_presses(
     while presses.len() < count {
         let place = [0, 1].map(|axis| random.random_range(low[axis]..=high[axis]));
         let is_in = match outline {
-            // Away from every rim.
+            // Stay away from every rim.
             Outline::Polygon { .. } => {
                 let clear = |k: u32| {
                     let angle = f64::from(k) * std::f64::consts::TAU / 16.0;
@@ -172,7 +175,7 @@ pub fn random_presses(
                 };
                 outline.contains(place) && (0..16).all(clear)
             }
-            // Shrunk about the middle.
+            // Shrink the outline about its centre.
             _ => outline.contains([0, 1].map(|axis| middle[axis] + (place[axis] - middle[axis]) / INSIDE_SHARE)),
         };
         if is_in {
@@ -195,10 +198,11 @@ pub fn random_presses(
     Ok(presses)
 }
 
-/// Presses the twin and writes the files, each whole or not at all. `progress` gets presses done and presses in all.
+/// Presses the twin and writes the files, each complete or not at all. `progress` gets the number of presses done and
+/// the total.
 ///
 /// # Errors
-/// A twin that cannot be made, presses off the skin (with their number), files that cannot be written.
+/// The twin cannot be built, a press is off the skin (named by its number), or a file cannot be written.
 pub fn sample(request: &SampleRequest, progress: impl FnMut(usize, usize)) -> Result<Sampled, Error> {
     let formats = [&request.baseline, &request.frames].map(|path| Format::of(path));
     let [baseline_format, frames_format] = [formats[0].clone()?, formats[1].clone()?];
@@ -214,10 +218,10 @@ pub fn sample(request: &SampleRequest, progress: impl FnMut(usize, usize)) -> Re
     Ok(Sampled { frames, presses: request.presses.len(), channels, outside_validity })
 }
 
-/// The same in memory: frames of the untouched skin, and one frame of each press.
+/// Like `sample`, in memory: returns the frames of the untouched skin and one frame per press.
 ///
 /// # Errors
-/// A twin that cannot be made, presses off the skin (with their number).
+/// The twin cannot be built, or a press is off the skin (named by its number).
 pub fn sample_tables(
     skin: &Skin,
     presses: &[Vec<Indenter>],
@@ -298,7 +302,7 @@ fn press(
     Ok(Pressed { baseline, rows, reader, outside_validity })
 }
 
-/// Frames one after the other, and their imaginary parts where there are any.
+/// Consecutive frames, with their imaginary parts if they have any.
 #[derive(Default)]
 struct Rows {
     values: Vec<f64>,
@@ -360,7 +364,7 @@ impl Format {
     }
 }
 
-/// A file whose name does not say in which format.
+/// A file whose name doesn't tell its format.
 #[derive(Clone, Debug)]
 struct UnknownFormat(PathBuf);
 
@@ -371,7 +375,7 @@ impl From<UnknownFormat> for Error {
     }
 }
 
-/// A row a frame, without header; where readings are complex, each is its real and its imaginary part.
+/// Writes one row per frame, without header. Complex readings are written as real and imaginary part.
 fn write_csv(out: &mut dyn Write, channels: usize, rows: &Rows, complex: bool) -> std::io::Result<()> {
     for (k, frame) in rows.values.chunks_exact(channels).enumerate() {
         for (channel, value) in frame.iter().enumerate() {
@@ -389,7 +393,8 @@ fn write_csv(out: &mut dyn Write, channels: usize, rows: &Rows, complex: bool) -
     Ok(())
 }
 
-/// A row a touch, with the number of its frame from 0; readable as positions of pokes where single presses were made.
+/// Writes one row per touch with its frame number from 0. If all presses are single, the file also serves as a
+/// table of poke positions.
 fn write_truth(path: &Path, presses: &[Vec<Indenter>], repeats: usize) -> Result<(), Error> {
     dermis_device::write_atomic(path, |out| {
         writeln!(out, "frame,x_m,y_m,force_n,radius_m,pressure_pa")?;
@@ -468,7 +473,7 @@ mod tests {
         let text = std::fs::read_to_string(at("t.csv")).unwrap();
         assert_eq!(text.lines().count(), 11);
         assert_eq!(std::fs::read_to_string(at("f.csv")).unwrap().lines().count(), 10);
-        // The same seed, the same bits.
+        // The same seed gives identical bytes.
         let first = std::fs::read(at("f.csv")).unwrap();
         sample(&request, |_, _| {}).unwrap();
         assert_eq!(std::fs::read(at("f.csv")).unwrap(), first);
@@ -481,7 +486,7 @@ mod tests {
 
     #[test]
     fn thin_outlines_are_pressed_nearer_to_their_rim() {
-        // A strip across the square: 0.5 % of it, and nowhere further than 0.25 mm from a rim.
+        // A strip across the square: 0.5 % of its area, and nowhere further than 0.25 mm from a rim.
         let outer = vec![[-0.05, -0.05], [-0.0493, -0.05], [0.05, 0.05], [0.0493, 0.05]];
         let strip = Outline::Polygon { outer, holes: Vec::new() };
         let presses = random_presses(&strip, &usual(), 5, 1).unwrap();

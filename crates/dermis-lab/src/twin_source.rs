@@ -1,4 +1,5 @@
-//! A digital twin behind the same interface as hardware: frames at the instrument's rate, and people may press on it.
+//! A digital twin behind the same interface as hardware. It delivers frames at the instrument's rate and can be
+//! pressed by commands.
 
 use std::any::Any;
 use std::collections::BTreeSet;
@@ -27,56 +28,56 @@ pub struct TwinSource {
     twin: AnyTwin,
     press: PressRange,
     demo: Option<Script>,
-    /// The demonstration is wanted.
+    /// True if the demonstration is wanted.
     wants_demo: bool,
-    /// The demonstration is what touches the twin.
+    /// True while the demonstration controls the presses.
     demonstrates: bool,
-    /// Until this frame nothing is demonstrated.
+    /// No demonstration before this frame.
     calm_until: u64,
-    /// What is broken, and when.
+    /// Current and scheduled faults.
     faults: Vec<TimedFault>,
-    /// Contact impedances with all electrodes in contact.
+    /// Contact impedances with all electrodes in contact, ohms.
     contacts_ohm: Vec<f64>,
     commands: CommandQueue,
-    /// Treatments that are being prepared beside the frames.
+    /// Treatments being prepared in the background.
     preparing: Option<Preparing>,
     notices: (Sender<String>, Receiver<String>),
     /// Pointers whose last press was refused.
     refused: BTreeSet<u64>,
-    /// Pointers that press.
+    /// Pointers that are pressing.
     pressing: BTreeSet<u64>,
-    /// That the model left its validity has been said.
+    /// True once the warning about the model's validity has been given.
     warned: bool,
     period: Duration,
     started: Option<Instant>,
-    /// Paced by the clock, or as fast as asked.
+    /// Paced by the clock if true, else as fast as frames are requested.
     paced: bool,
-    /// Frames that the instrument took, whatever became of them.
+    /// Frames taken by the instrument, delivered or not.
     ticks: u64,
     /// Frames skipped because this machine was too slow.
     skipped: u64,
-    /// Frames that a fault of the instrument lost.
+    /// Frames lost to an instrument fault.
     dropped: u64,
     frames: u64,
     values: Vec<f64>,
 }
 
-/// Most that may press at once, and most that may be broken at once.
+/// Most pointers that may press at once, and most faults at once.
 const MOST_POINTERS: usize = 32;
 const MOST_FAULTS: usize = 256;
-/// Notices that may wait for a reader.
+/// Most notices waiting for a reader.
 const NOTICES: usize = 64;
-/// Hosts make their operators while frames come already.
+/// Time that a host may need to prepare its operators while frames already arrive.
 const READY: Duration = Duration::from_secs(5);
-/// Frames without any touch at the start, for a baseline; then the demonstration begins.
+/// Untouched frames at the start, for a baseline, before the demonstration begins.
 const REST_FRAMES: u64 = dermis_live::pipeline::TARE_FRAMES as u64 + 4;
 
 impl TwinSource {
-    /// The twin of a skin, at the skin file's frame rate (50 frames/s where it gives none), with its demonstration
-    /// script. Commands go through the sender; while someone presses, the script waits.
+    /// The twin of a skin with its demonstration script, at the skin file's frame rate (50 frames/s by default).
+    /// Commands go through the returned sender; the script pauses while someone presses.
     ///
     /// # Errors
-    /// A skin without twin, or one that cannot be made.
+    /// The skin has no twin, or the twin cannot be built.
     pub fn new(skin: &Skin) -> Result<(Self, TwinCommands), Error> {
         let TwinKit { twin, press, demo } = TwinKit::of(skin)?;
         let commands = CommandQueue::default();
@@ -111,16 +112,15 @@ impl TwinSource {
         Ok((source, sender))
     }
 
-    /// The same without its demonstration: nothing touches it but who commands it.
+    /// The same twin without its demonstration, so that only commands touch it.
     pub fn undemonstrated(self) -> Self {
         Self { demo: None, ..self }
     }
 
-    /// Somebody new looks: the demonstration stops for as long as a host takes to get ready and to take a baseline, and
-    /// then begins again.
+    /// Pauses the demonstration for a new observer, long enough for a host to get ready and take a baseline.
     ///
     /// # Errors
-    /// None of a twin that could be made.
+    /// None for a twin that could be built.
     pub fn calm(&mut self) -> Result<(), Error> {
         self.calm_until = self.ticks + REST_FRAMES + (READY.as_secs_f64() / self.period.as_secs_f64()) as u64;
         if std::mem::take(&mut self.demonstrates) {
@@ -129,23 +129,23 @@ impl TwinSource {
         Ok(())
     }
 
-    /// The same as fast as frames are asked for; times and numbers are those of the paced one on a machine that keeps
-    /// up.
+    /// The same twin without pacing, as fast as frames are requested. Times and sequence numbers are those of a paced
+    /// twin on a machine that keeps up.
     pub fn unpaced(self) -> Self {
         Self { paced: false, ..self }
     }
 
-    /// What the twin has to say to people: presses refused, and, once, that its model has left its validity.
+    /// Messages for the user: refused presses, and once a warning that the model has left its range of validity.
     pub fn notices(&self) -> Receiver<String> {
         self.notices.1.clone()
     }
 
-    /// What is broken in its instrument now.
+    /// Faults currently active in the instrument.
     pub fn acting_faults(&self) -> &[Fault] {
         self.twin.instrument().faults()
     }
 
-    /// Contact impedance of every electrode now, ohm, NaN where open; empty for coils.
+    /// Current contact impedance of every electrode, ohms; NaN if open; empty for coils.
     pub fn contacts_ohm(&self) -> Vec<f32> {
         let open = |e: usize| {
             let is_it = |fault: &Fault| matches!(fault, Fault::OpenElectrode { electrode } if *electrode as usize == e);
@@ -155,12 +155,12 @@ impl TwinSource {
         self.contacts_ohm.iter().enumerate().map(contact).collect()
     }
 
-    /// What people may press with.
+    /// Range of pressures and radii for presses.
     pub fn press_range(&self) -> PressRange {
         self.press
     }
 
-    /// Sleeps until the next frame is due, at most `timeout`; true if it is due.
+    /// Sleeps until the next frame is due, at most `timeout`; returns true if it is due.
     fn wait(&mut self, timeout: Duration) -> bool {
         let started = *self.started.get_or_insert_with(Instant::now);
         let mut due = started + self.period.mul_f64((self.ticks + self.skipped) as f64);
@@ -169,7 +169,7 @@ impl TwinSource {
             std::thread::sleep(timeout);
             return false;
         }
-        // A machine too slow for the rate skips frames, as an instrument would overrun, and counts them.
+        // A machine too slow for the rate skips frames, as an overrunning instrument would, and counts them.
         let behind = now.saturating_duration_since(due).as_secs_f64() / self.period.as_secs_f64();
         if behind > 4.0 {
             self.skipped += behind as u64;
@@ -204,7 +204,7 @@ impl TwinSource {
                         self.twin.scene_mut().set_script(None)?;
                     }
                 }
-                // Treatments have a queue of their own.
+                // Treatments have their own queue.
                 TwinCommand::Treat(_) => {}
                 TwinCommand::Break(fault) => self.break_(fault),
                 TwinCommand::Repair => {
@@ -216,7 +216,7 @@ impl TwinSource {
         self.treat()
     }
 
-    /// Treats the sheet as far as that is prepared, and begins to prepare what waits.
+    /// Applies treatments that are ready, and starts preparing those that wait.
     fn treat(&mut self) -> Result<(), TwinError> {
         if self.commands.renews()
             && let Some(preparing) = self.preparing.take()
@@ -239,14 +239,14 @@ impl TwinSource {
         if treatments.is_empty() {
             return Ok(());
         }
-        // Who cuts and heals wants to see that, and not a demonstration of touches.
+        // A user who cuts and heals doesn't want a demonstration of touches at the same time.
         self.wants_demo = false;
         if std::mem::take(&mut self.demonstrates) {
             self.twin.scene_mut().set_script(None)?;
         }
         let is_slow = |treatment: &Treatment| matches!(treatment, Treatment::Cut(_) | Treatment::Renew);
         match self.twin.frontend().preparation(&treatments) {
-            // Frames that nobody waits for may wait themselves.
+            // Only a paced twin has to keep its frame rate meanwhile; an unpaced one prepares in place.
             Some(work) if self.paced && treatments.iter().any(is_slow) => {
                 self.preparing = Some(Preparing::spawn(work));
             }
@@ -271,7 +271,7 @@ impl TwinSource {
         }
     }
 
-    /// Steps the twin. A sheet whose fields cannot be solved any more is replaced by a new one, which is said.
+    /// Steps the twin. If the sheet's fields can no longer be solved, it is replaced by a new sheet, with a notice.
     fn step(&mut self, time_s: f64) -> Result<(u64, FrameFate), TwinError> {
         let stepped = self.twin.step(time_s, &mut self.values).map(|truth| (truth.sequence, truth.fate));
         let error = match stepped {
@@ -283,8 +283,8 @@ impl TwinSource {
         self.twin.step(time_s, &mut self.values).map(|truth| (truth.sequence, truth.fate))
     }
 
-    /// Presses, or says why not: a press that makes no sense must not end the source. A pointer that slides off the
-    /// skin lets go without a word, and presses again where it comes back.
+    /// Presses, or gives the reason as a notice, because an invalid press must not end the source. A pointer that
+    /// slides off the skin is silently released, and presses again when it returns.
     fn press(&mut self, pointer: u64, [x_m, y_m]: [f64; 2], radius_m: f64, pressure_pa: f64) {
         if self.pressing.len() >= MOST_POINTERS && !self.pressing.contains(&pointer) {
             if self.refused.len() < MOST_POINTERS && self.refused.insert(pointer) {
@@ -302,13 +302,13 @@ impl TwinSource {
                 self.pressing.insert(pointer);
             }
             Err(error) => {
-                // Whoever slides off the skin lets go; a press that makes no sense leaves what was pressed as it is.
+                // A pointer that slides off the skin is released; an invalid press leaves the previous one in place.
                 let off = !self.twin.frontend().extent().contains([x_m, y_m]);
                 if slides && off {
                     self.pressing.remove(&pointer);
                     self.twin.scene_mut().release(pointer);
                 }
-                // Pointers that are not remembered are told again.
+                // Forgotten pointers get their notice again.
                 if self.refused.len() >= MOST_POINTERS {
                     self.refused.clear();
                 }
@@ -319,7 +319,7 @@ impl TwinSource {
         }
     }
 
-    /// Breaks something more, or says why it cannot be broken.
+    /// Adds a fault, or says in a notice why it is impossible.
     fn break_(&mut self, fault: Fault) {
         let timed = TimedFault::from(fault);
         if self.faults.contains(&timed) {
@@ -335,7 +335,7 @@ impl TwinSource {
         }
     }
 
-    /// Says once that the model has left its validity.
+    /// Warns once that the model has left its range of validity.
     fn warn(&mut self) {
         if !self.warned
             && let Some(text) = self.twin.frontend().outside_validity()
@@ -347,12 +347,12 @@ impl TwinSource {
 
     fn notice(&self, text: String) {
         tracing::warn!("{text}");
-        // Notices that nobody reads are in the log.
+        // Notices without a reader are still in the log.
         let _ = self.notices.0.try_send(text);
     }
 }
 
-/// Work on treatments in a thread of its own.
+/// Treatments being prepared in a separate thread.
 #[derive(Debug)]
 struct Preparing {
     prepared: Receiver<Box<dyn Any + Send>>,
@@ -365,7 +365,7 @@ impl Preparing {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
         let thread = std::thread::Builder::new().name("dermis-treatment".to_owned());
-        // Without a thread the sender is gone, and the treatment refused.
+        // If the thread cannot start, the sender is dropped and the treatment is refused.
         let _ = thread.spawn(move || {
             let _ = done.send(work(&stopped));
         });

@@ -1,11 +1,11 @@
-//! One frame through the network: what the second step costs a live image.
+//! One frame through the network: the cost of the second step for a live image.
 
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dermis_learn::{Network, Tensors, UNetShape};
 
-/// Weights that are neither zero nor alike; their values do not matter to the time.
+/// Weights that are neither zero nor all equal; their values do not affect the time.
 fn weights(shape: &UNetShape) -> Tensors {
     let mut tensors = Tensors::default();
     for (number, spec) in shape.tensors().into_iter().enumerate() {

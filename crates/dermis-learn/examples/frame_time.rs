@@ -1,5 +1,5 @@
 //! Times one frame: `cargo run --release -p dermis-learn --example frame_time`. Width 8, four levels, 64x64 pixels,
-//! three classes, one core; the quickest and the median of 300 frames.
+//! three classes, one core; prints the minimum and the median of 300 frames.
 
 use std::time::Instant;
 

@@ -1,6 +1,6 @@
-//! Runs weights on an image, for comparison with other programs:
+//! Runs a network on an image, for comparison with other programs:
 //! `run_network WEIGHTS INPUTS CLASSES WIDTH LEVELS ROWS COLUMNS IN OUT COPY`. IN is inputs x rows x columns and OUT
-//! classes x rows x columns of little-endian 32-bit numbers; COPY receives the weights as this library writes them.
+//! classes x rows x columns of little-endian 32-bit floats; COPY receives the weights as written by this library.
 
 use std::error::Error;
 use std::path::Path;

@@ -1,10 +1,10 @@
-//! Errors of this crate: what failed, where, the value, and what was expected.
+//! Errors of this crate: the failure, its place, the value and what was expected.
 
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why a network, its weights or a training set could not be used.
+/// Reasons why a network, its weights or a training set cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LearnError {
@@ -13,10 +13,10 @@ pub enum LearnError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// A file whose contents are not what they should be.
+    /// A file with invalid contents.
     #[error("{}: {field}: {reason}", file.display())]
     Content {
         /// The file.
@@ -26,20 +26,20 @@ pub enum LearnError {
         /// Value found and what was expected.
         reason: String,
     },
-    /// A value that makes no sense where it stands.
+    /// An invalid value.
     #[error("{what} = {value}: expected {expected}")]
     Value {
-        /// What it is.
+        /// Name of the value.
         what: &'static str,
         /// Its value.
         value: String,
-        /// What was expected.
+        /// Expected values.
         expected: String,
     },
-    /// Two things that belong together have different sizes.
+    /// Two sizes that should match differ.
     #[error("{what}: expected {expected} values, got {got}")]
     Size {
-        /// What was counted.
+        /// The items counted.
         what: &'static str,
         /// Expected count.
         expected: usize,
@@ -51,13 +51,13 @@ pub enum LearnError {
     OtherSkin {
         /// The model's card.
         file: PathBuf,
-        /// Skin of the model.
+        /// Skin that the model was made for.
         model: String,
-        /// Its fingerprint, abbreviated.
+        /// Fingerprint of that skin, abbreviated.
         model_print: String,
-        /// The skin at hand.
+        /// The current skin.
         skin: String,
-        /// Its fingerprint, abbreviated.
+        /// Fingerprint of the current skin, abbreviated.
         skin_print: String,
     },
 }

@@ -1,7 +1,6 @@
-//! Segmentation of tactile images by a U-Net (second step of two-step imaging): every pixel is compressed, background
-//! or damaged, with probabilities. Inference and training on the processor need no machine-learning framework, and
-//! inference allocates nothing per frame. On graphics processors networks are trained by PyTorch, from the same
-//! training sets.
+//! Segmentation of tactile images by a U-Net (the second step of two-step imaging): every pixel is compressed,
+//! background or damaged, with probabilities. Inference and training on the CPU need no machine-learning framework,
+//! and inference allocates nothing per frame. On GPUs, networks are trained with PyTorch from the same training sets.
 //!
 //! ```
 //! use dermis_learn::metrics::{Confusion, most_likely};
@@ -23,10 +22,10 @@
 //!
 //! | | |
 //! |---|---|
-//! | [`Network`], [`UNetShape`], [`Tensors`] | the network, its form, its weights |
-//! | [`Model`], [`ModelCard`], [`Novelty`] | a trained network with its card; how unlike its training a frame is |
-//! | [`scene`], [`TrainingSet`] | what training samples are made of; sets of them on disk |
-//! | [`train`], [`metrics`] | training; how good labels are |
+//! | [`Network`], [`UNetShape`], [`Tensors`] | the network, its architecture, its weights |
+//! | [`Model`], [`ModelCard`], [`Novelty`] | a trained network with its card; a score of unfamiliar frames |
+//! | [`scene`], [`TrainingSet`] | random scenes for training samples; sets of samples on disk |
+//! | [`train`], [`metrics`] | training; quality of labels |
 
 mod error;
 mod kernels;

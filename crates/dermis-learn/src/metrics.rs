@@ -1,19 +1,19 @@
-//! How good a segmentation is: intersection-over-union of each class (never bare accuracy: 95 % of all pixels are
+//! Quality of a segmentation: intersection over union of each class (never plain accuracy: 95 % of all pixels are
 //! background), expected calibration error of the probabilities, and the temperature that calibrates them.
 
 use crate::LearnError;
 use crate::network::softmax;
 
-/// Counts of true against found classes.
+/// Confusion matrix of true and predicted classes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Confusion {
     classes: usize,
-    /// true x found.
+    /// True x predicted.
     counts: Vec<u64>,
 }
 
 impl Confusion {
-    /// No pixels yet.
+    /// An empty matrix.
     pub fn new(classes: usize) -> Self {
         Self { classes, counts: vec![0; classes * classes] }
     }
@@ -21,7 +21,7 @@ impl Confusion {
     /// Counts one frame.
     ///
     /// # Errors
-    /// Lengths that differ, or a label that is no class.
+    /// Fails if the lengths differ or a label is not a class.
     pub fn add(&mut self, truth: &[u8], found: &[u8]) -> Result<(), LearnError> {
         if truth.len() != found.len() {
             return Err(LearnError::Size { what: "labels", expected: truth.len(), got: found.len() });
@@ -38,7 +38,7 @@ impl Confusion {
         Ok(())
     }
 
-    /// Intersection over union of a class; `None` where it is neither there nor found.
+    /// Intersection over union of a class; `None` if it is neither present nor predicted.
     pub fn intersection_over_union(&self, class: usize) -> Option<f64> {
         let at = |t: usize, f: usize| self.counts[t * self.classes + f];
         let truth: u64 = (0..self.classes).map(|k| at(class, k)).sum();
@@ -47,7 +47,7 @@ impl Confusion {
         (union > 0).then(|| at(class, class) as f64 / union as f64)
     }
 
-    /// Intersection over union of all classes, and the mean of those but `background` that occur.
+    /// Intersection over union of all classes, and the mean over the classes that occur, without `background`.
     pub fn summary(&self, background: usize) -> (Vec<Option<f64>>, f64) {
         let all: Vec<Option<f64>> = (0..self.classes).map(|class| self.intersection_over_union(class)).collect();
         let others: Vec<f64> =
@@ -57,10 +57,10 @@ impl Confusion {
     }
 }
 
-/// The class of the largest probability of every pixel; `values` is classes x pixels.
+/// The most likely class of every pixel; `values` is classes x pixels.
 ///
 /// # Panics
-/// If `labels` is not of one value a pixel: a programming error.
+/// If `labels` does not have one value per pixel, which is a programming error.
 pub fn most_likely(values: &[f32], classes: usize, labels: &mut [u8]) {
     let pixels = values.len() / classes;
     assert_eq!(labels.len(), pixels, "one label a pixel");
@@ -75,16 +75,16 @@ pub fn most_likely(values: &[f32], classes: usize, labels: &mut [u8]) {
     }
 }
 
-/// Expected calibration error, gathered frame by frame: pixels are put into bins by the probability of their most
-/// likely class; the error is the mean over pixels of `|share right - mean probability|` of their bin (Guo et al., ICML
+/// Expected calibration error, accumulated frame by frame. Pixels are binned by the probability of their most likely
+/// class; the error is the mean over pixels of `|share correct - mean probability|` in their bin (Guo et al., ICML
 /// 2017, eq. 3).
 #[derive(Clone, Debug)]
 pub struct Calibration {
-    /// Pixels, pixels right, sum of probabilities.
+    /// Number of pixels, number of correct pixels, sum of probabilities.
     bins: Vec<(u64, u64, f64)>,
 }
 
-/// The number of bins of the paper that defined the error.
+/// Number of bins, as in the paper that defined the error.
 const BINS: usize = 15;
 
 impl Default for Calibration {
@@ -97,7 +97,7 @@ impl Calibration {
     /// Counts one frame of probabilities (classes x pixels).
     ///
     /// # Errors
-    /// Lengths that do not fit.
+    /// Fails if the lengths do not match.
     pub fn add(&mut self, probabilities: &[f32], truth: &[u8]) -> Result<(), LearnError> {
         let pixels = truth.len();
         if pixels == 0 || !probabilities.len().is_multiple_of(pixels) {
@@ -120,7 +120,7 @@ impl Calibration {
         Ok(())
     }
 
-    /// The error, 0 to 1; 0 without pixels.
+    /// The error, 0 to 1; 0 if there are no pixels.
     pub fn error(&self) -> f64 {
         let pixels: u64 = self.bins.iter().map(|bin| bin.0).sum();
         let gap: f64 = self.bins.iter().map(|(_, right, sum)| (*right as f64 - sum).abs()).sum();
@@ -128,10 +128,10 @@ impl Calibration {
     }
 }
 
-/// Frames whose logits and truth a temperature is fitted to.
+/// Held-out frames for fitting a temperature: logits and truth.
 #[derive(Clone, Debug)]
 pub struct HeldOut {
-    /// Classes.
+    /// Number of classes.
     pub classes: usize,
     /// Logits of each frame, classes x pixels.
     pub logits: Vec<Vec<f32>>,
@@ -156,8 +156,8 @@ impl HeldOut {
         sum / count.max(1) as f64
     }
 
-    /// The temperature of least loss, sought by golden section on its logarithm from 0.25 to 4 (the loss is convex in
-    /// 1 / temperature).
+    /// The temperature with the lowest loss, by golden-section search on its logarithm from 0.25 to 4 (the loss is
+    /// convex in 1 / temperature).
     pub fn temperature(&self) -> f32 {
         let golden = 0.5 * (5.0_f32.sqrt() - 1.0);
         let (mut low, mut high) = (0.25_f32.ln(), 4.0_f32.ln());
@@ -187,7 +187,7 @@ mod tests {
     fn intersection_over_union_of_a_counted_example() {
         let mut confusion = Confusion::new(3);
         confusion.add(&[0, 0, 0, 1, 1, 2], &[0, 0, 1, 1, 0, 0]).unwrap();
-        // Class 1: one in both; two true, two found. Class 2: never found.
+        // Class 1: one pixel in both; two true, two predicted. Class 2: never predicted.
         assert_eq!(confusion.intersection_over_union(1), Some(1.0 / 3.0));
         assert_eq!(confusion.intersection_over_union(2), Some(0.0));
         assert_eq!(confusion.intersection_over_union(0), Some(0.4));
@@ -198,7 +198,8 @@ mod tests {
 
     #[test]
     fn calibration_error_of_a_counted_example() {
-        // Ten pixels said to be class 1 with 0.8, six of which are; ten said to be class 0 with 0.6, six of which are.
+        // Ten pixels predicted as class 1 with 0.8, six of them correct; ten as class 0 with 0.6, six of them
+        // correct.
         let mut probabilities = vec![0.2; 10];
         probabilities.extend([0.6; 10]);
         probabilities.extend([0.8; 10]);
@@ -211,12 +212,12 @@ mod tests {
 
     #[test]
     fn the_temperature_undoes_overconfidence() {
-        // Truth drawn with the probabilities of logits l; the network says 2.5 l.
+        // The truth is drawn with the probabilities of logits l; the network outputs 2.5 l.
         let (mut logits, mut truth) = (Vec::new(), Vec::new());
         for k in 0..4000_u32 {
             let l = (k % 40) as f32 * 0.1 - 2.0;
             let p = 1.0 / (1.0 + (-l).exp());
-            // Of the hundred pixels with this logit, a share of p are class 1.
+            // A share p of the hundred pixels with this logit are class 1.
             truth.push(u8::from(((k / 40) as f32 + 0.5) / 100.0 < p));
             logits.push(2.5 * l);
         }

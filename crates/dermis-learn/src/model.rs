@@ -1,6 +1,5 @@
-//! A trained model: the weights (safetensors) and beside them the model card (JSON) that says what they are for, how
-//! they were made and how good they are. The card holds the weights' size and SHA-256, which are checked before
-//! anything of the weights is parsed.
+//! A trained model: the weights (safetensors) and next to them the model card (JSON) with their purpose, training and
+//! quality. The card holds the size and SHA-256 of the weights, which are checked before any weights are parsed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,25 +13,25 @@ use crate::novelty::Novelty;
 use crate::shape::UNetShape;
 use crate::weights::Tensors;
 
-/// Version of the card's keys.
+/// Version of the card format.
 pub const CARD_FORMAT: &str = "dermis-model-1";
-/// What the names of a first network's tensors begin with.
+/// Prefix of the tensor names of a first network.
 const FIRST: &str = "first.";
-/// Cards and weights larger than this are none.
+/// Maximum sizes of cards and weights.
 const LARGEST_CARD_BYTES: u64 = 1 << 20;
 const LARGEST_WEIGHTS_BYTES: u64 = 1 << 30;
 
-/// What a model is for, how it was made, how good it is.
+/// Model card: purpose, training and quality.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelCard {
     /// [`CARD_FORMAT`].
     pub format: String,
-    /// Name of the weights' file, in the card's folder.
+    /// File name of the weights, in the card's folder.
     pub weights: String,
-    /// Its size.
+    /// Size of the weights file.
     pub weights_bytes: u64,
-    /// Its SHA-256, hexadecimal.
+    /// SHA-256 of the weights file, hexadecimal.
     pub weights_sha256: String,
     /// Architecture.
     pub shape: UNetShape,
@@ -44,68 +43,68 @@ pub struct ModelCard {
     pub skin: String,
     /// Fingerprint of the skin's geometry, protocol and imaging.
     pub skin_sha256: String,
-    /// What the input images are, in order.
+    /// Kinds of the input images, in order.
     pub inputs: Vec<String>,
-    /// Factors that the input images are multiplied by.
+    /// Factors applied to the input images.
     pub input_scale: Vec<f32>,
     /// Names of the classes, in the order of the labels.
     pub classes: Vec<String>,
-    /// Logits are divided by this.
+    /// Divisor of the logits.
     pub temperature: f32,
-    /// The network that looks first, whose tensors have names that begin with `first.`.
+    /// Card of the network that runs first, whose tensor names begin with `first.`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first: Option<FirstCard>,
-    /// How it was made.
+    /// Training record.
     pub training: TrainingRecord,
 }
 
-/// What has to be known of a first network, as in the card of its own.
+/// Description of a first network, taken from its own card.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FirstCard {
     /// Architecture.
     pub shape: UNetShape,
-    /// What the input images are, in order.
+    /// Kinds of the input images, in order.
     pub inputs: Vec<String>,
-    /// Factors that the input images are multiplied by.
+    /// Factors applied to the input images.
     pub input_scale: Vec<f32>,
-    /// Logits are divided by this.
+    /// Divisor of the logits.
     pub temperature: f32,
-    /// SHA-256 of the weights that it was trained to, in a file of their own.
+    /// SHA-256 of its weights in the separate file written by its training.
     pub weights_sha256: String,
 }
 
-/// How a model was made, and the figures on frames held out.
+/// Training of a model, and its metrics on held-out frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingRecord {
     /// The command, as typed.
     pub command: String,
-    /// Seed of the initial weights and of the order of samples.
+    /// Seed of the initial weights and of the sample order.
     pub seed: u64,
     /// SHA-256 of the training set's manifest.
     pub data_sha256: String,
-    /// Samples trained on and held out.
+    /// Number of samples for training and held out.
     pub samples: [usize; 2],
-    /// Passes over the samples.
+    /// Number of passes over the samples.
     pub epochs: usize,
-    /// The pass that the weights are from.
+    /// The pass that gave the weights.
     pub best_epoch: usize,
-    /// Adam's step.
+    /// Adam's learning rate.
     pub learning_rate: f64,
-    /// Samples a step.
+    /// Batch size.
     pub batch: usize,
-    /// Time spent, all runs together.
+    /// Total training time over all runs.
     pub duration_s: f64,
-    /// Mean cross-entropy on frames held out.
+    /// Mean cross-entropy on held-out frames.
     pub held_out_loss: f64,
-    /// Intersection over union of each class on frames held out; `null` where it does not occur.
+    /// Intersection over union of each class on held-out frames; `null` for a class that does not occur.
     pub held_out_iou: Vec<Option<f64>>,
-    /// Expected calibration error on frames held out that the temperature was not fitted to.
+    /// Expected calibration error on held-out frames that were not used to fit the temperature.
     pub calibration_error: f64,
 }
 
-/// A model read from disk or about to be written.
+/// A model, either read from disk or about to be written.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     /// The card.
@@ -116,7 +115,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// Brings card and weights together; size and hash in the card are set by [`Model::save`].
+    /// Combines card and weights. [`Model::save`] fills in their size and hash.
     pub fn new(card: ModelCard, tensors: Tensors) -> Self {
         let file = PathBuf::from(&card.weights);
         Self { card, tensors, file }
@@ -125,8 +124,8 @@ impl Model {
     /// Reads a model card and the weights that it names.
     ///
     /// # Errors
-    /// Files that cannot be read; a card with unknown keys or values that make no sense; weights of another size or
-    /// hash than the card says, of another architecture, or with values that are not finite.
+    /// Fails if a file cannot be read, if the card has unknown keys or invalid values, or if the weights differ from
+    /// the card in size, hash or architecture, or contain values that are not finite.
     pub fn load(card_file: &Path) -> Result<Self, LearnError> {
         let content = read_bounded(card_file, LARGEST_CARD_BYTES)?;
         let card: ModelCard = serde_json::from_slice(&content)
@@ -137,7 +136,7 @@ impl Model {
         Self::from_parts(card, &bytes, &file, card_file)
     }
 
-    /// As [`Model::load`] from contents in memory (embedded ones).
+    /// As [`Model::load`], from contents in memory (embedded models).
     ///
     /// # Errors
     /// As [`Model::load`].
@@ -169,10 +168,10 @@ impl Model {
         Ok(model)
     }
 
-    /// Puts another model before this one, which is shown what that one makes of a frame.
+    /// Puts another model in front of this one, which then receives its output as an input.
     ///
     /// # Errors
-    /// A first model that has a first one itself.
+    /// Fails if the first model has a first model itself.
     pub fn set_first(&mut self, first: &Model) -> Result<(), LearnError> {
         let card = &first.card;
         if card.first.is_some() {
@@ -193,10 +192,10 @@ impl Model {
         Ok(())
     }
 
-    /// The model that looks first, for the same skin and images of the same size; it has no novelty score.
+    /// The first model, for the same skin and image size; it has no novelty score.
     ///
     /// # Errors
-    /// Never for models that were read; tensors of another size are named otherwise.
+    /// Never for models read from disk, where tensors of the wrong size are reported earlier.
     pub fn first(&self) -> Result<Option<Model>, LearnError> {
         let Some(first) = &self.card.first else { return Ok(None) };
         let mut tensors = Tensors::default();
@@ -218,11 +217,11 @@ impl Model {
         Ok(Some(Self { card, tensors, file: self.file.clone() }))
     }
 
-    /// Writes weights and card; neither is left half-written under its name. The weights lie beside the card, under its
-    /// name with the ending `safetensors`.
+    /// Writes weights and card, both atomically. The weights go next to the card, under its name with the extension
+    /// `safetensors`.
     ///
     /// # Errors
-    /// Files that cannot be written.
+    /// Fails if a file cannot be written.
     pub fn save(&mut self, card_file: &Path) -> Result<(), LearnError> {
         let bytes = self.tensors.to_bytes()?;
         let weights_file = card_file.with_extension("safetensors");
@@ -242,7 +241,7 @@ impl Model {
         Ok(())
     }
 
-    /// Refuses a skin that the model was not made for.
+    /// Refuses a skin other than the model's own.
     ///
     /// # Errors
     /// [`LearnError::OtherSkin`].
@@ -268,7 +267,7 @@ impl Model {
         Network::new(self.card.shape, &self.tensors, self.card.rows, self.card.columns)
     }
 
-    /// The novelty score, where the model has one.
+    /// The novelty score, if the model has one.
     pub fn novelty(&self) -> Option<Novelty> {
         let shape = &self.card.shape;
         Novelty::load(&self.tensors, shape.channels(shape.levels - 1))
@@ -309,10 +308,10 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads a regular file that must not be larger than `most` bytes.
+/// Reads a regular file of at most `most` bytes.
 pub(crate) fn read_bounded(file: &Path, most: u64) -> Result<Vec<u8>, LearnError> {
     let found = fs::metadata(file).map_err(LearnError::io(file))?;
-    // A device or a pipe may have no end.
+    // A device or a pipe may be endless.
     if !(found.is_file() || found.is_dir()) {
         return Err(LearnError::content(file, "kind", "expected a regular file"));
     }
@@ -323,7 +322,7 @@ pub(crate) fn read_bounded(file: &Path, most: u64) -> Result<Vec<u8>, LearnError
     fs::read(file).map_err(LearnError::io(file))
 }
 
-/// Writes beside the file, then puts it in place: nobody sees half a file.
+/// Writes a temporary file next to the target and then renames it, so that readers never see a partial file.
 pub(crate) fn write_whole(file: &Path, bytes: &[u8]) -> Result<(), LearnError> {
     let mut name = file.file_name().map(|name| name.to_os_string()).unwrap_or_default();
     name.push(".part");
@@ -331,16 +330,16 @@ pub(crate) fn write_whole(file: &Path, bytes: &[u8]) -> Result<(), LearnError> {
     let stands = file.exists();
     let failed = |source| LearnError::Io { file: file.to_path_buf(), source };
     fs::write(&part, bytes).map_err(|error| {
-        // What could not be finished is not left behind; that it may not be removable changes nothing.
+        // Remove the partial file; failing to do so changes nothing.
         let _ = fs::remove_file(&part);
         failed(error)
     })?;
-    // What stood there is replaced, what appeared meanwhile is not.
+    // Replace the old file, but not one that appeared in the meantime.
     let put = if stands { fs::rename(&part, file) } else { rename_new(&part, file) };
     put.map_err(failed)
 }
 
-/// Renames a file unless another one has the new name: by a second name, where the file system knows these.
+/// Renames a file unless the new name exists, by a hard link if the file system supports them.
 fn rename_new(from: &Path, to: &Path) -> std::io::Result<()> {
     use std::io::{Error, ErrorKind};
     match fs::hard_link(from, to) {
@@ -414,7 +413,7 @@ mod tests {
         assert_eq!((found.card.temperature, found.card.first), (0.9, None));
         assert_eq!(read.card.first.as_ref().unwrap().weights_sha256, first.card.weights_sha256);
         assert_eq!(first.first().unwrap(), None);
-        // What the card says of it is checked too.
+        // The card's entry about the first model is checked as well.
         model.card.first.as_mut().unwrap().shape.width = 5;
         model.save(&file).unwrap();
         assert!(Model::load(&file).unwrap_err().to_string().contains("down.0.conv1.weight: expected [5, 1, 3, 3]"));
@@ -452,7 +451,7 @@ mod tests {
             fs::write(&file, card.replace(from, to)).unwrap();
             assert!(message().contains(expected), "{} / {expected}", message());
         }
-        // Cut anywhere, a card is no card.
+        // A truncated card is rejected, wherever it was cut.
         for length in (0..card.len()).step_by(37) {
             fs::write(&file, &card[..length]).unwrap();
             assert!(message().contains("model card"), "{length}");

@@ -1,4 +1,4 @@
-//! The forward pass, one frame at a time. Images lie channel by channel with a border of zeros (see
+//! The forward pass, one frame at a time. Images are stored channel by channel with a border of zeros (see
 //! [`crate::kernels`]); batch norms are folded into the convolutions before them. All memory is allocated once.
 
 use pulp::Arch;
@@ -8,7 +8,7 @@ use crate::kernels::{Finish, Layout, Taps, convolve, pool, repeat};
 use crate::shape::{StageSpec, UNetShape};
 use crate::weights::Tensors;
 
-/// PyTorch's default, with which the batch norms were trained.
+/// PyTorch's default, used when the batch norms were trained.
 pub(crate) const NORM_EPSILON: f32 = 1e-5;
 
 /// A U-Net ready to run on images of one size.
@@ -19,23 +19,23 @@ pub struct Network {
     columns: usize,
     down: Vec<Stage>,
     up: Vec<Stage>,
-    /// classes x width.
+    /// Classes x width.
     head: Vec<f32>,
     head_bias: Vec<f32>,
     /// Input of each level's first block on the way down.
     entrances: Vec<Plane>,
-    /// Between the two blocks of a level.
+    /// Image between the two blocks of a level.
     middles: Vec<Plane>,
-    /// Coarser image repeated, then the level's own: what the way up starts from. The coarsest level's own output
-    /// alone.
+    /// Input of the way up: the upsampled coarser image followed by the level's own output. On the coarsest level,
+    /// its own output alone.
     joined: Vec<Plane>,
-    /// What the way up ends in at each level.
+    /// Output of the way up at each level.
     risen: Vec<Plane>,
     features: Vec<f32>,
     arch: Arch,
 }
 
-/// Two convolutions.
+/// Two consecutive convolutions.
 #[derive(Clone, Debug)]
 struct Stage {
     first: Convolution,
@@ -49,7 +49,7 @@ struct Convolution {
     offsets: Vec<f32>,
 }
 
-/// An image of several channels.
+/// A multi-channel image.
 #[derive(Clone, Debug)]
 struct Plane {
     layout: Layout,
@@ -61,7 +61,7 @@ impl Plane {
         Self { layout, values: vec![0.0; layout.pitch() * channels] }
     }
 
-    /// The channels from the given one on.
+    /// The channels from `channel` on.
     fn channels_from(&self, channel: usize) -> &[f32] {
         &self.values[channel * self.layout.pitch()..]
     }
@@ -77,7 +77,7 @@ impl Stage {
 }
 
 impl Convolution {
-    /// Takes `PREFIX.convN` and folds `PREFIX.normN` in: `gain = weight / sqrt(var + eps)`,
+    /// Loads `PREFIX.convN` and folds in `PREFIX.normN`: `gain = weight / sqrt(var + eps)` and
     /// `offset = bias - gain mean`.
     fn folded(
         tensors: &Tensors,
@@ -105,7 +105,7 @@ impl Convolution {
         Ok(Self { taps, offsets: (0..outputs).map(|output| bias[output] - gain(output) * mean[output]).collect() })
     }
 
-    /// Into as many channels of `to` as there are outputs.
+    /// Writes to the first channels of `to`, one per output.
     fn apply(&self, arch: Arch, layout: Layout, from: &[f32], to: &mut [f32]) {
         let to = &mut to[..self.taps.outputs() * layout.pitch()];
         convolve(arch, layout, &self.taps, Finish::Softsign(&self.offsets), from, to);
@@ -113,10 +113,10 @@ impl Convolution {
 }
 
 impl Network {
-    /// Lays out the weights and the memory for images of `rows` x `columns`.
+    /// Prepares the weights and the memory for images of `rows` x `columns`.
     ///
     /// # Errors
-    /// Weights of another architecture, or an image that cannot be halved often enough.
+    /// Fails if the weights have another architecture or the image cannot be halved often enough.
     pub fn new(shape: UNetShape, tensors: &Tensors, rows: usize, columns: usize) -> Result<Self, LearnError> {
         shape.check()?;
         shape.check_image(rows, columns)?;
@@ -157,11 +157,11 @@ impl Network {
         (self.rows, self.columns)
     }
 
-    /// Logits of one frame. `input` is inputs x rows x columns, values that are not finite (outside the skin) count as
-    /// 0; `logits` is classes x rows x columns.
+    /// Logits of one frame. `input` is inputs x rows x columns; non-finite values (outside the skin) count as 0.
+    /// `logits` is classes x rows x columns.
     ///
     /// # Errors
-    /// Lengths that do not fit.
+    /// Fails if the lengths do not match.
     pub fn logits(&mut self, input: &[f32], logits: &mut [f32]) -> Result<(), LearnError> {
         let pixels = self.rows * self.columns;
         for (what, expected, got) in [
@@ -180,7 +180,8 @@ impl Network {
         Ok(())
     }
 
-    /// Probabilities of one frame: the softmax of the logits over `temperature`; sizes as in [`Network::logits`].
+    /// Probabilities of one frame: the softmax of the logits divided by `temperature`. Sizes as in
+    /// [`Network::logits`].
     ///
     /// # Errors
     /// As [`Network::logits`].
@@ -195,7 +196,7 @@ impl Network {
         Ok(())
     }
 
-    /// Means over the image of the coarsest level's channels for the last frame: what the novelty score looks at.
+    /// Image means of the coarsest level's channels for the last frame; the input of the novelty score.
     pub fn features(&self) -> &[f32] {
         &self.features
     }
@@ -230,7 +231,7 @@ impl Network {
         let Plane { layout, values } = &self.joined[self.shape.levels - 1];
         let share = 1.0 / layout.pixels() as f32;
         for (feature, channel) in self.features.iter_mut().zip(values.chunks_exact(layout.pitch())) {
-            // Pixels alone: the border is zero.
+            // Only pixels contribute: the border is zero.
             *feature = channel.iter().sum::<f32>() * share;
         }
     }
@@ -260,7 +261,7 @@ impl Network {
     }
 }
 
-/// Softmax over classes of logits / temperature, in place; `values` is classes x pixels.
+/// Softmax over classes of logits / temperature, in place. `values` is classes x pixels.
 pub(crate) fn softmax(values: &mut [f32], classes: usize, temperature: f32) {
     let pixels = values.len() / classes;
     for pixel in 0..pixels {

@@ -1,14 +1,14 @@
-//! Is a frame like those that the network was trained on? The means over the image of the coarsest level's channels are
-//! compared with those of the training set by their Mahalanobis distance (Lee et al., NeurIPS 2018, with one Gaussian
-//! for all). A score above 1 is farther out than all but a thousandth of held-out frames: then the first-step image is
-//! to be used instead.
+//! Novelty score: how unlike the training set a frame is. The image means of the coarsest level's channels are
+//! compared with those of the training set by Mahalanobis distance (Lee et al., NeurIPS 2018, with one Gaussian for
+//! all classes). A score above 1 is farther out than all but a thousandth of the held-out frames; use the first-step
+//! image instead.
 
 use crate::LearnError;
 use crate::weights::Tensors;
 
 /// Share of held-out frames that score below 1.
 const KEPT: f64 = 0.999;
-/// Added to variances, as a share of their mean: directions that never vary must not count without bound.
+/// Ridge added to variances, as a share of their mean, to bound the weight of directions that never vary.
 const RIDGE: f64 = 1e-2;
 
 /// Mean and whitening matrix of the features.
@@ -17,15 +17,15 @@ pub struct Novelty {
     mean: Vec<f32>,
     /// Lower triangle of L^-1 with covariance L L', row-major and square.
     whitener: Vec<f32>,
-    /// Distance that scores 1.
+    /// Distance with score 1.
     reach: f32,
 }
 
 impl Novelty {
-    /// From the features of training frames and of frames held out.
+    /// Fits the score to the features of training frames and held-out frames.
     ///
     /// # Errors
-    /// Fewer than two frames of either, or lengths that differ.
+    /// Fails if there are fewer than two frames of either, or if lengths differ.
     pub fn fit(training: &[Vec<f32>], held_out: &[Vec<f32>]) -> Result<Self, LearnError> {
         let size = training.first().map_or(0, Vec::len);
         if training.len() < 2 || held_out.len() < 2 || size == 0 {
@@ -58,10 +58,10 @@ impl Novelty {
         Ok(novelty)
     }
 
-    /// How far a frame is from the training set: above 1 it is unlike it. Allocates nothing.
+    /// Distance of a frame from the training set; above 1 it is unlike the training set. Allocates nothing.
     ///
     /// # Panics
-    /// If the number of features is not that of the fit: a programming error, checked when a model is loaded.
+    /// If the number of features differs from the fit. This is a programming error, checked when a model is loaded.
     pub fn score(&self, features: &[f32]) -> f32 {
         let size = self.mean.len();
         assert_eq!(features.len(), size, "features");
@@ -80,7 +80,7 @@ impl Novelty {
         self.mean.len()
     }
 
-    /// Adds itself to a network's tensors, as `novelty.*`.
+    /// Adds the score to a network's tensors, as `novelty.*`.
     ///
     /// # Errors
     /// Never; sizes agree by construction.
@@ -91,7 +91,7 @@ impl Novelty {
         tensors.insert("novelty.reach", vec![1], vec![self.reach])
     }
 
-    /// Reads `novelty.*`; `None` where there is none of the right sizes.
+    /// Reads `novelty.*`; `None` if missing or of the wrong size.
     pub fn load(tensors: &Tensors, features: usize) -> Option<Self> {
         let (mean_dims, mean) = tensors.get("novelty.mean")?;
         let (whitener_dims, whitener) = tensors.get("novelty.whitener")?;
@@ -136,7 +136,7 @@ mod tests {
         let frame = |random: &mut StdRng| {
             let a: f32 = (0..12).map(|_| random.random_range(-0.5..0.5)).sum();
             let b: f32 = (0..12).map(|_| random.random_range(-0.5..0.5)).sum();
-            // Strongly correlated: along (1, 1) it varies much, across it little.
+            // Strongly correlated: large variance along (1, 1), small variance across it.
             vec![a + 0.1 * b + shift, a - 0.1 * b - shift]
         };
         (0..count).map(|_| frame(&mut random)).collect()
@@ -146,9 +146,9 @@ mod tests {
     fn held_out_frames_score_below_one_and_strange_ones_above() {
         let novelty = Novelty::fit(&frames(4000, 1, 0.0), &frames(4000, 2, 0.0)).unwrap();
         let beyond = |frames: Vec<Vec<f32>>| frames.iter().filter(|f| novelty.score(f) > 1.0).count();
-        // Binomial: 4 expected of 4000, standard deviation 2; the threshold's own error is as large.
+        // Binomial: 4 of 4000 expected, standard deviation 2; the threshold has an error of the same size.
         assert!(beyond(frames(4000, 3, 0.0)) <= 16);
-        // Across the correlation a shift of 1 is ten standard deviations (0.14 with the ridge: seven).
+        // Across the correlation, a shift of 1 is ten standard deviations (the ridge makes it 0.14, or seven).
         assert!(beyond(frames(1000, 4, 1.0)) >= 990);
         let mut tensors = Tensors::default();
         novelty.store(&mut tensors).unwrap();

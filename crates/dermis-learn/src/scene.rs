@@ -1,5 +1,5 @@
-//! Random scenes to train on: what lies where on a skin, as shapes with a factor on the conductivity and a class. Pure
-//! geometry in the plane of the sheet; the physics is elsewhere.
+//! Random scenes for training: shapes on a skin, each with a conductivity factor and a class. Pure geometry in the
+//! plane of the sheet; the physics is elsewhere.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,57 +7,57 @@ use rand::Rng;
 use rand::rngs::StdRng;
 use serde::{Deserialize, Serialize};
 
-/// Nothing there.
+/// Background.
 pub const BACKGROUND: u8 = 0;
 /// Conductivity lowered: damaged, or a resistive inclusion.
 pub const LOWERED: u8 = 1;
 /// Conductivity raised: compressed, or a conductive inclusion.
 pub const RAISED: u8 = 2;
 
-/// An outline, closed on itself.
+/// A closed shape.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Figure {
-    /// A disc or ellipse: middle, half axes, turn of the first (radians).
+    /// A disc or ellipse: centre, half axes, rotation of the first half axis (radians).
     Ellipse([f64; 2], [f64; 2], f64),
     /// A polygon.
     Polygon(Vec<[f64; 2]>),
-    /// All points nearer to a chain of points than half the width.
+    /// All points within half the width of a polyline.
     Stroke(Vec<[f64; 2]>, f64),
 }
 
-/// A figure with what it does.
+/// A shape with its effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inclusion {
-    /// Where.
+    /// The shape.
     pub figure: Figure,
-    /// Factor on the conductivity.
+    /// Conductivity factor.
     pub factor: f64,
     /// [`LOWERED`] or [`RAISED`].
     pub class: u8,
 }
 
-/// What is on a skin at one time; later inclusions cover earlier ones.
+/// State of a skin at one time. Later inclusions cover earlier ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
-    /// Touches, cuts, objects.
+    /// Touches, cuts and objects.
     pub inclusions: Vec<Inclusion>,
 }
 
-/// What scenes are made of.
+/// Kind of scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SceneKind {
-    /// A skin that is touched and cut: none to four touches, which raise conductivity a little, and cuts (lines, arcs,
+    /// A skin with touches and cuts: zero to four touches, which raise conductivity slightly, and cuts (lines, arcs,
     /// holes), which interrupt it.
     TouchesAndCuts,
-    /// A tank with one to four objects of any outline, insulating or metallic.
+    /// A tank with one to four objects of any shape, insulating or metallic.
     Objects,
-    /// The same, of which almost every third is of thin bars that cross or meet: a cross, a T, a star.
+    /// As `Objects`, but almost a third are thin bars that cross or meet: a cross, a T or a star.
     ObjectsAndCrosses,
 }
 
 impl Figure {
-    /// Lowest and highest coordinates of a box that holds it.
+    /// Minimum and maximum coordinates of a bounding box.
     pub fn bounds(&self) -> ([f64; 2], [f64; 2]) {
         let around = |points: &[[f64; 2]], margin: f64| {
             let fold = |axis: usize, start: f64, choose: fn(f64, f64) -> f64| {
@@ -74,7 +74,7 @@ impl Figure {
         }
     }
 
-    /// Is a point inside?
+    /// True if a point is inside.
     pub fn contains(&self, p: [f64; 2]) -> bool {
         match self {
             Figure::Ellipse(middle, half, turn) => {
@@ -101,7 +101,8 @@ impl Figure {
 }
 
 impl Figure {
-    /// How deep a point lies inside, metres; negative outside. For an ellipse to first order at its rim.
+    /// Depth of a point inside the shape, metres; negative outside. First-order approximation at the rim of an
+    /// ellipse.
     pub fn depth_m(&self, p: [f64; 2]) -> f64 {
         match self {
             Figure::Ellipse(middle, half, turn) => {
@@ -109,7 +110,7 @@ impl Figure {
                 let (x, y) = (p[0] - middle[0], p[1] - middle[1]);
                 let (u, v) = ((cos * x + sin * y) / half[0], (cos * y - sin * x) / half[1]);
                 let level = u.hypot(v);
-                // Distance to first order: (1 - level) over the length of level's gradient.
+                // First-order distance: (1 - level) divided by the length of the gradient of level.
                 let gradient = (u / half[0]).hypot(v / half[1]) / level.max(f64::MIN_POSITIVE);
                 if level < 1e-9 { half[0].min(half[1]) } else { (1.0 - level) / gradient }
             }
@@ -133,10 +134,10 @@ fn from_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     (ap[0] - along * ab[0]).hypot(ap[1] - along * ab[1])
 }
 
-/// A scene made ready to be asked at many points: figures are looked at only within their boxes.
+/// A scene prepared for many point queries: a shape is only tested within its bounding box.
 #[derive(Clone, Debug)]
 pub struct SceneLookup<'a> {
-    /// Lowest and highest coordinates; the last inclusion first.
+    /// Minimum and maximum coordinates of each inclusion; the last inclusion first.
     boxed: Vec<([f64; 2], [f64; 2], &'a Inclusion)>,
 }
 
@@ -159,7 +160,7 @@ impl Scene {
         self.lookup().at(p)
     }
 
-    /// Makes ready to be asked at many points.
+    /// Prepares for many point queries.
     pub fn lookup(&self) -> SceneLookup<'_> {
         let mut boxed = Vec::with_capacity(self.inclusions.len());
         for inclusion in self.inclusions.iter().rev() {
@@ -169,7 +170,7 @@ impl Scene {
         SceneLookup { boxed }
     }
 
-    /// Spreads the contrasts that a tank's objects were drawn with between others, evenly in their logarithm.
+    /// Rescales the contrasts of a tank's objects to the given range, linearly in their logarithm.
     pub fn spread_contrasts(&mut self, [least, largest]: [f64; 2]) {
         let [from, to] = OBJECT_CONTRASTS.map(f64::ln);
         for inclusion in &mut self.inclusions {
@@ -180,8 +181,8 @@ impl Scene {
         }
     }
 
-    /// Draws one. `size_m` is half the shorter side of the skin; `inside` says where there is skin, in metres from its
-    /// middle; `finest_m` is the width of the narrowest cut (that of a pixel or an element).
+    /// Draws a scene. `size_m` is half the shorter side of the skin; `inside` tells whether a point, in metres from
+    /// the skin's middle, is on the skin; `finest_m` is the width of the narrowest cut (one pixel or element).
     pub fn draw(
         kind: SceneKind,
         size_m: f64,
@@ -198,11 +199,11 @@ impl Scene {
     }
 }
 
-/// Least and largest contrast that objects in a tank are drawn with.
+/// Minimum and maximum contrast of objects in a tank.
 const OBJECT_CONTRASTS: [f64; 2] = [5.0, 100.0];
-/// Share of crosses, Ts and stars among objects, where these are wanted.
+/// Share of crosses, Ts and stars among objects, if enabled.
 const CROSSES: f64 = 0.3;
-/// Width of the band that a line cut is labelled with, as a share of half the skin's width.
+/// Width of the labelled band of a line cut, as a share of half the skin's width.
 const LABELLED_CUT: f64 = 0.08;
 
 struct Painter<'a> {
@@ -212,7 +213,7 @@ struct Painter<'a> {
 }
 
 impl Painter<'_> {
-    /// A point of the skin within this share of the half width from the middle.
+    /// A random point on the skin within this share of the half width from the middle.
     fn place(&self, share: f64, random: &mut StdRng) -> [f64; 2] {
         for _ in 0..1000 {
             let p = [0, 1].map(|_| share * self.size_m * random.random_range(-1.0..1.0));
@@ -223,7 +224,7 @@ impl Painter<'_> {
         [0.0, 0.0]
     }
 
-    /// One of the five mixtures (touches; cuts; both; nothing), with weights that leave a tenth without anything.
+    /// One of four mixtures: touches, cuts, both, or nothing (8 % of scenes).
     fn touches_and_cuts(&self, random: &mut StdRng) -> Scene {
         let kind: f64 = random.random();
         let (touches, cuts) = match kind {
@@ -266,8 +267,8 @@ impl Painter<'_> {
     /// A line, an arc or a hole.
     fn cut(&self, random: &mut StdRng) -> Inclusion {
         let start = self.place(0.85, random);
-        // What is labelled: a network is asked where a cut is to within a few pixels, not for a line thinner than
-        // images resolve.
+        // Width of the label. The network has to locate a cut to within a few pixels, not a line finer than images
+        // resolve.
         let width = (self.size_m * LABELLED_CUT).max(self.finest_m) * random.random_range(1.0..1.4);
         let length = self.size_m * random.random_range(0.2..0.7);
         let direction = random.random_range(0.0..TAU);
@@ -294,7 +295,7 @@ impl Painter<'_> {
         Inclusion { figure, factor: random.random_range(0.005_f64.ln()..0.1_f64.ln()).exp(), class: LOWERED }
     }
 
-    /// Objects, a share of which are bars that cross.
+    /// Objects, a share of them crossing bars.
     fn objects(&self, crosses: f64, random: &mut StdRng) -> Scene {
         let count = [1, 1, 2, 2, 2, 3, 3, 3, 4][random.random_range(0..9)];
         let mut taken: Vec<([f64; 2], f64)> = Vec::new();
@@ -320,7 +321,7 @@ impl Painter<'_> {
         Scene { inclusions }
     }
 
-    /// Discs, ellipses, bars, regular and irregular polygons, angles, rings cut open.
+    /// Discs, ellipses, bars, regular and irregular polygons, angles, open rings.
     fn object(&self, middle: [f64; 2], radius: f64, random: &mut StdRng) -> Figure {
         let turn = random.random_range(0.0..TAU);
         match random.random_range(0..10) {
@@ -362,12 +363,12 @@ impl Painter<'_> {
     }
 }
 
-/// Three to five bars from a middle, thin or not: a cross, a T, a star.
+/// Three to five bars from a common centre, thin or thick: a cross, a T or a star.
 fn bars(middle: [f64; 2], radius: f64, random: &mut StdRng) -> Figure {
     let turn = random.random_range(0.0..TAU);
     let thick = radius * random.random_range(0.18..0.5);
     let (arms, length) = (random.random_range(3..6), radius - 0.5 * thick);
-    // A T is a cross without one of its arms.
+    // A T is a cross with one arm missing.
     let of = if arms == 3 && random.random_bool(0.5) { 4 } else { arms };
     let others = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.5..1.0) };
     let mut chain = Vec::with_capacity(2 * arms + 1);
@@ -394,7 +395,7 @@ mod tests {
     use super::*;
     use rand::SeedableRng;
 
-    /// Share of a square of side 2 that a figure covers.
+    /// Area of a shape within a square of side 2.
     fn area(figure: &Figure) -> f64 {
         let side = 400;
         let at = |k: usize| (2.0 * k as f64 + 1.0) / side as f64 - 1.0;
@@ -412,7 +413,7 @@ mod tests {
     #[test]
     fn areas_are_those_of_the_formulas() {
         let ellipse = Figure::Ellipse([0.1, -0.1], [0.6, 0.3], 0.7);
-        // A grid of 160,000 points; the error of an area is that of its rim, a thousandth.
+        // A grid of 160,000 points; the error of an area comes from its rim and is about a thousandth.
         assert!((area(&ellipse) - PI * 0.18).abs() < 4e-3);
         let square = Figure::Polygon(ring([0.0, 0.0], 4, 0.3, |_| 0.8));
         assert!((area(&square) - 2.0 * 0.64).abs() < 4e-3);
@@ -470,7 +471,7 @@ mod tests {
         let has = |scene: &Scene, class: u8| scene.inclusions.iter().any(|i| i.class == class);
         let scenes: Vec<Scene> = (0..400).map(|seed| draw(SceneKind::TouchesAndCuts, seed)).collect();
         let count = |test: &dyn Fn(&Scene) -> bool| scenes.iter().filter(|scene| test(scene)).count();
-        // 0.40 touches only, 0.25 cuts only, 0.27 both, 0.08 nothing; four standard deviations of 400 draws.
+        // Touches only 0.40, cuts only 0.25, both 0.27, nothing 0.08; four standard deviations over 400 draws.
         let near = |found: usize, share: f64| {
             (found as f64 / 400.0 - share).abs() < 4.0 * (share * (1.0 - share) / 400.0_f64).sqrt()
         };
@@ -484,7 +485,7 @@ mod tests {
             for kind in [SceneKind::Objects, SceneKind::ObjectsAndCrosses] {
                 for inclusion in draw(kind, seed).inclusions {
                     assert_eq!(inclusion.class == RAISED, inclusion.factor > 1.0);
-                    // Bars begin in the middle again and again.
+                    // Every bar starts in the middle again.
                     let is_crossed = match &inclusion.figure {
                         Figure::Stroke(chain, _) => chain.len() > 4 && chain[0] == chain[2],
                         _ => false,
@@ -496,7 +497,7 @@ mod tests {
                 }
             }
         }
-        // Some 900 objects: four standard deviations are 0.06.
+        // About 900 objects; four standard deviations are 0.06.
         assert!((f64::from(crossed) / f64::from(all) - CROSSES).abs() < 0.06, "{crossed} of {all}");
     }
 }

@@ -1,11 +1,11 @@
-//! The architecture: which tensors a U-Net of given inputs, classes, width and levels has. Names and layouts are those
-//! of a PyTorch `state_dict`, so that weights travel both ways.
+//! The architecture: the tensors of a U-Net with given inputs, classes, width and levels. Names and layouts match a
+//! PyTorch `state_dict`, so weights can be exchanged in both directions.
 //!
-//! Level 0 works on the whole image with `width` channels; every further level on half the rows and columns with twice
-//! the channels. On the way down each level is two blocks (3x3 convolution, batch norm, Softsign), levels joined by
-//! max-pooling of 2; on the way up the coarser image is repeated to twice the size (nearest neighbour), put before the
-//! level's own from the way down, and passed through two blocks. A 1x1 convolution gives the logits (Ronneberger,
-//! Fischer & Brox, MICCAI 2015, with Softsign in place of ReLU and without cropping).
+//! Level 0 works on the whole image with `width` channels; every further level has half the rows and columns and
+//! twice the channels. On the way down each level has two blocks (3x3 convolution, batch norm, Softsign), with 2x2
+//! max-pooling between levels. On the way up the coarser image is upsampled by 2 (nearest neighbour), concatenated in
+//! front of the level's own image from the way down, and passed through two blocks. A 1x1 convolution gives the
+//! logits (Ronneberger, Fischer & Brox, MICCAI 2015, with Softsign instead of ReLU and without cropping).
 
 use serde::{Deserialize, Serialize};
 
@@ -15,13 +15,13 @@ use crate::LearnError;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UNetShape {
-    /// Images given for each frame.
+    /// Number of input images per frame.
     pub inputs: usize,
-    /// Classes told apart.
+    /// Number of classes.
     pub classes: usize,
     /// Channels of the finest level.
     pub width: usize,
-    /// Levels, the finest included; each but the last is followed by a halving.
+    /// Number of levels, including the finest; each but the last is followed by a halving.
     pub levels: usize,
 }
 
@@ -32,22 +32,22 @@ pub struct TensorSpec {
     pub name: String,
     /// Dimensions; convolutions are outputs x inputs x rows x columns.
     pub dims: Vec<usize>,
-    /// What it is.
+    /// Role of the tensor.
     pub role: TensorRole,
 }
 
-/// What a tensor is: learned by descent, or gathered while training.
+/// Role of a tensor: learned by gradient descent, or accumulated during training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TensorRole {
-    /// Of a convolution.
+    /// Kernel of a convolution.
     Kernel,
     /// Gain of a batch norm.
     Gain,
     /// Offset of a batch norm or of the head.
     Offset,
-    /// Running mean of a batch norm; not learned by descent.
+    /// Running mean of a batch norm; not learned by gradient descent.
     RunningMean,
-    /// Running variance of a batch norm; not learned by descent.
+    /// Running variance of a batch norm; not learned by gradient descent.
     RunningVariance,
 }
 
@@ -57,7 +57,7 @@ impl TensorSpec {
         self.dims.iter().product()
     }
 
-    /// No values at all.
+    /// True if it has no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -74,10 +74,10 @@ pub(crate) struct StageSpec {
 }
 
 impl UNetShape {
-    /// Checks that the numbers make a network.
+    /// Checks that the sizes are valid.
     ///
     /// # Errors
-    /// Numbers that are zero or absurdly large.
+    /// Fails if a size is zero or unreasonably large.
     pub fn check(&self) -> Result<(), LearnError> {
         for (what, value, most) in [
             ("inputs of the network", self.inputs, 64),
@@ -97,7 +97,7 @@ impl UNetShape {
     /// Checks that images of this size can be halved often enough.
     ///
     /// # Errors
-    /// Rows or columns that are no multiples of 2^(levels - 1), or none.
+    /// Fails if rows or columns are zero or not a multiple of 2^(levels - 1).
     pub fn check_image(&self, rows: usize, columns: usize) -> Result<(), LearnError> {
         let step = 1 << (self.levels - 1);
         for (what, value) in [("rows of the images", rows), ("columns of the images", columns)] {
@@ -109,7 +109,7 @@ impl UNetShape {
         Ok(())
     }
 
-    /// Channels of a level.
+    /// Number of channels of a level.
     pub fn channels(&self, level: usize) -> usize {
         self.width << level
     }
@@ -123,7 +123,7 @@ impl UNetShape {
         })
     }
 
-    /// From the coarsest to the finest.
+    /// Stages of the way up, from the coarsest to the finest.
     pub(crate) fn up(&self) -> impl Iterator<Item = StageSpec> + '_ {
         (0..self.levels - 1).rev().map(|level| StageSpec {
             name: format!("up.{level}"),
@@ -133,7 +133,7 @@ impl UNetShape {
         })
     }
 
-    /// All tensors, in the order in which they are used.
+    /// All tensors, in order of use.
     pub fn tensors(&self) -> Vec<TensorSpec> {
         let mut list = Vec::new();
         for stage in self.down().chain(self.up()) {
@@ -170,7 +170,7 @@ mod tests {
     fn the_tensors_are_those_of_the_drawing() {
         let shape = UNetShape { inputs: 1, classes: 3, width: 8, levels: 4 };
         let tensors = shape.tensors();
-        // 7 stages of 2 blocks of 5 tensors, and the head's two.
+        // Seven stages of two blocks of five tensors, plus two for the head.
         assert_eq!(tensors.len(), 7 * 2 * 5 + 2);
         let dims = |name: &str| tensors.iter().find(|t| t.name == name).map(|t| t.dims.clone());
         assert_eq!(dims("down.3.conv1.weight"), Some(vec![64, 32, 3, 3]));
@@ -178,7 +178,8 @@ mod tests {
         assert_eq!(dims("up.2.norm2.running_var"), Some(vec![32]));
         assert_eq!(dims("head.weight"), Some(vec![3, 8, 1, 1]));
         // Counted by hand: 9 (8 + 64 + 128 + 256 + 512 + 1024 + 2048 + 4096) down, 9 (3072 + 1024 + 768 + 256 + 192 +
-        // 64) up, 24 + 3 in the head, 4 a channel of a norm, 2 norms a stage of 8 16 32 64 32 16 8 channels.
+        // 64) up, 24 + 3 in the head, and 4 per channel of each norm, with 2 norms in each of the stages of 8 16 32
+        // 64 32 16 8 channels.
         let expected = 9 * 8136 + 9 * 5376 + 27 + 8 * 176;
         assert_eq!(tensors.iter().map(TensorSpec::len).sum::<usize>(), expected);
     }

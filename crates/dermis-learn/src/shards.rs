@@ -1,7 +1,7 @@
-//! Training sets on disk: a folder with `manifest.json` (what was simulated, how, from which seed) and shards of
+//! Training sets on disk: a folder with `manifest.json` (what was simulated, how, and from which seed) and shards of
 //! samples (`shard-00000.safetensors`: `inputs`, samples x images x rows x columns, F32; `labels`, samples x rows x
-//! columns, U8). Every shard is determined by the manifest and its number alone, so that an interrupted set is
-//! continued by making the shards that are missing; none is ever half-written under its name.
+//! columns, U8). Every shard is determined by the manifest and its number alone, so an interrupted set is completed
+//! by generating the missing shards. Shards are written atomically.
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +12,15 @@ use serde::{Deserialize, Serialize};
 use crate::LearnError;
 use crate::model::{read_bounded, sha256, write_whole};
 
-/// Version of the manifest's keys.
+/// Version of the manifest format.
 pub const SET_FORMAT: &str = "dermis-train-set-1";
 const MANIFEST: &str = "manifest.json";
 const LARGEST_MANIFEST_BYTES: u64 = 16 << 20;
 const LARGEST_SHARD_BYTES: u64 = 4 << 30;
-/// More samples than any disk holds are a typing error.
+/// Maximum number of samples; more are a typing error.
 const MOST_SAMPLES: usize = 100_000_000;
 
-/// What a training set holds and how it was made.
+/// Contents of a training set and how they were generated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
@@ -30,13 +30,13 @@ pub struct Manifest {
     pub skin: String,
     /// Fingerprint of the skin's geometry, protocol and imaging.
     pub skin_sha256: String,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Samples in all.
+    /// Total number of samples.
     pub samples: usize,
-    /// Samples a shard (the last may have fewer).
+    /// Samples per shard (the last may have fewer).
     pub shard_samples: usize,
-    /// What the input images are, in order.
+    /// Kinds of the input images, in order.
     pub inputs: Vec<String>,
     /// Rows of the images.
     pub rows: usize,
@@ -44,7 +44,7 @@ pub struct Manifest {
     pub columns: usize,
     /// Names of the classes, in the order of the labels.
     pub classes: Vec<String>,
-    /// How scenes and instruments were drawn, for people.
+    /// How scenes and instruments were drawn, for human readers.
     pub recipe: serde_json::Value,
 }
 
@@ -91,27 +91,27 @@ impl Manifest {
         self.samples.div_ceil(self.shard_samples)
     }
 
-    /// Samples of a shard.
+    /// Number of samples in a shard.
     pub fn samples_of(&self, shard: usize) -> usize {
         self.shard_samples.min(self.samples.saturating_sub(shard * self.shard_samples))
     }
 
-    /// Values of one sample's images.
+    /// Number of values in one sample's images.
     pub fn input_len(&self) -> usize {
         self.inputs.len() * self.rows * self.columns
     }
 
-    /// Pixels of an image.
+    /// Number of pixels in an image.
     pub fn pixels(&self) -> usize {
         self.rows * self.columns
     }
 }
 
 impl TrainingSet {
-    /// Begins a training set, or goes on with one that has the same manifest.
+    /// Starts a training set, or resumes one with the same manifest.
     ///
     /// # Errors
-    /// A folder that holds another set, or that cannot be written.
+    /// Fails if the folder holds another set or cannot be written.
     pub fn create(folder: &Path, manifest: Manifest) -> Result<Self, LearnError> {
         let file = folder.join(MANIFEST);
         manifest.check(&file)?;
@@ -133,7 +133,7 @@ impl TrainingSet {
     /// Opens a training set.
     ///
     /// # Errors
-    /// No manifest, or one that makes no sense.
+    /// Fails if there is no manifest or it is invalid.
     pub fn open(folder: &Path) -> Result<Self, LearnError> {
         let file = folder.join(MANIFEST);
         let content = read_bounded(&file, LARGEST_MANIFEST_BYTES)?;
@@ -143,7 +143,7 @@ impl TrainingSet {
         Ok(Self { folder: folder.to_path_buf(), manifest, manifest_sha256: sha256(&content) })
     }
 
-    /// What it holds.
+    /// The manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
@@ -153,12 +153,12 @@ impl TrainingSet {
         &self.manifest_sha256
     }
 
-    /// Where a shard lies.
+    /// Path of a shard.
     pub fn shard_file(&self, shard: usize) -> PathBuf {
         self.folder.join(format!("shard-{shard:05}.safetensors"))
     }
 
-    /// Shards that are not there, or not whole.
+    /// Shards that are missing or incomplete.
     pub fn missing(&self) -> Vec<usize> {
         (0..self.manifest.shards()).filter(|&shard| self.read(shard).is_err()).collect()
     }
@@ -166,7 +166,7 @@ impl TrainingSet {
     /// Writes a shard.
     ///
     /// # Errors
-    /// Sizes that are not the manifest's, or a file that cannot be written.
+    /// Fails if the sizes differ from the manifest or the file cannot be written.
     pub fn write(&self, number: usize, shard: &Shard) -> Result<(), LearnError> {
         let file = self.shard_file(number);
         let manifest = &self.manifest;
@@ -197,7 +197,8 @@ impl TrainingSet {
     /// Reads a shard.
     ///
     /// # Errors
-    /// A file that is missing, cut, damaged or of another set; values that are not finite; labels that are no classes.
+    /// Fails if the file is missing, truncated, damaged or from another set, or contains non-finite values or unknown
+    /// labels.
     pub fn read(&self, number: usize) -> Result<Shard, LearnError> {
         let file = self.shard_file(number);
         let content = read_bounded(&file, LARGEST_SHARD_BYTES)?;
@@ -271,7 +272,7 @@ mod tests {
         assert_eq!(again.missing(), [0]);
         assert_eq!(again.read(1).unwrap(), shard(2));
         assert_eq!(again.manifest_sha256(), TrainingSet::open(folder.path()).unwrap().manifest_sha256());
-        // A shard cut short is made anew.
+        // A truncated shard is generated again.
         let bytes = std::fs::read(set.shard_file(1)).unwrap();
         std::fs::write(set.shard_file(1), &bytes[..bytes.len() - 1]).unwrap();
         assert_eq!(again.missing(), [0, 1]);
@@ -294,7 +295,7 @@ mod tests {
         bad.inputs[5] = f32::INFINITY;
         set.write(0, &bad).unwrap();
         assert!(set.read(0).unwrap_err().to_string().ends_with("inputs: value 5 is inf, expected a finite one"));
-        // A shard of another number of samples.
+        // A shard with a different number of samples.
         std::fs::copy(set.shard_file(0), set.shard_file(2)).unwrap();
         assert!(set.read(2).unwrap_err().to_string().contains("expected F32 [1, 2, 2, 3], found F32 [2, 2, 2, 3]"));
     }

@@ -1,5 +1,5 @@
-//! Weights on disk: safetensors with the tensors of a U-Net, and further named ones beside them (those of the novelty
-//! score). What is read is checked against the architecture before anything is made of it.
+//! Weights on disk: safetensors with the tensors of a U-Net, plus other named tensors (the novelty score). Files are
+//! checked against the architecture before use.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,10 +17,10 @@ pub struct Tensors {
 }
 
 impl Tensors {
-    /// Adds or replaces one.
+    /// Adds or replaces a tensor.
     ///
     /// # Errors
-    /// Dimensions that do not give the number of values.
+    /// Fails if the dimensions do not match the number of values.
     pub fn insert(&mut self, name: impl Into<String>, dims: Vec<usize>, values: Vec<f32>) -> Result<(), LearnError> {
         let expected = dims.iter().product();
         if values.len() != expected {
@@ -30,7 +30,7 @@ impl Tensors {
         Ok(())
     }
 
-    /// Dimensions and values.
+    /// Dimensions and values of a tensor.
     pub fn get(&self, name: &str) -> Option<(&[usize], &[f32])> {
         self.entries.get(name).map(|(dims, values)| (dims.as_slice(), values.as_slice()))
     }
@@ -40,11 +40,11 @@ impl Tensors {
         self.entries.iter().map(|(name, (dims, values))| (name.as_str(), dims.as_slice(), values.as_slice()))
     }
 
-    /// Reads safetensors; all tensors must be 32-bit and finite. PyTorch's counters of batches (`num_batches_tracked`),
-    /// which no network needs, are passed over. `file` is for messages.
+    /// Reads safetensors; all tensors must be 32-bit and finite. PyTorch's batch counters (`num_batches_tracked`),
+    /// which the network does not need, are skipped. `file` is for messages.
     ///
     /// # Errors
-    /// Bytes that are no safetensors, other types, values that are not finite.
+    /// Fails if the bytes are not safetensors, have other types, or contain non-finite values.
     pub fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self, LearnError> {
         let refuse = |field: &str, reason: String| LearnError::content(file, field, reason);
         let parsed =
@@ -67,10 +67,10 @@ impl Tensors {
         Ok(tensors)
     }
 
-    /// As safetensors.
+    /// Serialises to safetensors.
     ///
     /// # Errors
-    /// Never for tensors made by [`Tensors::insert`]; what the format's library may refuse is passed on.
+    /// Never for tensors made by [`Tensors::insert`]; errors of the safetensors library are passed on.
     pub fn to_bytes(&self) -> Result<Vec<u8>, LearnError> {
         let bytes: Vec<(&str, &[usize], Vec<u8>)> = self
             .iter()
@@ -86,11 +86,11 @@ impl Tensors {
             .map_err(|error| LearnError::content("safetensors", "header", error.to_string()))
     }
 
-    /// Checks that all tensors of a network are there in its sizes, and that variances are positive; others may be
-    /// beside them.
+    /// Checks that all tensors of a network are present with the right sizes and that variances are positive. Other
+    /// tensors are allowed.
     ///
     /// # Errors
-    /// The first tensor that is missing or of another size.
+    /// The first tensor that is missing or has the wrong size.
     pub fn check(&self, shape: &UNetShape, file: &Path) -> Result<(), LearnError> {
         let refuse = |field: &str, reason: String| Err(LearnError::content(file, field, reason));
         for spec in shape.tensors() {

@@ -1,5 +1,5 @@
-//! A network that was trained in PyTorch 1.13 and saved there as a state_dict (`scripts/check_network.py --fixture`):
-//! read here as it is, and run as PyTorch runs it.
+//! A network trained in PyTorch 1.13 and saved there as a state_dict (`scripts/check_network.py --fixture`): it is
+//! read unchanged and must give PyTorch's results.
 
 use std::path::PathBuf;
 
@@ -24,7 +24,7 @@ fn a_state_dict_of_pytorch_runs_as_it_does_there() {
     let largest = expected.iter().fold(0.0_f32, |largest, value| largest.max(value.abs()));
     let gap = logits.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) / largest;
     println!("largest difference {gap:e} of the largest logit");
-    // PyTorch computed in double precision; 32-bit sums over some hundred terms are off by a few units in the last
+    // PyTorch computed in double precision; 32-bit sums of some hundred terms are off by a few units in the last
     // place.
     assert!(gap < 1e-6, "{gap:e}");
 }

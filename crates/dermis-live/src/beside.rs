@@ -1,6 +1,6 @@
-//! Work that takes longer than a frame, done beside the stream. The frame from which its result counts is set, in the
-//! frames' own time, when the work is begun, so that a replay at any pace on any machine gives the same results as the
-//! live run. A frame whose time has come before the work is done waits for it, which is counted.
+//! Background work that takes longer than a frame. The frame from which its result counts is fixed, in the frames'
+//! own time, when the work starts. A replay at any speed on any machine therefore gives the same results as the live
+//! run. If a frame is due before the work is done, it waits, and the wait is counted.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,13 +12,13 @@ use std::thread::JoinHandle;
 pub(crate) struct Wanted(Arc<AtomicBool>);
 
 impl Wanted {
-    /// `None` where other work was begun in its place: the rest need not be done.
+    /// `None` if other work has replaced this one, so that it can stop.
     pub fn go_on(&self) -> Option<()> {
         (!self.0.load(Ordering::Relaxed)).then_some(())
     }
 }
 
-/// One piece of work at a time, and when its result is due.
+/// At most one piece of work, and when its result is due.
 #[derive(Debug)]
 pub(crate) struct Beside<T> {
     under_way: Option<UnderWay<T>>,
@@ -32,7 +32,7 @@ struct UnderWay<T> {
     wanted: Wanted,
 }
 
-/// What work comes to: on a thread of its own, or at once where there are no threads (in a page).
+/// Result of work: from a thread, or computed at once if there are no threads (in a page).
 #[derive(Debug)]
 struct Outcome<T>(#[cfg(not(target_family = "wasm"))] JoinHandle<Option<T>>, #[cfg(target_family = "wasm")] Option<T>);
 
@@ -47,7 +47,7 @@ impl<T: Send + 'static> Outcome<T> {
     }
 
     fn wait(self) -> Option<T> {
-        // A thread that panicked brings its panic here, as if there were none.
+        // If the thread panicked, propagate its panic.
         self.0.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
@@ -73,13 +73,13 @@ impl<T: Send + 'static> Beside<T> {
         Self { under_way: None, waits: 0 }
     }
 
-    /// Frames that have waited for a result.
+    /// Number of frames that had to wait for a result.
     pub fn waits(&self) -> u64 {
         self.waits
     }
 
-    /// Begins work whose result counts from a time of the frames on, in place of any that is under way. The work may
-    /// end without a result only when it is no longer wanted.
+    /// Starts work whose result counts from a given frame time on, replacing any in progress. The work may end
+    /// without a result only if it is no longer wanted.
     pub fn begin(&mut self, due_ns: u64, work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static) {
         self.drop_work();
         let wanted = Wanted::default();
@@ -88,7 +88,7 @@ impl<T: Send + 'static> Beside<T> {
         self.under_way = Some(UnderWay { due_ns, outcome, wanted });
     }
 
-    /// The result, in the first frame whose time has come.
+    /// The result, in the first frame at or after its due time.
     pub fn take(&mut self, time_ns: u64) -> Option<T> {
         let UnderWay { outcome, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
         if !outcome.is_there() {

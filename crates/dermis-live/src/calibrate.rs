@@ -1,6 +1,6 @@
-//! From pokes to the calibration that places touches best: by the pokes alone or fused with signatures of the model
-//! ([`Calibration`]), or by all that the running skin does without a calibration, refinement included, corrected by the
-//! pokes ([`dermis_touch::locator::PlaceCorrection`]). Left-out pokes decide.
+//! Turns pokes into the calibration that locates touches best. Touches are located by the pokes alone, or by pokes
+//! fused with model signatures ([`Calibration`]), or by everything that the running skin does without a calibration,
+//! including refinement, corrected by the pokes ([`dermis_touch::locator::PlaceCorrection`]). Left-out pokes decide.
 
 use dermis_skin::budget::Budget;
 use dermis_touch::locator::{FusedOptions, PokeSight, SeenPoke};
@@ -14,22 +14,22 @@ use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
 use crate::stages::refinement::Refinement;
 
-/// So many pokes, evenly drawn, are looked at by the model.
+/// Maximum number of pokes, evenly drawn, that the model is tested on.
 const MOST_LOOKED_AT: usize = 200;
-/// Of the first n frames so many, and this share of n, may show several touches, or none, before the rest is not looked
-/// at.
+/// Give up early if more than the first number plus the second times n of the first n frames show several touches, or
+/// none.
 const SEVERAL_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.1);
 const UNSEEN_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.5);
-/// No place is known better, m^2: a micrometre.
+/// Lower bound on the variance of a position, m^2: a micrometre squared.
 const LEAST_VARIANCE_M2: f64 = 1e-12;
-/// Between frames that have nothing to do with each other, nanoseconds.
+/// Time between unrelated frames, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
-/// Fits a calibration to pokes: see [`Calibration::fit_with`]. The model is tried beside it where
-/// [`CalibrationOptions::physics`] allows that and the skin's wiring is known.
+/// Fits a calibration to pokes: see [`Calibration::fit_with`]. Also tries the model, if
+/// [`CalibrationOptions::physics`] allows it and the skin's wiring is known.
 ///
 /// # Errors
-/// More memory or time than may be used; as [`Calibration::fit_with`].
+/// More memory or time than allowed; as [`Calibration::fit_with`].
 pub fn calibrate(
     prepared: &Prepared,
     measured: PokeFrames<'_>,
@@ -41,7 +41,8 @@ pub fn calibrate(
     let mut calibration = Calibration::fit_with(prepared, measured, pokes, options)?;
     let backend = &prepared.skin.backend;
     if options.physics && backend.wiring.is_known() && backend.circuit.is_none() {
-        // What the model cannot read (another order of channels, say) the pokes still place.
+        // If the model cannot read the frames, for example because of a different channel order, the pokes alone
+        // locate touches.
         match seen_by_model(prepared, measured, pokes) {
             Ok(seen) => {
                 calibration.try_model(&seen, prepared)?;
@@ -74,22 +75,22 @@ fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -
     seen_pokes(&mut reconstructor, prepared, poked)
 }
 
-/// A poke as it was measured, and as it was.
+/// A measured poke with its true position and load.
 #[derive(Clone, Copy, Debug)]
 pub struct MeasuredPoke<'a> {
     /// Difference data, model volts.
     pub difference: &'a [f64],
-    /// Its place, metres.
+    /// True position, metres.
     pub truth_m: [f64; 2],
-    /// How hard it was, relative to a typical poke.
+    /// Load relative to a typical poke.
     pub load_share: f64,
 }
 
-/// Pokes as the model sees them. Frames that are no touches take long to search: once it is plain that many are none,
-/// the rest is not looked at ([`PokeSight::Nothing`]).
+/// Pokes as the model sees them. Frames that are not touches take long to search. Once it is clear that many are not,
+/// the rest are skipped ([`PokeSight::Nothing`]).
 ///
 /// # Errors
-/// Frames of another length than the skin's channels.
+/// Frames whose length is not the skin's number of channels.
 pub fn seen_pokes<'a>(
     reconstructor: &mut Reconstructor,
     prepared: &Prepared,
@@ -129,7 +130,7 @@ pub fn seen_pokes<'a>(
     Ok(seen)
 }
 
-/// Variance of each coordinate of a contact, the mean of both, noise and the model's error together, m^2.
+/// Variance of a contact's coordinates, averaged over both: noise plus model error, m^2.
 fn variance_m2(contact: &Contact) -> f64 {
     let [[x, _], [_, y]] = contact.covariance_m2;
     (0.5 * (x + y) + contact.model_variance_m2).max(LEAST_VARIANCE_M2)
@@ -140,12 +141,12 @@ mod tests {
     use super::*;
     use dermis_skin::Skin;
 
-    /// Places on a grid six wide, its first one here.
+    /// Positions on a grid six columns wide, starting at `first_m`.
     fn grid(count: u32, pitch_m: f64, first_m: [f64; 2]) -> Vec<[f64; 2]> {
         (0..count).map(|i| [pitch_m * f64::from(i % 6) + first_m[0], pitch_m * f64::from(i / 6) + first_m[1]]).collect()
     }
 
-    /// What the model itself shows of presses at these places, each so hard.
+    /// Frames that the model itself predicts for presses at these positions, each with its strength.
     fn pressed(prepared: &Prepared, positions_m: &[[f64; 2]], share: impl Fn(usize) -> f64) -> Vec<Vec<f64>> {
         let rest = &prepared.voltages;
         let press = |(poke, signature): (usize, &[f64])| {
@@ -158,7 +159,7 @@ mod tests {
     fn frames_that_are_no_touches_are_soon_left_to_the_pokes() {
         let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
         let rest = prepared.voltages.clone();
-        // Every channel another factor, from poke to poke: nothing that the model knows.
+        // A different random factor for every channel and poke, which no model can explain.
         let wild = |poke: usize| {
             let factor = |k: usize| 1.0 + 0.01 * (((poke * 7919 + k * 104_729) % 997) as f64 / 498.5 - 1.0);
             rest.iter().enumerate().map(|(k, v)| v * factor(k)).collect::<Vec<f64>>()
@@ -168,7 +169,7 @@ mod tests {
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
         assert!(calibration.correction().is_none());
-        // Touches of the model itself, on the other hand, are placed by it.
+        // The model locates touches that it produced itself.
         let frames = pressed(&prepared, &pokes.positions_m, |_| 0.1);
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();

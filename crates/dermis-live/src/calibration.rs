@@ -1,5 +1,5 @@
-//! Calibrated skins: pokes at known positions make a measured Jacobian, on which images are made, and a locator, which
-//! places single touches. Skins whose readout circuit is known only in kind calibrate themselves.
+//! Calibrated skins. Pokes at known positions give a measured Jacobian, on which images are made, and a locator,
+//! which locates single touches. Skins whose readout circuit is known only in kind calibrate themselves.
 
 mod calibrated_imager;
 mod circuit_fit;

@@ -1,51 +1,52 @@
-//! The noise of channels, measured over a few frames: what a channel's own scatter says to within a quarter or a third,
-//! all channels together say to within a few percent.
+//! The noise of channels, measured over a few frames. A channel's own scatter gives its noise to within a quarter or
+//! a third; all channels together give it to within a few percent.
 //!
-//! Instruments are alike in their noise, v = a + b L^2 with L the level of a channel's reading: a part that is the same
-//! for all and one in proportion to what is read. The line is fitted to all channels' variances s^2, whose logarithms
-//! scatter about it by trigamma(f / 2) for being estimated with f degrees of freedom; what they scatter more is how
-//! channels differ. Each channel's logarithm is then the mean of its own and the line's, weighted by the inverses of
-//! these two: an empirical Bayes estimate as that of G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004), article 3,
-//! but about a trend, and normal in logarithms, since a few channels may be far quieter than the others. A channel that
-//! is noisier than the others let expect keeps its own.
+//! The channels of an instrument follow a common noise law, v = a + b L^2 with L the level of a channel's reading:
+//! one part is the same for all, the other is proportional to the reading. The line is fitted to the variances s^2 of
+//! all channels. Their logarithms scatter about it by trigamma(f / 2), since they are estimated with f degrees of
+//! freedom; any excess is the true difference between channels. Each channel's logarithm is then the mean of its own
+//! and the line's, weighted by the inverses of these two. This is an empirical Bayes estimate like that of G. K.
+//! Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004), article 3, but about a trend, and normal in logarithms, since a few
+//! channels may be far quieter than the others. A channel that is noisier than the others suggest keeps its own
+//! estimate.
 
 use crate::frame_noise::{MEDIAN_TO_SIGMA, mean, median};
 
-/// Frames averaged by a tare, and that a live baseline is learnt from.
+/// Number of frames averaged by a tare, and used to learn a live baseline.
 pub const TARE_FRAMES: usize = 32;
-/// A median absolute deviation is as sure as a standard deviation of this share of the values.
+/// Efficiency of a median absolute deviation: it is as precise as a standard deviation of this share of the values.
 const MEDIAN_EFFICIENCY: f64 = 0.37;
-/// Fewest channels that say what they have in common.
+/// Minimum number of channels for fitting a common law.
 const FEWEST_CHANNELS: usize = 8;
-/// Rounds of the weighted least squares that fit the line.
+/// Number of iterations of the weighted least squares that fit the line.
 const ROUNDS: usize = 30;
-/// Variances farther above the line than so many of their standard deviations count as if they were there.
+/// Clip variances to this many of their standard deviations above the line.
 const OUTLYING: f64 = 3.0;
-/// A channel with a variance that chance would not give it in so many times as many channels is a noisy one.
+/// A channel is noisy if its variance is too large to be expected by chance among this many times as many channels.
 const CHANCE: f64 = 100.0;
-/// Where each channel counts for itself by more than this, the others have little to add: drift and what a gel remembers
-/// of presses make such noise, and each channel keeps its own.
+/// If a channel's own estimate has more weight than this, the others have little to add, and each channel keeps its
+/// own. Drift and what a gel remembers of presses cause such noise.
 const MOST_OWN: f64 = 0.5;
 
 /// Noise measured at rest.
 #[derive(Clone, Copy, Debug)]
 pub struct MeasuredNoise<'a> {
-    /// Standard deviation of each channel, in the unit of the readings; `NaN` or zero where it is not known.
+    /// Standard deviation of each channel, in the unit of the readings; `NaN` or zero if unknown.
     pub deviation: &'a [f64],
-    /// Degrees of freedom of the variances: frames less one, where they are root mean squares about the mean; less where
-    /// they are estimated otherwise.
+    /// Degrees of freedom of the variances: frames minus one if they are mean squares about the mean; fewer for other
+    /// estimators.
     pub freedom: f64,
 }
 
 impl<'a> MeasuredNoise<'a> {
-    /// Noise from median absolute deviations of the frames that a live baseline is learnt from
+    /// Noise from median absolute deviations of the frames used to learn a live baseline
     /// ([`dermis_touch::Baseline::noise_std`]).
     pub fn of_start(deviation: &'a [f64]) -> Self {
         Self { deviation, freedom: MEDIAN_EFFICIENCY * (TARE_FRAMES - 1) as f64 }
     }
 
-    /// The standard deviations, moderated, of channels that read `levels` at rest. Those that are not known stay as
-    /// they are.
+    /// The standard deviations, shrunk towards the common law, of channels that read `levels` at rest. Unknown ones
+    /// are unchanged.
     pub(crate) fn moderated(&self, levels: &[f64]) -> Vec<f64> {
         let mut deviation = self.deviation.to_vec();
         let is_known = |channel: &usize| {
@@ -69,7 +70,7 @@ impl<'a> MeasuredNoise<'a> {
         let most = largest_by_chance(CHANCE * known.len() as f64, self.freedom);
         for ((channel, ratio), line) in known.into_iter().zip(ratios).zip(line) {
             if ratio <= most {
-                // The logarithm of a variance is on average 1 / f less than that of what it is estimated of.
+                // The logarithm of an estimated variance is on average 1 / f below the true one's.
                 let logarithm = own * ratio.ln() + (1.0 - own) * offset + 1.0 / self.freedom;
                 deviation[channel] = (line * logarithm.exp()).sqrt();
             }
@@ -78,8 +79,8 @@ impl<'a> MeasuredNoise<'a> {
     }
 }
 
-/// a + b L^2 of each channel, neither of them negative: least squares weighted by the inverse variances of the variances,
-/// which go with the square of the line itself. `None` where nothing positive comes of it.
+/// a + b L^2 of each channel, both coefficients not negative: least squares weighted by the inverse variances of the
+/// variances, which are proportional to the square of the line. `None` if the result is not positive.
 fn line(variances: &[f64], squares: &[f64], freedom: f64) -> Option<Vec<f64>> {
     let scale = mean(squares);
     let most = 1.0 + OUTLYING * (2.0 / freedom).sqrt();
@@ -96,7 +97,7 @@ fn line(variances: &[f64], squares: &[f64], freedom: f64) -> Option<Vec<f64>> {
         }
         let determinant = s * sxx - sx * sx;
         let (mut a, mut b) = ((sxx * sy - sx * sxy) / determinant, (s * sxy - sx * sy) / determinant);
-        // Levels that are all alike tell one number only.
+        // Equal levels determine only one number.
         if determinant <= 1e-9 * s * sxx || b <= 0.0 {
             (a, b) = (sy / s, 0.0);
         } else if a <= 0.0 {
@@ -112,20 +113,20 @@ fn line(variances: &[f64], squares: &[f64], freedom: f64) -> Option<Vec<f64>> {
     Some(line)
 }
 
-/// Middle of the logarithms of the channels' variances over the line, and how much more they scatter about it than by
-/// their own estimation (variances).
+/// Median of the log ratios of the channels' variances to the line, and their excess scatter (a variance) beyond
+/// their own estimation error.
 fn about_line(ratios: &[f64], own_scatter: f64) -> (f64, f64) {
     let logarithms: Vec<f64> = ratios.iter().map(|ratio| ratio.ln()).collect();
     let middle = median(logarithms.clone());
     let scatter = (MEDIAN_TO_SIGMA * median(logarithms.iter().map(|v| (v - middle).abs()).collect())).powi(2);
-    // The square of a scatter from a median is itself known to within this share; less than twice that is none.
+    // A squared scatter from a median is uncertain by this amount; an excess of less than twice that counts as none.
     let sure = 2.0 * own_scatter * (2.0 / (MEDIAN_EFFICIENCY * ratios.len() as f64)).sqrt();
     let excess = scatter - own_scatter;
     (middle, if excess <= sure { 0.0 } else { excess })
 }
 
-/// The ratio of a variance to what it is estimated of that the largest of `count` reaches on average, by the cube root
-/// of a chi-square being nearly normal (Wilson and Hilferty, 1931).
+/// Expected largest ratio of estimated to true variance among `count` channels, by the normal approximation of the
+/// cube root of a chi-square (Wilson and Hilferty, 1931).
 fn largest_by_chance(count: f64, freedom: f64) -> f64 {
     let spread = 2.0 / (9.0 * freedom);
     (1.0 - spread + (2.0 * count.ln()).sqrt() * spread.sqrt()).powi(3)
@@ -149,7 +150,7 @@ mod tests {
     const CHANNELS: usize = 200;
     const FRAMES: usize = 16;
 
-    /// Standard normal values by the Box-Muller transform of a multiplicative congruential sequence.
+    /// Standard normal values by the Box-Muller transform of a linear congruential sequence.
     struct Normal(u64);
 
     impl Normal {
@@ -163,7 +164,7 @@ mod tests {
         }
     }
 
-    /// Root mean squares of sixteen frames about their known mean, of channels of these deviations.
+    /// RMS of sixteen frames about their known mean, for channels with these standard deviations.
     fn measured(truth: &[f64], seed: u64) -> Vec<f64> {
         let mut normal = Normal(seed);
         let mut square = |sigma: f64| (0..FRAMES).map(|_| (sigma * normal.draw()).powi(2)).sum::<f64>();
@@ -174,7 +175,7 @@ mod tests {
         MeasuredNoise { deviation, freedom: FRAMES as f64 }.moderated(levels)
     }
 
-    /// Root mean square of the relative error.
+    /// RMS of the relative error.
     fn error(found: &[f64], truth: &[f64]) -> f64 {
         (found.iter().zip(truth).map(|(f, t)| (f / t - 1.0).powi(2)).sum::<f64>() / truth.len() as f64).sqrt()
     }
@@ -200,7 +201,7 @@ mod tests {
         let truth: Vec<f64> = (0..CHANNELS).map(|_| 1e-5 * (1.5 * normal.draw()).exp()).collect();
         let alone = measured(&truth, 3);
         assert_eq!(moderated(&alone, &levels()), alone);
-        // A little: both the channel and the others tell.
+        // With a slight difference, both the channel and the others contribute.
         let truth: Vec<f64> = (0..CHANNELS).map(|_| 1e-5 * (0.12 * normal.draw()).exp()).collect();
         let alone = measured(&truth, 4);
         assert!(error(&moderated(&alone, &levels()), &truth) < 0.8 * error(&alone, &truth));
@@ -227,7 +228,7 @@ mod tests {
         let together = moderated(&alone, &levels);
         assert!(together[3].is_nan());
         assert_eq!((together[4], together[5]), (0.0, alone[5]));
-        // Few channels, and levels or noise that are all zero, are left as they are.
+        // Few channels, or levels or noise that are all zero, are left unchanged.
         assert_eq!(moderated(&alone[10..14], &levels[10..14]), alone[10..14]);
         assert_eq!(moderated(&[0.0; 20], &[1.0; 20]), [0.0; 20]);
         assert!(moderated(&alone[10..30], &[0.0; 20]).iter().all(|sigma| sigma.is_finite() && *sigma > 0.0));

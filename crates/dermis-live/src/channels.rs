@@ -1,5 +1,5 @@
-//! From what an instrument delivers (single-ended potentials, full matrices, channels; real or complex) to the channels
-//! of a skin's protocol, in their order, as real numbers.
+//! Converts an instrument's data (single-ended potentials, full matrices, channels; real or complex) to real channels
+//! in the order of a skin's protocol.
 
 use dermis_device::{FrameTable, Layout};
 use dermis_tomo::eit::{Pattern, Protocol};
@@ -7,11 +7,11 @@ use dermis_tomo::eit::{Pattern, Protocol};
 use crate::Error;
 use dermis_skin::{Reads, Skin};
 
-/// How to make the protocol's channels out of a source's values: a sparse linear map.
+/// A sparse linear map from a source's values to the protocol's channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChannelLayout {
     inputs: usize,
-    /// For each channel the inputs that it adds up, with weights.
+    /// The inputs that each channel adds up, with weights.
     terms: Vec<Vec<(u32, f64)>>,
 }
 
@@ -19,7 +19,7 @@ impl ChannelLayout {
     /// Finds the protocol's channels in a layout.
     ///
     /// # Errors
-    /// A layout that does not hold them: another number of channels or electrodes, or a drive that is missing.
+    /// A layout that does not contain them: a different number of channels or electrodes, or a missing drive.
     pub fn new(layout: &Layout, protocol: &Protocol, name: &str) -> Result<Self, Error> {
         let refuse = |expected: String, got: String| Error::Frames { what: format!("frames of {name}"), expected, got };
         let inputs = layout.channels();
@@ -57,7 +57,7 @@ impl ChannelLayout {
         Ok(Self { inputs, terms })
     }
 
-    /// Values a frame of the source has.
+    /// Number of values in a frame of the source.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
@@ -76,15 +76,15 @@ impl ChannelLayout {
     }
 }
 
-/// Channel (drive pair k, measuring pair j) of a drive-major matrix whose rows and columns begin at those electrodes.
-/// `None` if a row or a column could be several of the protocol's pairs.
+/// Channel (drive pair k, measuring pair j) of a drive-major matrix whose rows and columns start at those electrodes.
+/// `None` if a row or a column matches several of the protocol's pairs.
 fn full_matrix(protocol: &Protocol, electrodes: usize) -> Option<Vec<Vec<(u32, f64)>>> {
     let is_one_each = |patterns: &[Pattern], sign: f64| {
         let mut begun: Vec<Option<u32>> = patterns.iter().map(|pattern| extreme(pattern, sign)).collect();
         begun.sort_unstable();
         begun.windows(2).all(|pair| pair[0] != pair[1])
     };
-    // Readings against a driven electrode are one a drive and electrode, whatever the drive.
+    // A reading against a driven electrode is determined by drive and electrode.
     let is_against_sink = protocol.measurements().iter().all(|measurement| {
         let drive = &protocol.stimulations()[measurement.stimulation as usize];
         let read = &protocol.patterns()[measurement.pattern as usize];
@@ -132,13 +132,13 @@ fn single_ended(
         .collect()
 }
 
-/// What a file drives, and how a skin file says so: "drives 1-4, 2-5, ...: `drive = { skip = 2 }`".
+/// The drives of a file, and the matching line of a skin file: "drives 1-4, 2-5, ...: `drive = { skip = 2 }`".
 fn drives_of(electrodes: usize, stimulations: &[(usize, usize)]) -> String {
     const SHOWN: usize = 3;
     const LISTED: usize = 8;
     let some: Vec<String> = stimulations.iter().take(SHOWN).map(|(a, b)| format!("{}-{}", a + 1, b + 1)).collect();
     let more = if stimulations.len() > SHOWN { ", ..." } else { "" };
-    // Of the two ways round, the shorter: a pair and its reverse are one drive of the other sign.
+    // Use the shorter direction round the ring: a pair and its reverse are one drive with opposite sign.
     let apart = |&(from, to): &(usize, usize)| {
         let forward = (to + electrodes - from) % electrodes;
         forward.min(electrodes - forward)
@@ -170,11 +170,11 @@ fn drives_of(electrodes: usize, stimulations: &[(usize, usize)]) -> String {
     format!("no such injection: the file drives {}{more}: {key}", some.join(", "))
 }
 
-/// Turns an instrument's frames into channels of a protocol, as real numbers.
+/// Converts an instrument's frames to channels of a protocol, as real numbers.
 ///
-/// Complex readings become their magnitude on a skin that reads magnitudes, and otherwise their component along one
-/// common phase, that of the first frame read (the instrument's phase, not the body's), so that baselines and frames must
-/// go through the same reader, baseline first.
+/// On a skin that reads magnitudes, complex readings become their magnitude. On other skins they become their
+/// component along a common phase, taken from the first frame read. This phase comes from the instrument, not from
+/// the body, so baselines and frames must go through the same reader, baseline first.
 #[derive(Clone, Debug)]
 pub struct ChannelReader {
     layout: ChannelLayout,
@@ -184,16 +184,16 @@ pub struct ChannelReader {
 }
 
 impl ChannelReader {
-    /// A reader for frames of this layout; `name` is the source's, for errors.
+    /// A reader for frames of this layout. `name` is the source's, for errors.
     ///
     /// # Errors
-    /// A layout that does not hold the protocol's channels.
+    /// A layout that does not contain the protocol's channels.
     pub fn new(layout: &Layout, protocol: &Protocol, reads: Reads, name: &str) -> Result<Self, Error> {
         let layout = ChannelLayout::new(layout, protocol, name)?;
         Ok(Self { layout, reads, phase: None, imaginary: Vec::new() })
     }
 
-    /// Takes over the phase that another reader found (a baseline's, for the frames that go with it).
+    /// Adopts the phase found by another reader, such as a baseline's for the frames that go with it.
     pub fn share_phase_of(&mut self, other: &Self) {
         self.phase = other.phase;
     }
@@ -201,7 +201,7 @@ impl ChannelReader {
     /// Fills `channels` from one frame; `imaginary` is empty for real instruments.
     ///
     /// # Errors
-    /// A frame of another length than the layout's.
+    /// A frame whose length does not match the layout.
     pub fn read(&mut self, values: &[f64], imaginary: &[f64], channels: &mut Vec<f64>) -> Result<(), Error> {
         if values.len() != self.layout.inputs() {
             return Err(Error::Frames {
@@ -223,7 +223,7 @@ impl ChannelReader {
         Ok(())
     }
 
-    /// All frames of a table.
+    /// Converts all frames of a table.
     ///
     /// # Errors
     /// As [`ChannelReader::read`].
@@ -239,18 +239,19 @@ impl ChannelReader {
     }
 }
 
-/// Readings that a frame of a skin may have: its channels, and the full matrix of its electrodes.
+/// Possible numbers of readings in a frame of a skin: its channels, or the full matrix of its electrodes.
 pub fn readings_of(skin: &Skin) -> Vec<usize> {
     let Ok(protocol) = skin.protocol() else { return Vec::new() };
     vec![protocol.channel_count(), protocol.electrode_count().pow(2)]
 }
 
-/// A table in the order of the skin's channels, where its header names the electrodes of every column: drive, drive,
-/// plus, minus, as in `1-2 > 3-4`. A pair that the header names the other way round has the other sign, unless all are
-/// (who writes the sink first is a matter of taste) or the skin reads magnitudes. Other tables stay as they are.
+/// Sorts a table into the order of the skin's channels, if its header names the electrodes of every column: drive,
+/// drive, plus, minus, as in `1-2 > 3-4`. The sign is flipped for a pair that the header names in reverse, unless all
+/// are reversed (the position of the sink is a matter of convention) or the skin reads magnitudes. Other tables are
+/// unchanged.
 ///
 /// # Errors
-/// A column of electrodes that are no channel of the skin.
+/// A column of electrodes that is not a channel of the skin.
 pub fn order_by_names(table: FrameTable, skin: &Skin) -> Result<FrameTable, Error> {
     let Some(named) = table.channel_names().and_then(electrodes_of) else { return Ok(table) };
     let Ok(protocol) = skin.protocol() else { return Ok(table) };
@@ -293,7 +294,7 @@ pub fn order_by_names(table: FrameTable, skin: &Skin) -> Result<FrameTable, Erro
     Ok(table.rearranged(&taken).with_notes(vec![note]))
 }
 
-/// The four electrodes in every name, from 1; none where a name has not four numbers.
+/// The four electrodes in every name, from 1; `None` if a name does not have four numbers.
 fn electrodes_of(names: &[String]) -> Option<Vec<[usize; 4]>> {
     let numbers = |name: &String| -> Option<[usize; 4]> {
         let numbers: Vec<usize> = name
@@ -310,7 +311,7 @@ fn electrodes_of(names: &[String]) -> Option<Vec<[usize; 4]>> {
     Some(all)
 }
 
-/// Direction (cos, sin) of the principal axis of complex channels, toward positive real parts: half the angle of the
+/// Direction (cos, sin) of the principal axis of complex channels, towards positive real parts: half the angle of the
 /// sum of squares.
 fn common_phase(real: &[f64], imaginary: &[f64]) -> (f64, f64) {
     let finite = || real.iter().zip(imaginary).filter(|(re, im)| re.is_finite() && im.is_finite());
@@ -352,7 +353,7 @@ mod tests {
         let values: Vec<f64> = (0..count).map(|channel| channel as f64).collect();
         let same = table(labels.clone(), values.clone()).unwrap();
         assert_eq!(same.values(), values);
-        // From the last to the first, counted from 0, the first one's measuring pair the other way round.
+        // In reverse order, counted from 0, with the first one's measuring pair reversed.
         let from_zero = |label: &String| {
             let numbers: Vec<usize> = label.split(['-', '>', ' ']).filter_map(|n| n.parse().ok()).collect();
             format!("d{}_{}_m{}_{}", numbers[0] - 1, numbers[1] - 1, numbers[2] - 1, numbers[3] - 1)
@@ -368,7 +369,7 @@ mod tests {
         names[5] = names[6].clone();
         let error = table(names, backwards).unwrap_err().to_string();
         assert!(error.contains("by the electrodes in their names"), "{error}");
-        // Names without electrodes say nothing.
+        // Names without electrodes are ignored.
         assert_eq!(table((0..count).map(|k| format!("ch{k}")).collect(), values.clone()).unwrap().values(), values);
     }
 
@@ -389,7 +390,7 @@ mod tests {
         let skipped = |step: usize| refused((0..16).map(|k| (k, (k + step) % 16)).collect());
         let message = skipped(3);
         assert!(message.ends_with("the file drives 1-4, 2-5, 3-6, ...: `drive = { skip = 2 }`"), "{message}");
-        // The other way round the ring is the same drive.
+        // The opposite direction round the ring is the same drive.
         assert!(skipped(13).ends_with("`drive = { skip = 2 }`"), "{}", skipped(13));
         assert!(refused((0..8).map(|k| (k, k + 8)).collect()).ends_with("`drive = \"opposite\"`"));
         let message = refused(vec![(0, 3), (5, 1)]);

@@ -1,39 +1,39 @@
-//! The time and the numbers of frames, where they are not what they should be: clocks that jump or start anew, numbers
-//! that skip, wrap or begin again. Time goes on at the pace it had, so that touches neither freeze nor tear off, and
-//! what happened is marked. It follows from the frames alone, so that a replay anomalies the same.
+//! Corrects the times and sequence numbers of frames: clocks that jump or restart, numbers that skip, wrap or
+//! restart. Time continues at its earlier pace, so that touches neither freeze nor break off, and the anomaly is
+//! reported. The result depends on the frames alone, so a replay reports the same anomalies.
 
 use dermis_device::Frame;
 
-/// A device's clock that is ahead by more than this many frames' time, and by [`LEAST_JUMP_NS`], has jumped.
+/// A device's clock has jumped if it is ahead by more than the time of this many frames and by [`LEAST_JUMP_NS`].
 const MOST_FRAMES: u64 = 10;
-/// Shorter jumps are taken for pauses.
+/// Shorter jumps count as pauses.
 const LEAST_JUMP_NS: u64 = 2_000_000_000;
-/// Time between frames before two have come, nanoseconds.
+/// Assumed time between frames until two have arrived, nanoseconds.
 const FIRST_PERIOD_NS: u64 = 50_000_000;
-/// The first two frames may be so far apart, nanoseconds: slower skins are none.
+/// Maximum time between the first two frames, nanoseconds: no skin is slower.
 const LONGEST_PERIOD_NS: u64 = 1_000_000_000_000;
-/// One in so many parts of a new period enters the mean.
+/// Averaging length of the period: a new period has the weight 1 / `SMOOTHING`.
 const SMOOTHING: u64 = 8;
 
-/// What is odd about a frame's place in the stream.
+/// Anomalies of a frame in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameAnomalies {
-    /// Frames that the numbers say should have come before it.
+    /// Number of frames lost before it, according to the sequence numbers.
     pub lost_before: u64,
-    /// Its number is not above the one before: the device was reset, or its counter has wrapped.
+    /// Its number is not above the previous one: the device was reset, or its counter has wrapped.
     pub renumbered: bool,
-    /// The clock that times frames was off by this, nanoseconds: positive where it ran ahead. 0: it was not.
+    /// Error of the clock that timestamps frames, nanoseconds: positive if it ran ahead, 0 if there was none.
     pub clock_jump_ns: i64,
 }
 
 impl FrameAnomalies {
-    /// True where nothing is odd.
+    /// True if there are no anomalies.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Makes a time that never runs back, at the device's pace, out of frames.
+/// Computes a time from frames that never runs backwards and keeps the device's pace.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FrameClock {
     last: Option<Last>,
@@ -48,12 +48,12 @@ struct Last {
 }
 
 impl FrameClock {
-    /// Time of the last frame, nanoseconds, from where the first one's clock stood.
+    /// Time of the last frame, nanoseconds, starting from the first frame's clock.
     pub fn time_ns(&self) -> u64 {
         self.time_ns
     }
 
-    /// Takes in the next frame.
+    /// Takes the next frame.
     pub fn advance(&mut self, frame: &Frame) -> FrameAnomalies {
         let read_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
         let mut anomalies = FrameAnomalies::default();
@@ -62,9 +62,9 @@ impl FrameClock {
             anomalies.lost_before = frame.sequence.saturating_sub(last.sequence).saturating_sub(1);
             let expected_ns = self.period_ns.unwrap_or(FIRST_PERIOD_NS).saturating_mul(anomalies.lost_before + 1);
             let elapsed_ns = read_ns.checked_sub(last.read_ns);
-            // The host's own clock does not jump: what it shows are pauses.
+            // The host's own clock does not jump, so its gaps are pauses.
             let most_ns = match frame.device_time_ns {
-                // There is no pace yet that it could have left.
+                // No pace has been established yet.
                 Some(_) if self.period_ns.is_none() => LONGEST_PERIOD_NS.saturating_mul(anomalies.lost_before + 1),
                 Some(_) => expected_ns.saturating_mul(MOST_FRAMES).max(LEAST_JUMP_NS.saturating_add(expected_ns)),
                 None => u64::MAX,
@@ -121,7 +121,7 @@ mod tests {
             let anomalies = clock.advance(&frame(10, read_ns));
             assert_eq!(anomalies, FrameAnomalies { clock_jump_ns: jump_ns, ..FrameAnomalies::default() });
             assert_eq!(clock.time_ns(), start_ns + 10 * PERIOD_NS);
-            // From there on the new clock is followed.
+            // From there on it follows the new clock.
             assert!(clock.advance(&frame(11, read_ns + PERIOD_NS)).is_none());
             assert_eq!(clock.time_ns(), start_ns + 11 * PERIOD_NS);
         }
@@ -133,7 +133,7 @@ mod tests {
         let anomalies = clock.advance(&frame(14, 14 * PERIOD_NS));
         assert_eq!(anomalies, FrameAnomalies { lost_before: 4, ..FrameAnomalies::default() });
         assert_eq!(clock.time_ns(), 14 * PERIOD_NS);
-        // A long gap that the numbers account for is no jump.
+        // A long gap that the numbers account for is not a jump.
         let anomalies = clock.advance(&frame(1014, 1014 * PERIOD_NS));
         assert_eq!(anomalies, FrameAnomalies { lost_before: 999, ..FrameAnomalies::default() });
     }
@@ -144,7 +144,7 @@ mod tests {
         let anomalies = clock.advance(&frame(0, 0));
         assert!(anomalies.renumbered && anomalies.lost_before == 0 && anomalies.clock_jump_ns == -5_400_000_000);
         assert_eq!(clock.time_ns(), 5_000_000_000 + 10 * PERIOD_NS);
-        // A counter of 16 bits that wraps, its clock going on.
+        // A 16-bit counter that wraps while its clock continues.
         let mut clock = FrameClock::default();
         clock.advance(&frame(65_535, 0));
         assert_eq!(
@@ -171,7 +171,7 @@ mod tests {
             assert!(clock.advance(&frame(sequence, time_ns)).is_none());
             assert_eq!(clock.time_ns(), time_ns);
         }
-        // Two hours are no pace.
+        // Two hours are not a plausible period.
         let mut clock = FrameClock::default();
         clock.advance(&frame(0, 0));
         assert_eq!(clock.advance(&frame(1, 7_200_000_000_000)).clock_jump_ns, 7_199_950_000_000);

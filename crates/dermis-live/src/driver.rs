@@ -1,5 +1,5 @@
-//! The one loop over frames: what comes from a feed, a recording, an instrument or a list, goes through a pipeline;
-//! commands are carried out between frames, and an observer is shown what came of them.
+//! The main loop over frames. Frames from a feed (recording, instrument or list) go through a pipeline, commands are
+//! executed between frames, and an observer receives the results.
 
 use std::ops::ControlFlow;
 
@@ -10,90 +10,90 @@ use crate::Error;
 use crate::output::Output;
 use crate::pipeline::Pipeline;
 
-/// What is commanded between two frames.
+/// A command to execute between two frames.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
-    /// Take the mean of the next frames as the baseline: [`Pipeline::tare`].
+    /// Make the mean of the next frames the baseline: [`Pipeline::tare`].
     Tare {
         /// Also while something touches the skin.
         force: bool,
-        /// Why, for the record.
+        /// The reason, for the record.
         reason: String,
     },
-    /// Use another lambda: [`Pipeline::set_hyperparameter`].
+    /// Change lambda: [`Pipeline::set_hyperparameter`].
     Hyperparameter(f64),
-    /// Go on from a baseline that was in use before: [`Pipeline::restore_baseline`].
+    /// Restore an earlier baseline: [`Pipeline::restore_baseline`].
     RestoreBaseline {
-        /// Its record.
+        /// Record of the baseline.
         record: ReferenceRecord,
-        /// One value a channel.
+        /// Its values, one per channel.
         values: Vec<f64>,
         /// Noise of the channels at rest.
         noise_std: Vec<f64>,
     },
 }
 
-/// What comes next from a feed.
+/// The next item from a feed.
 #[derive(Debug)]
 pub enum Next<'a> {
-    /// A frame, and the host's monotonic clock at its processing, where that is not the clock's own time.
+    /// A frame, and the host's monotonic clock at its processing if that is not the current time.
     Frame(&'a Frame, Option<u64>),
-    /// What is commanded before the next frame.
+    /// A command to execute before the next frame.
     Command(Command),
-    /// Nothing to run for the moment.
+    /// Nothing to do for the moment.
     Idle,
-    /// There will be no more.
+    /// There will be no more frames.
     End,
 }
 
-/// Where frames come from.
+/// A source of frames and commands.
 pub trait Feed {
-    /// What can go wrong there, and in the pipeline.
+    /// Error of the feed or the pipeline.
     type Error: From<Error>;
 
-    /// Waits a moment for what comes next.
+    /// Waits briefly for the next item.
     ///
     /// # Errors
-    /// No further frame can be had.
+    /// No further frame can be obtained.
     fn next(&mut self) -> Result<Next<'_>, Self::Error>;
 }
 
-/// Sees frames and what comes of them. All methods but the first may be left as they are.
+/// Observes frames and their results. All methods except the first have defaults.
 pub trait Observer<F: Feed> {
-    /// The results of a frame; the run breaks off where it says so.
+    /// Receives the results of a frame. The run stops if this returns a break.
     ///
     /// # Errors
-    /// Whatever ends the run.
+    /// Any error ends the run.
     fn result(&mut self, output: &Output<'_>) -> Result<ControlFlow<()>, F::Error>;
 
-    /// Before the feed is asked for what comes next: anything may be commanded. False ends the run.
+    /// Called before the feed is asked for the next item; may command the pipeline. False ends the run.
     ///
     /// # Errors
-    /// Whatever ends the run.
+    /// Any error ends the run.
     fn between(&mut self, _pipeline: &mut Pipeline) -> Result<bool, F::Error> {
         Ok(true)
     }
 
-    /// A frame before anything is made of it.
+    /// Receives a frame before it is processed.
     ///
     /// # Errors
-    /// Whatever ends the run.
+    /// Any error ends the run.
     fn before(&mut self, _frame: &Frame) -> Result<(), F::Error> {
         Ok(())
     }
 
-    /// The pipeline after a frame whose results were shown; `renewed` where a new baseline stands since.
+    /// Receives the pipeline after a frame's results. `renewed` is true if this frame completed a new baseline.
     ///
     /// # Errors
-    /// Whatever ends the run.
+    /// Any error ends the run.
     fn after(&mut self, _feed: &F, _pipeline: &Pipeline, _renewed: bool) -> Result<(), F::Error> {
         Ok(())
     }
 
-    /// Nothing comes for the moment.
+    /// Called when there is nothing to do for the moment.
     ///
     /// # Errors
-    /// Whatever ends the run.
+    /// Any error ends the run.
     fn idle(&mut self, _feed: &F) -> Result<(), F::Error> {
         Ok(())
     }
@@ -106,12 +106,12 @@ impl<F: Feed, C: FnMut(&Output<'_>) -> Result<ControlFlow<()>, F::Error>> Observ
     }
 }
 
-/// How far a run came.
+/// Progress of a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Progress {
-    /// Frames run.
+    /// Frames processed.
     pub frames: u64,
-    /// Frames that are missing between them, by their numbers.
+    /// Frames missing between them, according to their numbers.
     pub missing: u64,
     /// Commands that the pipeline refused.
     pub refused: u64,
@@ -126,16 +126,16 @@ pub struct Driver<'a> {
 }
 
 impl<'a> Driver<'a> {
-    /// Through this pipeline.
+    /// A driver for this pipeline.
     pub fn new(pipeline: &'a mut Pipeline) -> Self {
         Self { pipeline, progress: Progress::default(), last_sequence: None }
     }
 
-    /// Runs what a feed has until it ends or the observer breaks off.
+    /// Runs a feed until it ends or the observer stops.
     ///
     /// # Errors
-    /// Those of the feed, the pipeline and the observer. Commands that are refused are counted, but for baselines that
-    /// cannot be restored.
+    /// Errors of the feed, the pipeline and the observer. Refused commands are only counted, except for baselines
+    /// that cannot be restored.
     pub fn run<F: Feed>(&mut self, feed: &mut F, observer: &mut impl Observer<F>) -> Result<Progress, F::Error> {
         while observer.between(self.pipeline)? {
             let (flow, renewed) = match feed.next()? {
@@ -158,7 +158,7 @@ impl<'a> Driver<'a> {
         Ok(self.progress)
     }
 
-    /// Runs one frame; whether to break off, and whether a new baseline stands.
+    /// Processes one frame. Returns whether to stop, and whether there is a new baseline.
     fn step<F: Feed>(
         &mut self,
         frame: &Frame,
@@ -176,10 +176,10 @@ impl<'a> Driver<'a> {
         Ok((flow, self.pipeline.baseline_records().len() > baselines))
     }
 
-    /// Carries out a command; one that is refused is counted.
+    /// Executes a command. A refused one is counted.
     ///
     /// # Errors
-    /// A baseline that does not fit the skin.
+    /// A baseline that does not match the skin.
     fn obey(&mut self, command: &Command) -> Result<(), Error> {
         let refused = match command {
             Command::Tare { force, reason } => self.pipeline.tare(*force, reason).is_err(),
@@ -202,7 +202,7 @@ pub struct FrameList<I> {
 }
 
 impl<I: Iterator<Item = Frame>> FrameList<I> {
-    /// Of these frames.
+    /// A feed of these frames.
     pub fn new(frames: impl IntoIterator<IntoIter = I>) -> Self {
         Self { frames: frames.into_iter(), frame: Frame::default() }
     }

@@ -1,4 +1,4 @@
-//! Force calibrations as files: the calibration with the fingerprint of the skin that it was made on.
+//! Force calibrations as files: the calibration with the fingerprint of its skin.
 
 use std::path::Path;
 
@@ -29,7 +29,7 @@ pub fn save_forces(calibration: &ForceCalibration, skin: &Skin, path: &Path) -> 
 /// Reads a force calibration for a skin.
 ///
 /// # Errors
-/// No such file, not a force calibration, one of another skin, or numbers that make no sense.
+/// No such file, not a force calibration, a calibration of another skin, or invalid numbers.
 pub fn load_forces(path: &Path, skin: &Skin) -> Result<ForceCalibration, Error> {
     parse_forces(&dermis_device::instruments::read_bytes(path)?, path, skin)
 }
@@ -45,7 +45,7 @@ pub fn parse_forces(text: &[u8], path: &Path, skin: &Skin) -> Result<ForceCalibr
     check(calibration, path, &skin.name)
 }
 
-/// Reads a force calibration for a skin whatever its fingerprint says; its name must be the skin's.
+/// Reads a force calibration for a skin regardless of its fingerprint; its name must be the skin's.
 ///
 /// # Errors
 /// As [`load_forces`].
@@ -59,7 +59,7 @@ fn check(calibration: ForceCalibration, path: &Path, skin: &str) -> Result<Force
     Ok(calibration)
 }
 
-/// The calibration and the fingerprint, where the file has one.
+/// The calibration, and the fingerprint if the file has one.
 fn read(text: &[u8], path: &Path) -> Result<(ForceCalibration, Option<String>), Error> {
     #[derive(Deserialize)]
     struct Print {

@@ -1,25 +1,25 @@
-//! The noise of channels from frames of which nobody says whether the skin is touched in them.
+//! The noise of channels from frames that may or may not show touches.
 //!
-//! Two estimates are made, and the smaller is believed. Successive frames d = x_(t+1) - x_t differ by noise alone while
-//! nothing moves: of the quieter half of the pairs, sigma = 1.4826 median |d| / sqrt 2. Where every frame is another
-//! touch no pair is quiet; but touches of one skin are alike and noise is not, so what is left of frames without their
-//! leading principal components is noise too.
+//! Two estimates are made, and the smaller is used. Successive frames d = x_(t+1) - x_t differ only by noise while
+//! nothing moves: over the quieter half of the pairs, sigma = 1.4826 median |d| / sqrt 2. If every frame is another
+//! touch, no pair is quiet. But touches of one skin are similar and noise is not, so the residual of frames without
+//! their leading principal components is noise too.
 
 use faer::{Mat, Side};
 
-/// Fewest frames that say anything.
+/// Minimum number of frames.
 const FEWEST: usize = 9;
-/// Fewest frames and channels for principal components, and the most frames that are looked at.
+/// Minimum number of frames and of channels for principal components, and maximum number of frames used.
 const FEWEST_FOR_COMPONENTS: usize = 24;
 const MOST_FRAMES: usize = 240;
-/// Principal components that touches are given: this part of frames or channels, and at most so many.
+/// Number of principal components attributed to touches: one per this many frames or channels, up to a maximum.
 const COMPONENT_SHARE: usize = 4;
 const MOST_COMPONENTS: usize = 16;
-/// Median of |x| of a Gaussian, inverted.
+/// Ratio of a Gaussian's standard deviation to the median of |x|.
 pub(crate) const MEDIAN_TO_SIGMA: f64 = 1.4826;
 
-/// Standard deviation of the noise of each channel, in the unit of the frames (rows of one value a channel); NaN for a
-/// channel that says nothing. `None` where there are fewer than nine frames, or nothing changes.
+/// Standard deviation of the noise of each channel, in the unit of the frames (rows of one value per channel); NaN
+/// for a channel without information. `None` for fewer than nine frames, or if nothing changes.
 pub fn noise_of_frames(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
     if frames.len() < FEWEST {
         return None;
@@ -36,7 +36,7 @@ pub fn noise_of_frames(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
     }
 }
 
-/// From the quieter half of the pairs of successive frames.
+/// Estimate from the quieter half of the pairs of successive frames.
 fn of_successive(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
     let channels = frames[0].len();
     let steps: Vec<Vec<f64>> = frames
@@ -46,7 +46,7 @@ fn of_successive(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
     let middle = |kept: &[usize], channel: usize| {
         let values: Vec<f64> = kept.iter().map(|&t| steps[t][channel]).filter(|v| v.is_finite()).collect();
         let middle = median(values.clone());
-        // Readings of few digits may stand still more often than not.
+        // Readings with few digits may be unchanged more often than not.
         if middle > 0.0 { middle } else { (2.0 / std::f64::consts::PI).sqrt() * mean(&values) }
     };
     let all: Vec<usize> = (0..steps.len()).collect();
@@ -66,7 +66,7 @@ fn of_successive(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
     noise.iter().any(|sigma| sigma.is_finite()).then_some(noise)
 }
 
-/// From what the leading principal components leave.
+/// Estimate from the residual without the leading principal components.
 fn of_components(frames: &[Vec<f64>], scale: &[f64]) -> Option<Vec<f64>> {
     let usable: Vec<usize> = (0..scale.len()).filter(|&k| scale[k].is_finite()).collect();
     let complete = |frame: &&Vec<f64>| usable.iter().all(|&k| frame[k].is_finite());
@@ -83,7 +83,7 @@ fn of_components(frames: &[Vec<f64>], scale: &[f64]) -> Option<Vec<f64>> {
     let components = (count.min(channels) / COMPONENT_SHARE).min(MOST_COMPONENTS);
     let leading = Mat::from_fn(count, components, |t, j| eigen.U()[(t, count - 1 - j)]);
     let rest = &data - &leading * (leading.transpose() * &data);
-    // What the components take of the noise itself.
+    // Degrees of freedom, less those that the components take from the noise.
     let freedom = (count - components) as f64 * (1.0 - components as f64 / channels as f64);
     let mut noise = vec![f64::NAN; scale.len()];
     for (j, &k) in usable.iter().enumerate() {
@@ -93,7 +93,7 @@ fn of_components(frames: &[Vec<f64>], scale: &[f64]) -> Option<Vec<f64>> {
     Some(noise)
 }
 
-/// The upper one of the middle two where values are even in number; NaN of none.
+/// Median; the upper of the two middle values for an even number, NaN for none.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return f64::NAN;

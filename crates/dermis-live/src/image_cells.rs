@@ -1,4 +1,4 @@
-//! The cells of images, in the terms of touches: the one place where the pipeline knows that they are a grid.
+//! Converts the cells of images for touch extraction. Only this file assumes that they are a grid.
 
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::{GridGeometry, ImageCells};

@@ -1,5 +1,5 @@
-//! Difference data to images: the skin's operator for a reference, with missing channels filled in and the noise that
-//! reaches each pixel.
+//! Difference data to images: the skin's operator for a reference, with missing channels filled in, and the resulting
+//! noise of each pixel.
 
 mod elements;
 mod refine;
@@ -30,7 +30,7 @@ pub struct Imager {
     problem: Arc<LinearProblem>,
     operator: Operator,
     live: LiveOperator,
-    /// lambda as the skin file's rule or a calibration gives it.
+    /// lambda from the skin file's rule or a calibration.
     rule_hyperparameter: f64,
     polarity: f64,
     /// Standard deviation of each inside pixel caused by the reference's noise.
@@ -38,14 +38,14 @@ pub struct Imager {
     inside: Vec<u32>,
     grid_len: usize,
     missing: Option<MissingChannels>,
-    /// Solves for elements in place of the operator, where the skin file says so.
+    /// Solves for elements instead of using the operator, if the skin file says so.
     elements: Option<ElementImager>,
-    /// Channels that are left out of every frame.
+    /// Channels excluded from every frame.
     left_out: Option<MissingChannels>,
     scratch: Scratch,
 }
 
-/// An operator made apart from its imager: [`Imager::work_out`].
+/// An operator computed separately from its imager: [`Imager::work_out`].
 #[derive(Debug)]
 pub(crate) struct NewOperator {
     operator: Operator,
@@ -60,15 +60,15 @@ struct Scratch {
     absent: Vec<u32>,
 }
 
-/// Most frames that a data-driven hyperparameter looks at.
+/// Maximum number of frames used by a data-driven hyperparameter.
 const MOST_FRAMES: usize = 16;
 
 impl Imager {
-    /// Builds the operator for a reference. `data` (difference frames in model volts) is looked at only by
-    /// hyperparameter rules that need it.
+    /// Builds the operator for a reference. `data` (difference frames in model volts) is used only by hyperparameter
+    /// rules that need it.
     ///
     /// # Errors
-    /// Weights that the reference cannot give, or a hyperparameter that cannot be found.
+    /// Weights that the reference cannot provide, or a hyperparameter that cannot be found.
     pub fn new(prepared: &Prepared, reference: &Reference, data: &[Vec<f64>]) -> Result<Self, Error> {
         let problem = prepared.problem(weights_need_no_baseline(prepared), || {
             let weighting = weighting(prepared, reference)?;
@@ -95,8 +95,8 @@ impl Imager {
         Ok(imager)
     }
 
-    /// As [`Imager::new`], from a problem made elsewhere (a calibrated one) at a given lambda; `polarity` is the sign
-    /// that its unknowns get in images.
+    /// As [`Imager::new`], from a given problem (such as a calibrated one) at a given lambda. `polarity` is its
+    /// unknowns' sign in images.
     ///
     /// # Errors
     /// A lambda that is not positive and finite.
@@ -132,26 +132,26 @@ impl Imager {
         &self.operator
     }
 
-    /// lambda.
+    /// Current lambda.
     pub fn hyperparameter(&self) -> f64 {
         self.operator.hyperparameter
     }
 
-    /// lambda as the skin file's rule or a calibration gives it, whatever is in use.
+    /// lambda from the skin file's rule or a calibration, whatever the current value.
     pub fn rule_hyperparameter(&self) -> f64 {
         self.rule_hyperparameter
     }
 
-    /// Rebuilds the operator at another lambda. After an error the imager is what it was.
+    /// Rebuilds the operator at another lambda. After an error the imager is unchanged.
     ///
     /// # Errors
-    /// A lambda that is not positive and finite, or so small that the system cannot be solved.
+    /// A lambda that is not positive and finite, or too small for the system to be solved.
     pub fn set_hyperparameter(&mut self, lambda: f64, noise: &[f64]) -> Result<(), Error> {
         let new = self.work_out(lambda)()?;
         self.replace_operator(new, noise)
     }
 
-    /// The work of making the operator at another lambda, which takes longer than a frame and may be done elsewhere.
+    /// The computation of the operator at another lambda. It takes longer than a frame and can run elsewhere.
     pub(crate) fn work_out(&self, lambda: f64) -> impl FnOnce() -> Result<NewOperator, Error> + Send + 'static {
         let (problem, polarity) = (self.problem.clone(), self.polarity);
         move || {
@@ -160,11 +160,11 @@ impl Imager {
         }
     }
 
-    /// Goes on with another operator of the same problem. After an error the imager is what it was.
+    /// Switches to another operator of the same problem. After an error the imager is unchanged.
     ///
     /// # Errors
-    /// An operator that cannot do without the channels left out, or noise that is not positive, where elements are
-    /// solved for.
+    /// An operator that cannot do without the excluded channels, or noise that is not positive when solving for
+    /// elements.
     pub(crate) fn replace_operator(&mut self, new: NewOperator, noise: &[f64]) -> Result<(), Error> {
         let NewOperator { operator, live } = new;
         let left_out = match &self.left_out {
@@ -177,10 +177,10 @@ impl Imager {
         self.set_noise(noise)
     }
 
-    /// Replaces the channel noise that the image noise is worked out from.
+    /// Replaces the channel noise from which the image noise is computed.
     ///
     /// # Errors
-    /// Noise that is not positive, where elements are solved for.
+    /// Noise that is not positive when solving for elements.
     pub fn set_noise(&mut self, noise: &[f64]) -> Result<(), Error> {
         self.pixel_noise = match (&mut self.elements, &self.left_out) {
             (Some(elements), _) => {
@@ -195,12 +195,12 @@ impl Imager {
         Ok(())
     }
 
-    /// Travel of the elements in the last frame, where these are solved for.
+    /// Travel of the elements in the last frame, if these are solved for.
     pub fn heights(&self) -> Option<&LiftOffFit> {
         self.elements.as_ref().and_then(ElementImager::fit)
     }
 
-    /// The last frame as changes of the coils' readings, where elements are solved for and a frame is at hand.
+    /// The last frame as changes of the coils' readings, if elements are solved for and there has been a frame.
     pub(crate) fn element_frame(&mut self) -> Result<Option<ElementFrame<'_>>, Error> {
         match &mut self.elements {
             Some(elements) if elements.fit().is_some() => elements.frame().map(Some),
@@ -208,8 +208,8 @@ impl Imager {
         }
     }
 
-    /// Goes on without these channels: a low-rank update of the operator, see [`MissingChannels`], and the image noise
-    /// that goes with it. Frames are to have `NaN` there. An empty list takes all channels back.
+    /// Excludes these channels by a low-rank update of the operator, see [`MissingChannels`], and updates the image
+    /// noise. Frames must have `NaN` there. An empty list restores all channels.
     ///
     /// # Errors
     /// A channel that does not exist, or all of them.
@@ -218,8 +218,8 @@ impl Imager {
         self.set_noise(noise)
     }
 
-    /// Image noise of each pixel of the grid (row-major, `NaN` outside), for noise of these standard deviations on the
-    /// channels.
+    /// Image noise of each pixel of the grid (row-major, `NaN` outside), for channel noise with these standard
+    /// deviations.
     pub fn noise_image(&self) -> Vec<f32> {
         let mut image = vec![f32::NAN; self.grid_len];
         self.scatter(&self.pixel_noise, &mut image);
@@ -238,16 +238,16 @@ impl Imager {
         Ok(image)
     }
 
-    /// The last frame imaged, missing channels filled in with what the others let expect.
+    /// The last frame imaged, with missing channels replaced by their expectation from the others.
     pub fn filled(&self) -> &[f64] {
         &self.scratch.filled
     }
 
     /// Images one frame of difference data (model volts, `NaN` where missing) into a row-major image, `NaN` outside.
-    /// Allocates only when the set of missing channels changes, and where elements are solved for.
+    /// Allocates only if the set of missing channels changes, or when solving for elements.
     ///
     /// # Errors
-    /// All channels missing, or lengths that do not fit.
+    /// All channels missing, or lengths that do not match.
     pub fn image(&mut self, difference: &[f64], image: &mut [f32]) -> Result<(), Error> {
         if difference.len() != self.live.channels() || image.len() != self.grid_len {
             return Err(Error::Frames {
@@ -271,8 +271,8 @@ impl Imager {
         Ok(())
     }
 
-    /// Fills in the missing channels of difference data (model volts, `NaN` where missing) with what the others let
-    /// expect. Allocates only when the set of missing channels changes.
+    /// Replaces missing channels of difference data (model volts, `NaN` where missing) by their expectation from the
+    /// others. Allocates only if the set of missing channels changes.
     ///
     /// # Errors
     /// All channels missing.
@@ -300,7 +300,7 @@ impl Imager {
         self.polarity * row.iter().zip(volts).map(|(entry, volt)| entry * volt).sum::<f64>()
     }
 
-    /// Fills in the channels that are left out of every frame, as frames have them.
+    /// Fills in the channels that are excluded from every frame, as is done for frames.
     pub(crate) fn fill_in_left_out(&self, volts: &mut [f64]) {
         if let Some(missing) = &self.left_out {
             missing.fill_in(volts);
@@ -322,7 +322,7 @@ fn pixel_noise(operator: &Operator, noise: &[f64]) -> Vec<f32> {
     variance.into_iter().map(|v| v.sqrt() as f32).collect()
 }
 
-/// The largest complete frames: those that say most about the hyperparameter.
+/// The largest complete frames, which carry most information about the hyperparameter.
 fn informative(data: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let energy = |frame: &Vec<f64>| frame.iter().map(|v| v * v).sum::<f64>();
     let mut frames: Vec<&Vec<f64>> = data.iter().filter(|frame| frame.iter().all(|v| v.is_finite())).collect();

@@ -1,5 +1,5 @@
-//! The clock by which stages are timed: the system's. WebAssembly in a browser has none; there it is the one that the
-//! program around the pipeline gives once, by `set_clock`, and without one every stage takes no time.
+//! The clock that times the stages: the system clock. WebAssembly in a browser has none; there the host program
+//! supplies one by `set_clock`, and without one every stage takes no time.
 
 #[cfg(not(all(target_arch = "wasm32", target_os = "unknown")))]
 pub use std::time::Instant;
@@ -15,14 +15,14 @@ mod given {
 
     static CLOCK: OnceLock<fn() -> Duration> = OnceLock::new();
 
-    /// A time of the clock that [`set_clock`] gave.
+    /// A time of the clock set by [`set_clock`].
     #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
     pub struct Instant(Duration);
 
-    /// Times stages by `now` from here on: the time since any moment, never less than before. A clock that was given
+    /// Sets the clock that times the stages: time since any fixed moment, never decreasing. A clock that was set
     /// before stays.
     pub fn set_clock(now: fn() -> Duration) {
-        // The first one is as good as any.
+        // Only the first one counts.
         let _ = CLOCK.set(now);
     }
 
@@ -32,12 +32,12 @@ mod given {
             Self(CLOCK.get().map_or(Duration::ZERO, |now| now()))
         }
 
-        /// Time since then.
+        /// Time elapsed since this instant.
         pub fn elapsed(&self) -> Duration {
             Self::now() - *self
         }
 
-        /// Time from `earlier` to this; zero where that is later.
+        /// Time from `earlier` to this instant; zero if that is later.
         pub fn saturating_duration_since(&self, earlier: Self) -> Duration {
             *self - earlier
         }

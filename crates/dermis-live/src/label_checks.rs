@@ -1,59 +1,60 @@
-//! Whether the positions of pokes belong to their frames: labels that lag by a row, mirrored or turned axes, and tables
-//! that have nothing to do with each other. All three occur in published data.
+//! Checks whether the positions of pokes belong to their frames. Labels may lag by a row, axes may be mirrored or
+//! rotated, and tables may be unrelated. All three occur in published data.
 //!
-//! Two measures. *Neighbours*: frames that look alike should be pokes that are near each other. Each poke's position is
-//! predicted from the pokes whose difference data, scaled to one, are nearest to its own; the median error is compared with
-//! that of shuffled labels (a permutation test). It needs no model, and cannot tell a mirrored table from the right one.
-//! *Signatures*: the cosine between a frame's difference and what the model says of a press at its label. It tells mirrored
-//! and turned axes apart where the model is about right.
+//! There are two measures. *Neighbours*: similar frames should come from pokes close together. Each poke's position
+//! is predicted from the pokes whose difference data, scaled to unit length, are nearest to its own. The median error
+//! is compared with that of shuffled labels (a permutation test). This needs no model, but cannot distinguish a
+//! mirrored table from the right one. *Signatures*: the cosine between a frame's difference and the model's
+//! prediction for a press at its label. This identifies mirrored and rotated axes if the model is roughly right.
 
 use crate::Error;
 use crate::calibration::{PokeFrames, Pokes, differences_of};
 use crate::prepare::Prepared;
 
-/// Fewest pokes that a permutation test says something of: with so few neighbours chance does as well.
+/// Minimum number of pokes for a permutation test: with fewer neighbours, chance does as well.
 const FEWEST: usize = 12;
-/// Most pokes that are compared, evenly drawn: every pair is.
+/// Maximum number of pokes compared, evenly drawn, since every pair is compared.
 const MOST: usize = 600;
-/// Neighbours that predict a position.
+/// Number of neighbours that predict a position.
 const NEIGHBOURS: usize = 3;
-/// Shuffles of the labels: p-values down to 1/200.
+/// Number of shuffles of the labels; p-values down to 1/200.
 const SHUFFLES: usize = 199;
-/// Labels that do no better than this share of the shuffles do not belong to the frames.
+/// Largest p-value at which labels still count as belonging to their frames.
 const LARGEST_P: f64 = 0.05;
-/// A shift of the labels is believed where it lowers the median error to this share.
+/// Accept a shift of the labels if it lowers the median error to this share.
 const SHIFT_GAIN: f64 = 0.7;
-/// Rows by which labels may lag or lead.
+/// Numbers of rows by which labels may lag or lead.
 const SHIFTS: [i64; 4] = [1, -1, 2, -2];
-/// Mirrored or turned labels are believed where they raise the mean cosine by this much.
+/// Accept a mirrored or rotated table if it raises the mean cosine by this much.
 const TURN_GAIN: f64 = 0.2;
-/// The model is about right where labels reach this mean cosine.
+/// Minimum mean cosine for the model to count as roughly right.
 const TURN_LEAST: f64 = 0.4;
 
-/// What the labels of pokes look like.
+/// Findings about the labels of pokes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LabelFindings {
-    /// Share of shuffled labels that fit the frames as well; none for fewer than 12 pokes.
+    /// Share of shuffled labels that fit the frames as well; `None` for fewer than 12 pokes.
     pub p_value: Option<f64>,
-    /// Median error of positions predicted from frames that look alike, metres.
+    /// Median error of positions predicted from similar frames, metres.
     pub neighbour_error_m: f64,
-    /// Rows by which the labels lag behind the frames, where shifted labels fit far better; negative where they lead.
+    /// Number of rows by which the labels lag behind the frames, if shifted labels fit far better; negative if they
+    /// lead.
     pub lag_rows: Option<i64>,
-    /// How the axes are mirrored or turned, where that fits the model far better.
+    /// Mirroring or rotation of the axes, if that fits the model far better.
     pub turned: Option<Turn>,
 }
 
 impl LabelFindings {
-    /// Positions and frames have nothing to do with each other, not even shifted by a row.
+    /// True if positions and frames are unrelated, even when shifted by a row.
     pub fn is_unrelated(&self) -> bool {
         self.lag_rows.is_none() && self.p_value.is_some_and(|p| p > LARGEST_P)
     }
 }
 
-/// A symmetry of the axes about the middle of the skin.
+/// A symmetry of the axes about the centre of the skin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Turn {
-    /// In words: `y looks mirrored`.
+    /// Description, such as `y looks mirrored`.
     pub words: &'static str,
     matrix: [[i8; 2]; 2],
 }
@@ -69,22 +70,22 @@ impl Turn {
         Self { words: "x and y look exchanged and mirrored", matrix: [[0, -1], [-1, 0]] },
     ];
 
-    /// Where a label would be if this were undone.
+    /// The position of a label with this symmetry undone.
     pub fn undone(self, [x, y]: [f64; 2]) -> [f64; 2] {
         self.matrix.map(|[a, b]| f64::from(a) * x + f64::from(b) * y)
     }
 }
 
-/// Looks at the labels of pokes.
+/// Checks the labels of pokes.
 ///
 /// # Errors
-/// Frames that do not fit the skin.
+/// Frames that do not match the skin.
 pub fn check_labels(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -> Result<LabelFindings, Error> {
     let (_, differences) = differences_of(prepared, measured)?;
     let step = differences.len().div_ceil(MOST).max(1);
     let count = differences.len().min(pokes.positions_m.len());
     let unit: Vec<Vec<f64>> = (0..count).map(|poke| to_unit(&differences[poke])).collect();
-    // Shifts need every row: of many pokes the first are compared, and not each nth.
+    // Shifts need consecutive rows, so the first of many pokes are compared instead of every nth.
     let first = count.min(MOST);
     let (error_m, p_value) = permutation_test(&unit[..first], &pokes.positions_m[..first]);
     let lag_rows = lag(&unit[..first], &pokes.positions_m[..first], error_m);
@@ -92,7 +93,7 @@ pub fn check_labels(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes
     Ok(LabelFindings { p_value, neighbour_error_m: error_m, lag_rows, turned })
 }
 
-/// Scaled to length one, missing channels as zero.
+/// Scaled to unit length, with missing channels as zero.
 fn to_unit(difference: &[f64]) -> Vec<f64> {
     let finite = |value: &f64| if value.is_finite() { *value } else { 0.0 };
     let length = difference.iter().map(finite).map(|value| value * value).sum::<f64>().sqrt();
@@ -103,7 +104,7 @@ fn cosine(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The pokes whose frames look most alike, for each poke.
+/// For each poke, the pokes with the most similar frames.
 fn neighbours(unit: &[Vec<f64>]) -> Vec<Vec<usize>> {
     (0..unit.len())
         .map(|poke| {
@@ -152,7 +153,8 @@ fn permutation_test(unit: &[Vec<f64>], labels_m: &[[f64; 2]]) -> (f64, Option<f6
     (found, Some((as_good + 1) as f64 / (SHUFFLES + 1) as f64))
 }
 
-/// Fisher and Yates' shuffle by SplitMix64 numbers; the modulus prefers small ones by less than one part in 10^16.
+/// Fisher-Yates shuffle with SplitMix64 numbers; the modulus is biased towards small ones by less than one part in
+/// 10^16.
 fn shuffle(labels: &mut [[f64; 2]], state: &mut u64) {
     for last in (1..labels.len()).rev() {
         *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -164,13 +166,14 @@ fn shuffle(labels: &mut [[f64; 2]], state: &mut u64) {
     }
 }
 
-/// Rows by which labels lag, where shifted ones fit far better and the shifted table passes the permutation test.
+/// Number of rows by which labels lag, if shifted ones fit far better and the shifted table passes the permutation
+/// test.
 fn lag(unit: &[Vec<f64>], labels_m: &[[f64; 2]], found_m: f64) -> Option<i64> {
     if unit.len() < FEWEST + 2 {
         return None;
     }
     let shifted = |rows: i64| {
-        // The label of frame k stands in row k + rows.
+        // The label of frame k is in row k + rows.
         let ahead = rows.unsigned_abs() as usize;
         let (unit, labels_m) = if rows > 0 {
             (&unit[..unit.len() - ahead], &labels_m[ahead..])
@@ -184,7 +187,7 @@ fn lag(unit: &[Vec<f64>], labels_m: &[[f64; 2]], found_m: f64) -> Option<i64> {
     (error_m < SHIFT_GAIN * found_m && p_value.is_some_and(|p| p <= LARGEST_P)).then_some(rows)
 }
 
-/// The turn of the axes that fits the model far better than the labels as they are.
+/// The symmetry of the axes that fits the model far better than the labels as they are.
 fn turn(prepared: &Prepared, unit: &[Vec<f64>], labels_m: &[[f64; 2]], step: usize) -> Option<Turn> {
     if !prepared.skin.backend.wiring.is_known() || unit.len() < 5 {
         return None;
@@ -217,7 +220,7 @@ mod tests {
     use super::*;
     use dermis_skin::Skin;
 
-    /// Frames that the model reads of presses at these places.
+    /// Frames predicted by the model for presses at these positions.
     fn pressed(prepared: &Prepared, positions_m: &[[f64; 2]]) -> Vec<Vec<f64>> {
         let rest = &prepared.voltages;
         let add = |signature: &[f64]| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect();
@@ -227,7 +230,7 @@ mod tests {
     #[test]
     fn mirrored_shifted_and_unrelated_labels_are_told_apart() {
         let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
-        // Not along a scan: neighbours in the table are no neighbours on the skin.
+        // In random order: neighbours in the table are not neighbours on the skin.
         let place = |k: usize| [1e-3 * ((k * 37 % 83) as f64 - 40.0), 1e-3 * ((k * 53 % 71) as f64 - 30.0) * 0.8];
         let places: Vec<[f64; 2]> = (0..60).map(place).collect();
         let frames = pressed(&prepared, &places);

@@ -1,8 +1,8 @@
-//! How long the stages of the live path take: a histogram with logarithmic buckets that records without allocating, and
-//! a stopwatch that feeds it.
+//! Durations of the stages of the live path: a histogram with logarithmic buckets that records without allocating,
+//! and a stopwatch that feeds it.
 //!
-//! Buckets divide every octave of nanoseconds into 32 equal parts, so that a quantile is at most 1/32 = 3.1 % above the
-//! true one and never below it.
+//! Buckets divide every octave of nanoseconds into 32 equal parts, so that a quantile is at most 1/32 = 3.1 % above
+//! the true one and never below it.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::instant::Instant;
 /// Parts of an octave, as a power of two.
 const PART_BITS: u32 = 5;
 const PARTS: u64 = 1 << PART_BITS;
-/// Durations from 2^LAST_BIT ns on (18 minutes) share the last bucket.
+/// Durations of 2^LAST_BIT ns or more (18 minutes) share the last bucket.
 const LAST_BIT: u32 = 40;
 const BUCKETS: usize = ((LAST_BIT - PART_BITS + 1) as usize) * PARTS as usize + 1;
 
@@ -39,10 +39,10 @@ pub struct LatencyHistogram {
     max_ns: u64,
 }
 
-/// The figures of a [`LatencyHistogram`] that are shown.
+/// Summary of a [`LatencyHistogram`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct LatencySummary {
-    /// Durations recorded. The other fields are 0 without any.
+    /// Number of durations recorded. Without any, the other fields are 0.
     pub count: u64,
     /// Half of the durations are at most this long, microseconds.
     pub p50_us: f64,
@@ -75,7 +75,7 @@ impl LatencyHistogram {
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// Adds what another histogram has counted, as if it had been recorded here.
+    /// Adds the counts of another histogram.
     pub fn merge(&mut self, other: &Self) {
         for (count, more) in self.counts.iter_mut().zip(other.counts.iter()) {
             *count += more;
@@ -84,8 +84,8 @@ impl LatencyHistogram {
         self.max_ns = self.max_ns.max(other.max_ns);
     }
 
-    /// Leaves only what was counted since `earlier`, an earlier state of this histogram. The longest duration is then
-    /// known to its bucket only.
+    /// Keeps only the counts since `earlier`, an earlier state of this histogram. The longest duration is then known
+    /// only to within its bucket.
     pub fn forget_before(&mut self, earlier: &Self) {
         for (count, before) in self.counts.iter_mut().zip(earlier.counts.iter()) {
             *count -= (*before).min(*count);
@@ -95,22 +95,22 @@ impl LatencyHistogram {
         self.max_ns = longest.map_or(0, |index| upper_edge_ns(index).min(self.max_ns));
     }
 
-    /// Forgets everything and keeps the memory.
+    /// Clears all counts and keeps the memory.
     pub fn clear(&mut self) {
         self.counts.fill(0);
         self.count = 0;
         self.max_ns = 0;
     }
 
-    /// Durations recorded.
+    /// Number of durations recorded.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Duration in microseconds that `fraction` of the recorded ones do not exceed: the upper edge of the bucket in
-    /// which the one of rank ceil(fraction * count) lies, but never more than the longest. `fraction` is clamped to
-    /// 0..=1; 0 without any duration.
+    /// Duration in microseconds that `fraction` of the recorded ones do not exceed: the upper edge of the bucket that
+    /// holds rank ceil(fraction * count), but never more than the longest. `fraction` is clamped to 0..=1; 0 without
+    /// any duration.
     #[must_use]
     pub fn quantile_us(&self, fraction: f64) -> f64 {
         let rank = ((fraction.clamp(0.0, 1.0) * self.count as f64).ceil() as u64).max(1);
@@ -158,7 +158,7 @@ fn upper_edge_ns(index: usize) -> u64 {
     ((part + 1) << octave) - 1
 }
 
-/// A stopwatch for stages that follow each other.
+/// A stopwatch for consecutive stages.
 ///
 /// ```
 /// use dermis_live::latency::{LatencyHistogram, StageTimer};
@@ -275,7 +275,7 @@ mod tests {
         for fraction in [0.0, 0.5, 0.75] {
             assert_eq!(all.quantile_us(fraction), recent.quantile_us(fraction));
         }
-        // The longest of 410 us, by the bucket that it is in.
+        // The longest duration is 410 us, known to within its bucket.
         assert!((410.0..=410.0 * (1.0 + 1.0 / 32.0)).contains(&all.quantile_us(1.0)), "{}", all.quantile_us(1.0));
         all.forget_before(&all.clone());
         assert_eq!(all.summary(), LatencySummary::default());

@@ -30,9 +30,9 @@
 //! | [`prepare`], [`magnetic_model`] | a skin file to its forward model on the image grid |
 //! | [`channels`], [`reference`](mod@reference) | an instrument's readings to the skin's channels; baselines to the model's volts |
 //! | [`imager`], [`reconstructor`] | differences to images; images to touches |
-//! | [`pipeline`], [`stages`], [`output`] | all of it for every frame, in memory that does not grow; what it says |
-//! | [`driver`], [`clock`], [`latency`], [`instant`] | the loop over frames; their times; how long they took |
-//! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | what pokes, presses and training have taught |
+//! | [`pipeline`], [`stages`], [`output`] | all of this for every frame, in memory that does not grow; the results |
+//! | [`driver`], [`clock`], [`latency`], [`instant`] | the loop over frames; their times; their durations |
+//! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | learning from pokes, presses and training |
 
 mod beside;
 pub mod calibrate;

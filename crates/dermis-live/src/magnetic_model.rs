@@ -1,6 +1,6 @@
-//! The model of the readings of a skin of magnetic induction at rest, and of their change with the elements' heights.
-//! Of each element the model keeps the dipole alone, without its neighbours' excitation: simple, and some per cent off
-//! at the usual heights.
+//! Model of the readings of a magnetic-induction skin at rest, and of their change with the elements' heights. Each
+//! element is represented by its dipole alone, without excitation by its neighbours. This is simple, and a few per
+//! cent off at the usual heights.
 
 use dermis_mit::{Coil, CoilArray, Complex, HARMONICS, MU0, Polarizability, Sphere};
 use dermis_skin::{Element, Elements, Skin};
@@ -14,31 +14,31 @@ const MM: f64 = 1e-3;
 const STEP_M: f64 = 1e-4;
 /// Width of an element in the image relative to the pitch: standard deviation of a Gaussian.
 pub const ELEMENT_WIDTH: f64 = 0.25;
-/// Standard deviations beyond which it counts as zero.
+/// Number of standard deviations beyond which the Gaussian is treated as zero.
 const REACH: f64 = 4.0;
 
-/// What the readings of a skin of magnetic induction are modelled by.
+/// Model of the readings of a magnetic-induction skin.
 #[derive(Clone, Debug)]
 pub struct MagneticModel {
     /// The coils.
     pub array: CoilArray,
     /// The elements.
     pub elements: Elements,
-    /// What each is.
+    /// Material and shape of each element.
     pub element: Element,
-    /// The sphere of its volume at the drive frequency.
+    /// Sphere with the element's volume, at the drive frequency.
     pub body: Polarizability,
-    /// Of the drive.
+    /// Drive frequency.
     pub frequency_hz: f64,
     /// Volts read for a mutual inductance of one henry: `2 pi f I`.
     pub volts_per_h: f64,
 }
 
 impl MagneticModel {
-    /// Coils and elements made concrete.
+    /// Builds coils and elements from a skin.
     ///
     /// # Errors
-    /// A skin without them, numbers that make no sense.
+    /// A skin without them, or with invalid numbers.
     pub fn of(skin: &Skin) -> Result<Self, Error> {
         let missing = |what: &str| Error::Frames {
             what: format!("skin {}", skin.name),
@@ -64,8 +64,8 @@ impl MagneticModel {
         })
     }
 
-    /// Magnitudes at rest, volts, and their change with the pixels of an image, volts per share of the full travel: an
-    /// element reads the image around its middle, weighted by a Gaussian a quarter of the pitch wide.
+    /// Magnitudes at rest, volts, and their change with the pixels of an image, volts per share of the full travel.
+    /// An element's travel is the image around its centre, weighted by a Gaussian a quarter of the pitch wide.
     pub(crate) fn linearised(&self, at_m: &[[f64; 2]], pixel_m: f64) -> Result<(Vec<f64>, Jacobian), Error> {
         let model = self;
         let rest_h = model.rest_h();
@@ -74,7 +74,7 @@ impl MagneticModel {
         let pressed: Vec<Vec<f64>> = places
             .par_iter()
             .map(|place| {
-                // Pressed: down, against z.
+                // Pressing moves down, against z.
                 let towards = |(slope, rest): (&Complex, &Complex)| -(rest.conj() * *slope).re / rest.norm();
                 let slopes = model.dipole_at(*place).slopes_h_per_m();
                 slopes.iter().zip(&rest_h).map(towards).map(|v| v * travel_v).collect()
@@ -112,7 +112,7 @@ impl MagneticModel {
         rest_h
     }
 
-    /// One element at its resting height, here.
+    /// One element at its resting height at this position.
     fn dipole_at(&self, [x, y]: [f64; 2]) -> Dipole<'_> {
         let z = self.elements.rest_mm * MM;
         // B = -mu0 grad(c0 z + c1 x + c2 y).
@@ -125,7 +125,7 @@ impl MagneticModel {
     }
 }
 
-/// The coils' fields at an element, a little below, and a little above.
+/// The coils' fields at an element, slightly below and slightly above.
 struct Dipole<'a> {
     tau: &'a [Complex],
     low: Vec<[f64; 3]>,

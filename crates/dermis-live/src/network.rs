@@ -1,4 +1,4 @@
-//! The second step of imaging: what a network is shown of a frame ([`FirstStep`]), and the classes of live frames
+//! The second step of imaging: a network's input images of a frame ([`FirstStep`]), and the classes of live frames
 //! ([`Classifier`]).
 
 mod built_in;

@@ -1,4 +1,4 @@
-//! What the pipeline says of one frame.
+//! The pipeline's results for one frame.
 
 use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
@@ -8,7 +8,7 @@ use crate::clock::FrameAnomalies;
 use crate::stages::classes::SeenClasses;
 use crate::stages::damage::DamageView;
 
-/// Everything known about one frame once the pipeline is through with it.
+/// Everything known about one frame after the pipeline has processed it.
 #[derive(Debug, Clone, Copy)]
 pub struct Output<'a> {
     /// The device's frame number. Gaps are lost frames.
@@ -18,7 +18,7 @@ pub struct Output<'a> {
     pub time_ns: u64,
     /// Time of the frame on the host's wall clock, nanoseconds since 1970-01-01 UTC.
     pub wall_ns: u64,
-    /// Time of the frame on the device's own clock, nanoseconds from an origin of its choice, where it has one.
+    /// Time of the frame on the device's own clock, nanoseconds from an origin of its choice, if it has one.
     pub device_time_ns: Option<u64>,
     /// Readings in the skin's channel order and the instrument's unit; NaN where missing.
     pub raw: &'a [f64],
@@ -30,18 +30,19 @@ pub struct Output<'a> {
     pub columns: usize,
     /// Rows of the image.
     pub rows: usize,
-    /// Touches on the skin in this frame; those that ended in it stand only in `events`.
+    /// Touches on the skin in this frame. Those that ended in it are only in `events`.
     pub touches: &'a [Touch],
-    /// What happened to each touch.
+    /// Event of each touch.
     pub events: &'a [TouchEvent],
-    /// What a network makes of the frame, or made of one shortly before, where there is one.
+    /// A network's classes for this frame or a slightly earlier one, if there is a network.
     pub classes: Option<SeenClasses<'a>>,
-    /// Channels left out, and electrodes blamed.
+    /// Excluded channels, and faulty electrodes.
     pub health: Health<'a>,
-    /// Damage, baselines and proposals, where damage is watched.
+    /// Damage, baselines and proposals, if damage is monitored.
     pub damage: DamageView<'a>,
-    /// What a search for the readout's circuit has come to with this frame, where the skin file asks for one.
+    /// Result of a search for the readout's circuit that was completed with this frame, if the skin file requests
+    /// one.
     pub circuit: Option<&'a CircuitNews>,
-    /// What is odd about the frame's number or time.
+    /// Anomalies of the frame's number or time.
     pub anomalies: FrameAnomalies,
 }

@@ -1,6 +1,7 @@
-//! The live pipeline: frame, channels, baseline, image, touches. Typed stages called one after another; after start-up
-//! nothing is allocated per frame while nothing touches the skin, and elements are not solved for. It knows neither where frames come from nor where results go. Stages know nothing of each other: those
-//! that look at health, damage and classes return what follows, and it is applied here.
+//! The live pipeline: frame, channels, baseline, image, touches. Typed stages are called one after another. After
+//! start-up nothing is allocated per frame while nothing touches the skin, unless elements are solved for. The
+//! pipeline knows neither where frames come from nor where results go. Stages know nothing of each other: those for
+//! health, damage and classes return decisions, which are applied here.
 
 mod baselines;
 mod circuit;
@@ -36,7 +37,7 @@ use operators::Operators;
 pub use stage_latencies::StageLatencies;
 use state::{Choices, Running, Starting, State, drift_compensation};
 
-/// Before the first baseline, a frame counts where one in so many of its channels has a reading.
+/// Before the first baseline, a frame counts if one in this many of its channels has a reading.
 const LEAST_START: usize = 4;
 
 /// The stages of one skin with their memory.
@@ -46,17 +47,17 @@ pub struct Pipeline {
     choices: Choices,
     reader: ChannelReader,
     baseline: Baseline,
-    /// `None` where the skin file wants channels not to be watched.
+    /// `None` if the skin file disables channel monitoring.
     health: Option<HealthStage>,
-    /// How often the first frames gave no baseline, and why the last time.
+    /// Number of failed attempts to make a baseline from the first frames, and the last reason.
     useless_starts: (u32, Option<Error>),
-    /// `None` where the skin file does not ask for damage to be watched.
+    /// `None` if the skin file does not request damage monitoring.
     damage: Option<DamageStage>,
-    /// In place of it where the skin conducts less where it is pressed.
+    /// Replaces `damage` on skins that conduct less where they are pressed.
     levels: Option<LevelStage>,
-    /// `None` where the readout's circuit need not be found.
+    /// `None` if the readout's circuit need not be found.
     circuit: Option<CircuitStage>,
-    /// A network that classifies pixels, where there is one.
+    /// A network that classifies pixels, if any.
     classes: Option<ClassStage>,
     state: State,
     operators: Operators,
@@ -64,7 +65,7 @@ pub struct Pipeline {
     timing: Timing,
 }
 
-/// The frame at hand on its way to an image.
+/// The current frame on its way to an image.
 #[derive(Debug)]
 struct Buffers {
     channels: Vec<f64>,
@@ -72,33 +73,34 @@ struct Buffers {
     image: Vec<f32>,
 }
 
-/// When frames came, and how long they took.
+/// Arrival of frames, and processing times.
 #[derive(Debug, Default)]
 struct Timing {
     latencies: StageLatencies,
-    /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
+    /// Frames stamped before this waited while the operator was built, which happens once; they are not timed.
     timed_from_ns: u64,
     frames: u64,
-    /// What happens on the skin is timed by the device where it has a clock, so that a replay at another pace gives the
+    /// Events on the skin are timed by the device's clock if it has one, so that a replay at another speed gives the
     /// same touches.
     clock: FrameClock,
 }
 
-/// What a frame has shown of the skin.
+/// Evidence of one frame about the skin.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
-    /// Something touches.
+    /// Something touches the skin.
     touched: bool,
-    /// The image is of this frame, and to be believed.
+    /// The image is of this frame, and reliable.
     believed: bool,
 }
 
 impl Pipeline {
-    /// Sets up the pipeline of a prepared skin for frames of a layout. The first 32 frames make the baseline. Pipelines
-    /// of skins that are alike may share what was prepared.
+    /// Builds the pipeline of a prepared skin for frames of a layout. The first 32 frames make the baseline.
+    /// Pipelines of identical skins may share the prepared model.
     ///
     /// # Errors
-    /// A layout that does not hold the skin's channels; a circuit to be found that cannot be found beside a stream.
+    /// A layout that does not contain the skin's channels; a requested search for the circuit that cannot run in the
+    /// background.
     pub fn new(
         prepared: impl Into<Arc<Prepared>>,
         layout: &Layout,
@@ -118,12 +120,12 @@ impl Pipeline {
                 CircuitStage::new(&prepared)?
             }
         };
-        // Neither unknown wiring nor differences can be compared with the model's resting values.
+        // Readings with unknown wiring, and differences, cannot be compared with the model's resting values.
         let backend = &prepared.skin.backend;
         let is_watched = prepared.skin.health.watch && backend.wiring.is_known() && !backend.differences;
         let by_levels = LevelStage::is_wanted(&prepared);
         let by_image = prepared.skin.damage.watch && !by_levels;
-        // An operator that does not depend on the baseline is built before any frame has to wait for it.
+        // Build an operator that does not depend on the baseline now, before any frame has to wait for it.
         let starting = || Starting::new(&prepared, calibration.as_ref());
         let watches = || -> Result<_, Error> {
             let health = is_watched.then(|| HealthStage::new(&prepared)).transpose()?;
@@ -157,8 +159,8 @@ impl Pipeline {
         &self.prepared
     }
 
-    /// Runs one frame through all stages. Until the baseline stands, the image is `NaN` and there are no touches.
-    /// `now_ns` is the host's monotonic clock at the call.
+    /// Processes one frame through all stages. Until there is a baseline, the image is `NaN` and there are no
+    /// touches. `now_ns` is the host's monotonic clock at the call.
     ///
     /// # Errors
     /// A frame of the wrong length, or times that run backwards.
@@ -172,14 +174,14 @@ impl Pipeline {
         if let State::Running(running) = &mut self.state
             && running.reconstructor.touches.is_interruption(anomalies.lost_before, time_ns - before_ns)
         {
-            // The frames before this one were lost for so long that other touches may have begun.
+            // Frames were missing for so long that other touches may have begun.
             running.reconstructor.interrupt(time_ns);
         }
         self.take_up_operator(time_ns)?;
         let at = (frame.host_monotonic_ns, frame.sequence);
         self.take_up_circuit(time_ns, at)?;
         let change = match self.is_blank() {
-            // Nothing to learn from: the baseline begins with the first frame that has readings.
+            // Nothing to learn from: the baseline starts with the first frame that has readings.
             true => BaselineChange::None,
             false => self.learn_from(time_ns, at, start)?,
         };
@@ -188,7 +190,7 @@ impl Pipeline {
             let took_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
             self.timing.timed_from_ns = now_ns.saturating_add(took_ns);
         }
-        // Waiting is told by the host's clock alone; the device's may begin and run otherwise.
+        // Waiting is measured by the host's clock alone, since the device's may have another origin and rate.
         let waited = Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns));
         if frame.host_monotonic_ns >= self.timing.timed_from_ns {
             self.timing.latencies.queue.record(waited);
@@ -221,19 +223,19 @@ impl Pipeline {
         })
     }
 
-    /// Whether a frame before the first baseline has hardly any reading.
+    /// True if a frame before the first baseline has hardly any readings.
     fn is_blank(&self) -> bool {
         let channels = &self.buffers.channels;
         let finite = channels.iter().filter(|value| value.is_finite()).count();
         matches!(self.state, State::Starting(_)) && LEAST_START * finite < channels.len()
     }
 
-    /// Looks at the frame just read, and lets the baseline learn from it.
+    /// Evaluates the current frame, and lets the baseline learn from it.
     fn learn_from(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<BaselineChange, Error> {
         if let Some(health) = &mut self.health {
             health.read(&self.buffers.channels)?;
         }
-        // A frame that is wrong as a whole says nothing of levels, baselines or damage.
+        // A frame that is wrong as a whole says nothing about levels, baselines or damage.
         let is_sound = self.health.as_ref().is_none_or(HealthStage::is_frame_sound);
         if is_sound {
             self.follow_levels(time_ns)?;
@@ -250,7 +252,7 @@ impl Pipeline {
         matches!(self.state, State::Running(_))
     }
 
-    /// From the frame just observed to touches, once there is a baseline.
+    /// Takes the current frame to touches, once there is a baseline.
     fn see(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<Seen, Error> {
         let State::Running(running) = &mut self.state else { return Ok(Seen { touched: false, believed: false }) };
         let Running { reference, .. } = &**running;
@@ -266,18 +268,18 @@ impl Pipeline {
         match sight {
             Sight::Clear => {}
             Sight::Doubtful => {
-                // The last image and its contacts stay until it is known what is wrong, a few frames at most.
+                // Keep the last image and its contacts until the fault is identified, a few frames at most.
                 reconstructor.touches.repeat(time_ns)?;
                 return Ok(Seen { touched: true, believed: false });
             }
             Sight::Blind => {
-                // Nothing that could be seen: no image, and what was touched is let go.
+                // Nothing can be seen: clear the image and end all touches.
                 image.fill(f32::NAN);
                 if let Some(classes) = &mut self.classes {
                     classes.forget(at.1);
                 }
                 reconstructor.forget(time_ns);
-                // Nobody knows whether the skin is touched: the baseline does not learn from what nobody sees.
+                // The skin may be touched, so the baseline must not learn.
                 return Ok(Seen { touched: true, believed: false });
             }
         }
@@ -289,7 +291,7 @@ impl Pipeline {
             reconstructor.touches.set_floor(lobe_floor(image));
         }
         if let Some(levels) = &self.levels {
-            // While the readings keep to their levels, what noise and drift make of the image is no touch.
+            // While the readings stay at their levels, image contents come from noise and drift, not from touch.
             reconstructor.touches.set_floor(if levels.is_disturbed() { 0.0 } else { f64::INFINITY });
         }
         reconstructor.follow_touches(time_ns, image, placement)?;
@@ -303,8 +305,8 @@ impl Pipeline {
         Ok(Seen { touched: reconstructor.is_loaded(), believed: true })
     }
 
-    /// Examines the health of the frame at hand and applies what follows: channels without a say are taken out of it,
-    /// and operator, image noise and refinement go on with those that are left.
+    /// Checks the health of the current frame and applies the result. Excluded channels are removed from it, and
+    /// operator, image noise and refinement continue with the others.
     fn examine_health(&mut self, at: (u64, u64)) -> Result<Sight, Error> {
         let (Some(health), State::Running(running)) = (&mut self.health, &mut self.state) else {
             return Ok(Sight::Clear);
@@ -324,7 +326,7 @@ impl Pipeline {
         for &(channel, reading) in moved {
             self.baseline.move_channel(channel, reading);
         }
-        // With no channel left there is no operator: the frames are blind until some channel is back.
+        // With no channel left there is no operator: frames are blind until a channel recovers.
         if let Some(left_out) = left_out.filter(|left_out| left_out.len() < reference.noise.len()) {
             reconstructor.leave_out(&self.prepared, left_out, &reference.noise)?;
             if let Some(damage) = &mut self.damage {
@@ -337,8 +339,8 @@ impl Pipeline {
         Ok(sight)
     }
 
-    /// Looks for damage in the frame just seen, and applies what follows: a damage that is believed is taken into the
-    /// baseline of touches. True where nothing lies on the skin whatever that baseline makes of it.
+    /// Looks for damage in the current frame, and applies the result: confirmed damage becomes part of the touches'
+    /// baseline. True if nothing lies on the skin, even if that baseline suggests otherwise.
     fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), loaded: bool) -> Result<bool, Error> {
         let (Some(damage), State::Running(running)) = (&mut self.damage, &mut self.state) else { return Ok(false) };
         let Running { reference, reconstructor } = &mut **running;
@@ -371,7 +373,7 @@ impl Pipeline {
         Ok(is_free)
     }
 
-    /// Damage, the baselines that were in use, and a new one where that is proposed.
+    /// Damage, earlier baselines, and a new one if proposed.
     pub fn damage(&self) -> DamageView<'_> {
         let now_ns = self.timing.clock.time_ns();
         let by_image = self.damage.as_ref().map(|damage| damage.view(&self.baseline));
@@ -379,12 +381,12 @@ impl Pipeline {
         by_image.or(by_levels).map_or_else(DamageView::default, |view| DamageView { now_ns, ..view })
     }
 
-    /// Channels that are left out, and electrodes that are blamed.
+    /// Excluded channels, and faulty electrodes.
     pub fn health(&self) -> Health<'_> {
         self.health.as_ref().map_or_else(Health::default, HealthStage::health)
     }
 
-    /// Health is judged by the reference and the operator in use.
+    /// Makes the health stage use the current reference and operator.
     fn compare_with_reference(&mut self) -> Result<(), Error> {
         if let (Some(health), State::Running(running)) = (&mut self.health, &self.state) {
             health.compare_with(&running.reference, running.reconstructor.imager.operator())?;
@@ -392,14 +394,14 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Frames that have waited for work beside the stream: operators for other hyperparameters, sheets with new cuts,
-    /// searches for the readout's circuit. None does on a machine that is as fast as the stream needs.
+    /// Number of frames that waited for background work: operators for other hyperparameters, sheets with new cuts,
+    /// searches for the readout's circuit. Zero on a machine that is fast enough for the stream.
     pub fn waits(&self) -> u64 {
         let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
         self.operators.waits() + of_sheets + self.circuit.as_ref().map_or(0, CircuitStage::waits)
     }
 
-    /// Classifies the pixels of frames by a network from now on, or no longer.
+    /// Starts classifying the pixels of frames by a network, or stops.
     ///
     /// # Errors
     /// A model of another skin, or a thread that cannot be started.
@@ -408,11 +410,11 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Reads forces by a calibration from now on.
+    /// Estimates forces by a calibration from now on.
     ///
     /// # Errors
-    /// A calibration of another skin, or numbers in it that make no sense; a skin whose circuit is still to be found,
-    /// with which amplitudes change.
+    /// A calibration of another skin, or with invalid numbers; a skin whose circuit is still to be found, since that
+    /// changes amplitudes.
     pub fn set_forces(&mut self, forces: ForceCalibration) -> Result<(), Error> {
         forces.check(&self.prepared.skin.name)?;
         if self.circuit.is_some() {
@@ -427,42 +429,42 @@ impl Pipeline {
         Ok(())
     }
 
-    /// What touches' loads are read as, where a calibration by pokes reads them.
+    /// Quantity of the touches' loads, if a calibration by pokes estimates them.
     pub fn load_quantity(&self) -> Option<LoadQuantity> {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
     }
 
-    /// Whether a calibration without labels may place touches, and tell another place where it does not know.
+    /// True if a calibration without labels may locate touches, and may report alternative positions.
     pub fn may_tell_other_places(&self) -> bool {
         self.choices.calibration.is_none() && self.prepared.skin.backend.circuit.is_some()
     }
 
-    /// lambda in use, once the baseline stands.
+    /// Current lambda, once there is a baseline.
     pub fn hyperparameter(&self) -> Option<f64> {
         self.running().map(|running| running.reconstructor.imager.hyperparameter())
     }
 
-    /// lambda as the skin file's rule or a calibration gives it, once the baseline stands.
+    /// lambda from the skin file's rule or a calibration, once there is a baseline.
     pub fn rule_hyperparameter(&self) -> Option<f64> {
         self.running().map(|running| running.reconstructor.imager.rule_hyperparameter())
     }
 
-    /// The reference in use, once the baseline stands.
+    /// The current reference, once there is a baseline.
     pub fn reference(&self) -> Option<&Reference> {
         self.running().map(|running| &running.reference)
     }
 
-    /// Image noise of each pixel, once the baseline stands.
+    /// Image noise of each pixel, once there is a baseline.
     pub fn noise_image(&self) -> Option<Vec<f32>> {
         self.running().map(|running| running.reconstructor.imager.noise_image())
     }
 
-    /// Where the baseline is in its life.
+    /// State of the baseline.
     pub fn baseline_state(&self) -> BaselineState {
         self.baseline.state()
     }
 
-    /// The references that were in use, oldest first.
+    /// All references used, oldest first.
     pub fn baseline_records(&self) -> &[ReferenceRecord] {
         self.baseline.records()
     }
@@ -472,12 +474,12 @@ impl Pipeline {
         (self.baseline.baseline(), self.baseline.noise_std())
     }
 
-    /// Times of the stages so far.
+    /// Processing times of the stages.
     pub fn latencies(&self) -> &StageLatencies {
         &self.timing.latencies
     }
 
-    /// Frames processed.
+    /// Number of frames processed.
     pub fn frames(&self) -> u64 {
         self.timing.frames
     }

@@ -1,4 +1,4 @@
-//! From a skin file to its forward model on the image grid: done once per skin, before any frame is seen.
+//! Turns a skin file into its forward model on the image grid, once per skin, before any frame arrives.
 
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
@@ -13,16 +13,16 @@ use crate::stages::workshop_error::WorkshopError;
 use dermis_skin::budget::Budget;
 use dermis_skin::{CircuitChoice, Imaging, MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
 
-/// Below this share of a pixel there is no skin to speak of.
+/// Minimum share of a pixel that the skin must cover; pixels below it are ignored.
 const LEAST_RIM_COVERAGE: f64 = 5e-3;
 
-/// Preparations that take longer than this, seconds, are announced.
+/// Announce preparations that take longer than this, seconds.
 const LONG_S: f64 = 60.0;
-/// Places so far apart may be two explanations of a frame, in halves of the shorter side.
+/// Minimum distance of two positions that may both explain a frame, in halves of the shorter side.
 const PLACES_APART: f64 = 0.3;
 
-/// A skin's forward model at rest, on the grid that its images live on. Its parts belong together: where one of them is
-/// changed, imagers made before and after may not fit it.
+/// A skin's forward model at rest, on the grid of its images. Its parts belong together: if one is changed, imagers
+/// made before and after may not match it.
 #[derive(Debug)]
 pub struct Prepared {
     /// The skin file.
@@ -35,24 +35,23 @@ pub struct Prepared {
     pub map: PixelMap,
     /// Voltages of the resting skin, volts, signed.
     pub voltages: Vec<f64>,
-    /// Channels x inside pixels: volts per relative change of conductivity; of magnetic induction, of readings per
+    /// Channels x inside pixels: volts per relative change of conductivity, or for magnetic induction, volts per
     /// share of the elements' full travel.
     pub jacobian: Jacobian,
     /// The inside pixels as unknowns.
     pub basis: ImageBasis,
-    /// The inverse problem, where it depends on nothing measured: a dense prior is the largest thing in memory, and
-    /// imagers that differ in lambda alone share it.
+    /// The inverse problem, if it does not depend on measurements. A dense prior is the largest object in memory, and
+    /// imagers that differ only in lambda share it.
     problem: OnceLock<Arc<LinearProblem>>,
     /// Errors of touches on skins as built, once they are asked for.
     workshop_error: OnceLock<Option<Arc<WorkshopError>>>,
 }
 
 impl Prepared {
-    /// Meshes the skin and solves it at rest, provided that its sizes let that be done with the memory that may be
-    /// used.
+    /// Meshes the skin and solves it at rest, if that is possible within the memory budget.
     ///
     /// # Errors
-    /// Shapes, electrodes or patterns that do not work out; see [`Error`].
+    /// Invalid shapes, electrodes or patterns; see [`Error`].
     pub fn new(skin: Skin) -> Result<Self, Error> {
         let budget = Budget::of_imaging(&skin);
         budget.check(&skin, "its image")?;
@@ -106,11 +105,11 @@ impl Prepared {
         })
     }
 
-    /// The same skin with other settings of its images: neither mesh nor fields are computed anew. The grid and the
-    /// number of elements stay as they are.
+    /// The same skin with other image settings, without recomputing mesh or fields. The grid and the number of
+    /// elements are unchanged.
     ///
     /// # Errors
-    /// Settings that a skin file could not have.
+    /// Settings that would be invalid in a skin file.
     pub fn with_imaging(&self, imaging: Imaging) -> Result<Self, Error> {
         let imaging = Imaging { grid: self.skin.imaging.grid, elements: self.skin.imaging.elements, ..imaging };
         let skin = Skin { imaging, ..self.skin.clone() }.checked()?;
@@ -132,8 +131,8 @@ impl Prepared {
         self.voltages.len()
     }
 
-    /// Pixels that the skin covers only a little of, which images leave out, each with the inside pixel nearest to it
-    /// (both row-major): an image that is to have a value wherever there is skin takes it from there.
+    /// Pixels that the skin barely covers and that images exclude, each with the nearest inside pixel (both
+    /// row-major). An image that needs a value everywhere on the skin can take it from there.
     pub fn rim_pixels(&self) -> Vec<(usize, usize)> {
         let grid = self.map.grid();
         let distance = |a: usize, b: usize| {
@@ -151,8 +150,8 @@ impl Prepared {
             .collect()
     }
 
-    /// Does a measured baseline (channels in the protocol's order) look like this skin at rest, and if not, is it in
-    /// another order or of the other sign?
+    /// Checks whether a measured baseline (channels in the protocol's order) looks like this skin at rest, and if
+    /// not, whether it has another order or the opposite sign.
     pub fn diagnose(&self, baseline: &[f64]) -> OrderReport {
         diagnose_order(&self.protocol, &self.voltages, baseline, self.skin.backend.reads == Reads::Magnitude)
     }
@@ -163,13 +162,13 @@ impl Prepared {
         0.5 * (high[0] - low[0]).min(high[1] - low[1])
     }
 
-    /// Places at least so far apart may be two explanations of a frame, metres.
+    /// Minimum distance of two positions that may both explain a frame, metres.
     pub(crate) fn places_apart_m(&self) -> f64 {
         PLACES_APART * self.half_width_m()
     }
 
     /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data
-    /// in model volts for a relative change of 1 at the middle, polarity included.
+    /// in model volts for a relative change of 1 at its centre, polarity included.
     pub fn signatures(&self, positions_m: &[[f64; 2]]) -> Vec<f64> {
         let sigma = self.skin.touch.relative_size * self.half_width_m();
         let polarity = self.skin.imaging.polarity.sign();
@@ -193,7 +192,7 @@ impl Prepared {
         self.workshop_error.get_or_init(draw).clone()
     }
 
-    /// The problem in use, or that which `build` makes, kept if `lasts`.
+    /// The stored problem, or one made by `build`, which is stored if `lasts`.
     pub(crate) fn problem(
         &self,
         lasts: bool,
@@ -204,7 +203,7 @@ impl Prepared {
         }
         let problem = Arc::new(build()?);
         if lasts {
-            // Where another thread was faster, both are the same.
+            // If another thread was faster, both are equal.
             let _ = self.problem.set(problem.clone());
         }
         Ok(problem)
@@ -216,8 +215,8 @@ impl Prepared {
     }
 }
 
-/// Weights exp(-d^2 / 2 sigma^2) of the cells nearer to a place than four sigma, one run of successive cells after the
-/// other: the first cell of each run, and where its weights stand.
+/// Weights exp(-d^2 / 2 sigma^2) of the cells within four sigma of a position, in runs of consecutive cells. Each run
+/// has its first cell and the range of its weights.
 fn weigh_near(
     cells_m: &[[f64; 3]],
     place_m: [f64; 2],
@@ -241,7 +240,7 @@ fn weigh_near(
     }
 }
 
-/// Inner product of the weights with as many values, in four running sums.
+/// Inner product of weights and values, in four running sums.
 fn dot(weights: &[f64], values: &[f64]) -> f64 {
     let (whole, rest) = weights.as_chunks::<4>();
     let mut sums = [0.0; 4];

@@ -1,4 +1,4 @@
-//! From difference data to touches: image, contacts, refinement, tracks. Live frames and frames at a desk share it.
+//! Difference data to touches: image, contacts, refinement, tracks. Used for live and for recorded frames.
 
 use crate::Error;
 use crate::calibration::PlacementFinder;
@@ -13,25 +13,25 @@ use crate::stages::refinement::Refinement;
 use crate::stages::touches::TouchStage;
 use crate::stages::workshop_ensemble::built_error;
 
-/// Makes images of difference data and touches of images.
+/// Turns difference data into images and images into touches.
 #[derive(Debug)]
 pub struct Reconstructor {
     /// Difference data to images.
     pub imager: Imager,
-    /// What places single touches in a calibrated skin.
+    /// Locates single touches on a calibrated skin.
     pub placement: Option<PlacementFinder>,
-    /// What places contacts by the forward model.
+    /// Locates contacts by the forward model.
     pub refinement: Refinement,
-    /// What joins the contacts of elements that one press moves, where images are solved for elements.
+    /// Merges the contacts of elements moved by one press, if images are solved for elements.
     elements: Option<ElementContacts>,
-    /// What places these by presses that explain the readings.
+    /// Locates these by presses that explain the readings.
     presses: Option<ElementPresses>,
     /// Images to touches.
     pub touches: TouchStage,
 }
 
 impl Reconstructor {
-    /// Of a prepared skin, with what makes its images, and what refines its touches.
+    /// A reconstructor for a prepared skin, with the imager and the refinement of its touches.
     ///
     /// # Errors
     /// Thresholds in the skin file that are out of range.
@@ -60,7 +60,7 @@ impl Reconstructor {
         self.imager.image(difference, image)
     }
 
-    /// Where a calibration puts the single touch of a frame of difference data.
+    /// Locates the single touch of a frame of difference data by the calibration.
     ///
     /// # Errors
     /// As [`PlacementFinder::place`].
@@ -68,12 +68,12 @@ impl Reconstructor {
         self.placement.as_mut().map_or(Ok(None), |finder| finder.place(time_ns, difference))
     }
 
-    /// Follows the touches of an image of the frame imaged last. Where a calibration leaves places to the model,
-    /// `placement` lends a single touch its load and places one that the model does not see, and what the calibration
-    /// knows of the model's errors corrects all others.
+    /// Tracks the touches in an image of the last frame. If a calibration leaves locating to the model, `placement`
+    /// provides the load of a single touch and the position of one that the model does not see. The calibration's
+    /// correction of model errors is applied to all others.
     ///
     /// # Errors
-    /// An image of another size, a time before the last one, or a sheet with new cuts that cannot be solved.
+    /// An image of the wrong size, a time before the last one, or a sheet with new cuts that cannot be solved.
     pub fn follow_touches(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
         let correction = self.placement.as_ref().and_then(PlacementFinder::correction);
         let imposed = placement.filter(|_| correction.is_none());
@@ -106,12 +106,12 @@ impl Reconstructor {
         self.touches.track_contacts(time_ns)
     }
 
-    /// The frame at hand (model volts, `NaN` where missing) with what was fitted to it.
+    /// The current frame (model volts, `NaN` where missing) with its fit.
     pub(crate) fn fitted<'a>(&'a self, difference: &'a [f64]) -> FittedFrame<'a> {
         FittedFrame { difference, contacts: self.touches.contacts(), explained: self.refinement.explained() }
     }
 
-    /// Goes on without these channels, at this noise of the others (model volts); with an empty list with all channels.
+    /// Excludes these channels, at this noise of the others (model volts). An empty list restores all channels.
     ///
     /// # Errors
     /// A channel that does not exist, or all of them.
@@ -121,19 +121,19 @@ impl Reconstructor {
         self.refinement.leave_out(prepared, channels, noise)
     }
 
-    /// True while anything lies on the skin, contacts not yet confirmed and frames not yet explained included.
+    /// True while anything lies on the skin, including unconfirmed contacts and frames not yet explained.
     pub fn is_loaded(&self) -> bool {
         self.touches.is_loaded() || self.refinement.is_seeking()
     }
 
-    /// The stream was interrupted before the next frame: see [`TouchStage::interrupt`].
+    /// Reports that the stream was interrupted before the next frame: see [`TouchStage::interrupt`].
     pub fn interrupt(&mut self, time_ns: u64) {
         self.forget_places();
         self.refinement.interrupt();
         self.touches.interrupt(time_ns);
     }
 
-    /// Ends all touches: the next frame has nothing to do with this one.
+    /// Ends all touches: the next frame is unrelated.
     pub fn forget(&mut self, time_ns: u64) {
         self.forget_places();
         self.refinement.forget();

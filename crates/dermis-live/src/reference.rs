@@ -1,4 +1,4 @@
-//! What differences are taken against: a baseline, the factors that bring measured voltages to the model's, and the
+//! The reference of difference data: a baseline, the factors that convert measured voltages to the model's, and the
 //! noise of the channels.
 
 use dermis_tomo::eit::OrderReport;
@@ -11,20 +11,21 @@ use crate::Error;
 use crate::frame_noise::noise_of_frames;
 use crate::prepare::Prepared;
 
-/// Fewest baseline frames from which noise is estimated.
+/// Minimum number of baseline frames for estimating noise.
 const FEWEST_FOR_NOISE: usize = 8;
-/// Noise assumed of differences whose frames are too few to tell, relative to their root mean square.
+/// Assumed noise of differences if there are too few frames to estimate it, relative to their RMS.
 const ASSUMED_OF_DIFFERENCES: f64 = 0.01;
-/// Noise estimated from frames is at least this part of what would be assumed.
+/// Lower bound on estimated noise, as a share of the assumed noise.
 const LEAST_OF_ASSUMED: f64 = 0.02;
-/// A channel whose model voltage is below this share of the largest is not matched by itself.
+/// A channel whose model voltage is below this share of the largest gets no gain of its own.
 const SMALLEST_SHARE: f64 = 1e-6;
-/// Standard deviation of channels' gains about the common one: current that spreads in depth makes 0.5 to 1.3 of it.
+/// Standard deviation of the channels' gains about the common one. Current that spreads in depth changes them by
+/// factors from 0.5 to 1.3.
 const GAIN_SPREAD: f64 = 0.3;
 /// Error of the model at rest, as a share of its largest voltage, on twins of 32 narrow electrodes.
 const MODEL_ERROR: f64 = 0.002;
 
-/// Where the noise of channels comes from.
+/// Source of the channel noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoiseSource {
     /// The scatter of the baseline's frames.
@@ -36,7 +37,7 @@ pub enum NoiseSource {
 }
 
 impl NoiseSource {
-    /// In words, for people.
+    /// Description for users.
     pub fn describe(self) -> &'static str {
         match self {
             Self::Baseline => "measured from the baseline",
@@ -46,30 +47,30 @@ impl NoiseSource {
     }
 }
 
-/// A baseline made comparable to the model.
+/// A baseline that can be compared with the model.
 #[derive(Clone, Debug)]
 pub struct Reference {
-    /// Baseline, as measured, one value a channel (`NaN`: missing).
+    /// Baseline, as measured, one value per channel (`NaN`: missing).
     pub baseline: Vec<f64>,
     /// Difference data in model volts are `scale * (frame - baseline)`.
     pub scale: Vec<f64>,
     /// Noise standard deviation of difference data, model volts.
     pub noise: Vec<f64>,
-    /// Where `noise` comes from.
+    /// Source of `noise`.
     pub noise_source: NoiseSource,
-    /// Full noise covariance in model volts (row-major), where the skin file asks for it and enough frames were given.
+    /// Full noise covariance in model volts (row-major), if the skin file requests it and there were enough frames.
     pub covariance: Option<Vec<f64>>,
-    /// Differences of successive baseline frames, as measured: what drift and noise look like.
+    /// Differences of successive baseline frames, as measured: examples of drift and noise.
     pub successive: Vec<Vec<f64>>,
-    /// Does the baseline look like the model?
+    /// Comparison of the baseline with the model.
     pub order: OrderReport,
     /// Root mean square of the baseline's difference from the model, relative; NaN where there is no baseline to compare.
     pub misfit: f64,
 }
 
 impl Reference {
-    /// Makes a reference from baseline frames (channels in the protocol's order). Several frames are averaged; from 8
-    /// on, their scatter from frame to frame is taken as the noise.
+    /// Makes a reference from baseline frames (channels in the protocol's order). Several frames are averaged. From 8
+    /// frames on, their scatter from frame to frame is used as the noise.
     ///
     /// # Errors
     /// No frames, frames of the wrong length, or a baseline that is zero everywhere.
@@ -77,7 +78,8 @@ impl Reference {
         Self::averaged(prepared, frames, frames.len())
     }
 
-    /// [`Reference::of`] for frames that have a baseline each, one of these: differences hold the noise of two frames.
+    /// As [`Reference::of`], for frames with one of these baselines each: differences contain the noise of two
+    /// frames.
     ///
     /// # Errors
     /// As [`Reference::of`].
@@ -85,7 +87,7 @@ impl Reference {
         Self::averaged(prepared, baselines, 1)
     }
 
-    /// [`Reference::of`] where the baseline of a difference is the mean of so many of the frames.
+    /// As [`Reference::of`], where the baseline of a difference is the mean of `averaged` frames.
     fn averaged(prepared: &Prepared, frames: &[Vec<f64>], averaged: usize) -> Result<Self, Error> {
         let channels = prepared.channels();
         check_frames("baseline", frames, channels)?;
@@ -98,7 +100,7 @@ impl Reference {
         if noise_measured {
             let deviation: Vec<f64> = (0..channels).map(|channel| successive_deviation(frames, channel)).collect();
             let measured = MeasuredNoise { deviation: &deviation, freedom: freedom_of_successive(frames.len()) };
-            // The baseline's own noise is in every difference.
+            // Every difference contains the baseline's own noise.
             let with_baseline = (1.0 + 1.0 / averaged as f64).sqrt();
             take_known(&mut noise, measured.moderated(&baseline).iter().map(|sigma| with_baseline * sigma), &scale);
         }
@@ -114,9 +116,8 @@ impl Reference {
         Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order, misfit })
     }
 
-    /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the
-    /// signs that rectified readings have lost. The noise is that of [`noise_of_frames`], where there are frames
-    /// enough.
+    /// The reference of frames that are already differences: the baseline is zero, and scaling only restores the
+    /// signs lost by rectified readings. The noise comes from [`noise_of_frames`] if there are enough frames.
     ///
     /// # Errors
     /// No frames, frames of the wrong length, or frames that are zero everywhere.
@@ -147,8 +148,9 @@ impl Reference {
         Ok(reference)
     }
 
-    /// Where the noise is only assumed, takes that of [`noise_of_frames`] of these difference data, if there are
-    /// enough; never less than a small part of what was assumed, so that frames without noise are no certainty.
+    /// If the noise is only assumed, estimates it by [`noise_of_frames`] from these difference data, if there are
+    /// enough. It never drops below a small share of the assumed noise, so that noise-free frames do not imply
+    /// certainty.
     pub fn estimate_noise(&mut self, differences: &[Vec<f64>]) {
         if self.noise_source != NoiseSource::Assumed {
             return;
@@ -161,7 +163,7 @@ impl Reference {
         self.noise_source = NoiseSource::Frames;
     }
 
-    /// Makes a reference from a baseline and its noise, both as measured (`None`: unknown): what the live pipeline has
+    /// Makes a reference from a baseline and its noise, both as measured (`None`: unknown), as the live pipeline has
     /// after a tare.
     ///
     /// # Errors
@@ -186,12 +188,12 @@ impl Reference {
     }
 }
 
-/// Whether each of the frames has a baseline of its own: there are as many, and not one of either.
+/// True if each frame has its own baseline: there are equally many, and more than one.
 pub fn are_pairs(baselines: &[Vec<f64>], frames: &[Vec<f64>]) -> bool {
     baselines.len() == frames.len() && frames.len() > 1
 }
 
-/// Takes measured standard deviations in the place of `noise` (model volts) where they are known; `scale` brings them to
+/// Replaces `noise` (model volts) by measured standard deviations where these are known. `scale` converts them to
 /// model volts.
 fn take_known(noise: &mut [f64], measured: impl Iterator<Item = f64>, scale: &[f64]) {
     for ((noise, sigma), scale) in noise.iter_mut().zip(measured).zip(scale) {
@@ -202,7 +204,7 @@ fn take_known(noise: &mut [f64], measured: impl Iterator<Item = f64>, scale: &[f
     }
 }
 
-/// The signs that rectified readings have lost; 1 where nothing is rectified or the wiring is unknown.
+/// The signs that rectified readings have lost; 1 if nothing is rectified or the wiring is unknown.
 fn signs(prepared: &Prepared) -> Vec<f64> {
     let backend = &prepared.skin.backend;
     let rectified = backend.reads == Reads::Magnitude && backend.wiring.is_known();
@@ -232,7 +234,7 @@ pub(crate) fn scale_to_model(prepared: &Prepared, baseline: &[f64]) -> Result<Ve
     }
     let magnitudes = prepared.skin.backend.reads == Reads::Magnitude;
     let model = &prepared.voltages;
-    // A rectified reading has lost its sign; the model's is put back, channel by channel.
+    // A rectified reading has lost its sign; restore the model's sign for each channel.
     let sign = |channel: usize| if magnitudes { model[channel].signum() } else { 1.0 };
     let largest = model.iter().map(|v| v.abs()).fold(0.0, f64::max);
     let fit = |members: &mut dyn Iterator<Item = usize>| {
@@ -252,8 +254,8 @@ pub(crate) fn scale_to_model(prepared: &Prepared, baseline: &[f64]) -> Result<Ve
             got: "zeros, or nothing but missing values".into(),
         });
     }
-    // Voltages between electrodes cross zero, where the model's error is larger than they are: for coils they fall off,
-    // and behind a readout's circuit they cross elsewhere.
+    // Voltages between electrodes cross zero, where the model's error exceeds them. For coils they decay instead, and
+    // behind a readout's circuit they cross zero elsewhere.
     let crosses_zero = prepared.skin.modality == Modality::Eit && prepared.skin.backend.circuit.is_none();
     Ok(match prepared.skin.imaging.gain {
         GainMatch::Global => channels.map(|channel| global * sign(channel)).collect(),
@@ -282,18 +284,18 @@ pub(crate) fn scale_to_model(prepared: &Prepared, baseline: &[f64]) -> Result<Ve
     })
 }
 
-/// How much a channel's own gain counts against the common one, where the model has this share of its largest voltage
-/// there: gains spread about the common one, and the model is off by a share of its largest voltage (the mean of the
-/// posterior, both being normal).
+/// Weight of a channel's own gain against the common one, given its model voltage as a share of the largest. Gains
+/// scatter about the common one, and the model is off by a share of its largest voltage. The weight gives the
+/// posterior mean if both are normal.
 fn believed(share_of_largest: f64) -> f64 {
     let off = MODEL_ERROR / share_of_largest;
     GAIN_SPREAD * GAIN_SPREAD / (GAIN_SPREAD * GAIN_SPREAD + off * off)
 }
 
-/// Refuses a table of frames that has none, or one of another length than `channels`; `what` names them in the error.
+/// Rejects an empty table of frames, or one with frames of the wrong length. `what` names them in the error.
 ///
 /// # Errors
-/// As said.
+/// No frames, or a frame that does not have `channels` values.
 pub fn check_frames(what: &str, frames: &[Vec<f64>], channels: usize) -> Result<(), Error> {
     if frames.is_empty() {
         let (expected, got) = ("at least one frame".to_string(), "none".to_string());
@@ -309,7 +311,7 @@ pub fn check_frames(what: &str, frames: &[Vec<f64>], channels: usize) -> Result<
     }
 }
 
-/// 1/g of the regression `measured = g model + b` over the channels that are present.
+/// 1/g of the regression `measured = g model + b` over the available channels.
 fn slope(model: &[f64], measured: &[f64]) -> Option<f64> {
     let present = || model.iter().zip(measured).filter(|(_, v)| v.is_finite());
     let (mean_model, mean) = (finite_mean(present().map(|(f, _)| *f)), finite_mean(present().map(|(_, v)| *v)));
@@ -327,14 +329,13 @@ fn finite_mean(values: impl Iterator<Item = f64>) -> f64 {
     if count > 0 { sum / count as f64 } else { f64::NAN }
 }
 
-/// Standard deviation from successive differences, which slow drift does not enter: `sqrt(mean d^2 / 2)`.
+/// Standard deviation from successive differences, which slow drift does not affect: `sqrt(mean d^2 / 2)`.
 fn successive_deviation(frames: &[Vec<f64>], channel: usize) -> f64 {
     let squares = frames.windows(2).map(|pair| (pair[1][channel] - pair[0][channel]).powi(2));
     (finite_mean(squares) / 2.0).sqrt()
 }
 
-/// Degrees of freedom of [`successive_deviation`]: what its variance, sigma^4 (3n - 4) / (n - 1)^2 for white noise,
-/// corresponds to.
+/// Degrees of freedom of [`successive_deviation`], from its variance sigma^4 (3n - 4) / (n - 1)^2 for white noise.
 fn freedom_of_successive(frames: usize) -> f64 {
     let n = frames as f64;
     2.0 * (n - 1.0).powi(2) / (3.0 * n - 4.0)

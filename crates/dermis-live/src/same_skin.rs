@@ -1,16 +1,16 @@
-//! Whether frames, calibrations and force files are of the skin that they are used for: by what frames depend on, not
-//! by name alone. Materials, imaging and touch settings may differ, since people change them to read the same frames
-//! better.
+//! Checks that frames, calibrations and force files belong to the skin they are used for. The check covers everything
+//! that frames depend on, not just the name. Materials, imaging and touch settings may differ, since people change
+//! them to interpret the same frames better.
 
 use dermis_skin::Skin;
 use serde_json::{Value, json};
 
 use crate::Error;
 
-/// Digits of a fingerprint that people are shown.
+/// Number of digits of a fingerprint shown to users.
 const SHOWN: usize = 12;
 
-/// What the frames of a skin depend on, by the keys of its file.
+/// Everything that the frames of a skin depend on, by the keys of its file.
 fn parts(skin: &Skin) -> [(&'static str, Value); 14] {
     let (front, back) = (&skin.frontend, &skin.backend);
     let kind = serde_json::to_value(&front.layer).ok().and_then(|layer| layer.get("kind").cloned());
@@ -32,8 +32,8 @@ fn parts(skin: &Skin) -> [(&'static str, Value); 14] {
     ]
 }
 
-/// SHA-256 of what the frames of a skin depend on: modality, shape, kind of layer, electrodes, coils, elements, drives,
-/// readings and their order.
+/// SHA-256 of everything that the frames of a skin depend on: modality, shape, kind of layer, electrodes, coils,
+/// elements, drives, readings and their order.
 ///
 /// ```
 /// use dermis_live::same_skin::frames_sha256;
@@ -50,10 +50,10 @@ pub fn frames_sha256(skin: &Skin) -> String {
     dermis_learn::sha256(json!(parts(skin).map(|(_, value)| value)).to_string().as_bytes())
 }
 
-/// Refuses frames of one skin that are to be read as those of another; `what` names the frames.
+/// Rejects frames of one skin for use with another; `what` names the frames.
 ///
 /// # Errors
-/// [`Error::OtherSkin`] with both names and what differs.
+/// [`Error::OtherSkin`] with both names and the differences.
 pub fn check_frames(what: &str, recorded: &Skin, wanted: &Skin) -> Result<(), Error> {
     let (of_recorded, of_wanted) = (parts(recorded), parts(wanted));
     let other = of_recorded.iter().zip(&of_wanted).filter(|((_, a), (_, b))| a != b);
@@ -69,7 +69,8 @@ pub fn check_frames(what: &str, recorded: &Skin, wanted: &Skin) -> Result<(), Er
     })
 }
 
-/// Refuses a calibration that carries the fingerprint of another skin; one without was made by an earlier version.
+/// Rejects a calibration with the fingerprint of another skin. One without a fingerprint was made by an earlier
+/// version.
 ///
 /// # Errors
 /// [`Error::OtherSkin`] with both names and fingerprints.

@@ -1,5 +1,5 @@
-//! The stages of the live pipeline between difference data and touches. None knows another: what one finds out is
-//! handed on by the pipeline.
+//! The stages of the live pipeline between difference data and touches. They do not know each other: the pipeline
+//! passes on their results.
 
 pub(crate) mod circuit;
 pub mod classes;

@@ -1,4 +1,4 @@
-//! Speed of the magnetic runtime tier: one frame of bodies over coils, and what is made once.
+//! Speed of the live magnetic model: one frame of bodies over coils, and the precomputations.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dermis_mit::sheet::{Plate, PlateCoupling, Plates, SheetMaterial};

@@ -1,5 +1,5 @@
-//! Edge elements against reference values: the cylinder and the plate over a pair of coils, and a coil over a large
-//! plate, with sizes and times. Reads the reference files' folder from the command line.
+//! Compares edge elements with reference values: the cylinder and the plate over a pair of coils, and a coil over a
+//! large plate, with problem sizes and times. Reads the folder of reference files from the command line.
 
 use std::error::Error;
 use std::time::Instant;
@@ -10,7 +10,7 @@ use serde_json::Value;
 
 const ALUMINIUM: Material = Material { conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
 
-/// Aluminium spheres of 5 mm against the closed form, worst of each degree.
+/// Aluminium spheres of 5 mm against the closed form; prints the worst error of each degree.
 fn spheres() -> Result<(), Box<dyn Error>> {
     for (frequency_hz, around) in [(1e3, 8), (1e3, 16), (2e4, 16)] {
         let depth = skin_depth_m(ALUMINIUM.conductivity_s_per_m, 1.0, frequency_hz)?;
@@ -57,7 +57,7 @@ fn octant(shape: &Shape, grading: &Grading) -> Result<EdgeMesh, Box<dyn Error>> 
     Ok(shape.mesh(grading)?.octant()?)
 }
 
-/// The coils of the reference around a body at the origin.
+/// The reference coils around a body at the origin.
 fn coils(centre: [f64; 3]) -> Result<[Coil; 2], Box<dyn Error>> {
     let coil = |x: f64| Coil::circular_spiral([x - centre[0], -centre[1], -centre[2]], 0.03, 0.07, 51);
     Ok([coil(-0.0375)?, coil(0.0375)?])

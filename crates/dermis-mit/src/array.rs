@@ -1,4 +1,4 @@
-//! Arrays of coils: of one description at many places, or of coils of any kind beside and over each other.
+//! Arrays of coils: identical coils at many places, or coils of any kind next to and above each other.
 
 use std::collections::HashMap;
 
@@ -9,31 +9,31 @@ use crate::coil_spec::CoilSpec;
 use crate::error::MitError;
 use crate::vector::{Vector, norm, subtract};
 
-/// Displacements of coils that differ by less are one, metres.
+/// Displacements between coils that differ by less than this are equal, metres.
 const SAME_M: f64 = 1e-10;
-/// Most coils of an array.
+/// Maximum number of coils in an array.
 pub const MOST_COILS: usize = 64;
 
-/// Coils beside each other, or over each other in layers.
+/// Coils next to each other, or stacked in layers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CoilArray {
     coils: Vec<Coil>,
 }
 
-/// What a drawing of a coil needs.
+/// Data for drawing a coil.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoilOutline {
     /// Outline of its turns.
     pub shape: CoilShape,
-    /// Its middle, metres.
+    /// Centre, metres.
     pub centre_m: [f64; 3],
-    /// Its outer width, metres: diameter or side.
+    /// Outer width, metres: diameter or side.
     pub outer_m: f64,
 }
 
 impl CoilArray {
-    /// Equal coils with their middles at these places, metres, numbered in this order. [`crate::CoilGrid`] makes
-    /// places.
+    /// Identical coils with their centres at these places, metres, numbered in this order. [`crate::CoilGrid`]
+    /// generates places.
     ///
     /// # Errors
     /// As [`CoilSpec::coil`] and [`CoilArray::of_coils`].
@@ -42,11 +42,11 @@ impl CoilArray {
         Self::of_coils(places_m.iter().map(|place| coil.clone().moved(*place)).collect())
     }
 
-    /// Coils of any kind.
+    /// An array of coils of any kind.
     ///
     /// # Errors
-    /// Fewer than 2 coils or more than [`MOST_COILS`], places that are not finite, coils that reach into each other:
-    /// coils may lie over each other only where their heights differ by the sum of their half heights at least.
+    /// Fewer than 2 coils or more than [`MOST_COILS`], non-finite positions, or overlapping coils. Coils may lie
+    /// above each other only if their heights differ by at least the sum of their half heights.
     pub fn of_coils(coils: Vec<Coil>) -> Result<Self, MitError> {
         for (k, coil) in coils.iter().enumerate() {
             if let Some(value) = coil.centre_m.into_iter().find(|x| !x.is_finite()) {
@@ -74,10 +74,10 @@ impl CoilArray {
         Ok(Self { coils })
     }
 
-    /// The same array over a perfectly conducting plane at a height below it.
+    /// The same array above a perfectly conducting plane at height `z_m`.
     ///
     /// # Errors
-    /// A height that is not finite, or not below all wire.
+    /// A height that is not finite or not below all wire.
     pub fn with_shield(self, z_m: f64) -> Result<Self, MitError> {
         let lowest_m =
             self.coils.iter().map(|coil| coil.centre_m[2] - coil.half_height_m).fold(f64::INFINITY, f64::min);
@@ -92,7 +92,7 @@ impl CoilArray {
         &self.coils
     }
 
-    /// Shape, middle and outer width of every coil, for drawing.
+    /// Shape, centre and outer width of every coil, for drawing.
     pub fn outlines(&self) -> Vec<CoilOutline> {
         let outline = |coil: &Coil| CoilOutline {
             shape: coil.shape(),
@@ -102,14 +102,14 @@ impl CoilArray {
         self.coils.iter().map(outline).collect()
     }
 
-    /// All pairs of two coils, (0, 1), (0, 2), ... (n-2, n-1): N(N-1)/2 channels.
+    /// All pairs of coils, (0, 1), (0, 2), ... (n-2, n-1): N(N-1)/2 channels.
     pub fn pairs(&self) -> Vec<[usize; 2]> {
         let count = self.coils.len();
         (0..count).flat_map(|a| (a + 1..count).map(move |b| [a, b])).collect()
     }
 
-    /// Mutual inductance of every pair without bodies, henries. Pairs of equal coils that lie alike share one
-    /// computation: a grid of 4 x 4 coils has 120 pairs and 24 displacements.
+    /// Mutual inductance of every pair without bodies, henries. Pairs of identical coils with the same displacement
+    /// share one computation: a grid of 4 x 4 coils has 120 pairs but only 24 displacements.
     pub fn mutuals_h(&self) -> Vec<f64> {
         let pairs = self.pairs();
         let kinds: Vec<usize> = (0..self.coils.len())
@@ -130,17 +130,17 @@ impl CoilArray {
         places.into_iter().map(|place| values[place]).collect()
     }
 
-    /// What the mutual inductance of a pair follows from: the kinds of both coils and how far they are apart, in steps
-    /// far below what changes it. A shield is at one distance below all coils of a kind.
+    /// Key that determines the mutual inductance of a pair: the kinds of both coils and their displacement, rounded
+    /// far below any effect. A shield is at the same distance below all coils of a kind.
     fn how_they_lie(&self, [a, b]: [usize; 2], kinds: &[usize]) -> [i64; 5] {
         let steps = subtract(self.coils[b].centre_m, self.coils[a].centre_m).map(|m| (m / SAME_M).round() as i64);
         let ([from, to], [x, y, z]) = ([kinds[a], kinds[b]].map(|kind| kind as i64), steps);
-        // The flux of one through the other is that of the other through the one.
+        // Mutual inductance is symmetric in the two coils.
         if (from, [x, y, z]) > (to, [-x, -y, -z]) { [to, from, -x, -y, -z] } else { [from, to, x, y, z] }
     }
 }
 
-/// True where two coils cover a place of the plane together; coils that touch do not.
+/// True if two coils overlap seen from above; touching coils do not.
 fn overlap_in_plan(a: &Coil, b: &Coil) -> bool {
     let [dx, dy, _]: Vector = subtract(a.centre_m, b.centre_m).map(f64::abs);
     let (needed_m, apart_m) = match (a.shape(), b.shape()) {
@@ -152,7 +152,7 @@ fn overlap_in_plan(a: &Coil, b: &Coil) -> bool {
     apart_m < needed_m * (1.0 - 1e-9)
 }
 
-/// Distance of a point from a square coil, by the point's distances from its middle along x and y; 0 inside.
+/// Distance of a point from a square coil, given its distances from the coil's centre along x and y; 0 inside.
 fn outside_square(square: &Coil, distances_m: [f64; 2]) -> f64 {
     let [x, y] = distances_m.map(|distance| (distance - square.half_width_m).max(0.0));
     x.hypot(y)

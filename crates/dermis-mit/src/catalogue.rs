@@ -1,6 +1,6 @@
-//! The bodies that elements of magnetic induction skins are for the fields: their multipole matrices tau come from edge
-//! elements once for a shape, a material and a frequency (seconds), and are kept: those of the built-in skins in the
-//! program, all others in a directory of the user's.
+//! Catalogue of the bodies that represent the elements of magnetic induction skins. Their multipole matrices tau are
+//! computed with edge elements once per shape, material and frequency (seconds) and stored: those of the built-in
+//! skins in the program, all others in the user's cache directory.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,46 +16,47 @@ use crate::polarizability::Polarizability;
 use crate::sphere::Sphere;
 use crate::vector::Complex;
 
-/// Frequencies of the program's own records, in Hz: the published band and the drives of the published skins.
+/// Frequencies of the built-in records, in Hz: the published band and the drive frequencies of the published skins.
 pub const SWEEP_HZ: [f64; 8] = [1e3, 2e3, 5e3, 10e3, 20e3, 30e3, 55e3, 100e3];
 
-/// What [`BodyRecord::format`] says.
+/// Value of [`BodyRecord::format`].
 const FORMAT: &str = "dermis-body-1";
-/// Relative differences of keys that count as none.
+/// Relative difference up to which keys are considered equal.
 const SAME: f64 = 1e-12;
-/// Harmonics are numbered from 0 in the files, entries below the diagonal are left out, as are zeros.
+/// Row, column, real part, imaginary part. Files number harmonics from 0 and omit zeros and entries below the
+/// diagonal.
 type Entry = (usize, usize, f64, f64);
 
 const MM: f64 = 1e-3;
 
-/// An element's tau on disk.
+/// The tau of an element on disk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BodyRecord {
     /// `dermis-body-1`.
     pub format: String,
-    /// Of what.
+    /// The element.
     pub element: Element,
-    /// At which frequency.
+    /// The frequency.
     pub frequency_hz: f64,
-    /// Highest degree of the harmonics; those of another are of no use here.
+    /// Maximum degree of the harmonics; records with another degree cannot be used.
     pub degree: usize,
-    /// Row, column, real and imaginary part of the entries on and above the diagonal that are not zero; harmonics in
-    /// the order of [`crate::regular`], counted from 0; entry (i, j) in H.m^(li + lj).
+    /// Row, column, real and imaginary part of the nonzero entries on and above the diagonal. Harmonics are in the
+    /// order of [`crate::regular`], counted from 0; entry (i, j) is in H.m^(li + lj).
     pub tau: Vec<Entry>,
 }
 
-/// Its answer at a frequency: closed form for a ball, else from the program's own records, the cache, or edge elements,
-/// in this order; what was computed goes into the cache.
+/// The response of an element at a frequency: in closed form for a ball, otherwise from the built-in records, the
+/// cache, or edge elements, in this order. Computed results go into the cache.
 ///
 /// # Errors
-/// Sizes, conductivity or permeability that make no sense, a frequency outside 1 Hz to 1 MHz. A cache that cannot be
-/// read or written is only warned of.
+/// Invalid sizes, conductivity or permeability, or a frequency outside 1 Hz to 1 MHz. A cache that cannot be read or
+/// written only causes a warning.
 pub fn body_of(element: &Element, frequency_hz: f64) -> Result<Polarizability, MitError> {
     body_cached(element, frequency_hz, cache_directory().as_deref())
 }
 
-/// Whether [`body_of`] has to solve for this element: no closed form, not in the program, not in the cache.
+/// True if [`body_of`] has to solve for this element: no closed form, no built-in record and no cached one.
 pub fn needs_solving(element: &Element, frequency_hz: f64) -> bool {
     let is_built_in =
         || builtin_records().is_ok_and(|records| records.iter().any(|record| record.is_of(element, frequency_hz)));
@@ -63,7 +64,7 @@ pub fn needs_solving(element: &Element, frequency_hz: f64) -> bool {
     !matches!(element.shape, ElementShape::Sphere { .. }) && !is_built_in() && !is_kept()
 }
 
-/// [`body_of`] with a cache of one's own, or none.
+/// [`body_of`] with a given cache directory, or without a cache.
 ///
 /// # Errors
 /// As [`body_of`].
@@ -93,7 +94,7 @@ pub fn body_cached(element: &Element, frequency_hz: f64, cache: Option<&Path>) -
     record.body()
 }
 
-/// By edge elements of second order ([`body_tau`]); seconds.
+/// Computes a record with second-order edge elements ([`body_tau`]); takes seconds.
 ///
 /// # Errors
 /// As [`body_of`].
@@ -157,10 +158,10 @@ impl BodyRecord {
         self.degree == MOST_DEGREE && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME * b.abs())
     }
 
-    /// As a body over coils.
+    /// The record as a body over coils.
     ///
     /// # Errors
-    /// Entries that do not exist, numbers that are not finite.
+    /// Entries that do not exist, or non-finite numbers.
     pub fn body(&self) -> Result<Polarizability, MitError> {
         let mut tau = vec![Complex::new(0.0, 0.0); HARMONICS * HARMONICS];
         for &(i, j, re, im) in &self.tau {
@@ -181,16 +182,16 @@ impl BodyRecord {
     }
 }
 
-/// Those that come with the program: of the built-in skins, and the larger of their two kinds from 1 to 100 kHz.
+/// The built-in records: those of the built-in skins, and the larger of their two kinds from 1 to 100 kHz.
 ///
 /// # Errors
-/// None, as a test sees to.
+/// Never, as a test ensures.
 pub fn builtin_records() -> Result<Vec<BodyRecord>, MitError> {
     serde_json::from_str(include_str!("../bodies.json"))
         .map_err(|error| MitError::Record { what: "bodies.json".into(), reason: error.to_string() })
 }
 
-/// `$DERMIS_CACHE`, or `dermis` in the user's directory for caches; none where there is neither.
+/// `$DERMIS_CACHE`, or `dermis` in the user's cache directory; `None` if neither exists.
 pub fn cache_directory() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     set("DERMIS_CACHE")
@@ -203,7 +204,7 @@ fn write(file: &Path, record: &BodyRecord) -> std::io::Result<()> {
     if let Some(directory) = file.parent() {
         fs::create_dir_all(directory)?;
     }
-    // Whole or not at all, whoever else writes the same.
+    // Atomic, even if several processes write the same record.
     let beside = file.with_extension(format!("partial-{}", std::process::id()));
     fs::write(&beside, text)?;
     fs::rename(&beside, file)

@@ -1,5 +1,5 @@
-//! Coils as sets of filaments: circular and square spirals by concentric loops, solenoids in layers, annular sheets;
-//! with a calibration to a measured inductance, and images in a shield.
+//! Coils as sets of filaments: circular and square spirals as concentric loops, solenoids in layers, annular sheets.
+//! Includes calibration to a measured inductance, and images in a shield.
 
 use crate::error::{MitError, positive};
 use crate::harmonics::{HARMONICS, expansion};
@@ -7,9 +7,9 @@ use crate::ring::Ring;
 use crate::segment::Segment;
 use crate::vector::{Vector, add, dot, norm, scaled, subtract};
 
-/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
+/// Radius of the sphere for field expansions, relative to the distance of the nearest wire.
 const PROBE: f64 = 0.02;
-/// Pieces of wire no farther apart than this are one, metres.
+/// Distance up to which two pieces of wire coincide, metres.
 const SAME_M: f64 = 1e-12;
 
 /// One piece of a winding.
@@ -43,12 +43,12 @@ impl Filament {
         }
     }
 
-    /// The same, mirrored in a plane of constant z.
+    /// The mirror image in a plane of constant z.
     fn mirrored(&self, z_m: f64) -> Self {
         let across = |p: Vector| [p[0], p[1], 2.0 * z_m - p[2]];
         match *self {
             Self::Ring(ring) => Self::Ring(Ring {
-                // An axis is a pseudovector: a loop seen in a mirror turns the same way about the mirrored normal,
+                // An axis is a pseudovector: the mirrored loop turns the same way about the mirrored normal,
                 // reversed.
                 centre_m: across(ring.centre_m),
                 axis: [-ring.axis[0], -ring.axis[1], ring.axis[2]],
@@ -65,7 +65,7 @@ impl Filament {
         }
     }
 
-    /// True where two pieces are one, but for rounding.
+    /// True if two pieces are identical up to rounding.
     fn is_same(&self, other: &Self) -> bool {
         let near = |p: Vector, q: Vector| norm(subtract(p, q)) < SAME_M;
         match (self, other) {
@@ -82,7 +82,7 @@ impl Filament {
             (Self::Ring(a), Self::Ring(b)) if a == b => a.self_inductance_h(least_m),
             (Self::Ring(a), Self::Ring(b)) => a.mutual_h(b),
             (Self::Segment(a), Self::Segment(b)) => a.mutual_h(b, least_m),
-            // The potential of the loop along the segment, in steps.
+            // Integrates the loop's potential along the segment, in steps.
             (Self::Ring(ring), Self::Segment(segment)) | (Self::Segment(segment), Self::Ring(ring)) => {
                 const STEPS: usize = 64;
                 let along = subtract(segment.to_m, segment.from_m);
@@ -96,27 +96,27 @@ impl Filament {
 /// Outline of a coil's turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CoilShape {
-    /// Circles about the coil's middle.
+    /// Circles around the coil's centre.
     Round,
-    /// Squares about the coil's middle, sides along x and y.
+    /// Squares around the coil's centre, with sides along x and y.
     Square,
 }
 
 /// A winding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Coil {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub centre_m: Vector,
-    /// From the middle to the outermost wire along x or y, metres.
+    /// Distance from the centre to the outermost wire along x or y, metres.
     pub half_width_m: f64,
-    /// From the middle to the highest wire along z, metres.
+    /// Distance from the centre to the highest wire along z, metres.
     pub half_height_m: f64,
     shape: CoilShape,
-    /// Wire, 1 A in each.
+    /// Wires with 1 A each.
     filaments: Vec<Filament>,
-    /// Wire of images in a shield, -1 A in each.
+    /// Image wires in a shield, with -1 A each.
     images: Vec<Filament>,
-    /// What fields and fluxes are multiplied by: turns that a filament stands for.
+    /// Factor on fields and fluxes: number of turns per filament.
     scale: f64,
     /// Geometric mean distance of the wire from itself, metres.
     mean_distance_m: f64,
@@ -124,35 +124,35 @@ pub struct Coil {
 
 /// Geometric mean distance of a round wire from itself, relative to its diameter: `e^(-1/4) / 2`.
 pub(crate) const ROUND: f64 = 0.389_400_391_535_702_4;
-/// Diameter of the wire of a spiral whose wire is not known, relative to the distance of its turns.
+/// Wire diameter of a spiral with unknown wire, relative to the distance between turns.
 pub(crate) const WIRE_SHARE: f64 = 0.8;
 
-/// A section filled with filaments: side by side from the inner width outward, in layers one over another.
+/// A cross-section filled with filaments: side by side from the inner width outward, in stacked layers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WindingSection {
     pub(crate) shape: CoilShape,
-    /// Clear width, metres.
+    /// Inner width, metres.
     pub(crate) inner_m: f64,
     /// Half the outer width, metres.
     pub(crate) half_width_m: f64,
-    /// Filaments side by side, and their distance in metres.
+    /// Number of filaments side by side, and their distance in metres.
     pub(crate) across: (usize, f64),
-    /// Layers, and their distance in metres.
+    /// Number of layers, and their distance in metres.
     pub(crate) layers: (usize, f64),
-    /// Turns that a filament stands for.
+    /// Number of turns per filament.
     pub(crate) turns_each: f64,
-    /// Height of what carries the current, metres.
+    /// Height of the conductor, metres.
     pub(crate) conductor_height_m: f64,
-    /// Its geometric mean distance from itself, metres.
+    /// Geometric mean distance of the conductor from itself, metres.
     pub(crate) mean_distance_m: f64,
 }
 
 impl Coil {
-    /// A flat circular spiral by concentric rings in the middle of each turn's share of the width; round wire that
-    /// fills 80 % of the pitch.
+    /// A flat circular spiral, modelled as concentric rings in the middle of each turn's share of the width; round
+    /// wire that fills 80 % of the pitch.
     ///
     /// # Errors
-    /// Diameters that are not positive or not in order, no turns.
+    /// Diameters that are not positive or not in order, or no turns.
     pub fn circular_spiral(
         centre_m: Vector,
         inner_diameter_m: f64,
@@ -163,7 +163,7 @@ impl Coil {
         Ok(Self::spiral(centre_m, CoilShape::Round, [inner_diameter_m, outer_diameter_m], (turns, pitch)))
     }
 
-    /// A flat square spiral by concentric squares, sides along x and y.
+    /// A flat square spiral, modelled as concentric squares with sides along x and y.
     ///
     /// # Errors
     /// As [`Coil::circular_spiral`], with widths.
@@ -191,11 +191,11 @@ impl Coil {
         Self::filled(centre_m, &section)
     }
 
-    /// A coil wound in layers of equal turns: layers from the inner diameter outward, turns along the length below and
-    /// above the centre.
+    /// A coil wound in layers with equal numbers of turns: layers from the inner diameter outward, turns along the
+    /// length below and above the centre.
     ///
     /// # Errors
-    /// Sizes that are not positive, no turns, no layers.
+    /// Sizes that are not positive, no turns, or no layers.
     pub fn solenoid(
         centre_m: Vector,
         inner_diameter_m: f64,
@@ -243,19 +243,19 @@ impl Coil {
         }
     }
 
-    /// The same coil with another geometric mean distance of its wire (only the self inductance knows it).
+    /// The same coil with another geometric mean distance of its wire, which only affects the self inductance.
     pub fn with_mean_distance(mut self, mean_distance_m: f64) -> Self {
         self.mean_distance_m = mean_distance_m;
         self
     }
 
-    /// The same coil over a perfectly conducting plane at a height below it: mirror images with the current reversed.
+    /// The same coil above a perfectly conducting plane at height `z_m`: mirror images with reversed current.
     pub fn with_shield(mut self, z_m: f64) -> Self {
         self.images = self.filaments.iter().map(|filament| filament.mirrored(z_m)).collect();
         self
     }
 
-    /// The same coil elsewhere.
+    /// The same coil, displaced.
     pub fn moved(mut self, by_m: Vector) -> Self {
         self.centre_m = add(self.centre_m, by_m);
         self.filaments.iter_mut().for_each(|filament| *filament = filament.moved(by_m));
@@ -263,8 +263,8 @@ impl Coil {
         self
     }
 
-    /// Scales fields and fluxes so that the self inductance is a measured one: real windings have somewhat more turns
-    /// than their model. Returns the coil and the factor on the turns.
+    /// Scales fields and fluxes to match a measured self inductance: real windings have slightly more turns than
+    /// their model. Returns the coil and the factor on the turns.
     ///
     /// # Errors
     /// An inductance that is not positive.
@@ -280,7 +280,7 @@ impl Coil {
         &self.filaments
     }
 
-    /// Wire of images in a shield, in which the current is reversed.
+    /// Image wires in a shield, with reversed current.
     pub fn images(&self) -> &[Filament] {
         &self.images
     }
@@ -290,12 +290,12 @@ impl Coil {
         self.shape
     }
 
-    /// Turns that a filament stands for: 1, more where many turns are lumped, times effective over nominal turns.
+    /// Number of turns per filament: 1, or more if turns are lumped, times the ratio of effective to nominal turns.
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// True where all wire is rings about one axis along z, and no image is left out of that.
+    /// True if all wire, including images, consists of rings around one axis along z.
     pub fn is_axisymmetric(&self) -> bool {
         self.filaments.iter().chain(&self.images).all(|filament| match filament {
             Filament::Ring(ring) => {
@@ -306,13 +306,13 @@ impl Coil {
         })
     }
 
-    /// True where all wire is squares about one axis along z, sides along x and y.
+    /// True if all wire consists of squares around one axis along z, with sides along x and y.
     pub(crate) fn is_of_squares(&self) -> bool {
         let is_corner = |p: Vector| {
             let [x, y, _] = subtract(p, self.centre_m);
             (x.abs() - y.abs()).abs() < SAME_M
         };
-        // Segments stand four by four, each square's one after the other.
+        // The segments are in groups of four, one square after another.
         let is_square = |sides: &[Filament]| {
             let corner = |side: &Filament| match side {
                 Filament::Segment(segment) => Some((segment.from_m, segment.to_m)),
@@ -345,17 +345,17 @@ impl Coil {
         self.sum(|filament| filament.flux_density(point_m))
     }
 
-    /// Least distance of the wire from a point, metres.
+    /// Minimum distance of the wire from a point, metres.
     pub fn distance_m(&self, point_m: Vector) -> f64 {
         self.filaments.iter().map(|filament| filament.distance_m(point_m)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Expansion of its field around a point off the wire, per ampere: see [`crate::expansion`].
+    /// Expansion of the coil's field around a point off the wire, per ampere: see [`crate::expansion`].
     pub fn expansion(&self, centre_m: Vector) -> [f64; HARMONICS] {
         expansion(centre_m, PROBE * self.distance_m(centre_m), |p| self.flux_density(p))
     }
 
-    /// Mutual inductance, henries: the flux of the other coil, and of its images, through this one's wire.
+    /// Mutual inductance, henries: the flux of the other coil and its images through this coil's wire.
     pub fn mutual_h(&self, other: &Coil) -> f64 {
         let pairs = |sources: &[Filament]| -> f64 {
             let least = self.mean_distance_m;
@@ -365,7 +365,7 @@ impl Coil {
         self.scale * other.scale * (pairs(&other.filaments) - images)
     }
 
-    /// True where this coil is another one moved, images included.
+    /// True if this coil is a displaced copy of the other, including images.
     pub(crate) fn is_moved(&self, other: &Coil) -> bool {
         let by = subtract(self.centre_m, other.centre_m);
         let same = |a: &[Filament], b: &[Filament]| {
@@ -383,7 +383,7 @@ impl Coil {
     }
 }
 
-/// One turn of this half width about a point.
+/// One turn with this half width around a point.
 fn turn(shape: CoilShape, centre_m: Vector, half: f64, filaments: &mut Vec<Filament>) {
     match shape {
         CoilShape::Round => filaments.push(Filament::Ring(Ring::flat(centre_m, half))),

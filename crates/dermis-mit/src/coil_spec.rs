@@ -1,82 +1,82 @@
-//! Descriptions of coils and of their places: any flat or layered winding of round or square turns, on a grid or at
-//! listed places. A [`crate::CoilArray`] is made of one such description and of places.
+//! Descriptions of coils and their positions: any flat or layered winding of round or square turns, on a grid or at
+//! listed places. A [`crate::CoilArray`] is made from one description and several places.
 //!
 //! Turns fill the space between inner and outer width evenly, in equal layers around the coil's middle plane; each is
-//! one closed filament in the middle of its share. The conductor enters the self inductance alone, by its geometric
-//! mean distance from itself: `e^(-1/4) d / 2` of round wire, `0.2235 (w + t)` of a track (Grover, Inductance
-//! Calculations, 1946, ch. 3). Windings of more than 128 turns are lumped: one filament stands for several turns, and
-//! its geometric mean distance is that of the rectangle that these fill.
+//! one closed filament in the middle of its share. The conductor only affects the self inductance, through its
+//! geometric mean distance from itself: `e^(-1/4) d / 2` for round wire, `0.2235 (w + t)` for a track (Grover,
+//! Inductance Calculations, 1946, ch. 3). Windings of more than 128 turns are lumped: one filament stands for several
+//! turns, and has the geometric mean distance of the rectangle they fill.
 
 use crate::coil::{Coil, CoilShape, ROUND, WIRE_SHARE, WindingSection};
 use crate::error::{MitError, positive};
 use crate::vector::Vector;
 
-/// Most turns of a coil.
+/// Maximum number of turns of a coil.
 pub const MOST_TURNS: usize = 10_000;
-/// Most filaments that a coil is modelled by.
+/// Maximum number of filaments in a coil's model.
 const MOST_FILAMENTS: usize = 128;
-/// Layers of filaments where many turns are lumped across and along.
+/// Number of filament layers if turns are lumped both across and along.
 const LUMPED_LAYERS: usize = 8;
-/// Geometric mean distance of a rectangle from itself over the sum of its sides.
+/// Geometric mean distance of a rectangle from itself, relative to the sum of its sides.
 const RECTANGLE: f64 = 0.2235;
-/// Share by which sizes that should be equal may differ, as decimals of a file do.
+/// Relative difference permitted between sizes that should be equal, for decimals in a file.
 const ROUNDING: f64 = 1e-9;
 
-/// What carries the current of a coil.
+/// Conductor of a coil.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Conductor {
-    /// Round wire, of which only the diameter relative to the distance of neighbouring turns is known; 0.8 is usual.
+    /// Round wire with known diameter only relative to the distance between neighbouring turns; 0.8 is typical.
     PitchShare(f64),
     /// Round wire.
     Wire {
-        /// Its diameter without insulation, metres.
+        /// Diameter without insulation, metres.
         diameter_m: f64,
     },
-    /// A track of rectangular section, as on a circuit board.
+    /// A track with rectangular cross-section, as on a circuit board.
     Track {
-        /// Its width, metres.
+        /// Width, metres.
         width_m: f64,
-        /// Its thickness, metres.
+        /// Thickness, metres.
         thickness_m: f64,
     },
 }
 
-/// A coil, wherever it stands.
+/// A coil, independent of its position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoilSpec {
     /// Outline of its turns.
     pub shape: CoilShape,
-    /// Clear width inside, metres: the diameter of round coils, the side of square ones.
+    /// Inner width, metres: the diameter of round coils, the side of square ones.
     pub inner_m: f64,
-    /// Width outside, metres.
+    /// Outer width, metres.
     pub outer_m: f64,
-    /// All turns together, 1 to [`MOST_TURNS`]; a multiple of the layers.
+    /// Total number of turns, 1 to [`MOST_TURNS`]; a multiple of the number of layers.
     pub turns: usize,
-    /// Layers one over another.
+    /// Number of stacked layers.
     pub layers: usize,
-    /// Distance of neighbouring layers, metres; without meaning for one layer.
+    /// Distance between neighbouring layers, metres; ignored for a single layer.
     pub layer_pitch_m: f64,
-    /// What carries the current.
+    /// The conductor.
     pub conductor: Conductor,
-    /// Measured self inductance, henries: fields are scaled to it. `None` leaves what the geometry gives.
+    /// Measured self inductance, henries, to which fields are scaled. `None` keeps the value from the geometry.
     pub inductance_h: Option<f64>,
 }
 
 impl CoilSpec {
-    /// A flat spiral of one layer, of round wire that fills 80 % of the turns' distance.
+    /// A flat single-layer spiral of round wire that fills 80 % of the distance between turns.
     pub const fn spiral(shape: CoilShape, inner_m: f64, outer_m: f64, turns: usize) -> Self {
         let conductor = Conductor::PitchShare(WIRE_SHARE);
         Self { shape, inner_m, outer_m, turns, layers: 1, layer_pitch_m: 0.0, conductor, inductance_h: None }
     }
 
-    /// A single turn of round wire whose middle line has this diameter (round) or side (square), metres.
+    /// A single turn of round wire whose centre line has this diameter (round) or side (square), metres.
     pub const fn single_turn(shape: CoilShape, width_m: f64, wire_diameter_m: f64) -> Self {
         let conductor = Conductor::Wire { diameter_m: wire_diameter_m };
         let (inner_m, outer_m) = (width_m - wire_diameter_m, width_m + wire_diameter_m);
         Self { shape, inner_m, outer_m, turns: 1, layers: 1, layer_pitch_m: 0.0, conductor, inductance_h: None }
     }
 
-    /// The same coil of a measured self inductance, henries.
+    /// The same coil with a measured self inductance, henries.
     pub const fn with_inductance(mut self, inductance_h: f64) -> Self {
         self.inductance_h = Some(inductance_h);
         self
@@ -85,8 +85,9 @@ impl CoilSpec {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// Widths that are not positive or not in order, turns outside 1 to [`MOST_TURNS`] or not a multiple of the layers,
-    /// a conductor thicker than the distance of turns or layers, an inductance that is not positive.
+    /// Widths that are not positive or not in order, a number of turns outside 1 to [`MOST_TURNS`] or not a multiple
+    /// of the layers, a conductor thicker than the distance between turns or layers, or an inductance that is not
+    /// positive.
     pub fn check(&self) -> Result<(), MitError> {
         positive("inner_m", self.inner_m)?;
         positive("outer_m", self.outer_m)?;
@@ -136,11 +137,11 @@ impl CoilSpec {
         }
     }
 
-    /// The coil with its middle at a place, metres.
+    /// The coil with its centre at a place, metres.
     ///
     /// # Errors
-    /// As [`CoilSpec::check`]; a place that is not finite; a conductor so thick for its turn that the formula of the
-    /// self inductance does not hold.
+    /// As [`CoilSpec::check`]; a position that is not finite; a conductor too thick for its turn, so that the formula
+    /// for the self inductance does not hold.
     pub fn coil(&self, centre_m: Vector) -> Result<Coil, MitError> {
         self.check()?;
         if let Some(value) = centre_m.into_iter().find(|x| !x.is_finite()) {
@@ -160,15 +161,15 @@ impl CoilSpec {
         self.turns / self.layers
     }
 
-    /// Distance of the middles of turns beside each other that fill the width evenly, metres.
+    /// Distance between neighbouring turns that fill the width evenly, metres.
     pub fn even_pitch_m(&self) -> f64 {
         0.5 * (self.outer_m - self.inner_m) / self.turns_per_layer() as f64
     }
 
-    /// Filaments of this coil.
+    /// The filaments of this coil.
     fn section(&self) -> WindingSection {
         let even_m = self.even_pitch_m();
-        // Turns that touch are a wire apart, free of the rounding of outer less inner.
+        // Touching turns are exactly one wire diameter apart; avoids the rounding of outer minus inner.
         let pitch_m = match self.conductor {
             Conductor::Wire { diameter_m } if (even_m / diameter_m - 1.0).abs() < ROUNDING => diameter_m,
             _ => even_m,
@@ -196,7 +197,7 @@ impl CoilSpec {
     }
 }
 
-/// Fewer filaments for many turns, in the same section.
+/// Reduces the number of filaments in the same cross-section.
 fn lump(section: &mut WindingSection) {
     let ((across, pitch_m), (layers, layer_pitch_m)) = (section.across, section.layers);
     let fewer_across = across.min(MOST_FILAMENTS / layers.min(LUMPED_LAYERS));
@@ -211,25 +212,25 @@ fn lump(section: &mut WindingSection) {
     section.mean_distance_m = RECTANGLE * (width_m + height_m);
 }
 
-/// Places on a grid around the origin, in the plane z = 0, numbered row by row from the bottom left.
+/// Positions on a grid around the origin, in the plane z = 0, numbered row by row from the bottom left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CoilGrid {
-    /// Rows, along y.
+    /// Number of rows, along y.
     pub rows: usize,
-    /// Columns, along x.
+    /// Number of columns, along x.
     pub columns: usize,
-    /// Distance of neighbours along x and y, metres.
+    /// Distance between neighbours along x and y, metres.
     pub pitch_m: [f64; 2],
-    /// Numbers of the places that stay empty, from 1, all places counted.
+    /// Numbers of the positions that stay empty, counted from 1 over all positions.
     pub left_out: Vec<usize>,
 }
 
 impl CoilGrid {
-    /// Places of the coils, metres; those after a place that is left out move up in number.
+    /// Positions of the coils, metres; empty positions are not counted in their numbers.
     ///
     /// # Errors
-    /// No rows or columns or more than 64 of either, pitches that are not positive, a place left out that is not on the
-    /// grid or is named twice.
+    /// No rows or columns or more than 64 of either, pitches that are not positive, or an empty position that is not
+    /// on the grid or is listed twice.
     pub fn places_m(&self) -> Result<Vec<Vector>, MitError> {
         for (field, count) in [("rows", self.rows), ("columns", self.columns)] {
             if !(1..=64).contains(&count) {

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-/// Magnetic constant, H/m, as all references here take it.
+/// Magnetic constant, H/m, with the value used by all references here.
 pub const MU0: f64 = 4e-7 * PI;
 
 /// `4 pi mu0`, henries per metre.

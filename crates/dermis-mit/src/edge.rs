@@ -1,11 +1,13 @@
-//! Eddy currents by edge elements: Nedelec's first kind (Numerische Mathematik 35, 1980), of first and second order, on
-//! tetrahedra with straight or parabolic edges, around conducting and permeable bodies in the field of given coils.
+//! Eddy currents with edge elements: Nedelec's first kind (Numerische Mathematik 35, 1980), of first and second
+//! order, on tetrahedra with straight or parabolic edges, around conducting and permeable bodies in the field of
+//! given coils.
 //!
-//! With `A = As + Ar`, `As` that of the coils in free space, and everything divided by `nu0 = 1/mu0`:
-//! `int 1/mu_r curl Ar.curl v + j w mu0 sigma Ar.v + eps Ar.v = -int j w mu0 sigma As.v + (1/mu_r - 1) Bs.curl v`, so
-//! no coil is in the mesh; `Ar` has no tangential part on the outer boundary. The regularisation `eps` (per square
-//! metre) makes the potential in air unique. The change of a mutual inductance (lossy: its imaginary part is negative)
-//! is, by reciprocity, `dM_mn = -1/mu0 int j w mu0 sigma (As_m + Ar_m).As_n + (1/mu_r - 1)(Bs_m + Br_m).Bs_n`.
+//! With `A = As + Ar`, where `As` is the coils' potential in free space, and everything divided by `nu0 = 1/mu0`:
+//! `int 1/mu_r curl Ar.curl v + j w mu0 sigma Ar.v + eps Ar.v = -int j w mu0 sigma As.v + (1/mu_r - 1) Bs.curl v`. So
+//! the coils are not in the mesh, and `Ar` has no tangential component on the outer boundary. The regularisation
+//! `eps` (per square metre) makes the potential in air unique. By reciprocity, the change of a mutual inductance
+//! (lossy: its imaginary part is negative) is
+//! `dM_mn = -1/mu0 int j w mu0 sigma (As_m + Ar_m).As_n + (1/mu_r - 1)(Bs_m + Br_m).Bs_n`.
 
 mod cocg;
 mod elements;

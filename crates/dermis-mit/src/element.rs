@@ -1,4 +1,4 @@
-//! The conducting elements of a skin: their shapes in a skin file's millimetres, and as bodies.
+//! The conducting elements of a skin: their shapes in millimetres as in a skin file, and as bodies.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,39 +13,39 @@ const MM: f64 = 1e-3;
 pub enum ElementShape {
     /// A ball.
     Sphere {
-        /// Its diameter.
+        /// Diameter of the ball.
         diameter_mm: f64,
     },
-    /// An upright cylinder; in the model of images the sphere of its volume.
+    /// An upright cylinder; imaging models it as a sphere of equal volume.
     Cylinder {
-        /// Its diameter.
+        /// Diameter of the cylinder.
         diameter_mm: f64,
-        /// Its height.
+        /// Height of the cylinder.
         height_mm: f64,
     },
-    /// A square plate that lies, sides along x and y; in the model of images the sphere of its volume.
+    /// A horizontal square plate with sides along x and y; imaging models it as a sphere of equal volume.
     Plate {
-        /// Its side.
+        /// Side of the plate.
         side_mm: f64,
-        /// Its thickness.
+        /// Thickness of the plate.
         height_mm: f64,
     },
 }
 
-/// A body of metal.
+/// A metal body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Element {
-    /// Its shape, upright.
+    /// Shape, upright.
     pub shape: ElementShape,
-    /// Its conductivity.
+    /// Conductivity.
     pub conductivity_s_per_m: f64,
-    /// Its permeability over that of vacuum, 1 where it is not magnetic.
+    /// Relative permeability, 1 if it is not magnetic.
     pub relative_permeability: f64,
 }
 
 impl ElementShape {
-    /// Radius of the sphere of its volume, metres.
+    /// Radius of the sphere of equal volume, metres.
     pub fn volume_radius_m(&self) -> f64 {
         match self {
             Self::Sphere { diameter_mm } => 0.5 * diameter_mm * MM,
@@ -56,7 +56,7 @@ impl ElementShape {
         }
     }
 
-    /// Radius of the largest ball within it, metres.
+    /// Radius of the largest inscribed ball, metres.
     pub fn inner_radius_m(&self) -> f64 {
         0.5 * MM
             * match *self {
@@ -66,7 +66,7 @@ impl ElementShape {
             }
     }
 
-    /// The body, metres.
+    /// The solid, metres.
     pub fn solid(&self) -> Solid {
         match *self {
             Self::Sphere { diameter_mm } => Solid::Sphere { radius_m: 0.5 * diameter_mm * MM },

@@ -1,19 +1,19 @@
-//! Real solid harmonics, in which fields near a body and around it are expanded.
+//! Real solid harmonics, for expanding fields near a body and around it.
 //!
-//! Schmidt's semi-normalisation: `h_1 = z, x, y`; the mean of the square of a harmonic of degree l over the unit sphere
-//! is `1 / (2l + 1)`. Order: degree by degree, in each `m = 0`, then cosine and sine of 1, 2, ... l. With
-//! `C_m + j S_m = (x + j y)^m` a harmonic is `N P_l^m C_m` or `N P_l^m S_m`, `N = sqrt(2 (l - m)!/(l + m)!)` (1 for m =
-//! 0), with `P_m^m = (2m - 1)!!` and `(l - m) P_l^m = (2l - 1) z P_(l-1)^m - (l + m - 1) r^2 P_(l-2)^m`, whose
-//! derivatives are `(l + m) P_(l-1)^m` by z and `-x P_(l-1)^(m+1)` by x.
+//! Schmidt semi-normalisation: `h_1 = z, x, y`; the mean square of a harmonic of degree l over the unit sphere is
+//! `1 / (2l + 1)`. Order: by degree, and within a degree `m = 0`, then cosine and sine of 1, 2, ... l. With
+//! `C_m + j S_m = (x + j y)^m`, a harmonic is `N P_l^m C_m` or `N P_l^m S_m`, where `N = sqrt(2 (l - m)!/(l + m)!)`
+//! (1 for m = 0), `P_m^m = (2m - 1)!!` and `(l - m) P_l^m = (2l - 1) z P_(l-1)^m - (l + m - 1) r^2 P_(l-2)^m`. The
+//! derivatives of `P_l^m` are `(l + m) P_(l-1)^m` with respect to z and `-x P_(l-1)^(m+1)` with respect to x.
 
 use std::sync::LazyLock;
 
 use crate::constants::MU0;
 use crate::vector::{Vector, add, dot, norm, scaled};
 
-/// Highest degree.
+/// Maximum degree.
 pub const MOST_DEGREE: usize = 5;
-/// Harmonics of degree 1 to [`MOST_DEGREE`].
+/// Number of harmonics of degree 1 to [`MOST_DEGREE`].
 pub const HARMONICS: usize = (MOST_DEGREE + 1) * (MOST_DEGREE + 1) - 1;
 
 /// Degree of each harmonic.
@@ -32,12 +32,12 @@ const fn degrees() -> [usize; HARMONICS] {
     degrees
 }
 
-/// Where a harmonic of order m stands: of the cosine (m = 0 has no other), and of the sine beside it.
+/// Index of a harmonic of order m: the cosine (the only one for m = 0), with the sine right after it.
 pub(crate) fn index(degree: usize, order: usize) -> usize {
     degree * degree - 1 + if order == 0 { 0 } else { 2 * order - 1 }
 }
 
-/// One more than the highest degree.
+/// One more than the maximum degree.
 const SIZE: usize = MOST_DEGREE + 1;
 
 /// P, C and S at a point.
@@ -48,7 +48,7 @@ struct Parts {
 }
 
 impl Parts {
-    /// Up to a degree.
+    /// Computes them up to a degree.
     fn new([x, y, z]: Vector, degree: usize) -> Self {
         let squared = x * x + y * y + z * z;
         let (mut p, mut cosine, mut sine) = ([[0.0; SIZE]; SIZE], [0.0; SIZE], [0.0; SIZE]);
@@ -80,7 +80,7 @@ pub fn regular(point_m: Vector) -> [f64; HARMONICS] {
     regular_to(point_m, MOST_DEGREE)
 }
 
-/// The same up to a degree; zero beyond.
+/// The same up to a degree; zero above it.
 fn regular_to(point_m: Vector, degree: usize) -> [f64; HARMONICS] {
     let (parts, norms) = (Parts::new(point_m, degree), &*NORMALISATION);
     let mut values = [0.0; HARMONICS];
@@ -117,16 +117,16 @@ pub fn regular_gradients(point_m: Vector) -> [Vector; HARMONICS] {
     gradients
 }
 
-/// Cosines and weights of Gauss and Legendre on [-1, 1], 6 points.
+/// Nodes (as cosines) and weights of 6-point Gauss-Legendre quadrature on [-1, 1].
 const GAUSS: [(f64, f64); 3] = [
     (0.238_619_186_083_196_9, 0.467_913_934_572_691_05),
     (0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
     (0.932_469_514_203_152, 0.171_324_492_379_170_35),
 ];
-/// Points of a circle of the quadrature.
+/// Number of quadrature points per circle.
 const AROUND: usize = 12;
 
-/// Points of [`sphere_points`] with the harmonics there.
+/// Points of [`sphere_points`] with their harmonics.
 static SPHERE: LazyLock<Vec<(Vector, f64, [f64; HARMONICS])>> =
     LazyLock::new(|| sphere_points().map(|(direction, weight)| (direction, weight, regular(direction))).collect());
 
@@ -142,10 +142,10 @@ fn sphere_points() -> impl Iterator<Item = (Vector, f64)> {
 }
 
 /// Coefficients c of the scalar potential `h = sum c_i h_i` with `B = -mu0 grad h` around a centre, from the flux
-/// density (tesla) on a sphere of that radius, metres: degree by degree `c = -(2l + 1) <B_r Y> / (mu0 l r^(l-1))`. The
-/// quadrature folds degrees of 12 - l and more in, as `(r/d)^(12-2l)` of the field's size, d the distance of the
-/// nearest wire: a fiftieth of d leaves 1e-10 of degree 3 and below, 2e-7 of degree 4, 4e-4 of degree 5, whose share is
-/// small; rounding less.
+/// density (tesla) on a sphere of this radius, metres: by degree, `c = -(2l + 1) <B_r Y> / (mu0 l r^(l-1))`. The
+/// quadrature aliases degrees of 12 - l and above, with a share `(r/d)^(12-2l)` of the field, where d is the distance
+/// of the nearest wire. A radius of a fiftieth of d leaves 1e-10 for degrees up to 3, 2e-7 for degree 4 and 4e-4 for
+/// degree 5, whose share is small; the rounding error is smaller.
 pub fn expansion(centre_m: Vector, radius_m: f64, flux_density: impl Fn(Vector) -> Vector) -> [f64; HARMONICS] {
     let mut sums = [0.0; HARMONICS];
     for (direction, weight, harmonics) in SPHERE.iter() {
@@ -158,17 +158,17 @@ pub fn expansion(centre_m: Vector, radius_m: f64, flux_density: impl Fn(Vector) 
     })
 }
 
-/// Irregular harmonics at a point: the regular ones over `r^(2l+1)`.
+/// Irregular harmonics at a point: the regular ones divided by `r^(2l+1)`.
 #[cfg(test)]
 pub(crate) fn irregular(point_m: Vector) -> [f64; HARMONICS] {
     let (values, r) = (regular(point_m), norm(point_m));
     std::array::from_fn(|i| values[i] / r.powi(2 * DEGREES[i] as i32 + 1))
 }
 
-/// Matrix S up to a degree, row by row (row: regular harmonic about a new centre, column: irregular harmonic about the
-/// old), of the re-expansion `Y_j(p)/r^(l+1) = sum_i S_ij h_i(p - shift)` for points nearer to the new centre than that
-/// is to the old. Found by projection on a small sphere around the new centre, as [`expansion`], from values instead of
-/// radial derivatives.
+/// Matrix S up to a degree, row by row (row: regular harmonic about a new centre, column: irregular harmonic about
+/// the old one), of the re-expansion `Y_j(p)/r^(l+1) = sum_i S_ij h_i(p - shift)`. Valid for points closer to the new
+/// centre than the old centre is. Computed by projection on a small sphere around the new centre, as in
+/// [`expansion`], from values instead of radial derivatives.
 pub(crate) fn translation(shift_m: Vector, degree: usize) -> Vec<f64> {
     if degree == 1 {
         return dipole_translation(shift_m).to_vec();
@@ -196,8 +196,8 @@ pub(crate) fn translation(shift_m: Vector, degree: usize) -> Vec<f64> {
     sums
 }
 
-/// The same of degree 1 in closed form, as frames ask for it often: the gradients of z/r^3, x/r^3 and y/r^3, which are
-/// `delta_ij/r^3 - 3 r_i r_j/r^5`.
+/// The same for degree 1 in closed form, since every frame needs it: the gradients of z/r^3, x/r^3 and y/r^3, which
+/// are `delta_ij/r^3 - 3 r_i r_j/r^5`.
 fn dipole_translation([x, y, z]: Vector) -> [f64; 9] {
     let (at, square) = ([z, x, y], x * x + y * y + z * z);
     let cubed = 1.0 / (square * square.sqrt());
@@ -259,7 +259,7 @@ mod tests {
             let (closed, projected) = (translation(shift, 1), translation(shift, MOST_DEGREE));
             let size = norm(shift).powi(-3);
             for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
-                // The projection's rounding, over 3 % of the distance.
+                // The projection's rounding error, on a sphere of 3 % of the distance.
                 assert!((closed[i * 3 + j] - projected[i * HARMONICS + j]).abs() < 1e-12 * size, "{i} {j}");
             }
         }
@@ -273,10 +273,10 @@ mod tests {
         let exact = irregular(add(shift, offset));
         let h = regular(offset);
         for j in 0..HARMONICS {
-            // The monopole of each series is not in the matrix: compared against the centre.
+            // The monopole of each series is not in the matrix, so compare relative to the centre.
             let centre = irregular(shift)[j];
             let found: f64 = centre + (0..HARMONICS).map(|i| s[i * HARMONICS + j] * h[i]).sum::<f64>();
-            // Degree 6 and beyond: (1.2/24)^6 of the value, times what grows with the degree.
+            // Degree 6 and above: (1.2/24)^6 of the value, times a factor that grows with the degree.
             assert!((found - exact[j]).abs() < 2e-4 * exact[j].abs().max(centre.abs()), "{j}: {found} {}", exact[j]);
         }
     }

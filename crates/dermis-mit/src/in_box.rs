@@ -1,23 +1,23 @@
-//! Quadratic functions in a box: the minimum of `t'Ht/2 - b't` over `0 <= t <= limit` with H positive definite.
-//! Unknowns are free or on a bound; all that are on the wrong side change over at once, or one at a time where that
-//! does not lead on (block principal pivoting: Judice and Pires, Computers and Operations Research 21, 1994, 587). Few
-//! unknowns are free under a touch, and few changes lead from the last frame's to this one's.
+//! Quadratic functions in a box: minimises `t'Ht/2 - b't` over `0 <= t <= limit` with positive definite H. Each
+//! unknown is free or on a bound. All unknowns on the wrong side change over at once, or one at a time if that makes
+//! no progress (block principal pivoting: Judice and Pires, Computers and Operations Research 21, 1994, 587). Under a
+//! touch few unknowns are free, and few changes lead from the last frame's set to the current one.
 
 use faer::linalg::solvers::Llt;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::prelude::Solve;
 use faer::{Mat, Par, Side};
 
-/// Steps off the box, and steps back that slopes on a bound ask for, below this share of the limit are rounding.
+/// Violations of the box or of the sign of a slope on a bound below this share of the limit are rounding errors.
 const ROUNDING: f64 = 1e-10;
-/// Changes of all unknowns at once that may lead to no better set in a row.
+/// Number of consecutive changes of all unknowns without progress before switching to one at a time.
 const PATIENCE: usize = 3;
-/// Sweeps of coordinate descent where changing over does not end.
+/// Maximum number of sweeps of coordinate descent, the fallback if pivoting does not terminate.
 const MOST_SWEEPS: usize = 2000;
-/// Its end: no unknown moves by more than this share of the limit.
+/// Coordinate descent ends if no unknown moves by more than this share of the limit.
 const SETTLED: f64 = 1e-9;
 
-/// Where an unknown stands.
+/// Position of an unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Lower,
@@ -25,7 +25,7 @@ enum Place {
     Upper,
 }
 
-/// The minimum, with H row by row and both triangles; `start` is thought to be near.
+/// The minimum; H is row-major with both triangles. `start` should be close to it.
 pub(crate) fn in_box(normal: &[f64], b: &[f64], start: &[f64], limit: f64) -> Vec<f64> {
     by_pivoting(normal, b, start, limit).unwrap_or_else(|| by_descent(normal, b, start, limit))
 }
@@ -70,7 +70,7 @@ fn by_pivoting(normal: &[f64], b: &[f64], start: &[f64], limit: f64) -> Option<V
     None
 }
 
-/// The minimum over the free unknowns, the others on their bounds; `None` where H is not positive definite.
+/// The minimum over the free unknowns with the others on their bounds; `None` if H is not positive definite.
 fn minimum_of(normal: &[f64], b: &[f64], places: &[Place], limit: f64) -> Option<Vec<f64>> {
     let count = b.len();
     let of = |place: Place| -> Vec<usize> { (0..count).filter(|&k| places[k] == place).collect() };
@@ -89,7 +89,7 @@ fn minimum_of(normal: &[f64], b: &[f64], places: &[Place], limit: f64) -> Option
     Some(t)
 }
 
-/// By coordinate descent (Franc, Hlavac and Navara 2005).
+/// Minimises by coordinate descent (Franc, Hlavac and Navara 2005).
 fn by_descent(normal: &[f64], b: &[f64], start: &[f64], limit: f64) -> Vec<f64> {
     let count = b.len();
     let mut t = start.to_vec();
@@ -108,14 +108,15 @@ fn by_descent(normal: &[f64], b: &[f64], start: &[f64], limit: f64) -> Vec<f64> 
     t
 }
 
-/// Roots of the diagonal of the inverse over the bodies that moved; for each other, over those and itself.
+/// Standard deviations: square roots of the diagonal of the inverse over the bodies that moved; for each other body,
+/// over those and itself.
 pub(crate) fn deviations(normal: &[f64], travel: &[f64]) -> Vec<f64> {
     let count = travel.len();
     let free: Vec<usize> = (0..count).filter(|&k| travel[k] > 0.0).collect();
     let deviation = |variance: f64| variance.max(f64::MIN_POSITIVE).sqrt();
     let matrix = Mat::from_fn(free.len(), free.len(), |i, j| normal[free[i] * count + free[j]]);
-    // With L the factor over the free: squares of the columns of its inverse for these; h_kk less those of L^-1 h_k for
-    // the others.
+    // Let L be the factor over the free unknowns. Their variances are the squared columns of its inverse; for the
+    // others, subtract the squares of L^-1 h_k from h_kk.
     let mut columns = Mat::from_fn(free.len(), count, |i, k| {
         if travel[k] > 0.0 { f64::from(u8::from(free[i] == k)) } else { normal[free[i] * count + k] }
     });
@@ -134,7 +135,7 @@ pub(crate) fn deviations(normal: &[f64], travel: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// A well-conditioned matrix `A'A + I/10` and a right-hand side, both of a fixed sequence.
+    /// A well-conditioned matrix `A'A + I/10` and a right-hand side, from a deterministic sequence.
     fn problem(count: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
         let mut state = seed;
         let mut next = move || {
@@ -157,7 +158,7 @@ mod tests {
             for start in [0.0, 0.1, limit] {
                 let t = by_pivoting(&normal, &b, &vec![start; count], limit).unwrap();
                 for (k, row) in normal.chunks_exact(count).enumerate() {
-                    // The conditions of Karush, Kuhn and Tucker; rounding of sums of some dozen entries of order 10.
+                    // The Karush-Kuhn-Tucker conditions, up to rounding of sums of some dozen entries of order 10.
                     let slope = row.iter().zip(&t).map(|(h, t)| h * t).sum::<f64>() - b[k];
                     assert!((0.0..=limit).contains(&t[k]));
                     assert!(t[k] == 0.0 || slope < 1e-8, "{count} {k}: {slope}");
@@ -171,7 +172,7 @@ mod tests {
     fn descent_ends_there_too() {
         let (normal, b) = problem(6, 7);
         let (t, other) = (in_box(&normal, &b, &[0.0; 6], 0.4), by_descent(&normal, &b, &[0.0; 6], 0.4));
-        // Where steps fall below 1e-9 of the limit, times the matrix's condition.
+        // Steps end below 1e-9 of the limit, times the condition number of the matrix.
         t.iter().zip(&other).for_each(|(a, b)| assert!((a - b).abs() < 1e-6, "{t:?} {other:?}"));
     }
 

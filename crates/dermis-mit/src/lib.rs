@@ -1,6 +1,6 @@
-//! Magnetic induction tomography: coils, the small conducting bodies that they sense, and the changes of mutual
-//! inductance that these make. Of files it knows the cache of bodies alone ([`catalogue`]). It can be used without the
-//! crates of skins.
+//! Magnetic induction tomography: coils, the small conducting bodies that they sense, and the resulting changes of
+//! mutual inductance. The only files it touches are the cache of bodies ([`catalogue`]). It can be used without the
+//! skin crates.
 //!
 //! ```
 //! use dermis_mit::{MitError, Sphere, skin_depth_m};
@@ -19,14 +19,14 @@
 //! | | |
 //! |---|---|
 //! | [`Coil`], [`CoilSpec`], [`CoilArray`] | coils as filaments, by description, on a grid |
-//! | [`Element`], [`Polarizability`], [`Sphere`], [`RingBody`], [`ConductingPlate`] | bodies, and how they answer a field |
+//! | [`Element`], [`Polarizability`], [`Sphere`], [`RingBody`], [`ConductingPlate`] | bodies and how they respond |
 //! | [`MultipoleArray`], [`LiftOff`] | readings of an array under bodies; heights from readings |
 //! | [`edge`], [`sheet`] | edge elements for any body; eddy currents in sheets |
-//! | [`sensitivity`] | what each coil pair sees where |
+//! | [`sensitivity`] | sensitivity of each coil pair at every position |
 //!
-//! Conventions: `e^{+j w t}`, SI, `mu0 = 4e-7 pi`. The change of the impedance between two coils is `dZ = j w dM`; `dM`
-//! (henries, complex) is negative in its real part where flux is pushed out of a coil's own loop, and in its imaginary
-//! part of a self term where power is lost. Positions are metres, x right, y up, z out of the skin toward the toucher.
+//! Conventions: `e^{+j w t}`, SI, `mu0 = 4e-7 pi`. The change of the impedance between two coils is `dZ = j w dM`.
+//! `dM` (henries, complex) has a negative real part if flux is pushed out of a coil's own loop, and the imaginary
+//! part of a self term is negative if power is lost. Positions are in metres, x right, y up, z out of the skin.
 
 mod array;
 pub mod catalogue;

@@ -1,9 +1,9 @@
-//! Lift-off of known bodies from readings of coils, their heights over these: what moves under a touch are bodies at
-//! known places, so their travel toward the coils is solved for directly instead of an image. Minimises
+//! Lift-off of known bodies, i.e. their heights above the coils, from readings of the coils. A touch moves bodies at
+//! known places, so their travel towards the coils is solved for directly instead of an image. Minimises
 //! `sum ((d - f(t))/s)^2 + sum (t/p)^2 + 2 sum t/e` over travels `0 <= t <= limit` by Gauss-Newton steps
-//! ([`dermis_tomo::least_squares`]), each a least-squares problem in that box (`in_box`); f are changes of magnitudes
-//! of mutual inductances, s their standard deviations, p and e those of a Gaussian and an exponential prior; the latter
-//! makes few bodies move.
+//! ([`dermis_tomo::least_squares`]), each a least-squares problem in that box (`in_box`). f are changes of the
+//! magnitudes of mutual inductances, s their standard deviations, and p and e the scales of a Gaussian and an
+//! exponential prior; the latter favours solutions in which few bodies move.
 
 use dermis_tomo::least_squares::{
     Acceptance, Control, NormalEquations, Outcome, Params, Problem, Scratch, Tolerances, Trial, minimise,
@@ -14,46 +14,47 @@ use crate::in_box::{deviations, in_box};
 use crate::multipole_array::MultipoleArray;
 use crate::vector::Complex;
 
-/// How lift-offs are solved for.
+/// Options of the lift-off fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LiftOffOptions {
-    /// p: standard deviation of travels before anything is measured, metres.
+    /// p: prior standard deviation of travels, metres.
     pub prior_m: f64,
     /// e: mean travel of the exponential prior, metres; infinite for none.
     pub mean_m: f64,
-    /// Error of the model as a share of each channel's change, which adds to the noise.
+    /// Model error as a share of each channel's change, which adds to the noise.
     pub model_share: f64,
-    /// The same as a share of the change's root mean square over all channels.
+    /// Model error as a share of the RMS change over all channels, which also adds to the noise.
     pub model_floor: f64,
-    /// Most Gauss-Newton steps.
+    /// Maximum number of Gauss-Newton steps.
     pub most_steps: usize,
-    /// Ends where no travel changes by more, metres.
+    /// The fit ends if no travel changes by more than this, metres.
     pub tolerance_m: f64,
 }
 
 impl Default for LiftOffOptions {
-    /// For travels of millimetres and a model good to a few per cent.
+    /// For travels of millimetres and a model accurate to a few per cent.
     fn default() -> Self {
         Self { prior_m: 10e-3, mean_m: 1e-3, model_share: 0.02, model_floor: 0.003, most_steps: 30, tolerance_m: 1e-6 }
     }
 }
 
-/// Travels that fit readings.
+/// Travels fitted to readings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiftOffFit {
-    /// Travel of each body toward the coils, metres.
+    /// Travel of each body towards the coils, metres.
     pub travel_m: Vec<f64>,
-    /// Posterior standard deviation of each, metres, linearised; of bodies at rest (on the bound), as if it were free.
+    /// Posterior standard deviation of each travel, metres, linearised; for bodies at rest (on the bound), as if they
+    /// were free.
     pub deviation_m: Vec<f64>,
-    /// Mean squared residual in units of noise and model error; about 1 where these are right.
+    /// Mean squared residual in units of noise and model error; about 1 if these are correct.
     pub misfit: f64,
-    /// Gauss-Newton steps done.
+    /// Number of Gauss-Newton steps made.
     pub steps: usize,
-    /// Whether the tolerance was met.
+    /// True if the tolerance was met.
     pub converged: bool,
 }
 
-/// Bodies over coils, whose lift-off is asked for as their travel from rest.
+/// Bodies over coils, whose lift-off is solved for as travel from rest.
 #[derive(Clone, Debug)]
 pub struct LiftOff {
     bodies: MultipoleArray,
@@ -61,17 +62,18 @@ pub struct LiftOff {
     rest_m: Vec<f64>,
     limit_m: f64,
     rest_h: Vec<f64>,
-    /// Heights that `changes_h` are those of.
+    /// Heights to which `changes_h` belong.
     heights_m: Vec<f64>,
     changes_h: Vec<Complex>,
     slopes_h_per_m: Vec<Complex>,
 }
 
 impl LiftOff {
-    /// Bodies at their heights at rest, which move down by at most `limit_m`; `mutuals_h` without bodies, pair by pair.
+    /// Bodies at their rest heights that move down by at most `limit_m`; `mutuals_h` are the pairs' inductances
+    /// without bodies.
     ///
     /// # Errors
-    /// Counts that disagree, a limit that is not positive or leads out of the bodies' tables.
+    /// Counts that disagree, or a limit that is not positive or reaches outside the bodies' tables.
     pub fn new(
         mut bodies: MultipoleArray,
         mutuals_h: Vec<f64>,
@@ -104,7 +106,7 @@ impl LiftOff {
         &self.rest_h
     }
 
-    /// Changes of the magnitudes from rest, henries, for these travels.
+    /// Changes of the magnitudes from rest for these travels, henries.
     ///
     /// # Errors
     /// As [`MultipoleArray::changes`].
@@ -113,7 +115,7 @@ impl LiftOff {
         Ok(magnitudes(&self.mutuals_h, &self.changes_h).zip(&self.rest_h).map(|(now, rest)| now - rest).collect())
     }
 
-    /// Works out the changes there, unless they are at hand.
+    /// Computes the changes for these travels, unless they are already available.
     fn stand_at(&mut self, travel_m: &[f64]) -> Result<(), MitError> {
         let heights = self.rest_m.iter().zip(travel_m).map(|(rest, t)| rest - t);
         if self.heights_m.len() == travel_m.len() && heights.clone().eq(self.heights_m.iter().copied()) {
@@ -126,7 +128,7 @@ impl LiftOff {
         Ok(())
     }
 
-    /// Derivatives of the magnitudes by the travels, pair by pair and body by body, henries per metre.
+    /// Derivatives of the magnitudes with respect to the travels, by pair and then body, henries per metre.
     ///
     /// # Errors
     /// As [`MultipoleArray::changes`].
@@ -143,11 +145,11 @@ impl LiftOff {
         Ok(jacobian)
     }
 
-    /// Travels that fit these changes of magnitudes (henries: volts over `2 pi f I`) with noise of these standard
+    /// Fits travels to these changes of magnitudes (henries: volts over `2 pi f I`) with noise of these standard
     /// deviations.
     ///
     /// # Errors
-    /// Counts that disagree, deviations or options that are not positive.
+    /// Counts that disagree, or deviations or options that are not positive.
     pub fn solve(
         &mut self,
         differences_h: &[f64],
@@ -157,7 +159,7 @@ impl LiftOff {
         self.solve_from(&vec![0.0; self.count()], differences_h, deviations_h, options)
     }
 
-    /// The same from travels that are thought to be near, as those of the frame before: fewer steps.
+    /// The same with a warm start, for instance from the previous frame; takes fewer steps.
     ///
     /// # Errors
     /// As [`LiftOff::solve`].
@@ -198,11 +200,11 @@ impl LiftOff {
         Ok(LiftOffFit { travel_m: travel, deviation_m, misfit, steps, converged })
     }
 
-    /// Inverse variances of changes of magnitudes (henries) by noise of these standard deviations and the model's
+    /// Inverse variances of changes of magnitudes (henries) from noise of these standard deviations and from model
     /// error.
     ///
     /// # Errors
-    /// Counts that disagree, deviations or options that are not positive.
+    /// Counts that disagree, or deviations or options that are not positive.
     pub fn weights(&self, d: &[f64], deviations_h: &[f64], options: &LiftOffOptions) -> Result<Vec<f64>, MitError> {
         positive("prior_m", options.prior_m)?;
         positive("tolerance_m", options.tolerance_m)?;
@@ -233,7 +235,7 @@ fn magnitudes<'a>(mutuals_h: &'a [f64], changes_h: &'a [Complex]) -> impl Iterat
     mutuals_h.iter().zip(changes_h).map(|(mutual, change)| (*change + *mutual).norm())
 }
 
-/// Travels while they are solved for.
+/// A fit of travels in progress.
 struct SolutionUnderWay<'a> {
     coils: &'a mut LiftOff,
     differences_h: &'a [f64],
@@ -242,7 +244,7 @@ struct SolutionUnderWay<'a> {
     pull: f64,
     travel: Vec<f64>,
     residual: Vec<f64>,
-    /// Travels tried last, and what they leave over.
+    /// The last travels tried, and their residuals.
     tried: (Vec<f64>, Vec<f64>),
 }
 
@@ -314,7 +316,7 @@ fn write_normal_matrix(jacobian: &[f64], weights: &[f64], count: usize, prior: f
     (0..count).for_each(|i| normal[i * count + i] += prior);
 }
 
-/// b of the quadratic `t'Ht/2 - b't` around the travels now: `J'W r - prior t + H t`.
+/// b of the quadratic `t'Ht/2 - b't` at the current travels: `J'W r - prior t + H t`.
 fn gradient(
     jacobian: &[f64],
     weights: &[f64],

@@ -1,5 +1,5 @@
-//! One body anywhere near coils, by the model that holds there: its multipoles where all wire lies outside the sphere
-//! around it, edge elements where some does not.
+//! One body anywhere near coils, with the model that is valid there: its multipoles if all wire is outside the sphere
+//! around it, edge elements otherwise.
 
 use crate::array::CoilArray;
 use crate::edge::{Material, Order, Shape, Source, SymmetricBody};
@@ -8,21 +8,21 @@ use crate::polarizability::Polarizability;
 use crate::sphere::skin_depth_m;
 use crate::vector::{Complex, scaled};
 
-/// The model that a body's change was computed by.
+/// The model used for a body's change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BodyModel {
     /// By [`Polarizability::change_h`]: microseconds.
     Multipoles,
-    /// By edge elements of second order on a mesh of its own: seconds.
+    /// Second-order edge elements on their own mesh: seconds.
     EdgeElements,
 }
 
-/// Changes of mutual inductance, henries, of all pairs of an array by one body with its middle at `centre_m`, and how
-/// they were computed. `body` is the body's tau at this frequency, of [`crate::edge::body_tau`]; where wire reaches
-/// into the sphere around it, the body is solved anew as `shape` and `material` say.
+/// Changes of mutual inductance of all pairs of an array due to one body centred at `centre_m`, henries, and the
+/// model used. `body` is the body's tau at this frequency from [`crate::edge::body_tau`]; if wire reaches into the
+/// sphere around it, the body is solved again with `shape` and `material`.
 ///
 /// # Errors
-/// Materials, sizes or frequencies that make no sense. Wire inside the body itself is for the caller to exclude.
+/// Invalid materials, sizes or frequencies. The caller must exclude wire inside the body itself.
 pub fn body_changes_h(
     array: &CoilArray,
     body: &Polarizability,

@@ -1,11 +1,11 @@
-//! Small conducting bodies over coils: each answers the field around it by a complex-symmetric matrix tau over solid
-//! harmonics, and the change of a mutual inductance is `dM_mn = c_m' tau c_n`, c the coils' expansions at the body.
-//! Moving a body changes only c, which is tabulated over its height.
+//! Small conducting bodies over coils. Each responds to the field around it with a complex symmetric matrix tau over
+//! solid harmonics, and the change of a mutual inductance is `dM_mn = c_m' tau c_n`, where c are the coils'
+//! expansions at the body. Moving a body changes only c, which is tabulated over its height.
 //!
-//! With harmonics of Schmidt's normalisation and `B = -mu0 grad(sum c_i h_i)`, the scattered potential is
+//! With Schmidt-normalised harmonics and `B = -mu0 grad(sum c_i h_i)`, the scattered potential is
 //! `sum d_i Y_i/r^(l+1)` with `d = -tau c / (4 pi mu0)`, and reciprocity gives `dM_mn = -4 pi mu0 c_m' d_n`; a sphere
-//! has `tau_l = 4 pi mu0 l/(l+1) T_l`. Neighbours excite each other: `d = -tau (c + sum S d) / (4 pi mu0)` with the
-//! re-expansion S of one body's irregular harmonics about the other, solved by fixed-point sweeps.
+//! has `tau_l = 4 pi mu0 l/(l+1) T_l`. Neighbours excite each other: `d = -tau (c + sum S d) / (4 pi mu0)`, where S
+//! re-expands one body's irregular harmonics about the other; solved by fixed-point sweeps.
 
 mod coil_tables;
 
@@ -20,41 +20,41 @@ use crate::harmonics::{MOST_DEGREE, translation};
 use crate::polarizability::Polarizability;
 use crate::vector::{Complex, subtract};
 
-/// How neighbours excite each other.
+/// Coupling between neighbouring bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coupling {
-    /// Highest degree that is passed on, 1 to [`crate::MOST_DEGREE`].
+    /// Maximum degree that is coupled, 1 to [`crate::MOST_DEGREE`].
     pub degree: usize,
-    /// Bodies farther apart than this do not, metres.
+    /// Maximum distance between coupled bodies, metres.
     pub reach_m: f64,
-    /// Fixed-point sweeps.
+    /// Number of fixed-point sweeps.
     pub sweeps: usize,
 }
 
-/// Bodies at fixed places whose heights move, over an array of coils.
+/// Bodies at fixed places and variable heights over an array of coils.
 #[derive(Clone, Debug)]
 pub struct MultipoleArray {
     bodies: Vec<Polarizability>,
     tables: CoilTables,
     coupling: Option<Coupling>,
-    /// Ordered pairs that excite each other.
+    /// Ordered pairs of bodies that excite each other.
     neighbours: Vec<[usize; 2]>,
     pairs: Vec<[usize; 2]>,
-    /// Harmonics that any body answers, counted from the first: the others are not worked out.
+    /// Number of harmonics to which any body responds, counted from the first; the others are not computed.
     harmonics: usize,
-    /// Those of the tables, as [`CoilTables::by_body`].
+    /// Coefficients of the tables, as in [`CoilTables::by_body`].
     coefficients: Vec<f64>,
-    /// Expansions, body by body, harmonic by harmonic, coil by coil; and all below.
+    /// Expansions by body, harmonic and coil, like all arrays below.
     c: Vec<f64>,
     slopes: Vec<f64>,
-    /// Answers d.
+    /// Responses d.
     d: Answers,
     /// The same without neighbours.
     alone: Answers,
     next: Answers,
 }
 
-/// Real and imaginary parts of answers.
+/// Real and imaginary parts of responses.
 #[derive(Clone, Debug)]
 struct Answers {
     re: Vec<f64>,
@@ -76,8 +76,8 @@ impl MultipoleArray {
     /// One body for each place of the tables.
     ///
     /// # Errors
-    /// Another number of bodies, bodies in each other when side by side, bodies that excite each other from within the
-    /// spheres around them.
+    /// A number of bodies that differs from the places, bodies that would overlap side by side, or bodies that excite
+    /// each other although their surrounding spheres overlap.
     pub fn new(bodies: Vec<Polarizability>, tables: CoilTables, coupling: Option<Coupling>) -> Result<Self, MitError> {
         let count = tables.places_m.len();
         if bodies.len() != count {
@@ -90,7 +90,8 @@ impl MultipoleArray {
         let mut neighbours = Vec::new();
         for a in 0..count {
             for b in (0..count).filter(|b| *b != a) {
-                // Bodies that excite each other need the spheres around them apart, others only those within them.
+                // Bodies that excite each other need disjoint surrounding spheres, others only disjoint inscribed
+                // spheres.
                 let reach = |body: &Polarizability| if coupling.is_some() { body.radius_m } else { body.inner_m };
                 let (distance_m, needed_m) = (distance(a, b), reach(&bodies[a]) + reach(&bodies[b]));
                 if distance_m < needed_m * (1.0 - 1e-9) {
@@ -139,11 +140,11 @@ impl MultipoleArray {
         [self.tables.low_m, self.tables.high_m]
     }
 
-    /// Changes of mutual inductance of all pairs of coils, henries, with the bodies' centres at these heights.
-    /// Allocates only for re-expansions.
+    /// Changes of mutual inductance of all pairs of coils for bodies centred at these heights, henries. Allocates
+    /// only for re-expansions.
     ///
     /// # Errors
-    /// Another number of heights or of pairs, a height outside the table.
+    /// The wrong number of heights or pairs, or a height outside the table.
     pub fn changes(&mut self, heights_m: &[f64], changes_h: &mut [Complex]) -> Result<(), MitError> {
         self.check(heights_m, changes_h.len())?;
         self.expand(heights_m, false);
@@ -166,8 +167,8 @@ impl MultipoleArray {
         Ok(())
     }
 
-    /// Derivatives of the changes by each body's height, henries per metre, pair by pair and body by body; neighbours'
-    /// excitation is left out, as second order: `dc_m' tau c_n + c_m' tau dc_n`.
+    /// Derivatives of the changes with respect to each body's height, by pair and then body, henries per metre.
+    /// Excitation by neighbours is neglected as second order: `dc_m' tau c_n + c_m' tau dc_n`.
     ///
     /// # Errors
     /// As [`MultipoleArray::changes`].
@@ -193,7 +194,7 @@ impl MultipoleArray {
         Ok(())
     }
 
-    /// Values of a body.
+    /// Number of values per body.
     fn stride(&self) -> usize {
         self.harmonics * self.tables.coils
     }
@@ -215,7 +216,7 @@ impl MultipoleArray {
         }
     }
 
-    /// Expansions of all coils at all bodies, and their derivatives by the heights where asked for.
+    /// Expansions of all coils at all bodies, and their derivatives with respect to the heights if requested.
     fn expand(&mut self, heights_m: &[f64], with_slopes: bool) {
         let (stride, low_m, high_m) = (self.stride(), self.tables.low_m, self.tables.high_m);
         let per_m = 2.0 / (high_m - low_m);
@@ -261,7 +262,7 @@ impl MultipoleArray {
         let (stride, coils) = (self.stride(), self.tables.coils);
         let passed_on = count.min(self.harmonics);
         let at = |body: usize| [self.tables.places_m[body][0], self.tables.places_m[body][1], heights_m[body]];
-        // From the centre of the source to that of the excited.
+        // From the centre of the source to the centre of the excited body.
         let matrices: Vec<_> = self
             .neighbours
             .iter()
@@ -271,7 +272,7 @@ impl MultipoleArray {
         let mut field = Answers::new(count * coils);
         for _ in 0..coupling.sweeps {
             self.next.copy_from(&self.alone);
-            // Neighbours stand in the order of the body that they excite: one answer to all their fields.
+            // Neighbours are ordered by the body they excite, so each body responds once to the sum of their fields.
             let mut from = 0;
             while from < self.neighbours.len() {
                 let target = self.neighbours[from][0];

@@ -1,11 +1,12 @@
-//! Round coils over a wide conducting plate or half space, in closed form but for one integral (Dodd and Deeds, Journal
-//! of Applied Physics 39, 1968).
+//! Round coils over a wide conducting plate or half space, in closed form except for one integral (Dodd and Deeds,
+//! Journal of Applied Physics 39, 1968).
 //!
-//! A loop of radius a at height z over the face holds the harmonics `a J1(k a) e^(-k z)` of its axis; each comes back
-//! from the plate multiplied by its reflection `G(k)`, so `dM_mn = pi mu0 int F_m(k) F_n(k) J0(k p) G(k) dk`,
-//! `F = sum a J1(k a) e^(-k z)` over the loops, p between the axes. With `k1^2 = k^2 + j w mu sigma`, `b = k1/mu_r` and
-//! thickness t, `G = (k^2 - b^2)(1 - e^(-2 k1 t)) / ((k + b)^2 - (k - b)^2 e^(-2 k1 t))`, and `(k - b)/(k + b)` for a
-//! half space.
+//! A loop of radius a at height z above the face contains the harmonics `a J1(k a) e^(-k z)` around its axis. The
+//! plate returns each of them multiplied by its reflection `G(k)`, so
+//! `dM_mn = pi mu0 int F_m(k) F_n(k) J0(k p) G(k) dk`, with `F = sum a J1(k a) e^(-k z)` over the loops and p the
+//! distance between the axes. With `k1^2 = k^2 + j w mu sigma`, `b = k1/mu_r` and thickness t,
+//! `G = (k^2 - b^2)(1 - e^(-2 k1 t)) / ((k + b)^2 - (k - b)^2 e^(-2 k1 t))`; for a half space it is
+//! `(k - b)/(k + b)`.
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,10 +16,10 @@ use crate::error::{MitError, frequency, positive};
 use crate::quadrature::gauss_legendre;
 use crate::vector::Complex;
 
-/// A wide plate whose upper face is a plane of constant z, or all space below that plane.
+/// A wide plate whose upper face is a plane of constant z, or the whole half space below that plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConductingPlate {
-    /// Height of its upper face, metres.
+    /// Height of the upper face, metres.
     pub face_z_m: f64,
     /// Thickness, metres; `None` for a half space.
     pub thickness_m: Option<f64>,
@@ -36,18 +37,18 @@ struct Loop {
     turns: f64,
 }
 
-/// Turns about one vertical axis.
+/// Turns around one vertical axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoundWinding {
     axis_m: [f64; 2],
     loops: Vec<Loop>,
 }
 
-/// Points of Gauss and Legendre across a winding's section.
+/// Number of Gauss-Legendre points across a winding's cross-section.
 const ACROSS: usize = 24;
 
 impl RoundWinding {
-    /// One loop about an axis at (x, y).
+    /// One loop around an axis at (x, y).
     ///
     /// # Errors
     /// A radius that is not positive.
@@ -56,10 +57,10 @@ impl RoundWinding {
         Ok(Self { axis_m: [centre_m[0], centre_m[1]], loops: vec![Loop { radius_m, z_m: centre_m[2], turns: 1.0 }] })
     }
 
-    /// Turns spread evenly over an annulus.
+    /// Turns distributed evenly over an annulus.
     ///
     /// # Errors
-    /// Diameters that are not positive or not in order, turns that are not positive.
+    /// Diameters that are not positive or not in order, or a number of turns that is not positive.
     pub fn annulus(
         centre_m: [f64; 3],
         inner_diameter_m: f64,
@@ -69,10 +70,10 @@ impl RoundWinding {
         Self::block(centre_m, inner_diameter_m, outer_diameter_m, 0.0, turns)
     }
 
-    /// Turns spread evenly over a block of this height around its centre.
+    /// Turns distributed evenly over a block of this height around its centre.
     ///
     /// # Errors
-    /// As [`RoundWinding::annulus`]; a height below zero.
+    /// As [`RoundWinding::annulus`]; also fails if the height is negative.
     pub fn block(
         centre_m: [f64; 3],
         inner_diameter_m: f64,
@@ -101,7 +102,7 @@ impl RoundWinding {
         Ok(Self { axis_m: [centre_m[0], centre_m[1]], loops })
     }
 
-    /// The rings of a coil whose axis is vertical, and its images where it has a shield.
+    /// The rings of a coil with a vertical axis, and their images if it has a shield.
     ///
     /// # Errors
     /// A coil that is not round.
@@ -110,7 +111,7 @@ impl RoundWinding {
             return Err(MitError::NotRound { centre_m: coil.centre_m });
         }
         let of = |(filament, turns): (&Filament, f64)| match filament {
-            // A loop whose axis points down carries its current the other way round.
+            // A loop whose axis points down carries its current in the opposite direction.
             Filament::Ring(ring) => Some(Loop {
                 radius_m: ring.radius_m,
                 z_m: ring.centre_m[2],
@@ -141,12 +142,12 @@ impl RoundWinding {
 }
 
 impl ConductingPlate {
-    /// Change that the plate makes in the mutual inductance of two windings above it, henries; of a winding with
-    /// itself, in its self inductance. Relative accuracy about 1e-13 of the change that a perfect conductor would make.
+    /// Change of the mutual inductance of two windings above the plate, henries; for a winding with itself, of its
+    /// self inductance. Accurate to about 1e-13 of the change due to a perfect conductor.
     ///
     /// # Errors
-    /// A frequency outside 1 Hz to 1 MHz, a conductivity, permeability or thickness that is not positive, a loop that
-    /// is not above the face.
+    /// A frequency outside 1 Hz to 1 MHz, a conductivity, permeability or thickness that is not positive, or a loop
+    /// that is not above the face.
     pub fn change_h(&self, m: &RoundWinding, n: &RoundWinding, frequency_hz: f64) -> Result<Complex, MitError> {
         frequency(frequency_hz)?;
         positive("conductivity_s_per_m", self.conductivity_s_per_m)?;
@@ -162,8 +163,8 @@ impl ConductingPlate {
         let heights = m.lowest_m() + n.lowest_m() - 2.0 * self.face_z_m;
         let rule = gauss_legendre(16);
         let mut sum = Complex::new(0.0, 0.0);
-        // From 1e-6 of what the coils resolve (the integrand goes as k^2), each panel twice the one before, until a
-        // panel is a whole turn of the fastest of the Bessel functions; to where e^(-k z) is 1e-18.
+        // Start at 1e-6 of the wave number that the coils resolve (the integrand is proportional to k^2). Double each
+        // panel until it is a full period of the fastest Bessel function. Stop when e^(-k z) is 1e-18.
         let (mut k, mut width, last) = (0.0, 1e-6 / reach, 41.0 / heights);
         while k < last {
             for (x, weight) in &rule {
@@ -179,14 +180,14 @@ impl ConductingPlate {
         Ok(sum * (PI * MU0))
     }
 
-    /// G(k): what the plate sends back of a harmonic of wave number k (1/m), relative to it at the face.
+    /// G(k): reflection of a harmonic with wave number k (1/m), relative to its value at the face.
     pub fn reflection(&self, k_per_m: f64, frequency_hz: f64) -> Complex {
         let mu_r = self.relative_permeability;
         let loss = TAU * frequency_hz * MU0 * self.conductivity_s_per_m;
         let k1 = Complex::new(k_per_m * k_per_m, loss * mu_r).sqrt();
         let b = k1 / mu_r;
         let (sum, difference) = (b + k_per_m, -b + k_per_m);
-        // k^2 - b^2 without the cancellation of a weak conductor.
+        // k^2 - b^2 without cancellation for a weak conductor.
         let squares = Complex::new(k_per_m * k_per_m * (1.0 - mu_r.powi(-2)), -loss / mu_r);
         let Some(thickness_m) = self.thickness_m else { return squares / (sum * sum) };
         let missing = one_less_exponential(k1 * (2.0 * thickness_m));

@@ -1,5 +1,5 @@
-//! The multipole polarizability of a small body: its answer to the field around it, the complex-symmetric matrix tau
-//! over solid harmonics, for one frequency.
+//! The multipole polarizability of a small body at one frequency: its response to the surrounding field as a complex
+//! symmetric matrix tau over solid harmonics.
 
 use crate::array::CoilArray;
 use crate::constants::FOUR_PI_MU0;
@@ -8,42 +8,42 @@ use crate::harmonics::{DEGREES, HARMONICS, MOST_DEGREE};
 use crate::sphere::Sphere;
 use crate::vector::Complex;
 
-/// Multipole polarizability of a body: the tensor tau that turns the field around it into its answer,
+/// Multipole polarizability of a body: the tensor tau that maps the surrounding field to the body's response,
 /// `dM_mn = c_m' tau c_n`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polarizability {
-    /// What it is, for people.
+    /// Description, for display.
     pub label: String,
-    /// Radius of the sphere around it, metres.
+    /// Radius of the bounding sphere, metres.
     pub radius_m: f64,
-    /// Radius of a sphere that it holds, metres; 0 where that is not known.
+    /// Radius of an inscribed sphere, metres; 0 if unknown.
     pub(crate) inner_m: f64,
     /// tau, row by row, [`HARMONICS`] squared.
     tau: Vec<Complex>,
-    /// Row, column and value of its entries that are not zero: a tenth for a body of revolution, the diagonal for a
+    /// Row, column and value of the nonzero entries: a tenth of all for a body of revolution, the diagonal for a
     /// sphere.
     pub(crate) entries: Vec<(usize, usize, Complex)>,
 }
 
-/// Entries that are not zero, row by row.
+/// Nonzero entries, row by row.
 fn entries(tau: &[Complex]) -> Vec<(usize, usize, Complex)> {
     let of = |(k, value): (usize, &Complex)| (k / HARMONICS, k % HARMONICS, *value);
     tau.iter().enumerate().map(of).filter(|(_, _, value)| value.re != 0.0 || value.im != 0.0).collect()
 }
 
 impl Polarizability {
-    /// From a matrix made elsewhere, row by row, for one frequency.
+    /// Builds a body from a matrix computed elsewhere, row by row, for one frequency.
     ///
     /// # Errors
-    /// Another number of entries, entries that are not finite, a matrix that is not symmetric to 1e-3 of its largest
-    /// entry of these degrees, a radius that is not positive.
+    /// The wrong number of entries, non-finite entries, a matrix whose asymmetry exceeds 1e-3 of its largest entry of
+    /// these degrees, or a radius that is not positive.
     pub fn from_tau(label: impl Into<String>, radius_m: f64, tau: Vec<Complex>) -> Result<Self, MitError> {
         positive("radius_m", radius_m)?;
         if tau.len() != HARMONICS * HARMONICS {
             let (expected, got) = (HARMONICS * HARMONICS, tau.len());
             return Err(MitError::Count { what: "entries of tau", expected, got });
         }
-        // In the harmonics of the sphere around it, so that degrees compare.
+        // Scaled to the harmonics of the bounding sphere, so that degrees are comparable.
         let size =
             |i: usize, j: usize| (tau[i * HARMONICS + j] / radius_m.powi((DEGREES[i] + DEGREES[j] + 1) as i32)).norm();
         let largest = (0..HARMONICS).flat_map(|i| (0..HARMONICS).map(move |j| (i, j))).map(|(i, j)| size(i, j));
@@ -84,8 +84,8 @@ impl Polarizability {
         })
     }
 
-    /// The same body, which is known to hold a sphere of this radius about its middle, metres: two whose spheres reach
-    /// into each other are refused even where they do not excite each other.
+    /// The same body, with the radius of a sphere inscribed around its centre, metres. Bodies whose inscribed spheres
+    /// overlap are refused even if they do not excite each other.
     pub fn with_inner_radius(mut self, inner_m: f64) -> Self {
         self.inner_m = inner_m.clamp(0.0, self.radius_m);
         self
@@ -96,7 +96,7 @@ impl Polarizability {
         &self.tau
     }
 
-    /// The same body with all answers of higher degrees left out.
+    /// The same body without all responses of higher degrees.
     pub fn truncated(&self, degree: usize) -> Self {
         let mut body = self.clone();
         for i in 0..HARMONICS {
@@ -110,16 +110,16 @@ impl Polarizability {
         body
     }
 
-    /// Change of the mutual inductance of two coils of these expansions (see [`crate::expansion`]) at the body alone,
-    /// henries: `c_m' tau c_n`.
+    /// Change of the mutual inductance of two coils with these expansions (see [`crate::expansion`]) due to the body
+    /// alone, henries: `c_m' tau c_n`.
     pub fn change_h(&self, c_m: &[f64; HARMONICS], c_n: &[f64; HARMONICS]) -> Complex {
         let mut answer = [Complex::new(0.0, 0.0); HARMONICS];
         self.answer(c_n, &mut answer);
         answer.iter().zip(c_m).map(|(a, c)| *a * *c).sum()
     }
 
-    /// The same for all pairs of an array, with the body's middle at a place. All wire has to be outside the sphere
-    /// around it.
+    /// The same for all pairs of an array, for the body centred at a place. All wire must be outside its bounding
+    /// sphere.
     pub fn changes_h(&self, array: &CoilArray, centre_m: [f64; 3]) -> Vec<Complex> {
         let fields: Vec<_> = array.coils().iter().map(|coil| coil.expansion(centre_m)).collect();
         array.pairs().iter().map(|&[m, n]| self.change_h(&fields[m], &fields[n])).collect()

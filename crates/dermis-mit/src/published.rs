@@ -1,4 +1,4 @@
-//! Coil arrays of published EM-skins (paper E), as nothing but descriptions.
+//! Coil arrays of published EM-skins (paper E), as plain descriptions.
 
 use crate::array::CoilArray;
 use crate::coil::CoilShape;
@@ -8,18 +8,18 @@ use crate::error::MitError;
 /// A published array: coils on a square grid around the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PublishedArray {
-    /// Its coils.
+    /// The coils.
     pub spec: CoilSpec,
-    /// Coils along a side.
+    /// Number of coils along a side.
     pub per_side: usize,
-    /// Distance of neighbours, metres.
+    /// Distance between neighbours, metres.
     pub pitch_m: f64,
-    /// Numbers of the places that stay empty, from 1.
+    /// Numbers of the positions that stay empty, from 1.
     pub left_out: &'static [usize],
 }
 
-/// Eight hand-wound coils of 40 mm on a 3 x 3 grid of 45 mm whose middle place stays empty; 150 uH each. The grid's
-/// pitch and the winding (six layers of 6 turns of 0.5 mm) are assumed.
+/// Eight hand-wound coils of 40 mm on a 3 x 3 grid of 45 mm with an empty middle; 150 uH each. The grid pitch and the
+/// winding (six layers of 6 turns of 0.5 mm) are assumed.
 pub const EM_8: PublishedArray = PublishedArray {
     spec: CoilSpec {
         shape: CoilShape::Round,
@@ -36,7 +36,7 @@ pub const EM_8: PublishedArray = PublishedArray {
     left_out: &[5],
 };
 
-/// Sixteen printed circular spirals of 51 turns, 30 to 70 mm, 5 mm between neighbours; measured at 155 uH each.
+/// Sixteen printed circular spirals with 51 turns, 30 to 70 mm, 5 mm between neighbours; measured at 155 uH each.
 pub const EM_16_CIRCULAR: PublishedArray = PublishedArray {
     spec: CoilSpec::spiral(CoilShape::Round, 0.03, 0.07, 51).with_inductance(155e-6),
     per_side: 4,
@@ -44,7 +44,7 @@ pub const EM_16_CIRCULAR: PublishedArray = PublishedArray {
     left_out: &[],
 };
 
-/// Sixteen printed square spirals of 51 turns, 25 to 75 mm, 3 mm between neighbours; measured at 157 uH each.
+/// Sixteen printed square spirals with 51 turns, 25 to 75 mm, 3 mm between neighbours; measured at 157 uH each.
 pub const EM_16_SQUARE: PublishedArray = PublishedArray {
     spec: CoilSpec::spiral(CoilShape::Square, 0.025, 0.075, 51).with_inductance(157e-6),
     per_side: 4,
@@ -53,7 +53,7 @@ pub const EM_16_SQUARE: PublishedArray = PublishedArray {
 };
 
 impl PublishedArray {
-    /// Places of its coils.
+    /// Positions of the coils.
     pub fn grid(&self) -> CoilGrid {
         CoilGrid {
             rows: self.per_side,
@@ -63,10 +63,10 @@ impl PublishedArray {
         }
     }
 
-    /// The coils at their places.
+    /// The coils at their positions.
     ///
     /// # Errors
-    /// None with the published numbers.
+    /// Never with the published numbers.
     pub fn coils(&self) -> Result<CoilArray, MitError> {
         CoilArray::new(&self.spec, &self.grid().places_m()?)
     }
@@ -76,7 +76,7 @@ impl CoilArray {
     /// [`EM_8`], numbered row by row from the bottom left.
     ///
     /// # Errors
-    /// None with these numbers.
+    /// Never with these numbers.
     pub fn em_8() -> Result<Self, MitError> {
         EM_8.coils()
     }
@@ -84,7 +84,7 @@ impl CoilArray {
     /// [`EM_16_CIRCULAR`].
     ///
     /// # Errors
-    /// None with these numbers.
+    /// Never with these numbers.
     pub fn em_16_circular() -> Result<Self, MitError> {
         EM_16_CIRCULAR.coils()
     }
@@ -92,7 +92,7 @@ impl CoilArray {
     /// [`EM_16_SQUARE`].
     ///
     /// # Errors
-    /// None with these numbers.
+    /// Never with these numbers.
     pub fn em_16_square() -> Result<Self, MitError> {
         EM_16_SQUARE.coils()
     }

@@ -1,9 +1,9 @@
-//! Gauss and Legendre's rule on [-1, 1], of any number of points.
+//! Gauss-Legendre quadrature on [-1, 1] with any number of points.
 
 use std::f64::consts::PI;
 
 /// Nodes in ascending order with their weights, which sum to 2; exact to degree `2 count - 1`. Newton's iteration on
-/// the Legendre polynomial from Tricomi's estimate of its roots.
+/// the Legendre polynomial, starting from Tricomi's estimate of its roots.
 pub(crate) fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
     let n = count as f64;
     let node = |k: usize| {

@@ -1,8 +1,9 @@
-//! A circular filament: its vector potential, its field and its mutual inductances, by complete elliptic integrals
-//! (Maxwell, Treatise, 1873, art. 701; Smythe, Static and Dynamic Electricity, 3rd ed., 7.10).
+//! A circular filament: its vector potential, field and mutual inductances from complete elliptic integrals (Maxwell,
+//! Treatise, 1873, art. 701; Smythe, Static and Dynamic Electricity, 3rd ed., 7.10).
 //!
 //! The combinations of K and E that cancel near the axis are summed from the arithmetic-geometric mean itself, whose
-//! terms are all positive: potential and field are good to about 1e-14 of their size everywhere, the axis included.
+//! terms are all positive. Potential and field are accurate to about 1e-14 of their size everywhere, including the
+//! axis.
 
 use std::f64::consts::PI;
 
@@ -10,7 +11,7 @@ use crate::constants::MU0;
 use crate::error::{MitError, positive};
 use crate::vector::{Vector, add, cross, dot, norm, scaled, subtract};
 
-/// Complete elliptic integrals K and E of a parameter `m = k^2` given by its complement `1 - m`, in (0, 1].
+/// Complete elliptic integrals K and E for a parameter `m = k^2`, given its complement `1 - m` in (0, 1].
 pub fn complete_elliptic(complement: f64) -> (f64, f64) {
     let parts = Agm::new(complement);
     (parts.k, parts.k * (1.0 - 0.5 * (1.0 - complement) - 0.5 * (1.0 - complement).powi(2) * parts.rest))
@@ -33,7 +34,7 @@ impl Agm {
         for _ in 0..40 {
             rest += power * d * d;
             (a, b) = (0.5 * (a + b), (a * b).sqrt());
-            // c_{n+1} = c_n^2 / (4 a_{n+1}), a one further on.
+            // c_{n+1} = c_n^2 / (4 a_{n+1}), with the next a.
             let next = 0.5 * (a + b);
             d = m * d * d / (4.0 * next);
             power *= 2.0;
@@ -45,24 +46,24 @@ impl Agm {
     }
 }
 
-/// A loop of thin wire in which 1 A flows counter-clockwise about its axis.
+/// A loop of thin wire carrying 1 A counter-clockwise around its axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
     /// Centre, metres.
     pub centre_m: Vector,
-    /// Unit vector of its axis.
+    /// Unit vector along the axis.
     pub axis: Vector,
     /// Radius, metres.
     pub radius_m: f64,
 }
 
-/// A point in a ring's own frame.
+/// A point in a ring's own coordinates.
 struct Local {
     /// Distance from the axis.
     rho: f64,
-    /// Along the axis.
+    /// Position along the axis.
     z: f64,
-    /// Unit vector away from the axis; zero on it.
+    /// Unit vector pointing away from the axis; zero on it.
     outward: Vector,
 }
 
@@ -75,7 +76,7 @@ impl Ring {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// A radius that is not positive, an axis that is not a unit vector, a centre that is not finite.
+    /// A radius that is not positive, an axis that is not a unit vector, or a centre that is not finite.
     pub fn check(&self) -> Result<(), MitError> {
         positive("ring radius_m", self.radius_m)?;
         let length = norm(self.axis);
@@ -98,8 +99,8 @@ impl Ring {
         Local { rho, z, outward }
     }
 
-    /// Azimuthal vector potential per ampere, V.s/(m.A), at a distance from the axis and along it. Infinite on the
-    /// wire.
+    /// Azimuthal vector potential per ampere, V.s/(m.A), at a distance from the axis and a position along it.
+    /// Infinite on the wire.
     fn potential_around(&self, rho: f64, z: f64) -> f64 {
         let a = self.radius_m;
         let alpha_squared = (a + rho).powi(2) + z * z;
@@ -124,15 +125,16 @@ impl Ring {
         let Agm { k, rest } = Agm::new(complement);
         let e = k * (1.0 - 0.5 * m - 0.5 * m * m * rest);
         let along = MU0 / (2.0 * PI * alpha) * (k + (a * a - at.rho * at.rho - at.z * at.z) / beta_squared * e);
-        // mu0 z/(2 pi rho alpha) [-K + (a^2 + rho^2 + z^2)/beta^2 E], the bracket being
+        // mu0 z/(2 pi rho alpha) [-K + (a^2 + rho^2 + z^2)/beta^2 E], where the bracket is
         // K m^2 [1/2 - (2 - m) rest/2] / (2 (1 - m)).
         let bracket = k * m * (1.0 - (2.0 - m) * rest) / complement;
         let away = MU0 * at.z * a * bracket / (2.0 * PI * alpha_squared * alpha);
         add(scaled(self.axis, along), scaled(at.outward, away))
     }
 
-    /// Mutual inductance with another loop, henries: closed form for a common axis, else the integral of the potential
-    /// along the other loop by the trapezoidal rule, which converges geometrically, doubled until it stands still.
+    /// Mutual inductance with another loop, henries. In closed form for a common axis; otherwise the integral of the
+    /// potential along the other loop by the trapezoidal rule, which converges geometrically. The points are doubled
+    /// until the result no longer changes.
     pub fn mutual_h(&self, other: &Ring) -> f64 {
         let between = subtract(other.centre_m, self.centre_m);
         let sine = norm(cross(self.axis, other.axis));
@@ -159,7 +161,7 @@ impl Ring {
         2.0 * PI * other.radius_m * value
     }
 
-    /// Sum of the tangential potential over points of the other loop, shifted by a share of their distance.
+    /// Sum of the tangential potential over points of the other loop, shifted by a share of their spacing.
     fn circulation(&self, other: &Ring, u: Vector, v: Vector, points: usize, shift: f64) -> f64 {
         (0..points)
             .map(|k| {
@@ -171,21 +173,21 @@ impl Ring {
             .sum()
     }
 
-    /// Self inductance, henries, of a ring of wire whose geometric mean distance from itself is given (`a e^{-1/4}` for
-    /// round wire of radius a, 0.2235 w for a strip of width w): `mu0 R (ln(8R/g) - 2)`, for g much smaller than R
+    /// Self inductance of a wire ring with the given geometric mean distance from itself (`a e^{-1/4}` for round wire
+    /// of radius a, 0.2235 w for a strip of width w), henries: `mu0 R (ln(8R/g) - 2)`, for g much smaller than R
     /// (Rosa and Grover, Bull. Bur. Stand. 8, 1912, eq. 58 ff.).
     pub fn self_inductance_h(&self, geometric_mean_distance_m: f64) -> f64 {
         MU0 * self.radius_m * ((8.0 * self.radius_m / geometric_mean_distance_m).ln() - 2.0)
     }
 
-    /// Least distance of the wire from a point.
+    /// Minimum distance of the wire from a point.
     pub fn distance_m(&self, point_m: Vector) -> f64 {
         let at = self.local(point_m);
         (at.rho - self.radius_m).hypot(at.z)
     }
 }
 
-/// Two unit vectors that make a right-handed frame with a third.
+/// Two unit vectors that form a right-handed frame with a third.
 pub(crate) fn frame(axis: Vector) -> (Vector, Vector) {
     let start = if axis[0].abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let u = subtract(start, scaled(axis, dot(start, axis)));

@@ -1,10 +1,10 @@
-//! Bodies of revolution as coaxial rings of rectangular section that carry a current each: partial elements (Ruehli,
+//! Bodies of revolution as coaxial current-carrying rings with a rectangular cross-section: partial elements (Ruehli,
 //! IEEE Trans. Microw. Theory Tech. 22, 1974) for eddy currents around an axis.
 //!
 //! `(R + j w L) I = -j w F_n` with the rings' resistances `2 pi rho / (sigma S)`, the mutual inductances of their
-//! sections and the fluxes F of a source through them; `dM_mn = F_m' I_n`. Only fluxes around the axis count: the
-//! result is whole where one of the two sources is symmetric about the body's axis, since fields of different order do
-//! not mix, and else its part of order 0.
+//! sections, and the fluxes F of a source through them; `dM_mn = F_m' I_n`. Only fluxes around the axis count. The
+//! result is complete if one of the two sources is symmetric about the body's axis, since fields of different order
+//! do not mix; otherwise it is the part of order 0.
 
 use std::f64::consts::{PI, TAU};
 
@@ -19,14 +19,14 @@ use crate::ring::Ring;
 use crate::sphere::skin_depth_m;
 use crate::vector::{Complex, Vector};
 
-/// The section of a ring in the half plane of distance from the axis and height: a parallelogram.
+/// Cross-section of a ring in the half plane of distance from the axis and height: a parallelogram.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
-    /// Its middle: distance from the axis and height, metres.
+    /// Centre: distance from the axis and height, metres.
     pub centre_m: [f64; 2],
-    /// From the middle to the middle of one side, metres.
+    /// Vector from the centre to the middle of one side, metres.
     pub across_m: [f64; 2],
-    /// The same, of a side next to it.
+    /// Vector from the centre to the middle of an adjacent side, metres.
     pub along_m: [f64; 2],
 }
 
@@ -35,12 +35,12 @@ impl Section {
         4.0 * (self.across_m[0] * self.along_m[1] - self.across_m[1] * self.along_m[0]).abs()
     }
 
-    /// Full lengths of the two directions.
+    /// Full lengths in the two directions.
     fn sides(&self) -> [f64; 2] {
         [self.across_m, self.along_m].map(|half| 2.0 * half[0].hypot(half[1]))
     }
 
-    /// Points of Gauss and Legendre with weights that sum to 1.
+    /// Gauss-Legendre points, with weights that sum to 1.
     fn points(&self, counts: [usize; 2]) -> Vec<([f64; 2], f64)> {
         let [rule_u, rule_v] = counts.map(gauss_legendre);
         let at = |u: f64, v: f64| [0, 1].map(|k| self.centre_m[k] + u * self.across_m[k] + v * self.along_m[k]);
@@ -52,7 +52,8 @@ impl Section {
     fn mutual_h(&self, other: &Self) -> f64 {
         let apart =
             (self.centre_m[0] - other.centre_m[0]).hypot(self.centre_m[1] - other.centre_m[1]).max(f64::MIN_POSITIVE);
-        // Enough points that they lie closer than the sections; the second takes one more, so that none coincide.
+        // Enough points that their spacing is smaller than the distance of the sections; one more in the second, so
+        // that none coincide.
         let count = |side: f64, more: usize| ((2.0 * side / apart).ceil() as usize).clamp(1, 8) + more;
         let mine = self.points(self.sides().map(|side| count(side, 0)));
         let theirs = other.points(other.sides().map(|side| count(side, 1)));
@@ -61,21 +62,21 @@ impl Section {
         mine.iter().map(|(p, w)| w * to(*p)).sum()
     }
 
-    /// Self inductance by the geometric mean distance of a rectangle from itself, `0.2235 (a + b)` (Grover, Inductance
-    /// Calculations, 1946, ch. 3).
+    /// Self inductance from the geometric mean distance of a rectangle from itself, `0.2235 (a + b)` (Grover,
+    /// Inductance Calculations, 1946, ch. 3).
     fn self_h(&self) -> f64 {
         let [a, b] = self.sides();
         Ring::flat([0.0; 3], self.centre_m[0]).self_inductance_h(0.2235 * (a + b))
     }
 
-    /// Flux of a source through the mean of its rings, Wb (per ampere for coils).
+    /// Mean flux of a source through the rings, Wb (per ampere for coils).
     fn flux(&self, source: &dyn Source) -> f64 {
         self.points([2, 2]).iter().map(|([rho, z], w)| w * TAU * rho * mean_potential(source, *rho, *z)).sum()
     }
 }
 
-/// Mean over a circle of the potential around the axis: the trapezoidal rule, which converges geometrically, doubled
-/// until it stands still.
+/// Mean over a circle of the potential around the axis, by the trapezoidal rule, which converges geometrically. The
+/// points are doubled until the result no longer changes.
 fn mean_potential(source: &dyn Source, rho: f64, z: f64) -> f64 {
     let at = |angle: f64| {
         let (sine, cosine) = angle.sin_cos();
@@ -98,25 +99,26 @@ fn mean_potential(source: &dyn Source, rho: f64, z: f64) -> f64 {
     }
 }
 
-/// A body of revolution about the z axis, cut into rings.
+/// A body of revolution around the z axis, cut into rings.
 #[derive(Clone, Debug)]
 pub struct RingBody {
     sections: Vec<Section>,
     conductivity_s_per_m: f64,
-    /// Thickest ring at the surface, metres, where it is known.
+    /// Thickness of the thickest surface ring, metres, if known.
     surface_m: f64,
     inductance: Mat<f64>,
 }
 
-/// Most skin depths that rings at a surface may be thick.
+/// Maximum thickness of surface rings, in skin depths.
 const MOST_DEPTHS: f64 = 0.7;
 
 impl RingBody {
-    /// From sections, whose currents are uniform; `surface_m` is the thickness of the rings at the surface, of which
-    /// [`RingBody::warnings`] speaks. Takes `8 rings^2` bytes, and a solution three times as much again.
+    /// Builds a body from sections with uniform currents. `surface_m` is the thickness of the rings at the surface,
+    /// used by [`RingBody::warnings`]. Needs `8 rings^2` bytes, and a solution needs three times as much again.
     ///
     /// # Errors
-    /// No sections, one without area or not wholly on one side of the axis, a conductivity that is not positive.
+    /// No sections, a section without area or not entirely on one side of the axis, or a conductivity that is not
+    /// positive.
     pub fn new(sections: Vec<Section>, surface_m: f64, conductivity_s_per_m: f64) -> Result<Self, MitError> {
         positive("conductivity_s_per_m", conductivity_s_per_m)?;
         positive("surface_m", surface_m)?;
@@ -143,12 +145,12 @@ impl RingBody {
         Ok(Self { sections, conductivity_s_per_m, surface_m, inductance })
     }
 
-    /// A cylinder with its middle at the origin, in so many rings from axis to rim and from end to end, those at the
-    /// surface a quarter of a skin depth thick at the given frequency, the others growing inward: 8 x 16 rings leave
-    /// 0.1 to 0.3 %.
+    /// A cylinder centred on the origin, with the given numbers of rings from axis to rim and from end to end.
+    /// Surface rings are a quarter of a skin depth thick at the given frequency, the others grow inward. 8 x 16 rings
+    /// have an error of 0.1 to 0.3 %.
     ///
     /// # Errors
-    /// Sizes or conductivity that are not positive, no rings, a frequency outside 1 Hz to 1 MHz.
+    /// Sizes or a conductivity that are not positive, no rings, or a frequency outside 1 Hz to 1 MHz.
     pub fn cylinder(
         radius_m: f64,
         height_m: f64,
@@ -162,7 +164,7 @@ impl RingBody {
         positive("rings from end to end", axial as f64)?;
         let first_m = 0.25 * skin_depth_m(conductivity_s_per_m, 1.0, frequency_hz)?;
         let radii: Vec<f64> = layers(radius_m, radial, first_m).iter().rev().map(|depth| radius_m - depth).collect();
-        // From both ends to the middle; an odd number has one ring across it.
+        // From both ends to the middle; an odd number has one ring across the middle.
         let half = layers(0.5 * height_m * axial as f64 / (axial + axial % 2) as f64, axial.div_ceil(2), first_m);
         let stretch = 0.5 * height_m / half[half.len() - 1];
         let mut levels: Vec<f64> = half.iter().map(|depth| depth * stretch - 0.5 * height_m).collect();
@@ -191,7 +193,7 @@ impl RingBody {
         self.sections.len()
     }
 
-    /// Rings at the surface too thick for the skin depth.
+    /// Warnings about surface rings too thick for the skin depth.
     ///
     /// # Errors
     /// A frequency outside 1 Hz to 1 MHz.
@@ -203,9 +205,9 @@ impl RingBody {
         Ok(vec![CoarseMesh { region: 1, height_m: self.surface_m, skin_depth_m, most: MOST_DEPTHS }])
     }
 
-    /// Changes of mutual inductance of any two sources, henries, row by row. They hold where one of the two is
+    /// Changes of mutual inductance between any two sources, henries, row by row. Valid if one of the two is
     /// symmetric about the z axis. Imposing [`crate::edge::Harmonic`] 0, 3 and 8 gives the entries of tau of order 0;
-    /// that of the first over mu0 is the polarizability along the axis, m^3.
+    /// the first divided by mu0 is the polarizability along the axis, m^3.
     ///
     /// # Errors
     /// A frequency outside 1 Hz to 1 MHz.
@@ -222,15 +224,15 @@ impl RingBody {
             Complex::new(if i == j { resistance } else { 0.0 }, w * self.inductance[(i, j)])
         });
         let sides = Mat::from_fn(count, sources.len(), |i, n| Complex::new(0.0, -w * fluxes[n][i]));
-        // Complex symmetric, not Hermitian: only a factorisation for general matrices is right.
+        // Complex symmetric, not Hermitian: only a factorisation for general matrices is correct.
         let currents = impedance.partial_piv_lu().solve(&sides);
         let change = |m: usize, n: usize| (0..count).map(|i| currents[(i, n)] * fluxes[m][i]).sum::<Complex>();
         Ok((0..sources.len() * sources.len()).map(|k| change(k / sources.len(), k % sources.len())).collect())
     }
 }
 
-/// Distances from a surface of so many layers that fill a thickness, from 0 to it: the first as thick as asked, or less
-/// where equal layers are, each later one thicker by the same factor.
+/// Distances from a surface, from 0 to the thickness, of `count` layers. The first has the requested thickness, or
+/// less if equal layers are thinner; each later one is thicker by the same factor.
 fn layers(thickness_m: f64, count: usize, first_m: f64) -> Vec<f64> {
     let (first, n) = (first_m.min(thickness_m / count as f64), count as i32);
     let total = |ratio: f64| first * (0..n).map(|k| ratio.powi(k)).sum::<f64>();

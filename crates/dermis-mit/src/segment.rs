@@ -1,17 +1,17 @@
 //! A straight filament: potential, field and mutual inductance in closed form (Grover, Inductance Calculations, 1946,
-//! ch. 7). Only closed chains of segments mean anything by themselves.
+//! ch. 7). Only closed chains of segments are physically meaningful.
 
 use std::f64::consts::PI;
 
 use crate::constants::MU0;
 use crate::vector::{Vector, add, cross, dot, norm, scaled, subtract};
 
-/// A straight wire in which 1 A flows from one end to the other.
+/// A straight wire carrying 1 A from one end to the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
-    /// Where the current comes in, metres.
+    /// End where the current enters, metres.
     pub from_m: Vector,
-    /// Where it goes out, metres.
+    /// End where the current leaves, metres.
     pub to_m: Vector,
 }
 
@@ -41,9 +41,9 @@ impl Segment {
         scaled(cross(a, b), MU0 / (4.0 * PI) * (r1 + r2) / denominator)
     }
 
-    /// Mutual inductance with a segment whose direction is parallel or perpendicular, henries; `least_m` is the
-    /// distance that filaments on one line or in one place are taken to have (the wire's geometric mean distance).
-    /// Other angles by Gauss quadrature of the potential.
+    /// Mutual inductance with a parallel or perpendicular segment, henries; other angles by Gauss quadrature of the
+    /// potential. `least_m` is the distance assumed between coincident or collinear filaments (the wire's geometric
+    /// mean distance).
     pub fn mutual_h(&self, other: &Segment, least_m: f64) -> f64 {
         let (t, u) = (self.direction(), other.direction());
         let cosine = dot(t, u);
@@ -66,7 +66,7 @@ impl Segment {
         (0..steps).map(|k| dot(self.vector_potential(at(k)), u) * step).sum()
     }
 
-    /// Least distance of the wire from a point.
+    /// Minimum distance of the wire from a point.
     pub fn distance_m(&self, point_m: Vector) -> f64 {
         let (t, from) = (self.direction(), subtract(point_m, self.from_m));
         let along = dot(from, t).clamp(0.0, self.length_m());

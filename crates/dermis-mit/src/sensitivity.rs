@@ -1,18 +1,18 @@
-//! How mutual inductances depend on the conductivity and permeability of a layer of voxels near the coils, by
+//! Sensitivity of mutual inductances to the conductivity and permeability of a layer of voxels near the coils, by
 //! reciprocity.
 //!
-//! With `e^{+j w t}`, `curl(1/mu curl A) + j w sigma A = J` and both coils' potentials per ampere, the difference of
-//! the equations before and after a change, each multiplied by the other coil's potential, leaves
+//! With `e^{+j w t}`, `curl(1/mu curl A) + j w sigma A = J` and both coils' potentials per ampere, take the
+//! difference of the equations before and after a change, each multiplied by the other coil's potential. This leaves
 //! `dM_mn/dsigma = -j w int A_m.A_n dV` and `dM_mn/dmu = 1/mu^2 int B_m.B_n dV = int H_m.H_n dV`. With `dZ = j w dM`
-//! and `E = -j w A` that is `dZ/dsigma = w^2 int A_m.A_n dV = -int E_m.E_n dV / (I_m I_n)` and
-//! `dZ/dmu = j w int H_m.H_n dV = j w / mu^2 int B_m.B_n dV / (I_m I_n)`. The voltage that a receiver's equation gives
-//! as `-j w int A.J` is minus the current times Z, and has the other sign.
+//! and `E = -j w A`, `dZ/dsigma = w^2 int A_m.A_n dV = -int E_m.E_n dV / (I_m I_n)` and
+//! `dZ/dmu = j w int H_m.H_n dV = j w / mu^2 int B_m.B_n dV / (I_m I_n)`. The voltage that a receiver's equation
+//! gives as `-j w int A.J` is minus the current times Z, so it has the opposite sign.
 //!
-//! Here the layer is weak: the fields in it are those of the coils alone, which holds where `w mu0 sigma L^2` is far
-//! below 1 for its size L. Its currents then follow `-j w A` only where nothing drives them against its faces: the
-//! windings lie parallel to it, as all of [`crate::Coil`] do, and the layer goes on beyond the voxels. What metal
-//! bodies do is far from this limit: see [`crate::edge::Fields::sensitivities`] for the derivatives by their materials
-//! and [`crate::MultipoleArray::slopes`] by their heights.
+//! The layer is assumed weak here: the fields in it are those of the coils alone, which holds if `w mu0 sigma L^2` is
+//! far below 1 for its size L. Its currents follow `-j w A` only if nothing drives them against its faces: the
+//! windings must be parallel to it, as in every [`crate::Coil`], and the layer must continue beyond the voxels. Metal
+//! bodies are far from this limit: see [`crate::edge::Fields::sensitivities`] for derivatives with respect to their
+//! materials and [`crate::MultipoleArray::slopes`] for derivatives with respect to their heights.
 
 use std::f64::consts::TAU;
 
@@ -24,7 +24,7 @@ use crate::error::{MitError, positive};
 use crate::quadrature::gauss_legendre;
 use crate::vector::{Complex, Vector, dot, norm};
 
-/// A box of equal voxels. Their order: x ascending fastest, then y, then z.
+/// A box of equal voxels, ordered by z, then y, then x (fastest).
 #[derive(Clone, Debug, PartialEq)]
 pub struct VoxelLayer {
     low_m: Vector,
@@ -34,12 +34,12 @@ pub struct VoxelLayer {
 }
 
 impl VoxelLayer {
-    /// The box between two corners, cut into so many voxels along x, y and z. Every voxel is integrated over by 2 x 2 x
-    /// 2 points of Gauss and Legendre (exact to degree 3 along each axis) unless [`VoxelLayer::with_points`] says
-    /// otherwise.
+    /// The box between two corners, divided into `counts` voxels along x, y and z. Every voxel is integrated with 2 x
+    /// 2 x 2 Gauss-Legendre points (exact to degree 3 along each axis), unless changed by
+    /// [`VoxelLayer::with_points`].
     ///
     /// # Errors
-    /// Corners that are not in order, no voxels along an axis.
+    /// Corners that are not in order, or no voxels along an axis.
     pub fn new(low_m: Vector, high_m: Vector, counts: [usize; 3]) -> Result<Self, MitError> {
         for axis in 0..3 {
             positive("size of the layer (m)", high_m[axis] - low_m[axis])?;
@@ -49,8 +49,8 @@ impl VoxelLayer {
         Ok(Self { low_m, voxel_m, counts, points: 2 })
     }
 
-    /// The same with `points` Gauss points along each side of a voxel: exact to degree `2 points - 1`. The fields'
-    /// scale is the distance d of the wire: what remains is about `(voxel / 2d)^(2 points)`.
+    /// The same with `points` Gauss points along each side of a voxel: exact to degree `2 points - 1`. The scale of
+    /// the fields is the distance d to the wire, so the remaining error is about `(voxel / 2d)^(2 points)`.
     ///
     /// # Errors
     /// No points, or more than 16.
@@ -68,29 +68,29 @@ impl VoxelLayer {
         self.counts.iter().product()
     }
 
-    /// Voxels along x, y and z.
+    /// Number of voxels along x, y and z.
     pub fn counts(&self) -> [usize; 3] {
         self.counts
     }
 
-    /// Sides of a voxel, metres.
+    /// Side lengths of a voxel, metres.
     pub fn voxel_m(&self) -> Vector {
         self.voxel_m
     }
 
-    /// Middle of a voxel, metres; `None` for one that does not exist.
+    /// Centre of a voxel, metres; `None` if it does not exist.
     pub fn centre_m(&self, voxel: usize) -> Option<Vector> {
         (voxel < self.voxel_count()).then(|| self.at(voxel, [0.0; 3]))
     }
 
-    /// A point of a voxel from coordinates of -1 to 1.
+    /// A point in a voxel, given coordinates from -1 to 1.
     fn at(&self, voxel: usize, local: Vector) -> Vector {
         let [nx, ny, _] = self.counts;
         let index = [voxel % nx, voxel / nx % ny, voxel / (nx * ny)];
         std::array::from_fn(|k| self.low_m[k] + self.voxel_m[k] * (index[k] as f64 + 0.5 + 0.5 * local[k]))
     }
 
-    /// Points of a voxel with their volumes.
+    /// Quadrature points of a voxel with their volumes.
     fn rule(&self) -> Vec<(Vector, f64)> {
         let line = gauss_legendre(self.points);
         let share = self.voxel_m.iter().product::<f64>() / 8.0;
@@ -103,7 +103,7 @@ impl VoxelLayer {
         rule
     }
 
-    /// Greatest distance of a place in a voxel from the nearest of its points.
+    /// Maximum distance of any place in a voxel from the nearest quadrature point.
     fn spacing_m(&self) -> f64 {
         let line = gauss_legendre(self.points);
         let between = line.windows(2).map(|pair| 0.5 * (pair[1].0 - pair[0].0));
@@ -111,12 +111,12 @@ impl VoxelLayer {
         0.5 * widest * norm(self.voxel_m)
     }
 
-    /// Sensitivities of all pairs of an array, voxels in parallel. They hold `16 pairs x voxels` bytes, and as much
-    /// again while they are made; the time is that of `points^3` potentials and fields of every coil for each voxel.
+    /// Sensitivities of all pairs of an array, voxels in parallel. Needs `16 pairs x voxels` bytes, and twice that
+    /// during the computation. The time is that of `points^3` potentials and fields of every coil for each voxel.
     ///
     /// # Errors
-    /// Wire in the layer, or so near that the points do not resolve its field (nearer to one than a voxel's places may
-    /// be).
+    /// Wire in the layer, or so close that the quadrature points do not resolve its field (closer to one than a place
+    /// in a voxel may be).
     pub fn sensitivities(&self, array: &CoilArray) -> Result<Sensitivities, MitError> {
         let (pairs, rule, voxels, least_m) = (array.pairs(), self.rule(), self.voxel_count(), self.spacing_m());
         let of_voxels = (0..voxels)
@@ -166,7 +166,7 @@ impl VoxelLayer {
     }
 }
 
-/// Sensitivities of pairs of coils to voxels. They are kept as integrals that hold for all frequencies.
+/// Sensitivities of pairs of coils to voxels, stored as integrals that are valid for all frequencies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensitivities {
     pairs: Vec<[usize; 2]>,
@@ -176,34 +176,34 @@ pub struct Sensitivities {
 }
 
 impl Sensitivities {
-    /// Pairs of coils: the rows.
+    /// Pairs of coils (the rows).
     pub fn pairs(&self) -> &[[usize; 2]] {
         &self.pairs
     }
 
-    /// Number of voxels: the columns.
+    /// Number of voxels (the columns).
     pub fn voxel_count(&self) -> usize {
         self.voxels
     }
 
-    /// `int A_m.A_n dV`, pair by pair and voxel by voxel, V^2.s^2.m/A^2.
+    /// `int A_m.A_n dV`, by pair and voxel, V^2.s^2.m/A^2.
     pub fn potentials(&self) -> &[f64] {
         &self.potentials
     }
 
-    /// `int H_m.H_n dV = dM/dmu`, pair by pair and voxel by voxel, metres (henries per henry per metre); real, and the
-    /// same at every frequency. `dZ/dmu` is `j w` times it.
+    /// `int H_m.H_n dV = dM/dmu`, by pair and voxel, metres (henries per henry per metre); real, and the same at
+    /// every frequency. `dZ/dmu` is `j w` times it.
     pub fn fields(&self) -> &[f64] {
         &self.fields
     }
 
-    /// `dM/dsigma = -j w int A_m.A_n dV`, pair by pair and voxel by voxel, henries per (S/m).
+    /// `dM/dsigma = -j w int A_m.A_n dV`, by pair and voxel, henries per (S/m).
     pub fn inductance_by_conductivity(&self, frequency_hz: f64) -> Vec<Complex> {
         let factor = -TAU * frequency_hz;
         self.potentials.iter().map(|p| Complex::new(0.0, factor * p)).collect()
     }
 
-    /// `dZ/dsigma = w^2 int A_m.A_n dV`, pair by pair and voxel by voxel, ohms per (S/m); real.
+    /// `dZ/dsigma = w^2 int A_m.A_n dV`, by pair and voxel, ohms per (S/m); real.
     pub fn impedance_by_conductivity(&self, frequency_hz: f64) -> Vec<f64> {
         let factor = (TAU * frequency_hz).powi(2);
         self.potentials.iter().map(|p| factor * p).collect()

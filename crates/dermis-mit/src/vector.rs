@@ -1,4 +1,4 @@
-//! Complex numbers, and vectors of space with their algebra.
+//! Complex numbers, and vectors in space with their algebra.
 
 /// Complex numbers.
 pub type Complex = faer::c64;

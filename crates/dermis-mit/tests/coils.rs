@@ -1,4 +1,5 @@
-//! Descriptions of coils: the published arrays as they always were, any other array, and what is refused.
+//! Descriptions of coils: the published arrays keep their values, other arrays are valid, and invalid ones are
+//! refused.
 
 use dermis_mit::{
     Coil, CoilArray, CoilGrid, CoilShape, CoilSpec, Conductor, EM_8, EM_16_CIRCULAR, EM_16_SQUARE, MU0, MitError,
@@ -6,10 +7,10 @@ use dermis_mit::{
 };
 
 const MM: f64 = 1e-3;
-/// What another library of elementary functions may change in the last bits of sums over thousands of filaments.
+/// Tolerance for another math library, which may change the last bits of sums over thousands of filaments.
 const LAST_BITS: f64 = 1e-13;
 
-/// Bits of the mutual inductances of coil 1 with the others.
+/// Bits of the mutual inductances between coil 1 and the others.
 const EM_8_H: [u64; 7] = [
     0xbed5_e987_d953_12f5,
     0xbe9c_24ac_dc2c_9f92,
@@ -28,7 +29,7 @@ const EM_8_SHIELD_H: [u64; 7] = [
     0xbe56_8998_5a37_b9f1,
     0xbe39_dd5c_d035_8d00,
 ];
-/// Bits of the mutual inductances of coil 1 with the others.
+/// Bits of the mutual inductances between coil 1 and the others.
 const CIRCULAR_H: [u64; 15] = [
     0xbed1_c0e2_07e1_b756,
     0xbe98_ef59_6792_282e,
@@ -63,7 +64,7 @@ const CIRCULAR_SHIELD_H: [u64; 15] = [
     0xbe02_f216_0a01_64b3,
     0xbdf0_7e53_1aaf_d0de,
 ];
-/// Bits of the mutual inductances of coil 1 with the others.
+/// Bits of the mutual inductances between coil 1 and the others.
 const SQUARE_H: [u64; 15] = [
     0xbede_6c90_8e3f_7cb7,
     0xbea2_a823_7663_9136,
@@ -133,7 +134,7 @@ fn descriptions_make_the_same_wire_as_the_windings_that_they_name() {
     let circular = Coil::circular_spiral([0.0; 3], 0.03, 0.07, 51).unwrap().calibrated_to(155e-6).unwrap().0;
     let square = Coil::square_spiral([0.0; 3], 0.025, 0.075, 51).unwrap().calibrated_to(157e-6).unwrap().0;
     for (published, coil) in [(EM_8, solenoid), (EM_16_CIRCULAR, circular), (EM_16_SQUARE, square)] {
-        // Bit for bit: nothing of the arithmetic differs.
+        // Identical bit for bit: the arithmetic is the same.
         assert_eq!(published.spec.coil([0.0; 3]).unwrap(), coil);
         let array = published.coils().unwrap();
         let expected: Vec<Coil> =
@@ -142,7 +143,7 @@ fn descriptions_make_the_same_wire_as_the_windings_that_they_name() {
     }
 }
 
-/// Maxwell's formula of two coaxial loops, henries.
+/// Maxwell's formula for two coaxial loops, henries.
 fn coaxial_h(a: f64, b: f64, distance_m: f64) -> f64 {
     let parameter = 4.0 * a * b / ((a + b).powi(2) + distance_m * distance_m);
     let ((k, e), root) = (complete_elliptic(1.0 - parameter), parameter.sqrt());
@@ -161,7 +162,8 @@ fn three_rows_of_four_single_turns_are_rings() {
     }
     let ring = |k: usize| Ring::flat(array.coils()[k].centre_m, 15.0 * MM);
     for (&[a, b], mutual) in array.pairs().iter().zip(array.mutuals_h()) {
-        // The middle line's radius comes from the widths, by decimals that are rounded; the integral is good to 1e-14.
+        // The centre line's radius is computed from widths given as rounded decimals; the integral is accurate to
+        // 1e-14.
         assert!((mutual / ring(a).mutual_h(&ring(b)) - 1.0).abs() < 1e-11, "{a} {b}");
         let back = array.coils()[b].mutual_h(&array.coils()[a]);
         assert!((mutual / back - 1.0).abs() < 1e-11, "{a} {b}: {mutual:e} {back:e}");
@@ -198,13 +200,13 @@ fn listed_places_may_be_irregular_and_in_layers() {
     assert!(array.outlines().iter().zip(places).all(|(o, p)| o.shape == CoilShape::Square && o.centre_m == p));
     for (&[a, b], mutual) in array.pairs().iter().zip(array.mutuals_h()) {
         let back = array.coils()[b].mutual_h(&array.coils()[a]);
-        // Sums of closed forms of opposite sides, which cancel to some digits.
+        // Sums of closed forms of opposite sides, which cancel some digits.
         assert!((mutual / back - 1.0).abs() < 1e-9, "{a} {b}: {mutual:e} {back:e}");
     }
-    // Beside each other flux returns through the neighbour; over each other it is shared.
+    // For coils side by side, flux returns through the neighbour; for stacked coils, it is shared.
     let mutuals = array.mutuals_h();
     assert!(mutuals[0] < 0.0 && mutuals[2] > 0.0, "{mutuals:?}");
-    // Two tight layers: close to four times the inductance of one.
+    // Two tight layers have almost four times the inductance of one.
     let one = CoilSpec { turns: 16, layers: 1, ..spec }.coil([0.0; 3]).unwrap().self_inductance_h();
     let two = array.coils()[0].self_inductance_h();
     assert!((3.5..4.0).contains(&(two / one)), "{}", two / one);
@@ -227,11 +229,12 @@ fn many_turns_are_lumped_without_a_change_that_matters() {
     assert!(lumped.filaments().len() <= 128 && every.filaments().len() == 400);
     let turns = lumped.scale() * lumped.filaments().len() as f64;
     assert!((turns - 400.0).abs() < 1e-9, "{turns}");
-    // A block of turns by the mean distance of a rectangle; round wire leaves corners free, half a per cent here.
+    // A block of turns uses the mean distance of a rectangle. Round wire leaves the corners empty, half a per cent
+    // here.
     let share = lumped.self_inductance_h() / every.self_inductance_h();
     assert!((share - 1.0).abs() < 0.005, "{share}");
     let beside = |coil: &Coil| coil.mutual_h(&coil.clone().moved([0.032, 0.0, 0.0]));
-    // Filaments 0.6 mm apart over a distance of 32 mm: the square of a hundredth or two.
+    // Filaments 0.6 mm apart at a distance of 32 mm: the square of one or two hundredths.
     assert!((beside(&lumped) / beside(&every) - 1.0).abs() < 1e-3);
     let most = CoilSpec { turns: 10_000, layers: 1, conductor: Conductor::PitchShare(0.8), ..spec };
     assert_eq!(most.coil([0.0; 3]).unwrap().filaments().len(), 128);
@@ -288,7 +291,7 @@ fn coils_that_cannot_be_are_refused_with_field_value_and_expectation() {
     assert!(matches!(refused(&[at(0.0, 0.0), at(19.9, 0.0)]), MitError::CoilsOverlap { first: 1, second: 2, .. }));
     assert!(matches!(refused(&[at(0.0, 0.0), at(5.0, 0.2)]), MitError::CoilsOverlap { .. }));
     assert!(array(&[at(0.0, 0.0), at(5.0, 0.5)]).is_ok() && array(&[at(0.0, 0.0), at(20.0, 0.0)]).is_ok());
-    // Squares reach into their corners, circles do not.
+    // Squares reach into their corners; circles do not.
     let diagonal = [[0.0; 3], [16.0 * MM, 16.0 * MM, 0.0]];
     let square = CoilSpec { shape: CoilShape::Square, ..spec };
     assert!(array(&diagonal).is_ok() && CoilArray::new(&square, &diagonal).is_err());
@@ -323,7 +326,7 @@ fn pairs_that_lie_alike_have_one_mutual_inductance_and_others_their_own() {
     let found = array.mutuals_h();
     for (&[a, b], found) in array.pairs().iter().zip(&found) {
         let direct = array.coils()[a].mutual_h(&array.coils()[b]);
-        // Reciprocal pairs integrate along the other's wire.
+        // Reciprocal pairs integrate along the other coil's wire.
         assert!((found - direct).abs() < 1e-9 * direct.abs().max(1e-9), "{a} {b}: {found:e} {direct:e}");
     }
 }

@@ -1,4 +1,4 @@
-//! Edge elements against closed forms, reference values computed elsewhere and measured fields.
+//! Compares edge elements with closed forms, with reference values computed elsewhere, and with measured fields.
 
 use std::f64::consts::PI;
 
@@ -29,7 +29,7 @@ fn relative(found: Complex, expected: Complex) -> f64 {
     (found - expected).norm() / expected.norm()
 }
 
-/// `E = (sin(pi y) sin(pi z), 0, 0)` on a box of side L: without tangential part on its surface,
+/// `E = (sin(pi y) sin(pi z), 0, 0)` on a box of side L: zero tangential component on its surface,
 /// `curl curl E = 2 (pi/L)^2 E`.
 struct Mode {
     side_m: f64,
@@ -47,7 +47,7 @@ impl Source for Mode {
     }
 }
 
-/// Root mean square errors of potential and flux density of the mode in a conducting box, relative.
+/// Relative RMS errors of potential and flux density of the mode in a conducting box.
 fn mode_errors(cells: usize, order: Order) -> [f64; 2] {
     let mode = Mode { side_m: 0.01 };
     let axis: Vec<f64> = (0..=cells).map(|k| mode.side_m * k as f64 / cells as f64).collect();
@@ -73,7 +73,7 @@ fn errors_fall_with_the_order_of_the_elements() {
     for (order, cells, least) in [(Order::First, [4, 8], 0.85), (Order::Second, [4, 7], 1.7)] {
         let [coarse, fine] = cells.map(|cells| mode_errors(cells, order));
         for n in 0..2 {
-            // Whole orders in the limit; at points, on meshes this coarse, a little less.
+            // Full orders in the limit; slightly less at points on meshes this coarse.
             let rate = (coarse[n] / fine[n]).ln() / (cells[1] as f64 / cells[0] as f64).ln();
             println!("{order:?}: {:.2e} {:.2e}, rate {rate:.2}", coarse[n], fine[n]);
             assert!(rate > least, "{order:?}: rate {rate}");
@@ -81,13 +81,13 @@ fn errors_fall_with_the_order_of_the_elements() {
     }
 }
 
-/// Largest relative error of the diagonal of tau within each degree, of a sphere of 5 mm.
+/// Largest relative error of the diagonal of tau within each degree, for a sphere of 5 mm.
 fn sphere_errors(material: Material, frequency_hz: f64) -> [f64; 3] {
     let depth = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz).unwrap();
     let grading = Grading { around: 8, ..Grading::for_body(depth, 0.005, 0.005) };
     let mesh = sphere_mesh(0.005, &grading).unwrap();
     let system = EddySystem::new(&mesh, &[material], frequency_hz, Order::Second).unwrap();
-    // Two or three of each degree to 3, of different orders: eight go through one pass over the factor.
+    // Two or three of each degree up to 3, of different orders: eight share one pass over the factor.
     let chosen: [&[usize]; 3] = [&[0, 2], &[3, 5, 6], &[8, 11, 14]];
     let harmonics: Vec<(usize, Harmonic)> =
         chosen.into_iter().flatten().map(|&i| (i, Harmonic::new(i).unwrap())).collect();
@@ -109,27 +109,28 @@ fn spheres_answer_as_in_closed_form() {
     for (material, frequency_hz) in [(ALUMINIUM, 1000.0), (steel, 50.0)] {
         let errors = sphere_errors(material, frequency_hz);
         println!("{material:?}: {errors:.5?}");
-        // 80 faces of parabolic edges follow the sphere to 0.2 % of its volume; harmonics of degree 3 span few of them.
+        // With 80 faces, parabolic edges follow the sphere to 0.2 % of its volume; a harmonic of degree 3 spans only
+        // a few.
         assert!(errors[0] < 5e-3 && errors[1] < 1e-2 && errors[2] < 3e-2, "{errors:?}");
     }
 }
 
-/// The reference's poses of a coil pair around a body of one shape, for elements of second order at a frequency.
+/// The reference's poses of a coil pair around a body of one shape, for second-order elements at a frequency.
 fn poses(file: &Value, frequency_hz: f64) -> &[Value] {
     let of_case = |case: &&Value| case["order"] == 2 && number(&case["f_Hz"]) == frequency_hz;
     file.as_array().unwrap().iter().find(of_case).unwrap()["pairs"].as_array().unwrap()
 }
 
-/// The pair of coils of a pose, the body at the origin.
+/// The coil pair of a pose, with the body at the origin.
 fn coils(pose: &Value) -> [Coil; 2] {
     let c = [0, 1, 2].map(|k| number(&pose["center"][k]));
     [-0.0375, 0.0375].map(|x| Coil::circular_spiral([x - c[0], -c[1], -c[2]], 0.03, 0.07, 51).unwrap())
 }
 
-/// Largest error of dM12 and dM11 over these poses by elements.
+/// Largest error of dM12 and dM11 over these poses, by elements.
 fn pair_errors(file: &Value, shape: &Shape, grading: &Grading, frequency_hz: f64, chosen: &[usize]) -> f64 {
     let mesh = shape.mesh(grading).unwrap().octant().unwrap();
-    // All coils of these poses stand in the plane y = 0.
+    // All coils of these poses are centred in the plane y = 0.
     let system = SymmetricBody::of_cosines(&mesh, &[ALUMINIUM], frequency_hz, Order::Second).unwrap();
     assert_eq!(system.info().warnings, []);
     let poses: Vec<&Value> = chosen.iter().map(|&k| &poses(file, frequency_hz)[k]).collect();
@@ -153,8 +154,8 @@ const CYLINDER: Shape = Shape::Cylinder { radius_m: 0.005, height_m: 0.01 };
 fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
     let file = reference("edge_fem_cylinder.json");
     let grading = CYLINDER.grading(skin_depth_m(3.5e7, 1.0, 1e3).unwrap());
-    // Between the coils, near and less near, and over one of them. The reference is within 0.05 % of an axisymmetric
-    // one.
+    // Between the coils, close and less close, and over one of them. The reference is within 0.05 % of an
+    // axisymmetric computation.
     let off = pair_errors(&file, &CYLINDER, &Grading { air_growth: 2.5, ..grading }, 1e3, &[0, 1, 6]);
     assert!(off < 0.005, "{off}");
 }
@@ -162,7 +163,7 @@ fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
 #[test]
 fn the_matrix_of_a_cylinder_serves_coil_pairs_at_any_pose() {
     let file = reference("edge_fem_cylinder.json");
-    // What the multipoles leave and what elements of second order do: the reference itself is 1.05 % from an
+    // Combined error of the multipole truncation and second-order elements. The reference itself is 1.05 % from an
     // axisymmetric computation at 100 kHz.
     for (frequency_hz, most) in [(1e3, 0.003), (1e5, 0.01)] {
         let body = body_tau(&CYLINDER, &ALUMINIUM, frequency_hz).unwrap();
@@ -170,7 +171,7 @@ fn the_matrix_of_a_cylinder_serves_coil_pairs_at_any_pose() {
             let coils = coils(pose);
             let c = coils.each_ref().map(|coil| coil.expansion([0.0; 3]));
             for (label, n) in [("dM12", 1), ("dM11", 0)] {
-                // The reference's table leaves one value out.
+                // One value is missing in the reference's table.
                 if pose[label].is_null() || pose[label][0].is_null() {
                     continue;
                 }
@@ -186,7 +187,7 @@ fn the_matrix_of_a_cylinder_serves_coil_pairs_at_any_pose() {
 fn a_cylinder_answers_axial_fields_as_rings_and_an_axisymmetric_computation_do() {
     let body = body_tau(&CYLINDER, &ALUMINIUM, 20e3).unwrap();
     let rings = RingBody::cylinder(0.005, 0.01, 3.5e7, 20e3, [8, 16]).unwrap();
-    // The harmonics of order 0: degree l stands at l^2 - 1.
+    // The harmonics of order 0: degree l has index l^2 - 1.
     let axial: Vec<usize> = (1..=MOST_DEGREE).map(|l| l * l - 1).collect();
     let harmonics: Vec<Harmonic> = axial.iter().map(|&i| Harmonic::new(i).unwrap()).collect();
     let sources: Vec<&dyn Source> = harmonics.iter().map(|h| h as &dyn Source).collect();
@@ -196,7 +197,7 @@ fn a_cylinder_answers_axial_fields_as_rings_and_an_axisymmetric_computation_do()
             let (found, expected) = (body.tau()[row * HARMONICS + column], by_rings[i * axial.len() + j]);
             let size = (by_rings[i * (axial.len() + 1)] * by_rings[j * (axial.len() + 1)]).norm().sqrt();
             println!("degrees {} and {}: {:.5}", i + 1, j + 1, (found - expected).norm() / size);
-            // Rings leave 0.1 % of degree 1, elements 0.3 %; both more of higher degrees.
+            // Rings have an error of 0.1 % in degree 1, elements 0.3 %; both have more in higher degrees.
             assert!((found - expected).norm() < 4e-3 * (1 + i.max(j)) as f64 * size, "{i} {j}: {found:?} {expected:?}");
         }
     }
@@ -215,7 +216,7 @@ fn half_of_the_systems_are_enough_for_a_round_body() {
     let mesh = CYLINDER.mesh(&coarse).unwrap().octant().unwrap();
     let whole = symmetric_tau(&SymmetricBody::new(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap()).unwrap();
     let half = round_tau(&mesh, &ALUMINIUM, 1e3).unwrap();
-    // A field that is not even across y = 0 has no answer from half of the systems.
+    // Half of the systems cannot respond to a field that is not even across y = 0.
     let cosines = SymmetricBody::of_cosines(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap();
     assert!(cosines.changes_h(&[&Harmonic::new(1).unwrap()]).is_ok());
     let refused = cosines.changes_h(&[&Harmonic::new(0).unwrap(), &Harmonic::new(2).unwrap()]).unwrap_err();
@@ -225,7 +226,7 @@ fn half_of_the_systems_are_enough_for_a_round_body() {
         for j in 0..HARMONICS {
             let (a, b) = (whole[i * HARMONICS + j], half[i * HARMONICS + j]);
             let size = (whole[i * (HARMONICS + 1)].norm() * whole[j * (HARMONICS + 1)].norm()).sqrt();
-            // Eight elements around tell cosines from sines by a few per cent at most.
+            // With eight elements around, cosine and sine responses differ by a few per cent at most.
             let most = if degree(i).max(degree(j)) < 3 { 0.02 } else { 0.1 };
             assert!((a - b).norm() < most * size, "{i} {j}: {a:?} {b:?} of {size:e}");
         }
@@ -238,7 +239,7 @@ fn a_plate_changes_coil_pairs_as_in_the_reference() {
     let plate = Shape::Plate { size_m: [0.02, 0.02, 0.001] };
     let grading =
         Grading { first_m: 0.5e-3, growth: 2.0, most_m: 0.5e-3, air_growth: 3.0, air_m: 0.08, ..plate.grading(1.0) };
-    // The reference's own orders differ by 1.8-4.7 %: it is trusted to about 1 %.
+    // The reference's own orders differ by 1.8-4.7 %, so it is trusted to about 1 %.
     let by_elements = pair_errors(&file, &plate, &grading, 1e3, &[0, 4, 6]);
     assert!(by_elements < 0.03, "{by_elements}");
 }
@@ -277,7 +278,8 @@ fn what_makes_no_sense_is_refused_with_its_number() {
     assert!(message(system(Material { relative_permeability: 0.9, ..ALUMINIUM }, 1e3)).contains("0.9"));
     let none = EddySystem::new(&mesh, &[], 1e3, Order::First).map(|system| system.info());
     assert_eq!(none.unwrap_err(), MitError::Count { what: "materials", expected: 1, got: 0 });
-    // All of this box is conductor and has no surface in air: nothing to warn of. A body in air has.
+    // This box is all conductor without a surface in air, so there is nothing to warn about. A body in air has a
+    // surface.
     let axis = vec![-0.03, -0.01, 0.01, 0.03];
     let inside = |p: [f64; 3]| u8::from(p.iter().all(|x| x.abs() < 0.01));
     let coarse = box_mesh(&[axis.clone(), axis.clone(), axis], inside).unwrap();

@@ -1,4 +1,4 @@
-//! Magnetic induction against reference values, closed forms and other methods.
+//! Compares magnetic induction with reference values, closed forms and other methods.
 
 mod coils;
 mod edge;

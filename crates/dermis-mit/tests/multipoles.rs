@@ -1,4 +1,4 @@
-//! Coils and multipole bodies against reference values computed elsewhere and against closed forms.
+//! Compares coils and multipole bodies with reference values computed elsewhere and with closed forms.
 
 use dermis_mit::{
     Coil, CoilArray, CoilTables, Complex, Coupling, Filament, HARMONICS, MU0, MitError, MultipoleArray, Polarizability,
@@ -27,7 +27,7 @@ fn relative(found: Complex, expected: Complex) -> f64 {
     (found - expected).norm() / expected.norm()
 }
 
-/// The reference's coil: 51 rings in the middle of each turn's share of 15 to 35 mm.
+/// The reference's coil: 51 rings, each in the middle of its turn's share of 15 to 35 mm.
 fn spiral(x_m: f64) -> Coil {
     Coil::circular_spiral([x_m, 0.0, 0.0], 0.03, 0.07, 51).unwrap()
 }
@@ -88,7 +88,7 @@ fn fields_are_the_curl_of_potentials_and_right_on_the_axis() {
             let curl = [slope(1, 2) - slope(2, 1), slope(2, 0) - slope(0, 2), slope(0, 1) - slope(1, 0)];
             let b = flux(p);
             let size = b.iter().map(|v| v * v).sum::<f64>().sqrt();
-            // Central differences over a micrometre: rounding of A over the step.
+            // Central differences over a micrometre: the rounding error of A divided by the step.
             (0..3).for_each(|k| assert!((curl[k] - b[k]).abs() < 1e-7 * size + 1e-12, "{p:?} {curl:?} {b:?}"));
         }
     }
@@ -97,7 +97,7 @@ fn fields_are_the_curl_of_potentials_and_right_on_the_axis() {
         let expected = MU0 * 0.02_f64.powi(2) / (2.0 * (0.02_f64.powi(2) + z * z).powf(1.5));
         for off in [0.0, 1e-12, 1e-7] {
             let found = flat.flux_density([off, 0.0, z])[2];
-            // 0.1 um off the axis changes the field by (off/a)^2.
+            // An offset of 0.1 um from the axis changes the field by (off/a)^2.
             assert!((found / expected - 1.0).abs() < 1e-9, "{z} {off}: {found} {expected}");
         }
     }
@@ -118,10 +118,11 @@ fn spirals_have_the_reference_s_inductances() {
     for row in file["circular_array_4x4_pitch75mm_mutuals"].as_array().unwrap() {
         let found =
             spiral(0.0).mutual_h(&spiral(0.0).moved([0.075 * number(row, "dx"), 0.075 * number(row, "dy"), 0.0]));
-        // The reference integrates an annular sheet, not 51 rings: one turn's width over the coil's, squared.
+        // The reference integrates an annular sheet instead of 51 rings: the square of one turn's width over the
+        // coil's.
         assert!((found / number(row, "M_H") - 1.0).abs() < 1e-3, "{}: {found:e} {}", row["pair"], number(row, "M_H"));
     }
-    // A spiral of 51 turns wound inward against 51 squares, and the measured 157 uH.
+    // A spiral of 51 turns wound inward, against 51 squares, and the measured 157 uH.
     let square = Coil::square_spiral([0.0; 3], 0.025, 0.075, 51).unwrap().self_inductance_h();
     let expected = number(&file["square_25_75"], "square_spiral_n51_gmd0.8pitch");
     println!("square {square:e}, reference's spiral {expected:e}");
@@ -185,15 +186,16 @@ fn a_sphere_between_two_coils_as_tabulated() {
         }
         worst[3] = worst[3].max(relative(body.truncated(1).change_h(&c1, &c1), complex(&row["dM11_dipole_only"])));
         let off = relative(body.truncated(3).change_h(&c1, &c2), complex(&row["dM12"]));
-        // The table's own l <= 3 truncation, and how far 51 rings at 1e-8 of quadrature are from it.
+        // The table's own l <= 3 truncation, compared with 51 rings and 1e-8 of quadrature error.
         assert!((off - number(row, "rel_err_l3_12")).abs() < 1e-6, "{centre:?}: {off:e}");
-        // More degrees leave less, down to what the table itself is good for.
+        // More degrees leave a smaller error, down to the accuracy of the table itself.
         let all = relative(body.change_h(&c1, &c2), complex(&row["dM12"]));
         beyond = beyond.max(all);
         assert!(all < 0.5 * off + 1e-7, "{centre:?}: {all:e} after {off:e}");
     }
     println!("worst relative differences: {worst:?}; with all degrees {beyond:e} of the exact values");
-    // Expansion by quadrature on a fiftieth of the distance: 1e-8 of the field's size, some of it cancelled in the sum.
+    // Expansion by quadrature at a fiftieth of the distance: 1e-8 of the field's size, some of which cancels in the
+    // sum.
     assert!(worst.iter().all(|w| *w < 1e-6), "{worst:?}");
 }
 
@@ -279,9 +281,9 @@ fn neighbours_excite_each_other_as_a_direct_solution_says() {
         relative(with(1, 30), settled),
         relative(with(2, 30), settled)
     );
-    // Sweeps converge geometrically, to a solution that one more does not change.
+    // Sweeps converge geometrically to a solution that another sweep does not change.
     assert!(relative(four, settled) < 0.1 * relative(two, settled) && relative(with(3, 31), settled) < 1e-12);
-    // Two dipoles far apart: the closed form d = alpha (H + G d), G the dipole field, in the limit of degree 1.
+    // Two distant dipoles: the closed form d = alpha (H + G d) with the dipole field G, in the limit of degree 1.
     let far = |x: f64| {
         let places = [[0.0, 0.0], [x, 0.0]];
         let tables = CoilTables::new(&array, &places, [0.008, 0.03], 0.005).unwrap();
@@ -296,7 +298,7 @@ fn neighbours_excite_each_other_as_a_direct_solution_says() {
     let sphere = Sphere { radius_m: 0.005, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
     let alpha = sphere.polarizability_m3(20e3).unwrap();
     let field = |coil: &Coil, at: f64| coil.flux_density([at, 0.0, 0.015]).map(|b| b / MU0);
-    // Components along the line couple by 2/(4 pi x^3), across it by -1/(4 pi x^3).
+    // Components along the line couple by 2/(4 pi x^3), those across it by -1/(4 pi x^3).
     let g = |axis: usize| if axis == 0 { 2.0 } else { -1.0 } / (4.0 * std::f64::consts::PI * x.powi(3));
     let (first, second) = (&array.coils()[0], &array.coils()[1]);
     let expected: Complex = (0..3)
@@ -330,7 +332,7 @@ fn what_cannot_be_is_refused_with_its_numbers() {
     let coupling = Some(Coupling { degree: 1, reach_m: 0.1, sweeps: 1 });
     let overlap = MultipoleArray::new(vec![aluminium(0.005); 2], tables.clone(), coupling).unwrap_err();
     assert!(matches!(overlap, MitError::BodiesOverlap { first: 1, second: 2, .. }), "{overlap}");
-    // Bodies that do not excite each other may come nearer, but not into each other.
+    // Bodies that do not excite each other may come closer, but must not overlap.
     let inside = MultipoleArray::new(vec![aluminium(0.005); 2], tables.clone(), None).unwrap_err();
     assert!(matches!(inside, MitError::BodiesOverlap { distance_m: 0.008, .. }), "{inside}");
     let mut bodies = MultipoleArray::new(vec![aluminium(0.003); 2], tables, None).unwrap();

@@ -1,4 +1,4 @@
-//! Coils over wide conducting plates against reference values computed elsewhere and against limits in closed form.
+//! Compares coils over wide conducting plates with reference values computed elsewhere and with closed-form limits.
 
 use crate::shared::{complex, number, reference, relative};
 use dermis_mit::{Coil, Complex, ConductingPlate, MU0, MitError, Ring, RoundWinding};
@@ -34,7 +34,7 @@ fn coils_over_plates_change_as_in_the_reference() {
         worst = worst.max(relative(found, complex(&row["dM"])));
     }
     println!("worst relative difference {worst:e}");
-    // Both are quadratures to nearly all digits; far offsets cancel two of these.
+    // Both are quadratures to almost full precision; cancellation at large offsets costs two digits.
     assert!(worst < 1e-10, "{worst:e}");
 }
 
@@ -45,12 +45,12 @@ fn a_perfect_conductor_is_a_mirror() {
     let [first, second] = [a, b].map(|centre| RoundWinding::ring(centre, 0.025).unwrap());
     let found = over.change_h(&first, &second, 1e6).unwrap();
     let expected = -Ring::flat([0.0, 0.0, -0.01], 0.025).mutual_h(&Ring::flat(b, 0.025));
-    // What is left of a skin depth of 5e-12 m over 10 mm.
+    // Error of a skin depth of 5e-12 m relative to 10 mm.
     assert!(
         (found.re / expected - 1.0).abs() < 1e-8 && found.im.abs() < 1e-8 * expected.abs(),
         "{found:?} {expected:e}"
     );
-    // The same by a coil with a shield: its image's flux is the whole change.
+    // The same with a shielded coil: the flux of its image is the whole change.
     let coil = |x: f64| Coil::circular_spiral([x, 0.0, 0.01], 0.03, 0.07, 5).unwrap();
     let rings = [coil(0.0), coil(0.075)].map(|coil| RoundWinding::of_coil(&coil).unwrap());
     let found = over.change_h(&rings[0], &rings[1], 1e6).unwrap();
@@ -61,7 +61,7 @@ fn a_perfect_conductor_is_a_mirror() {
 
 #[test]
 fn a_magnetic_half_space_is_a_weaker_mirror_of_the_same_sign() {
-    // At 1 Hz and 1 S/m nothing flows: the image of a magnetic half space is (mu_r - 1)/(mu_r + 1).
+    // At 1 Hz and 1 S/m no current flows; the image of a magnetic half space is (mu_r - 1)/(mu_r + 1).
     let over = ConductingPlate { relative_permeability: 5.0, ..plate(1.0, None) };
     let ring = RoundWinding::ring([0.0, 0.0, 0.01], 0.025).unwrap();
     let found = over.change_h(&ring, &ring, 1.0).unwrap();
@@ -71,7 +71,7 @@ fn a_magnetic_half_space_is_a_weaker_mirror_of_the_same_sign() {
 
 #[test]
 fn a_thin_weak_plate_takes_its_first_order() {
-    // G -> -j w mu0 sigma t / (2k) for k t and w mu0 sigma t / k small.
+    // G -> -j w mu0 sigma t / (2k) for small k t and w mu0 sigma t / k.
     let over = plate(1.0, Some(1e-6));
     let (k, frequency_hz) = (50.0, 1e3);
     let expected = Complex::new(0.0, -std::f64::consts::TAU * frequency_hz * MU0 * 1e-6 / (2.0 * k));

@@ -1,4 +1,5 @@
-//! Bodies of revolution in rings against an axisymmetric finite-element reference, a closed form and edge elements.
+//! Compares bodies of revolution made of rings with an axisymmetric finite-element reference, a closed form and edge
+//! elements.
 
 use crate::shared::{complex, number, reference, relative};
 use dermis_mit::edge::{Harmonic, Material, Shape, Source, body_tau};
@@ -7,7 +8,7 @@ use serde_json::Value;
 
 const ALUMINIUM_S_PER_M: f64 = 3.5e7;
 
-/// Largest difference over the polarizability and the coil over the axis at gaps of a row.
+/// Largest difference, relative, of the polarizability and of the coil over the axis at the gaps of a row.
 fn difference(row: &Value, counts: [usize; 2]) -> f64 {
     let (radius_m, height_m, frequency_hz) = (number(&row["R"]), number(&row["H"]), number(&row["f_Hz"]));
     let body = RingBody::cylinder(radius_m, height_m, ALUMINIUM_S_PER_M, frequency_hz, counts).unwrap();
@@ -33,8 +34,8 @@ fn difference(row: &Value, counts: [usize; 2]) -> f64 {
 fn cylinders_and_discs_in_128_rings_answer_as_in_the_reference() {
     let file = reference("axisymmetric_bodies.json");
     for row in file["rows"].as_array().unwrap() {
-        // The reference's rows of highest order and, of one body computed in two sizes of air, the larger; some
-        // frequencies.
+        // The reference's rows of highest order, at some frequencies; for the body computed in two sizes of air, the
+        // larger.
         let frequency_hz = number(&row["f_Hz"]);
         let is_second_air = frequency_hz == 2e4 && number(&row["H"]) == 0.01 && number(&row["Rair"]) < 0.2;
         let is_chosen = row["kind"] != "sphere" && [1e3, 2e4, 1e5].contains(&frequency_hz);
@@ -50,7 +51,7 @@ fn cylinders_and_discs_in_128_rings_answer_as_in_the_reference() {
 
 #[test]
 fn slow_fields_drive_currents_in_proportion_to_the_radius() {
-    // Below any skin effect J = -j w sigma B rho / 2, and the moment is -j w sigma B pi R^4 H / 8.
+    // Without skin effect J = -j w sigma B rho / 2, and the moment is -j w sigma B pi R^4 H / 8.
     let (radius_m, height_m, frequency_hz) = (0.005, 0.01, 1.0);
     let body = RingBody::cylinder(radius_m, height_m, ALUMINIUM_S_PER_M, frequency_hz, [16, 4]).unwrap();
     let found = body.changes_h(&[&Harmonic::new(0).unwrap()], frequency_hz).unwrap()[0] / MU0;
@@ -58,7 +59,7 @@ fn slow_fields_drive_currents_in_proportion_to_the_radius() {
     let size = w * MU0 * ALUMINIUM_S_PER_M * std::f64::consts::PI * radius_m.powi(4) * height_m / 8.0;
     let off = relative(found, Complex::new(0.0, -size));
     println!("{off:e}");
-    // The loss of sixteen steps in the current, 1/16^2, and the flux that the currents already push out.
+    // The error of sixteen steps in the current, 1/16^2, and the flux that the currents already push out.
     assert!(off < 4e-3, "{found:?} {size:e}");
 }
 
@@ -68,13 +69,14 @@ fn one_source_on_the_axis_is_enough() {
     let body = RingBody::cylinder(0.005, 0.01, ALUMINIUM_S_PER_M, frequency_hz, [8, 15]).unwrap();
     assert_eq!(body.ring_count(), 120);
     let on_axis = Coil::circular_spiral([0.0, 0.0, -0.012], 0.03, 0.05, 5).unwrap();
-    // Far to the side the field is uniform across the body: dM is the moment of the one times the other's field.
+    // Far to the side the field is uniform across the body: dM is the moment due to one source times the field of the
+    // other.
     let aside = Coil::circular_spiral([2.0, 0.0, 0.0], 0.03, 0.05, 5).unwrap();
     let found = body.changes_h(&[&on_axis, &aside], frequency_hz).unwrap();
     let uniform = Harmonic::new(0).unwrap();
     let by_uniform = body.changes_h(&[&on_axis, &uniform], frequency_hz).unwrap();
     let field = aside.flux_density([0.0; 3])[2];
-    // (5 mm / 2 m)^2, and the trapezoidal rule's 1e-10.
+    // (5 mm / 2 m)^2, and 1e-10 from the trapezoidal rule.
     assert!(relative(found[1], by_uniform[1] * (-field / MU0)) < 1e-4, "{:?} {:?}", found[1], by_uniform[1]);
     assert!(relative(found[1], found[2]) < 1e-9);
 }
@@ -95,7 +97,7 @@ fn rings_too_thick_for_the_skin_depth_are_warned_of_and_bad_ones_refused() {
 
 #[test]
 fn a_body_that_wire_comes_too_near_to_for_multipoles_is_solved_by_elements() {
-    // A ring of 3 mm over the middle of the cylinder, and a coil beside it.
+    // A ring of 3 mm above the middle of the cylinder, and a coil at its side.
     let near = Coil::circular_spiral([0.0; 3], 0.0055, 0.0065, 1).unwrap();
     let beside = Coil::circular_spiral([0.06, 0.0, 0.0], 0.03, 0.04, 4).unwrap();
     let array = CoilArray::of_coils(vec![near.clone(), beside.clone()]).unwrap();
@@ -112,7 +114,7 @@ fn a_body_that_wire_comes_too_near_to_for_multipoles_is_solved_by_elements() {
         let expected = rings.changes_h(&[&one, &other], frequency_hz).unwrap()[1];
         let off = relative(changes[0], expected);
         println!("gap {gap_m}: {off:.5}");
-        // Rings are good to 0.3 %, elements to 0.2 %; of a ring as narrow as this multipoles miss 1.7 % at 5 mm.
+        // Rings are accurate to 0.3 %, elements to 0.2 %. For a ring this narrow, multipoles are 1.7 % off at 5 mm.
         assert!(off < 0.01, "{gap_m}: {off}");
     }
 }

@@ -1,4 +1,4 @@
-//! Sensitivities by reciprocity against finite differences of closed forms and of edge elements.
+//! Compares sensitivities by reciprocity with finite differences of closed forms and of edge elements.
 
 use std::f64::consts::TAU;
 
@@ -13,7 +13,7 @@ fn relative(found: Complex, expected: Complex) -> f64 {
     (found - expected).norm() / expected.norm()
 }
 
-/// Derivative at a point by differences of fourth order.
+/// Derivative at a point by fourth-order differences.
 fn slope(of: impl Fn(f64) -> Complex, at: f64, step: f64) -> Complex {
     let odd = |by: f64| of(at + by) - of(at - by);
     (odd(step) * 8.0 - odd(2.0 * step)) / (12.0 * step)
@@ -24,8 +24,7 @@ fn pair_of_coils() -> CoilArray {
     CoilArray::of_coils(vec![coil(-0.025, 0.04), coil(0.025, 0.046)]).unwrap()
 }
 
-/// A wide layer: voxels around the coils, then around these four strips of a square three times as wide, again and
-/// again.
+/// A wide layer: voxels around the coils, surrounded by four strips of a square three times as wide, repeatedly.
 fn wide_layer(array: &CoilArray, low_m: f64, high_m: f64) -> [f64; 2] {
     let mut sums = [0.0; 2];
     let mut add = |x: [f64; 2], y: [f64; 2], counts: [usize; 3]| {
@@ -51,7 +50,7 @@ fn wide_layer(array: &CoilArray, low_m: f64, high_m: f64) -> [f64; 2] {
 fn voxels_of_a_wide_layer_add_up_to_the_derivatives_of_a_plate_in_closed_form() {
     let (array, low_m, high_m, frequency_hz) = (pair_of_coils(), 0.010, 0.012, 1e3);
     let [potentials, fields] = wide_layer(&array, low_m, high_m);
-    // Seen from above, the plate hangs over the coils as it would lie under them.
+    // Seen from above, a plate over the coils is equivalent to a plate under them.
     let windings: Vec<RoundWinding> = array
         .coils()
         .iter()
@@ -75,7 +74,7 @@ fn voxels_of_a_wide_layer_add_up_to_the_derivatives_of_a_plate_in_closed_form() 
     assert!(relative(Complex::new(fields, 0.0), by_permeability) < 1e-5, "{fields:?} {by_permeability:?}");
 }
 
-/// Points of a ball with volumes: Gauss and Legendre's rule of eight points in radius and cosine, sixteen around.
+/// Points of a ball with volumes: Gauss-Legendre with eight points in radius and cosine, sixteen around.
 fn ball(radius_m: f64) -> Vec<([f64; 3], f64)> {
     const RULE: [(f64, f64); 4] = [
         (0.183_434_642_495_649_8, 0.362_683_783_378_362),
@@ -114,7 +113,8 @@ fn a_weak_sphere_answers_each_harmonic_by_the_integral_of_its_field() {
     for i in 0..HARMONICS {
         let harmonic = Harmonic::new(i).unwrap();
         let sum = |of: &dyn Fn([f64; 3]) -> [f64; 3]| points.iter().map(|(p, v)| v * dot(of(*p), of(*p))).sum::<f64>();
-        // A harmonic's potential has no part across spheres: its currents follow it as in a layer that goes on.
+        // The potential of a harmonic has no radial component, so its currents follow it as in a layer without
+        // bounds.
         let potentials = sum(&|p| harmonic.vector_potential(p));
         let found = Complex::new(0.0, -TAU * frequency_hz * potentials);
         let expected = slope(|sigma| tau(sigma, 1.0, i), 10.0, 1.0);
@@ -145,11 +145,11 @@ fn slopes_by_height_of_a_weak_body_are_those_of_its_sensitivity() {
     };
     let expected = slope(at, height, 1e-4);
     println!("{:e}", relative(slopes[0], expected));
-    // Degrees beyond 3 of 2.5 mm at 20 mm: (1/8)^6 and a little more.
+    // Degrees above 3, at 2.5 mm and 20 mm: slightly more than (1/8)^6.
     assert!(relative(slopes[0], expected) < 1e-5, "{:?} {expected:?}", slopes[0]);
 }
 
-/// Two blocks of different materials side by side, in air, between dipoles.
+/// Two adjacent blocks of different materials in air, between dipoles.
 fn blocks(materials: [Material; 2]) -> (Vec<Complex>, Vec<Sensitivity>) {
     let axis = vec![-0.02, -0.004, 0.0, 0.004, 0.02];
     let inside = |p: [f64; 3]| u8::from(p.iter().all(|x| x.abs() < 0.004)) * if p[0] < 0.0 { 1 } else { 2 };
@@ -192,7 +192,7 @@ fn materials_of_bodies_change_edge_elements_as_their_sensitivities_say() {
                 let difference = ((more[pair] - less[pair]) * 8.0 - (most[pair] - least[pair])) / (12.0 * step * unit);
                 let of = sensitivities[pair * 2 + region];
                 let found = if is_conductivity { of.by_conductivity } else { of.by_permeability };
-                // Differences of fourth order over 2 %: 1e-7; the iteration stops at 1e-8 of the field.
+                // Fourth-order differences over 2 % are accurate to 1e-7; the iteration stops at 1e-8 of the field.
                 assert!(
                     relative(found, difference) < 1e-5,
                     "body {region}, pair {pair}, conductivity {is_conductivity}: {found:?} {difference:?}"
@@ -211,7 +211,7 @@ fn every_pair_has_its_row_and_every_voxel_its_column() {
     let centre = layer.centre_m(64).unwrap();
     assert!((0..3).all(|k| (centre[k] - [-0.0275, -0.0225, 0.0125][k]).abs() < 1e-12), "{centre:?}");
     assert_eq!(layer.centre_m(640), None);
-    // One pair in one voxel, by the middle alone.
+    // One pair in one voxel, using only its centre.
     let (pair, voxel) = (17, 423);
     let one = layer.clone().with_points(1).unwrap().sensitivities(&array).unwrap();
     let [m, n] = all.pairs()[pair];

@@ -1,4 +1,4 @@
-//! Thin sheets by stream functions against finite-element references and closed forms.
+//! Compares thin sheets by stream functions with finite-element references and closed forms.
 
 use std::f64::consts::{PI, TAU};
 
@@ -28,7 +28,7 @@ fn a_disc_answers_as_in_an_axisymmetric_computation() {
             worst = worst.max(relative(changes[(k + 1) * (sources.len() + 1)], complex(&case["dM11"])));
         }
         println!("{} Hz: {worst:.4}", row["f_Hz"]);
-        // 0.4 of a skin depth thick at 1 kHz, 1.7 at 20 kHz, where currents also turn around the rim.
+        // Thickness of 0.4 skin depths at 1 kHz and 1.7 at 20 kHz, where currents also flow around the rim.
         assert!(worst < 0.01, "{row}: {worst}");
     }
 }
@@ -46,7 +46,7 @@ fn a_plate_between_and_over_coils_is_within_3_per_cent_of_the_reference() {
         for (k, label) in ["dM11", "dM12"].into_iter().enumerate() {
             let off = relative(changes[k], complex(&pose[label]));
             println!("{} {label}: {off:.4}", pose["center"]);
-            // The reference is trusted to about 1 %, twelve cells along a side leave as much.
+            // The reference is trusted to about 1 %; twelve cells along a side have a similar error.
             assert!(off < 0.03, "{} {label}: {off}", pose["center"]);
         }
     }
@@ -54,14 +54,14 @@ fn a_plate_between_and_over_coils_is_within_3_per_cent_of_the_reference() {
 
 #[test]
 fn slow_fields_drive_currents_in_proportion_to_the_radius() {
-    // J = -j w sigma B rho / 2: the moment is -j w sigma t B pi R^4 / 8, and no flux is pushed out yet.
+    // J = -j w sigma B rho / 2: the moment is -j w sigma t B pi R^4 / 8 as long as no flux is pushed out.
     let foil = SheetMaterial { thickness_m: 35e-6, conductivity_s_per_m: 5.8e7 };
     let (radius_m, frequency_hz) = (0.02, 1.0);
     let sheet = Sheet::new(&SheetMesh::disc(radius_m, 16).unwrap(), &foil, frequency_hz).unwrap();
     let found = sheet.changes_h(&[&Harmonic::new(0).unwrap()])[0] / MU0;
     let size = TAU * frequency_hz * MU0 * foil.conductivity_s_per_m * foil.thickness_m * PI * radius_m.powi(4) / 8.0;
     println!("{:e}", relative(found, Complex::new(0.0, -size)));
-    // Triangles under a parabola: a third of their size over the radius, squared.
+    // Triangles under a parabola: the square of a third of their size over the radius.
     assert!(relative(found, Complex::new(0.0, -size)) < 5e-3, "{found:?} {size:e}");
 }
 
@@ -79,7 +79,7 @@ fn the_impedance_is_that_of_both_limits() {
 
 #[test]
 fn a_bent_sheet_is_the_same_sheet_elsewhere() {
-    // A plate tilted by an angle, and a dipole turned with it.
+    // A tilted plate, and a dipole rotated with it.
     let (mesh, angle) = (SheetMesh::rectangle([0.02, 0.02], [6, 6]).unwrap(), 0.3_f64);
     let (sine, cosine) = angle.sin_cos();
     let turned = |[x, y, z]: [f64; 3]| [cosine * x - sine * z, y, sine * x + cosine * z];
@@ -90,7 +90,7 @@ fn a_bent_sheet_is_the_same_sheet_elsewhere() {
     let flat = change(&mesh, Dipole { position_m: place, moment });
     let found = change(&tilted, Dipole { position_m: turned(place), moment: turned(moment) });
     assert!(relative(found, flat) < 1e-9, "{found:?} {flat:?}");
-    // A dent toward the dipole makes it answer more.
+    // A dent towards the dipole increases the response.
     let dented = mesh.with_heights(|[x, y]| 0.003 * (-(x * x + y * y) / 5e-5).exp()).unwrap();
     let nearer = change(&dented, Dipole { position_m: place, moment });
     assert!(nearer.norm() > 1.1 * flat.norm(), "{nearer:?} {flat:?}");
@@ -104,17 +104,17 @@ fn plates_far_apart_add_up_and_excite_each_other_as_dipoles() {
     let uniform = Harmonic::new(0).unwrap();
     let change = |mesh: &SheetMesh| Sheet::new(mesh, &ALUMINIUM, 2e4).unwrap().changes_h(&[&uniform])[0];
     let (alone, both) = (change(&one), change(&left.and(&right)));
-    // alpha = dM / mu0 without what tangential fields add; each sees -alpha/(4 pi d^3) of the other's: 2 alpha / (1 +
-    // alpha/(4 pi d^3)).
+    // alpha = dM / mu0 without the contribution of tangential fields. Each plate sees -alpha/(4 pi d^3) of the other's
+    // moment, which gives 2 alpha / (1 + alpha/(4 pi d^3)).
     let alpha = alone / MU0;
     let expected = alone * 2.0 / (alpha / (4.0 * PI * apart.powi(3)) + 1.0);
     let (found, expected) = (both - alone * 2.0, expected - alone * 2.0);
     println!("{:e} {found:?} {expected:?}", relative(found, expected));
-    // What is beyond dipoles: (5 mm / 50 mm)^2 of the little that they do.
+    // Contribution beyond dipoles: (5 mm / 50 mm)^2 of their small effect.
     assert!(relative(found, expected) < 0.03, "{found:?} {expected:?}");
 }
 
-/// Two coils of the array's kind, close enough for one plate to see both.
+/// Two coils like those of the array, close enough for one plate to be seen by both.
 fn two_coils() -> CoilArray {
     let coil = |x: f64| Coil::circular_spiral([x, 0.0, 0.0], 0.03, 0.07, 5).unwrap();
     CoilArray::of_coils(vec![coil(-0.0375), coil(0.0375)]).unwrap()
@@ -134,7 +134,7 @@ fn a_plate_of_a_few_points_answers_as_its_sheet() {
         for k in 0..4 {
             let found = plate.change_h(&samples[k / 2], &samples[k % 2]);
             println!("{place:?} {k}: {:e}", (found - expected[k]).norm() / size);
-            // (1 + sqrt 2)^-6 at a gap of half the width, over sharp single turns.
+            // (1 + sqrt 2)^-6 at a gap of half the width, above sharp single turns.
             assert!((found - expected[k]).norm() < most * size, "{place:?} {k}: {found:?} {:?}", expected[k]);
         }
     }
@@ -158,7 +158,7 @@ fn plates_over_coils_excite_each_other_as_one_sheet_of_many_pieces() {
     let coupled = |sweeps: usize| with(Some(PlateCoupling { reach_m: 0.05, sweeps }));
     let (alone, two, settled) = (relative(with(None), expected), relative(coupled(2), expected), coupled(8));
     println!("alone {alone:.4}, two sweeps {two:.4}, settled {:.4}", relative(settled, expected));
-    // 5 mm between plates of 20 mm: nine dipoles each.
+    // Gaps of 5 mm between plates of 20 mm, represented by nine dipoles each.
     assert!(relative(settled, expected) < 0.01 && two < 0.02 && alone > 3.0 * two, "{alone} {two}");
     assert!(relative(coupled(9), settled) < 1e-4);
 }

@@ -1,4 +1,4 @@
-//! What a frame gives cause to say in words: damage, faults of channels, a circuit that was found, clocks that jump.
+//! Turns events of a frame into notices: damage, faults of channels, a circuit that was found, clock jumps.
 
 use dermis_live::clock::FrameAnomalies;
 use dermis_live::output::Output;
@@ -8,19 +8,19 @@ use dermis_skin::Skin;
 
 use crate::message::{Level, Notice};
 
-/// Says once what begins or ends with a frame.
+/// Announces once whatever begins or ends with a frame.
 #[derive(Debug)]
 pub struct Announcer {
     health: HealthWatch,
 }
 
 impl Announcer {
-    /// For a skin of which nothing broken has been seen.
+    /// An announcer for a skin without known faults.
     pub fn new(skin: &Skin) -> Self {
         Self { health: HealthWatch::new(skin) }
     }
 
-    /// What this frame, the next one, gives cause to say.
+    /// Notices for the next frame.
     pub fn notices(&mut self, output: &Output<'_>) -> Vec<Notice> {
         let warning = |text| Notice { level: Level::Warning, text };
         let mut notices: Vec<Notice> = output.damage.events.iter().map(|event| warning(describe(event))).collect();

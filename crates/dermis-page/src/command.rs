@@ -1,4 +1,4 @@
-//! What people ask of the pipeline from the page, and what no pipeline could do of it.
+//! Commands from the page to the pipeline, and checks that reject impossible ones.
 
 use dermis_skin::TwinAction;
 use dermis_twin::from_skin::treatment_of;
@@ -6,16 +6,16 @@ use serde::Deserialize;
 
 use crate::scene::Scene;
 
-/// A request of the page. Lengths are millimetres in the skin's frame.
+/// A command from the page. Lengths are millimetres in the skin's frame.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
     /// Take a new baseline.
     Tare {
-        /// Also while something touches the skin.
+        /// Take it even while something touches the skin.
         force: bool,
     },
-    /// Begin to record raw frames.
+    /// Start recording raw frames.
     RecordStart,
     /// End the recording.
     RecordStop,
@@ -23,16 +23,16 @@ pub enum Command {
     Hyperparameter(f64),
     /// Press on the twin.
     Press(Press),
-    /// Move, or change the radius or pressure of, an ongoing press.
+    /// Move a current press, or change its radius or pressure.
     Move(Press),
-    /// End a press. Also sent for every ongoing press of a page that went away.
+    /// End a press. Also sent for every current press of a page that has left.
     Release {
         /// The press to end.
         pointer_id: u64,
     },
-    /// Cut the twin, heal it, let its time lapse.
+    /// Cut or heal the twin, or speed up its time.
     Treat(TwinAction),
-    /// Let the twin show touches by itself, or not any more.
+    /// Switch the twin's demonstration of touches on or off.
     Demonstrate(bool),
     /// Show these channels (0-based), at most [`Command::MOST_CHANNELS`].
     ChooseChannels(Vec<u32>),
@@ -42,7 +42,7 @@ pub enum Command {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Press {
-    /// Which press: unique among all open pages, stable from press to release.
+    /// Identifies the press: unique among all open pages, stable from press to release.
     pub pointer_id: u64,
     /// Position to the right of the centroid.
     pub x_mm: f64,
@@ -50,20 +50,20 @@ pub struct Press {
     pub y_mm: f64,
     /// Radius of the indenter.
     pub radius_mm: f64,
-    /// Pressure beneath it, kilopascals.
+    /// Pressure under it, kilopascals.
     pub pressure_kpa: f64,
 }
 
 impl Command {
-    /// Most channels that can be chosen for display at once.
+    /// Most channels that can be displayed at once.
     pub const MOST_CHANNELS: usize = 64;
     /// Most presses that one page can hold at once.
     pub const MOST_PRESSES: usize = 16;
 
-    /// Refuses what no pipeline could do: presses on a real skin, values outside the scene's limits.
+    /// Rejects impossible commands: presses on a real skin, values outside the scene's limits.
     ///
     /// # Errors
-    /// A sentence for the page: what was refused, and what was expected.
+    /// A sentence for the page that states what was rejected and what was expected.
     pub fn check(&self, scene: &Scene) -> Result<(), String> {
         match self {
             Self::Tare { .. } | Self::RecordStart | Self::RecordStop => Ok(()),
@@ -97,15 +97,15 @@ impl Press {
         self.radius_mm * 1e-3
     }
 
-    /// Pressure beneath it, pascal.
+    /// Pressure under it, pascals.
     pub fn pressure_pa(&self) -> f64 {
         self.pressure_kpa * 1e3
     }
 
-    /// Refuses a press that begins off the skin. One that slides off it may come back.
+    /// Rejects a press that begins off the skin. A press that slides off may come back.
     fn check_on_skin(&self, scene: &Scene) -> Result<(), String> {
         let (x, y) = (self.x_mm, self.y_mm);
-        // Crossings of a ray to the right with all rings: odd inside, holes included.
+        // Count crossings of a ray to the right with all rings: odd means inside, with holes taken into account.
         let crosses =
             |[ax, ay]: [f64; 2], [bx, by]: [f64; 2]| (ay > y) != (by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax);
         let rings = scene.outline_mm.iter();
@@ -122,7 +122,7 @@ impl Press {
         }
         let grid = &scene.grid;
         let limits = &scene.press;
-        // Some room around the image, so that a press that slides off the skin is followed until it is released.
+        // Allow a margin around the image, so that a press that slides off the skin is followed until it is released.
         let (margin_x, margin_y) = ((grid.x_max_mm - grid.x_min_mm) / 2.0, (grid.y_max_mm - grid.y_min_mm) / 2.0);
         let checks = [
             ("x_mm", self.x_mm, grid.x_min_mm - margin_x, grid.x_max_mm + margin_x),

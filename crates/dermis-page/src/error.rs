@@ -1,6 +1,6 @@
-//! What an update can contradict itself in.
+//! Errors of an update that contradicts itself.
 
-/// Why an update is not shown.
+/// Reason for not showing an update.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum UpdateError {

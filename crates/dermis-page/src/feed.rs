@@ -1,4 +1,4 @@
-//! From what the pipeline knows to what the page shows.
+//! Turns the pipeline's state into what the page shows.
 
 mod damage;
 
@@ -20,25 +20,25 @@ use crate::update::{
 };
 
 const MM: f64 = 1e3;
-/// Without frames for so long, a source is waited for, nanoseconds.
+/// Time without frames after which the source counts as waiting, nanoseconds.
 const SILENCE_NS: u64 = 1_000_000_000;
-/// Frames are counted for so long before their rate is told, nanoseconds.
+/// Minimum time for counting frames before their rate is shown, nanoseconds.
 const RATE_NS: u64 = 500_000_000;
-/// Channels listed at most.
+/// Most channel faults to list.
 const MOST_CHANNEL_FAULTS: usize = 64;
 
 /// A recording in progress.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordingView<'a> {
-    /// Its file.
+    /// File of the recording.
     pub path: &'a Path,
-    /// Frames in it.
+    /// Number of frames written.
     pub written: u64,
-    /// Frames that could not be written.
+    /// Number of frames that could not be written.
     pub dropped: u64,
 }
 
-/// The update that is refilled for every frame.
+/// The update, refilled for every frame.
 #[derive(Debug)]
 pub struct PageFeed {
     update: Update,
@@ -50,7 +50,7 @@ pub struct PageFeed {
 }
 
 impl PageFeed {
-    /// For a pipeline that has not seen a frame.
+    /// A feed for a pipeline that hasn't seen a frame.
     pub fn new(pipeline: &Pipeline) -> Self {
         let mut update = Update::default();
         let grid = pipeline.prepared().map.grid();
@@ -79,18 +79,18 @@ impl PageFeed {
         }
     }
 
-    /// What the page is to show.
+    /// The update to show.
     pub fn update(&self) -> &Update {
         &self.update
     }
 
-    /// The twin shows touches by itself, or not.
+    /// Sets whether the twin shows touches by itself.
     pub fn demonstrate(&mut self, demonstrates: bool) {
         self.update.state.demonstrates = demonstrates;
     }
 
-    /// Takes over one frame's results. `now_ns` is any clock that does not run back, nanoseconds; of all calls the
-    /// same.
+    /// Takes over one frame's results. `now_ns` can be from any clock that never runs backwards, nanoseconds, but
+    /// must be from the same one in all calls.
     pub fn show(&mut self, output: &Output<'_>, now_ns: u64) {
         let update = &mut self.update;
         update.frame = output.sequence;
@@ -153,8 +153,8 @@ impl PageFeed {
         }));
     }
 
-    /// No frame came until `now_ns`: true where there is something new to show of that. `problem` is the source's own
-    /// word for it.
+    /// Registers that no frame has come until `now_ns`; returns true if this is new and should be shown. `problem` is
+    /// the source's own explanation.
     pub fn wait(&mut self, problem: Option<String>, now_ns: u64) -> bool {
         let since_ns = *self.waiting_since_ns.get_or_insert(now_ns);
         let source = match problem {
@@ -189,7 +189,7 @@ impl PageFeed {
         }
     }
 
-    /// Takes over what the pipeline is doing, and how long it took in the ten seconds up to `now_ns`.
+    /// Takes over the pipeline's state, and its latencies in the ten seconds up to `now_ns`.
     pub fn describe(&mut self, pipeline: &Pipeline, now_ns: u64) {
         let state = &mut self.update.state;
         state.tare = match pipeline.baseline_state() {
@@ -213,12 +213,12 @@ impl PageFeed {
         }
     }
 
-    /// The source has ended.
+    /// Registers that the source has ended.
     pub fn end(&mut self) {
         self.update.state.source = SourceState::Ended;
     }
 
-    /// Frames per second, touches, latencies and losses in one line.
+    /// A line with frames per second, touches, latencies and losses.
     pub fn status(&self) -> String {
         let total = self.update.latency.last();
         format!(
@@ -232,7 +232,7 @@ impl PageFeed {
     }
 }
 
-/// Rate over the last second or so.
+/// Frame rate over about the last second.
 #[derive(Debug, Default)]
 struct Rate {
     since_ns: Option<u64>,

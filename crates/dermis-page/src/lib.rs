@@ -1,8 +1,8 @@
-//! What the live page is told and what it asks, whatever carries it: a server's WebSocket, or the page's own module.
+//! Data and commands of the live page, independent of the transport: a server's WebSocket, or the page's own module.
 //!
-//! [`feed::PageFeed`] refills an [`Update`] from what the pipeline knows of a frame; [`protocol`] makes the page's
-//! messages of it, which `docs/src/page-protocol.md` describes; [`Command`] is what comes back, checked against the
-//! [`Scene`]. Times are arguments: nothing here reads a clock, opens a file or a socket.
+//! [`feed::PageFeed`] refills an [`Update`] from the pipeline's results for a frame, and [`protocol`] turns it into
+//! the page's messages, which `docs/src/page-protocol.md` describes. [`Command`] is a request from the page, checked
+//! against the [`Scene`]. Times are arguments: nothing here reads a clock, or opens a file or a socket.
 //!
 //! ```
 //! use dermis_page::{Image, Update, protocol};

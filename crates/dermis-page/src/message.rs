@@ -1,4 +1,4 @@
-//! What pages are told in words, and how they keep up.
+//! Text messages to pages, and statistics on how well pages keep up.
 
 use serde::Serialize;
 
@@ -7,41 +7,41 @@ use serde::Serialize;
 pub struct Answer {
     /// Number of the request.
     pub id: u64,
-    /// It was done.
+    /// True if it was carried out.
     pub ok: bool,
-    /// What was done, or why it was not.
+    /// What was done, or the reason for refusing it.
     pub text: String,
 }
 
-/// Something told to every page.
+/// A notice to every page.
 #[derive(Debug, Clone, Serialize)]
 pub struct Notice {
-    /// How serious it is.
+    /// Severity.
     pub level: Level,
-    /// What happened.
+    /// The message.
     pub text: String,
 }
 
-/// How serious a notice is.
+/// Severity of a notice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// Something happened as it should.
+    /// Normal operation.
     Info,
-    /// Something needs attention.
+    /// Something that needs attention.
     Warning,
-    /// Something failed, or data was lost.
+    /// A failure, or lost data.
     Error,
 }
 
-/// How the pages keep up.
+/// Statistics on how well the pages keep up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct HubStats {
     /// Pages connected.
     pub clients: usize,
     /// Updates published.
     pub published: u64,
-    /// Updates overwritten by a newer one before the server sent any: frames beyond the page's rate.
+    /// Updates overwritten by a newer one before the server sent any, because frames exceed the page's rate.
     pub coalesced: u64,
     /// Updates sent to some pages but skipped for a slow one, summed over pages.
     pub dropped: u64,

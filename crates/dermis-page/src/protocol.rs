@@ -1,5 +1,5 @@
-//! The messages on the wire, version 1: binary little-endian ones for images, channels and noise, JSON for the rest.
-//! `docs/src/page-protocol.md` describes them for other programs; keep the two together.
+//! The messages on the wire, version 1: little-endian binary for images, channels and noise, JSON for the rest.
+//! `docs/src/page-protocol.md` describes them for other programs; keep the two in step.
 
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use crate::message::{Answer, HubStats, Notice};
 use crate::scene::Scene;
 use crate::update::{ClassImage, Counter, DamageView, HealthView, PipelineState, StageLatency, TouchView, Update};
 
-/// Version of the messages, in every one of them.
+/// Version of the messages, included in each of them.
 pub const PROTOCOL_VERSION: u16 = 1;
 
 const MAGIC: [u8; 4] = *b"DRMS";
@@ -23,24 +23,24 @@ const HEADER_BYTES: usize = 32;
 /// One update, encoded once for all pages.
 #[derive(Debug)]
 pub struct Encoded {
-    /// Counts encoded updates from 1; pages acknowledge it, and its gaps are what a page missed.
+    /// Counts encoded updates from 1. Pages acknowledge it; gaps show what a page has missed.
     pub sequence: u64,
     /// The image, binary.
     pub image: Bytes,
     /// The channels, binary.
     pub channels: Bytes,
-    /// The classes, binary, where a network gives any.
+    /// The classes, binary, if a network provides any.
     pub classes: Option<Bytes>,
     /// The state, JSON; sent last.
     pub state: String,
 }
 
-/// What a page says.
+/// A message from a page.
 #[derive(Debug, PartialEq)]
 pub enum Said {
-    /// It has shown the update with this sequence number.
+    /// The update with this sequence number has been shown.
     Acknowledge(u64),
-    /// It asks for something; the number comes back in the answer.
+    /// A request; the number is returned in the answer.
     Ask(u64, Command),
 }
 
@@ -81,7 +81,7 @@ struct ClassState {
 
 #[derive(Serialize)]
 struct Alive {
-    /// Updates that this page missed.
+    /// Number of updates that this page missed.
     missed: u64,
     hub: HubStats,
 }
@@ -132,27 +132,27 @@ pub fn answer(answer: &Answer) -> String {
     json("answer", answer)
 }
 
-/// Something told to every page.
+/// A notice to every page.
 pub fn notice(notice: &Notice) -> String {
     json("notice", notice)
 }
 
-/// Sent every second, so that a page knows a silent pipeline from a lost connection.
+/// Sent every second, so that a page can tell a silent pipeline from a lost connection.
 pub fn alive(missed: u64, hub: HubStats) -> String {
     json("alive", Alive { missed, hub })
 }
 
-/// Channel noise: kind 3.
+/// Channel noise, kind 3.
 pub fn noise(values: &[f32]) -> Bytes {
     let mut message = header(KIND_NOISE, 0, 0, [values.len() as u32, 0], values.len());
     put_values(&mut message, values);
     message.into()
 }
 
-/// Reads what a page says.
+/// Parses a message from a page.
 ///
 /// # Errors
-/// A sentence for the page: what was wrong and what was expected, with the request's number where it was readable.
+/// A sentence for the page that states the fault and what was expected, with the request's number if it was readable.
 pub fn parse(text: &str) -> Result<Said, (u64, String)> {
     let incoming: Incoming =
         serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
@@ -168,11 +168,11 @@ pub fn parse(text: &str) -> Result<Said, (u64, String)> {
 }
 
 fn json(kind: &str, body: impl Serialize) -> String {
-    // Fails only for maps with keys that are no text, and none of these types holds a map.
+    // Serialising fails only for maps with non-text keys, and none of these types contains a map.
     serde_json::to_string(&Envelope { v: PROTOCOL_VERSION, kind, body }).unwrap_or_default()
 }
 
-/// Image: kind 1, rows and columns, then row-major values.
+/// Image, kind 1: rows and columns, then row-major values.
 fn image(update: &Update) -> Bytes {
     let image = &update.image;
     let size = [image.rows as u32, image.cols as u32];
@@ -181,7 +181,7 @@ fn image(update: &Update) -> Bytes {
     message.into()
 }
 
-/// Channels: kind 2, numbers of values and of indices, then the indices, then the values.
+/// Channels, kind 2: numbers of values and of indices, then the indices, then the values.
 fn channels(update: &Update) -> Bytes {
     let channels = &update.channels;
     let size = [channels.values.len() as u32, channels.indices.len() as u32];
@@ -192,7 +192,7 @@ fn channels(update: &Update) -> Bytes {
     message.into()
 }
 
-/// Classes: kind 4, rows and columns, then the probabilities of lowered and of raised conductivity, each row-major.
+/// Classes, kind 4: rows and columns, then the probabilities of lowered and of raised conductivity, each row-major.
 fn classes(update: &Update, classes: &ClassImage) -> Bytes {
     let size = [classes.rows as u32, classes.cols as u32];
     let words = classes.lowered.len() + classes.raised.len();

@@ -1,17 +1,18 @@
-//! Latencies of the last seconds: what came since a state of ten seconds ago, of which one is kept a second.
+//! Latencies of the last ten seconds: the difference from a snapshot ten seconds ago. One snapshot per second is
+//! kept.
 
 use std::collections::VecDeque;
 
 use dermis_live::latency::LatencyHistogram;
 
-/// Seconds looked back.
+/// Length of the window, seconds.
 const WINDOW: usize = 10;
 const SECOND_NS: u64 = 1_000_000_000;
 
 /// Stages of a frame.
 const STAGES: usize = 5;
 
-/// States of the stages' histograms, one a second, the oldest first.
+/// Snapshots of the stages' histograms, one per second, oldest first.
 #[derive(Debug, Default)]
 pub(crate) struct Recent {
     states: VecDeque<[LatencyHistogram; STAGES]>,
@@ -19,8 +20,8 @@ pub(crate) struct Recent {
 }
 
 impl Recent {
-    /// Median and 99th percentile of each stage over the last ten seconds, microseconds; `now` is the state at
-    /// `now_ns`. `None` where it is too early to say something new.
+    /// Median and 99th percentile of each stage over the last ten seconds, microseconds; `now` is the snapshot at
+    /// `now_ns`. `None` if less than a second has passed since the last call that returned values.
     pub(crate) fn quantiles_us(&mut self, now: [&LatencyHistogram; STAGES], now_ns: u64) -> Option<[[f64; 2]; STAGES]> {
         if self.last_ns.is_some_and(|last| now_ns.saturating_sub(last) < SECOND_NS) {
             return None;

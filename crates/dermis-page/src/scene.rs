@@ -1,25 +1,26 @@
-//! What does not change while a skin runs: its shape, electrodes, image grid, channels and units. Sent once to each
-//! page.
+//! The constant properties of a running skin: its shape, electrodes, image grid, channels and units. Sent once to
+//! each page.
 
 use serde::Serialize;
 
-/// The skin as the page draws it. Lengths are millimetres in the skin's frame (x right, y up, origin at the centroid).
+/// The skin as drawn by the page. Lengths are millimetres in the skin's frame (x right, y up, origin at the
+/// centroid).
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Scene {
-    /// True when damage is looked for.
+    /// True if the skin is watched for damage.
     pub watches_damage: bool,
     /// Name of the skin.
     pub skin: String,
     /// `eit` or `mit`.
     pub modality: String,
-    /// True when the skin is a twin, which can be pressed from the page.
+    /// True if the skin is a twin, which can be pressed from the page.
     pub is_twin: bool,
-    /// True when the twin can be cut and healed.
+    /// True if the twin can be cut and healed.
     pub is_treatable: bool,
     /// Closed rings, without repeating the first point: the outer boundary first, then holes.
     pub outline_mm: Vec<Vec<[f64; 2]>>,
-    /// Diameter of the cylinder that the sheet is bent on, its axis along y behind the sheet; none where it is flat.
-    /// All other lengths are those of the sheet laid flat.
+    /// Diameter of the cylinder that the sheet is bent around, with its axis along y behind the sheet; `None` if the
+    /// sheet is flat. All other lengths are those of the flattened sheet.
     pub bend_diameter_mm: Option<f64>,
     /// Electrodes (or coils) in the order of their numbers.
     pub electrodes: Vec<ElectrodeView>,
@@ -29,15 +30,15 @@ pub struct Scene {
     pub channel_labels: Vec<String>,
     /// Unit of channel values and of their noise, such as `V`.
     pub channel_unit: String,
-    /// What the image shows, such as `conductivity change`.
+    /// Quantity shown by the image, such as `conductivity change`.
     pub image_quantity: String,
     /// Unit of the image and of touch amplitudes, such as `S/m`; empty for a ratio.
     pub image_unit: String,
-    /// Colour range to begin with; it then grows to the largest values seen. None starts from the first frames.
+    /// Initial colour range, which grows to the largest values seen. If `None`, it is taken from the first frames.
     pub range_hint: Option<[f32; 2]>,
     /// Smallest and largest hyperparameter that the page's slider offers; both positive.
     pub hyperparameter_range: [f64; 2],
-    /// What a press from the page may be.
+    /// Limits of a press from the page.
     pub press: PressLimits,
 }
 
@@ -46,13 +47,13 @@ pub struct Scene {
 pub struct ElectrodeView {
     /// Number shown, from 1.
     pub number: u32,
-    /// Where the number belongs: the electrode's centre.
+    /// Position of the number: the electrode's centre.
     pub position_mm: [f64; 2],
     /// Its outline; empty for a point, two points for a rim segment, more for a polygon.
     pub outline_mm: Vec<[f64; 2]>,
 }
 
-/// Where the image lies: the outer edges of its corner pixels.
+/// Position of the image: the outer edges of its corner pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct GridView {
     /// Rows, the first at the top (largest y).
@@ -69,23 +70,22 @@ pub struct GridView {
     pub y_max_mm: f64,
 }
 
-/// Ranges of the sliders with which a twin is pressed; requests outside them are refused.
+/// Ranges of the sliders for pressing a twin; requests outside them are refused.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PressLimits {
     /// Smallest and largest radius of the indenter.
     pub radius_mm: [f64; 2],
     /// Smallest and largest pressure.
     pub pressure_kpa: [f64; 2],
-    /// Radius to begin with.
+    /// Initial radius.
     pub initial_radius_mm: f64,
-    /// Pressure to begin with.
+    /// Initial pressure.
     pub initial_pressure_kpa: f64,
 }
 
 impl Default for PressLimits {
     fn default() -> Self {
-        // The indenter (20 mm across) and pressure with which self-healing skins were tested, in the middle of the
-        // sliders.
+        // The indenter (20 mm across) and pressure used in tests of self-healing skins, in the middle of the sliders.
         Self { radius_mm: [2.0, 30.0], pressure_kpa: [0.0, 200.0], initial_radius_mm: 10.0, initial_pressure_kpa: 80.0 }
     }
 }

@@ -1,4 +1,4 @@
-//! A skin as the page draws it.
+//! Builds the scene of a skin.
 
 use dermis_device::Layout;
 use dermis_live::channels::ChannelReader;
@@ -12,14 +12,14 @@ use dermis_twin::{PressRange, TypicalPress};
 
 use crate::scene::{ElectrodeView, GridView, PressLimits, Scene};
 
-/// Millimetres of a metre.
+/// Millimetres per metre.
 const MM: f64 = 1e3;
-/// Peak of an image under a usual press, where nothing more is known of the skin.
+/// Peak of the image under a usual press, if nothing more is known about the skin.
 const USUAL_AMPLITUDE: f32 = 0.25;
-/// A press that is seen with less is not worth a scale of colours.
+/// Smaller peaks are not worth a colour scale.
 const LEAST_AMPLITUDE: f32 = 1e-4;
 
-/// What does not change while the skin runs; `press`: what its twin may be pressed with, if it is one.
+/// The constant properties of a running skin. `press` gives the limits for pressing its twin, if it is one.
 pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
     let grid = prepared.map.grid();
     let typical = press.and_then(|_| typical_amplitude(prepared));
@@ -52,15 +52,15 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
     }
 }
 
-/// Colours from zero up; of skins that know changes of both signs, on both sides of it.
+/// Colours from zero up or, for skins whose changes have both signs, on both sides of zero.
 fn range_about(most: f32, both_signs: bool) -> [f32; 2] {
     if both_signs { [-most, most] } else { [0.0, most] }
 }
 
-/// Peak of the image under the press that the skin is made for, by its twin; `None` where that is not to be told.
+/// Peak of the image under the skin's usual press, from its twin; `None` if it cannot be determined.
 fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
-    // The fields of coils would be worked out twice, and the page would come a second later or more; their images are
-    // shares of the elements' travel, which mechanics alone tells. No colour is beyond the full travel.
+    // With coils the fields would have to be computed twice, delaying the page by a second or more. Their images are
+    // shares of the elements' travel, which follows from mechanics alone. No colour goes beyond the full travel.
     if let Some(share) = usual_travel_share(&prepared.skin) {
         return Some(share.min(0.5) as f32).filter(|share| *share > LEAST_AMPLITUDE);
     }
@@ -79,7 +79,7 @@ fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     imager.image(&difference, &mut image).ok()?;
     let height = |value: &f32| if prepared.skin.touch.both_signs { value.abs() } else { *value };
-    // NaN, outside the skin, is no number to fold by.
+    // NaN outside the skin doesn't take part in the maximum.
     let peak = image.iter().map(height).fold(0.0, f32::max);
     (peak > LEAST_AMPLITUDE).then_some(peak)
 }
@@ -93,7 +93,7 @@ fn limits(range: PressRange) -> PressLimits {
     }
 }
 
-/// Middle of the slider: lambda by the skin file's own rule where that needs no data, else 1.
+/// Middle of the slider: lambda from the skin file's own rule if that needs no data, else 1.
 fn typical_hyperparameter(prepared: &Prepared) -> f64 {
     let reference = Reference::from_baseline(prepared, &prepared.voltages, None);
     reference.and_then(|r| Imager::new(prepared, &r, &[])).map_or(1.0, |imager| imager.hyperparameter())
@@ -116,7 +116,8 @@ fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
     }
 }
 
-/// Rim electrodes as the segment between their ends, pads as their bounding rectangle's corners, points as nothing.
+/// Rim electrodes as the segment between their ends, pads as the corners of their bounding rectangle, points without
+/// outline.
 fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
     let body = &prepared.body.mesh;
     (0..body.electrodes.len())
@@ -135,7 +136,7 @@ fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
         .collect()
 }
 
-/// The two nodes farthest from each other.
+/// The two nodes farthest apart.
 fn ends(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
     let distance = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
     let pairs = nodes.iter().flat_map(|a| nodes.iter().map(move |b| (a, b)));

@@ -1,5 +1,5 @@
-//! What the pipeline shows for one frame: the image, the touches, chosen channels, timing and state. Plain values; an
-//! [`Update`] kept by the pipeline and refilled each frame costs no allocation once its vectors have grown.
+//! What the page shows for one frame: the image, the touches, selected channels, timing and state. These are plain
+//! values; an [`Update`] that is kept and refilled for each frame allocates nothing once its vectors have grown.
 
 use std::borrow::Cow;
 
@@ -7,49 +7,50 @@ use serde::Serialize;
 
 use crate::error::UpdateError;
 
-/// Everything the page shows of one frame.
+/// Everything that the page shows for one frame.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Update {
     /// Frame number, counted by the pipeline.
     pub frame: u64,
     /// Host monotonic time of the frame's first byte, nanoseconds.
     pub time_ns: u64,
-    /// The same on the system's monotonic clock, which all processes of a machine share.
+    /// The same time on the system's monotonic clock, which all processes of a machine share.
     pub monotonic_ns: u64,
-    /// Host wall clock then, nanoseconds since 1970-01-01 UTC.
+    /// The same time on the host's wall clock, nanoseconds since 1970-01-01 UTC.
     pub wall_ns: u64,
-    /// The device's own clock, nanoseconds, where it has one.
+    /// The device's own clock, nanoseconds, if it has one.
     pub device_time_ns: Option<u64>,
     /// The reconstructed image.
     pub image: Image,
     /// Touches on the skin; a touch that ended may be listed once with [`TouchPhase::End`].
     pub touches: Vec<TouchView>,
-    /// Channel values, all or a chosen subset.
+    /// Channel values, all or a selected subset.
     pub channels: ChannelValues,
     /// Frames per second that leave the pipeline.
     pub fps: f32,
-    /// Latency of every stage, in the order of the pipeline.
+    /// Latency of every stage, in pipeline order.
     pub latency: Vec<StageLatency>,
-    /// Counters, losses among them.
+    /// Counters, including losses.
     pub counters: Vec<Counter>,
-    /// What the pipeline is doing.
+    /// State of the pipeline.
     pub state: PipelineState,
-    /// What is broken.
+    /// Faults.
     pub health: HealthView,
-    /// What a network makes of the frame, where there is one.
+    /// A network's result for the frame, if there is one.
     pub classes: Option<ClassImage>,
-    /// Damage and baselines, where damage is looked for.
+    /// Damage and baselines, if the skin is watched for damage.
     pub damage: Option<DamageView>,
 }
 
 /// Channels and electrodes that are left out; numbers count from 1.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct HealthView {
-    /// Fault of whole frames (`frozen`, `saturated`, `flipped`, `out-of-range`, `blank`). Touches are unknown.
+    /// Fault of whole frames (`frozen`, `saturated`, `flipped`, `out-of-range`, `blank`), during which touches are
+    /// unknown.
     pub frame: Option<FrameFaultView>,
-    /// Channels left out, those that go with an electrode included.
+    /// Number of channels left out, including those of faulty electrodes.
     pub left_out: u32,
-    /// Electrodes (or coils) blamed.
+    /// Faulty electrodes (or coils).
     pub electrodes: Vec<FaultView>,
     /// Channels with faults of their own.
     pub channels: Vec<FaultView>,
@@ -64,37 +65,37 @@ pub struct FrameFaultView {
     pub for_s: f64,
 }
 
-/// Damage, and the baselines that it is judged against.
+/// Damage, and the baselines it is measured against.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct DamageView {
-    /// All damages, suspected and healed ones included.
+    /// All damages, including suspected and healed ones.
     pub list: Vec<DamageRow>,
-    /// Baselines that were in use, oldest first; the last is in use now.
+    /// All baselines used, oldest first; the last one is in use now.
     pub baselines: Vec<BaselineRow>,
-    /// Which of them damage is judged against, from 0.
+    /// Index of the baseline that damage is measured against, from 0.
     pub intact: Option<usize>,
-    /// A new baseline that is proposed.
+    /// A proposal to take a new baseline.
     pub proposal: Option<ProposalView>,
 }
 
 /// One damage. Lengths are millimetres in the skin's frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct DamageRow {
-    /// Number that stays with the damage.
+    /// Permanent number of the damage.
     pub id: u64,
     /// `suspected`, `confirmed`, `covered`, `healing` or `healed`.
     pub state: &'static str,
-    /// Middle, to the right of the centroid.
+    /// Centre, to the right of the skin's centroid.
     pub x_mm: f64,
-    /// Middle, above the centroid.
+    /// Centre, above the skin's centroid.
     pub y_mm: f64,
     /// Length of a cut; 0 for a spot.
     pub length_mm: f64,
-    /// Its direction from +x, counter-clockwise.
+    /// Direction from +x, counter-clockwise.
     pub direction_deg: f64,
     /// Both ends.
     pub ends_mm: [[f64; 2]; 2],
-    /// Largest drop of the image at its worst.
+    /// Largest drop of the image since the damage began.
     pub depth: f64,
     /// Share that has healed, 0 to 1.
     pub healed: f64,
@@ -105,22 +106,22 @@ pub struct DamageRow {
 /// One baseline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct BaselineRow {
-    /// Where it came from.
+    /// Origin.
     pub origin: &'static str,
-    /// Why it was taken.
+    /// Reason for taking it.
     pub reason: String,
     /// Seconds since it was taken.
     pub age_s: f64,
 }
 
-/// A baseline that would do the skin good.
+/// A proposal to take a new baseline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ProposalView {
     /// `offset`, `healed` or `touched`.
     pub reason: &'static str,
-    /// Seconds for which the skin has rested, or for which the reason has been known.
+    /// Seconds since the skin came to rest, or since the reason has been known.
     pub for_s: f64,
-    /// How far the readings are from the baseline, standard deviations of the channels.
+    /// Distance of the readings from the baseline, in standard deviations of the channels.
     pub offset_sigma: f64,
 }
 
@@ -131,13 +132,13 @@ pub struct ClassImage {
     pub rows: usize,
     /// Columns.
     pub cols: usize,
-    /// `rows * cols` probabilities that conductivity is lowered there: damage.
+    /// `rows * cols` probabilities of lowered conductivity: damage.
     pub lowered: Vec<f32>,
-    /// The same of raised: compression.
+    /// `rows * cols` probabilities of raised conductivity: compression.
     pub raised: Vec<f32>,
-    /// How far the frame is from what the network was trained on; above 1 it is unlike it. NaN where unknown.
+    /// Distance of the frame from the network's training data; above 1 the frame is unlike them. NaN if unknown.
     pub novelty: f32,
-    /// True where thresholds on the image took the network's place.
+    /// True if thresholds on the image replaced the network.
     pub falls_back: bool,
 }
 
@@ -146,7 +147,7 @@ pub struct ClassImage {
 pub struct FaultView {
     /// Number of the electrode or channel.
     pub number: u32,
-    /// What is wrong, in a word.
+    /// Kind of fault, one word.
     pub kind: &'static str,
     /// The other electrode of a short.
     pub with: Option<u32>,
@@ -154,7 +155,7 @@ pub struct FaultView {
     pub for_s: f64,
 }
 
-/// An image: row-major, row 0 at the top (+y), NaN outside the skin, positive where more pressed.
+/// An image: row-major, row 0 at the top (+y), NaN outside the skin, more positive where pressed harder.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Image {
     /// Rows.
@@ -168,13 +169,13 @@ pub struct Image {
 /// Values of channels, in the unit the scene states.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ChannelValues {
-    /// Channel index (0-based) of each value; empty when `values` holds every channel in order.
+    /// Channel index (0-based) of each value; empty if `values` holds every channel in order.
     pub indices: Vec<u32>,
-    /// The values; NaN for a missing one.
+    /// The values; NaN if missing.
     pub values: Vec<f32>,
 }
 
-/// Where a touch is in its life.
+/// Phase of a touch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TouchPhase {
@@ -190,9 +191,9 @@ pub enum TouchPhase {
 /// One touch. Positions are in the skin's frame: x right, y up, origin at the centroid.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct TouchView {
-    /// Number that stays with the touch for its life.
+    /// Permanent number of the touch.
     pub id: u64,
-    /// Where it is in its life.
+    /// Phase.
     pub phase: TouchPhase,
     /// Position to the right of the centroid, millimetres.
     pub x_mm: f64,
@@ -202,20 +203,20 @@ pub struct TouchView {
     pub amplitude: f64,
     /// Area above half of the peak, square millimetres.
     pub area_mm2: f64,
-    /// Standard deviation of `x_mm`; NaN when unknown.
+    /// Standard deviation of `x_mm`; NaN if unknown.
     pub sigma_x_mm: f64,
-    /// Standard deviation of `y_mm`; NaN when unknown.
+    /// Standard deviation of `y_mm`; NaN if unknown.
     pub sigma_y_mm: f64,
-    /// Normal force, newtons, where a calibration gives one.
+    /// Normal force, newtons, if a calibration gives one.
     pub force_n: Option<f64>,
-    /// Where `force_n` lies in its calibration: `within`; `below`, `above` or `saturated`, where it is the end of the
-    /// range.
+    /// Position of `force_n` in its calibration: `within`; `below`, `above` or `saturated`, in which case it is the
+    /// end of the range.
     pub force_range: Option<&'static str>,
-    /// Where else it may be, where a calibration does not know.
+    /// An alternative position, if the calibration cannot decide.
     pub other: Option<OtherPlaceView>,
 }
 
-/// Another place where a touch may be.
+/// An alternative position of a touch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct OtherPlaceView {
     /// Position to the right of the centroid, millimetres.
@@ -240,15 +241,15 @@ pub struct StageLatency {
 /// One counter.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Counter {
-    /// What is counted.
+    /// Name of the counter.
     pub name: Cow<'static, str>,
-    /// How many so far.
+    /// Current count.
     pub value: u64,
-    /// True when anything above zero means lost data, which the page marks.
+    /// True if any value above zero means lost data, which the page highlights.
     pub is_loss: bool,
 }
 
-/// What feeds the pipeline, and whether it does.
+/// State of the pipeline's source.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum SourceState {
@@ -257,19 +258,19 @@ pub enum SourceState {
     Running,
     /// Connected but silent, or connecting.
     Waiting {
-        /// What is waited for.
+        /// Reason for waiting.
         reason: String,
     },
-    /// The connection is gone.
+    /// The connection is lost.
     Lost {
-        /// What happened.
+        /// Reason for the loss.
         reason: String,
     },
-    /// A recording came to its end.
+    /// The recording has ended.
     Ended,
 }
 
-/// Whether there is a baseline to compare with.
+/// State of the baseline.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum TareState {
@@ -278,14 +279,14 @@ pub enum TareState {
     None,
     /// A baseline is being averaged.
     Taring {
-        /// Frames still to come.
+        /// Number of frames still needed.
         frames_left: u32,
     },
     /// A baseline is in use.
     Tared,
 }
 
-/// What the pipeline is doing.
+/// State of the pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct PipelineState {
     /// The source.
@@ -355,7 +356,7 @@ impl Update {
         self.damage.clone_from(&other.damage);
     }
 
-    /// Checks that the image fills its grid and that channel indices match values.
+    /// Checks that the image fills its grid and that channel indices match the values.
     ///
     /// # Errors
     /// [`UpdateError::ImageShape`] or [`UpdateError::ChannelShape`] with the sizes found.

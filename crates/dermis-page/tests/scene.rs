@@ -1,4 +1,4 @@
-//! The scene of built-in skins: colours begin at zero, and the press that a skin is made for fills half of their range.
+//! The scene of built-in skins: colours start at zero, and the skin's usual press fills half of their range.
 
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_live::pipeline::Pipeline;
@@ -7,7 +7,7 @@ use dermis_page::scene;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
 
-/// Largest magnitude of the live image under the twin's initial press in the middle.
+/// Largest magnitude of the live image under the twin's initial press at the centre.
 fn pressed_peak(name: &str) -> (f32, [f32; 2]) {
     let skin = Skin::open(name).expect("a built-in skin");
     let mut kit = TwinKit::of(&skin).expect("it has a twin");

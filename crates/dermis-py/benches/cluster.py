@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""What a training set costs on a local Ray cluster of 1, 2 and 4 workers, and what a worker that is killed costs it.
+"""The cost of a training set on a local Ray cluster with 1, 2 and 4 workers, and the cost of a killed worker.
 
     pip install ray psutil dist/dermis-*.whl
     python crates/dermis-py/benches/cluster.py [samples=240] [shard=20] [skin=healing-square]
 
-Every run makes the same set; their files are compared byte by byte with those of one process without Ray.
+Every run makes the same set; its files are compared byte by byte with those of one process without Ray.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ def hashes(folder):
 
 
 def tasks():
-    """The processes that work on a shard."""
+    """The processes working on a shard."""
     for process in psutil.process_iter():
         try:
             if (process.cmdline() or [""])[0].startswith("ray::_shard"):
@@ -38,7 +38,8 @@ def tasks():
 
 
 def watched(stop, seen, kill):
-    """Keeps the largest memory of a worker (Linux: what it shares with nobody) and of all; kills one where asked."""
+    """Records the largest memory of a worker (Linux: memory it shares with nobody) and of all; kills one on
+    request."""
     while not stop.wait(0.05):
         for process in tasks():
             try:
@@ -56,7 +57,7 @@ def measure(workers, skin, samples, shard, folder, kill=False):
     from dermis.ray import train_set
 
     ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, configure_logging=False)
-    # Workers are started before the clock is.
+    # Start the workers before the clock.
     ray.get([ray.remote(num_cpus=1)(lambda: time.sleep(0.2)).remote() for _ in range(2 * workers)])
     stop, seen = threading.Event(), {}
     watcher = threading.Thread(target=watched, args=(stop, seen, kill))
@@ -74,7 +75,8 @@ def measure(workers, skin, samples, shard, folder, kill=False):
 
 
 def dispatch(workers=2, count=2000):
-    """Seconds of the driver and of the clock for a task that does nothing, with arguments like a shard's."""
+    """Time of the driver and wall-clock time, seconds, for a task that does nothing, with arguments like a
+    shard's."""
     from dermis.ray import _fan_out
 
     toml = dermis.Skin("healing-square").to_toml()

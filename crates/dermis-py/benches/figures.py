@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Measures the installed package on this machine; the figures of the book's Python chapters are from here.
+"""Measures the installed package on this machine. The figures in the book's Python chapters come from here.
 
     pip install numpy scipy pyeit dist/dermis-*.whl
     python crates/dermis-py/benches/figures.py [frame] [memory] [many] [import] [wheel=dist/dermis-0.1.0-...whl]
 
-Without arguments everything but the wheel. `many` takes `dermis=PATH`, a command built by `cargo build --release`, for the
-rate of Rust without Python; frames=N sets the frames of `memory`.
+Without arguments it measures everything except the wheel. `many` takes `dermis=PATH`, a command built by `cargo build
+--release`, for the rate of Rust without Python; frames=N sets the number of frames for `memory`.
 """
 
 import json
@@ -41,7 +41,7 @@ def pressed_pipeline():
 
 
 def frame():
-    """What `process` takes beyond Rust's own time: blocks of both in turn, so that a busy machine slows both."""
+    """Time of `process` beyond Rust's own, measured in alternating blocks, so that a busy machine slows both."""
     pipe, rest, press = pressed_pipeline()
     print("pipe.process, healing-square, 208 channels (us a frame; median of 40 blocks of 256 frames each)")
     print("| frames | Rust | Python | difference | with result.image | with result.touches |")
@@ -72,9 +72,9 @@ def resident_bytes():
 
 
 def memory(frames=1_000_000):
-    """Resident memory while frames go through: after the first tenth it should stand still."""
+    """Resident memory while frames are processed; after the first tenth it should stay constant."""
     pipe, rest, press = pressed_pipeline()
-    # One frame in sixteen is pressed: those take ten times as long.
+    # One frame in sixteen is pressed, since those take ten times as long.
     rows = [*list(rest) * 15, *press]
     seen = []
     begun = time.perf_counter()
@@ -90,7 +90,7 @@ def memory(frames=1_000_000):
 
 
 def case_of(model):
-    """A model as the peers read one."""
+    """A model in the form that the other packages read."""
     return {
         "nodes": np.asarray(model.nodes)[:, :2],
         "elements": np.asarray(model.elements).astype(np.int64),
@@ -109,7 +109,7 @@ def middle(edges):
 
 
 def rates(threads, sigmas, model, blocks, command):
-    """Solves a second of Python and of the command, in turn."""
+    """Solves with Python and with the command in turn, a second each."""
     found = {"python": [], "rust": []}
     for _ in range(blocks):
         begun = time.perf_counter()
@@ -124,7 +124,7 @@ def rates(threads, sigmas, model, blocks, command):
 
 
 def many(command=None, blocks=10, counts=(1, 2)):
-    """`voltages_many` of 5,000 elements beside Rust's own, SciPy's and pyEIT's rate."""
+    """`voltages_many` of 5,000 elements, compared with the rates of Rust alone, SciPy and pyEIT."""
     model = dermis.Skin("ionic-disc").model(elements=5000)
     elements = len(model.elements)
     rows, columns = np.indices((ROWS, elements))
@@ -168,7 +168,7 @@ def many(command=None, blocks=10, counts=(1, 2)):
 
 
 def importing():
-    """Milliseconds of `import dermis` after NumPy's own import, and of both, in fresh processes."""
+    """Time of `import dermis` after NumPy's own import, and of both, in fresh processes, milliseconds."""
     code = "import time; a = time.perf_counter(); import numpy; b = time.perf_counter(); import dermis; c = time.perf_counter(); print(b - a, c - b)"
     seen = []
     for _ in range(21):
@@ -179,7 +179,7 @@ def importing():
 
 
 def wheel(path):
-    """Size of a wheel and of what is in it."""
+    """Size of a wheel and of its content."""
     size = Path(path).stat().st_size
     print(f"{Path(path).name}: {size / 1e6:.1f} MB")
     with zipfile.ZipFile(path) as packed:

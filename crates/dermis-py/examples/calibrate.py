@@ -1,4 +1,4 @@
-"""A calibration by pokes at known places, and what it is worth; the twin stands for the skin on the bench."""
+"""A calibration by pokes at known places, and its benefit; the twin stands in for a skin on the bench."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,7 +14,7 @@ places_mm = [(x, y) for x in (-8.0, 0.0, 8.0) for y in (-8.0, 0.0, 8.0)]
 
 
 def settled() -> NDArray[np.float64]:
-    """The last of some frames, when the skin has come to rest."""
+    """The last of several frames, once the skin has come to rest."""
     return [twin.step().values for _ in range(20)][-1]
 
 

@@ -1,7 +1,7 @@
 """EVAL-CN0565-ARDZ (AD5940 and a crosspoint switch) as a source: python cn0565.py serial:/dev/ttyACM0,230400
 
-pyadi-iio sets the board and reads it; dermis needs its sequence of electrodes and its complex readings. The readings are
-in the board's own unit: touches and places do not depend on it, siemens would.
+pyadi-iio configures the board and reads it; dermis needs its sequence of electrodes and its complex readings. The
+readings are in the board's own unit: touches and positions don't depend on it, but siemens would.
 """
 
 import sys
@@ -16,7 +16,7 @@ import dermis
 
 
 def skin_of(board: Any, diameter_mm: float = 200.0, width_mm: float = 10.0) -> dermis.Skin:
-    """A round tank with the board's electrodes, whose channels are those that the board reads."""
+    """A round tank with the board's electrodes, and channels in the order in which the board reads them."""
     sequence = [[int(electrode) + 1 for electrode in row] for row in board.switch_sequence]
     channels = [[f_minus, f_plus, s_plus, s_minus] for f_plus, s_plus, s_minus, f_minus in sequence]
     return dermis.Skin(
@@ -39,7 +39,7 @@ both_signs = true
 
 
 def frames(board: Any) -> Iterator[NDArray[np.complex128]]:
-    """One complex frame after another."""
+    """Yields one complex frame after another."""
     while True:
         parts = np.asarray(board.all_voltages, float)
         yield parts[:, 0] + 1j * parts[:, 1]

@@ -1,4 +1,4 @@
-"""A twin is pressed, and the pipeline says where: nothing but this package is needed."""
+"""Presses a twin, and the pipeline locates the press. Needs nothing but this package."""
 
 import dermis
 

@@ -1,4 +1,4 @@
-"""Images of frames of your own: order and sign of the channels are found, prior and hyperparameter chosen."""
+"""Images of your own frames: find order and sign of the channels, choose prior and hyperparameter."""
 
 import numpy as np
 

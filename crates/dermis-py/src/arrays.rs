@@ -1,5 +1,5 @@
-//! Arrays in and out. What comes in is taken as it is where it is a C-ordered, aligned array of native doubles,
-//! read-only ones included, and converted by NumPy otherwise; what goes out is owned by its array.
+//! Arrays in and out. A C-ordered, aligned array of native doubles is used without a copy, even if read-only;
+//! anything else is converted by NumPy. Returned arrays own their data.
 
 use numpy::{
     Element, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
@@ -17,10 +17,10 @@ pub struct Doubles<'py> {
 }
 
 impl<'py> Doubles<'py> {
-    /// Takes anything that NumPy makes real numbers of; `what` names it in errors.
+    /// Takes anything that NumPy can convert to real numbers; `what` names it in errors.
     pub fn of(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Self> {
         let array = match value.cast::<PyArrayDyn<f64>>() {
-            // Kinds of arrays that build on NumPy's own may mean more than their numbers, as masked ones do.
+            // Subclasses of NumPy's arrays may mean more than their numbers, as masked arrays do.
             Ok(array) if value.is_exact_instance_of::<PyUntypedArray>() && is_plain(array) => array.clone(),
             _ => converted::<f64>(what, value, "float64", "real numbers", "fiu")?,
         };
@@ -40,7 +40,7 @@ impl<'py> Doubles<'py> {
         Ok(self.array.as_slice().map_err(|error| Fault::new(Kind::Internal, format!("array: {error}")))?)
     }
 
-    /// One number each.
+    /// Takes a vector of the given length.
     pub fn vector(what: &str, value: &Bound<'py, PyAny>, length: usize, of: &str) -> PyResult<Self> {
         let doubles = Self::of(what, value)?;
         if doubles.shape() != [length] {
@@ -49,7 +49,8 @@ impl<'py> Doubles<'py> {
         Ok(doubles)
     }
 
-    /// Rows of a length, one row also without the axis of rows; the array and whether there was one.
+    /// Takes rows of the given length, or a single row without the row axis; returns the array and whether it had the
+    /// row axis.
     pub fn rows(what: &str, value: &Bound<'py, PyAny>, length: usize, of: &str) -> PyResult<(Self, bool)> {
         let doubles = Self::of(what, value)?;
         let (fits, single) = match doubles.shape() {
@@ -70,7 +71,7 @@ impl<'py> Doubles<'py> {
         Ok(self.values()?.chunks_exact(columns).map(<[f64]>::to_vec).collect())
     }
 
-    /// Refuses NaN and infinities.
+    /// Rejects NaN and infinities.
     pub fn finite(self, what: &str) -> PyResult<Self> {
         match self.values()?.iter().position(|value| !value.is_finite()) {
             Some(at) => {
@@ -82,7 +83,7 @@ impl<'py> Doubles<'py> {
     }
 }
 
-/// Indices from Python: whole numbers from 0 to below a limit, with the array's shape.
+/// Takes indices: whole numbers from 0 to below a limit; returns them with the array's shape.
 pub fn indices(what: &str, value: &Bound<'_, PyAny>, below: usize, of: &str) -> PyResult<(Vec<u32>, Vec<usize>)> {
     let array = converted::<i64>(what, value, "int64", "whole numbers", "iu")?;
     let array = array.try_readonly().map_err(|error| Fault::new(Kind::Input, format!("{what}: {error}")))?;
@@ -107,7 +108,7 @@ fn is_plain<T: Element>(array: &Bound<'_, PyArrayDyn<T>>) -> bool {
     array.is_c_contiguous() && (array.data() as usize).is_multiple_of(std::mem::align_of::<T>())
 }
 
-/// By NumPy: native, aligned, C-ordered. `kinds` are those of data types that are taken.
+/// Converts with NumPy to a native, aligned, C-ordered array. `kinds` are the data type kinds to accept.
 fn converted<'py, T: Element>(
     what: &str,
     value: &Bound<'py, PyAny>,
@@ -142,7 +143,7 @@ fn converted<'py, T: Element>(
     shaped.cast_into::<PyArrayDyn<T>>().map_err(|error| refuse(error.to_string()))
 }
 
-/// `(3, 4)`, as Python writes it.
+/// A shape in Python's notation, `(3, 4)`.
 pub fn shape_text(shape: &[usize]) -> String {
     let numbers: Vec<String> = shape.iter().map(ToString::to_string).collect();
     let comma = if shape.len() == 1 { "," } else { "" };
@@ -160,17 +161,17 @@ fn index_text(shape: &[usize], mut at: usize) -> String {
     format!("[{}]", numbers.join(", "))
 }
 
-/// The name of a value's type.
+/// Name of a value's type.
 pub fn type_name(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "a value".into(), |name| name.to_string())
 }
 
-/// An array of one axis.
+/// A one-dimensional array.
 pub fn array1<T: Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
     values.into_pyarray(py)
 }
 
-/// An array of rows.
+/// A two-dimensional array.
 pub fn array2<T: Element>(
     py: Python<'_>,
     values: Vec<T>,
@@ -180,7 +181,7 @@ pub fn array2<T: Element>(
     values.into_pyarray(py).reshape([rows, columns])
 }
 
-/// An array of images.
+/// A stack of images.
 pub fn array3<T: Element>(
     py: Python<'_>,
     values: Vec<T>,
@@ -189,7 +190,7 @@ pub fn array3<T: Element>(
     values.into_pyarray(py).reshape([images, rows, columns])
 }
 
-/// An array that Python may not write to: a view of what an object shows again and again.
+/// An array that Python cannot write to, because the object returns it repeatedly.
 pub fn read_only<'py, T: Element, D: numpy::ndarray::Dimension>(
     array: Bound<'py, numpy::PyArray<T, D>>,
 ) -> PyResult<Bound<'py, numpy::PyArray<T, D>>> {

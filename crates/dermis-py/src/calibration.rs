@@ -1,4 +1,4 @@
-//! [`PyCalibration`]: what pokes at known places teach.
+//! [`PyCalibration`]: a calibration learnt from pokes at known places.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -18,11 +18,11 @@ use crate::work::{run, run_interruptibly};
 /// A calibration by pokes.
 #[pyclass(frozen, module = "dermis", name = "Calibration")]
 pub struct PyCalibration {
-    /// As the pipeline takes it.
+    /// The calibration in the form that the pipeline takes.
     pub calibration: Calibration,
 }
 
-/// The prepared skin of what Python calls a skin: the object, its model, a name, a path, or text.
+/// The prepared skin for any value that Python accepts as a skin: the object, its model, a name, a path, or text.
 pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
     if let Ok(model) = value.cast::<PyModel>() {
         return Ok(model.get().prepared.clone());
@@ -36,20 +36,20 @@ pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
 /// Parameters
 /// ----------
 /// skin : Skin, Model or str
-///     What was poked.
+///     The skin that was poked.
 /// baselines : array_like
-///     Shape (k,) or (n, k): the untouched skin, one frame or several for all pokes, or one before each.
+///     Shape (k,) or (n, k): the untouched skin, one frame or several for all pokes, or one before each poke.
 /// frames : array_like
-///     Shape (n, k): the pressed skin, one frame a poke.
+///     Shape (n, k): the pressed skin, one frame per poke.
 /// positions_m : array_like
-///     Shape (n, 2): where each poke was, metres from the skin's centre.
+///     Shape (n, 2): position of each poke, metres from the skin's centre.
 /// depths_m, forces_n : array_like, optional
-///     Shape (n,): how hard, by one of the two.
+///     Shape (n,): depth or force of each poke; give at most one of them.
 ///
 /// Returns
 /// -------
 /// Calibration
-///     What :class:`Pipeline` and the command take.
+///     The calibration, for :class:`Pipeline` and the command.
 #[pyfunction]
 #[pyo3(signature = (skin, baselines, frames, positions_m, *, depths_m=None, forces_n=None))]
 pub fn calibrate(
@@ -98,7 +98,7 @@ impl PyCalibration {
         Ok(Self { calibration: Calibration::load(&path).map_err(Fault::from)? })
     }
 
-    /// Writes it as JSON, whole or not at all.
+    /// Writes it as JSON, completely or not at all.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         run(py, || Ok(self.calibration.save(&path)?))
     }
@@ -109,39 +109,39 @@ impl PyCalibration {
         self.calibration.pokes()
     }
 
-    /// Whether the skin's model places touches, corrected by the pokes, and these what it does not see: unless left-out
-    /// pokes are clearly nearer by the pokes alone.
+    /// True if the skin's model places touches, corrected by the pokes, and the pokes place only those that the model
+    /// does not see; False if left-out pokes are clearly closer when placed by the pokes alone.
     #[getter]
     fn by_model(&self) -> bool {
         self.calibration.correction().is_some()
     }
 
-    /// Median distance of a poke from where the others put it, millimetres.
+    /// Median distance of a poke from the position predicted by the others, millimetres.
     #[getter]
     fn leave_one_out_mm(&self) -> f64 {
         1e3 * self.calibration.leave_one_out().median_error_m
     }
 
-    /// Distance that nine in ten stay below, millimetres.
+    /// 90th percentile of these distances, millimetres.
     #[getter]
     fn leave_one_out_p90_mm(&self) -> f64 {
         1e3 * self.calibration.leave_one_out().p90_error_m
     }
 
-    /// Distance of every poke, shape (pokes,), millimetres.
+    /// These distances for every poke, shape (pokes,), millimetres.
     #[getter]
     fn leave_one_out_errors_mm<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         let examples = &self.calibration.leave_one_out().examples;
         array1(py, examples.iter().map(|left| 1e3 * left.error_m).collect())
     }
 
-    /// Share of pokes within one predicted deviation, in x and y.
+    /// Share of pokes within one predicted standard deviation, in x and y.
     #[getter]
     fn coverage(&self) -> [f64; 2] {
         self.calibration.leave_one_out().coverage
     }
 
-    /// Where more pokes would help most, shape (count, 2), metres.
+    /// Positions at which further pokes would help most, shape (count, 2), metres.
     #[pyo3(signature = (count=5))]
     fn suggest_pokes<'py>(&self, py: Python<'py>, count: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let pokes = run(py, || Ok(self.calibration.suggest_pokes(count)?))?;

@@ -1,4 +1,4 @@
-//! [`PyMaps`]: what a skin will be able to do, before it is built; and what a workshop's errors cost it.
+//! [`PyMaps`]: predictions of a skin's abilities before it is built, and of the cost of manufacturing errors.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,23 +22,23 @@ pub struct PyMaps {
     spread_m: Vec<f64>,
 }
 
-/// What a skin will be able to do, before it is built.
+/// Predicts what a skin will be able to do before it is built.
 ///
 /// Parameters
 /// ----------
 /// skin : Skin, Model or str
 ///     The skin.
 /// amplitude : float
-///     Relative change of conductivity of the touch that bounds are for.
+///     Relative change of conductivity of the touch that the bounds are for.
 /// snr_db, noise_v : float, optional
-///     Noise in proportion to each reading, or the same for all; what the skin file assumes where both are left out.
+///     Noise proportional to each reading, or the same for all readings; default: as the skin file assumes.
 /// places : int
 ///     Places along the longer side of the maps, 4 to 128.
 ///
 /// Returns
 /// -------
 /// Maps
-///     Cramer-Rao bounds and their like: no unbiased method does better at this noise.
+///     Cramer-Rao bounds and related maps: no unbiased method does better at this noise.
 #[pyfunction]
 #[pyo3(signature = (skin, *, amplitude=0.1, snr_db=None, noise_v=None, places=32))]
 pub fn design(
@@ -99,32 +99,32 @@ impl PyMaps {
         [left, left + pixel * grid.columns as f64, top - pixel * grid.rows as f64, top]
     }
 
-    /// Signal-to-noise ratio of all channels for a relative change of 1, shape (rows, columns).
+    /// Signal-to-noise ratio of all channels together for a relative change of 1, shape (rows, columns).
     #[getter]
     fn sensitivity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         self.map(py, &self.maps.sensitivity, 1.0)
     }
 
-    /// Smallest relative change that is detected, shape (rows, columns).
+    /// Smallest detectable relative change, shape (rows, columns).
     #[getter]
     fn smallest_change<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         self.map(py, &self.maps.smallest, 1.0)
     }
 
-    /// Cramer-Rao bound on the deviation of a position, the larger axis, shape (rows, columns), millimetres; NaN
-    /// outside.
+    /// Cramer-Rao bound on the standard deviation of a position along its worse axis, shape (rows, columns),
+    /// millimetres; NaN outside.
     #[getter]
     fn position_bound_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         self.map(py, &self.maps.position_m, 1e3)
     }
 
-    /// Bound on the deviation of the amplitude, relative, shape (rows, columns).
+    /// Relative bound on the standard deviation of the amplitude, shape (rows, columns).
     #[getter]
     fn amplitude_bound<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         self.map(py, &self.maps.amplitude_share, 1.0)
     }
 
-    /// Width of the image of a point, shape (rows, columns), millimetres.
+    /// Width of a point's image, shape (rows, columns), millimetres.
     #[getter]
     fn spread_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         self.map(py, &self.spread_m, 1e3)
@@ -135,7 +135,7 @@ impl PyMaps {
     /// Parameters
     /// ----------
     /// axes : matplotlib.axes.Axes, optional
-    ///     Where; a new figure's where left out.
+    ///     Axes to draw on; default: a new figure's.
     ///
     /// Returns
     /// -------
@@ -150,7 +150,7 @@ impl PyMaps {
     }
 }
 
-/// What a workshop's errors cost.
+/// Estimates the cost of manufacturing errors.
 #[pyfunction]
 #[pyo3(signature = (skin, *, samples=200, presses=12, pokes=None, seed=1))]
 pub fn tolerance_rows(
@@ -162,7 +162,7 @@ pub fn tolerance_rows(
     seed: u64,
 ) -> PyResult<Vec<(String, usize, [f64; 2], [f64; 2], f64)>> {
     let skin = skin_of(skin)?;
-    // Work that nobody waits for would keep all threads for minutes.
+    // Without this, abandoned work would occupy all threads for minutes.
     let wanted = Arc::new(AtomicBool::new(true));
     let told = wanted.clone();
     let rows = run_interruptibly(py, "tolerances", move || {

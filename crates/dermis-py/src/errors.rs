@@ -1,6 +1,6 @@
-//! Errors of dermis as Python exceptions, with the words that the command has: the message, then the causes that it
-//! does not contain already. The classes are Python's own (`dermis/errors.py`), so that they can be kinds of
-//! `ValueError` and `OSError`.
+//! Converts errors of dermis to Python exceptions, with the same text as the command: the message, followed by the
+//! causes that it doesn't contain already. The classes are defined in Python (`dermis/errors.py`), so that they can
+//! be subclasses of `ValueError` and `OSError`.
 
 use std::io;
 
@@ -11,26 +11,26 @@ use dermis::skin::Error as SkinError;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
-/// Maximum length of a message, and of a quoted argument in it, characters.
+/// Longest message, and longest argument quoted in it, characters.
 const MOST_SHOWN: usize = 2000;
 const MOST_ECHOED: usize = 200;
 
-/// Which exception an error becomes.
+/// The exception that an error becomes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A skin file, or what follows from it.
+    /// A skin file or something derived from it.
     Skin,
     /// Arguments: arrays, numbers, names.
     Input,
-    /// A file that cannot be read, or that holds something else.
+    /// A file that cannot be read, or has other content.
     File,
     /// An instrument or another source.
     Source,
     /// Equations that could not be solved.
     Solver,
-    /// A session that is closed, or of another process.
+    /// A session that is closed, or belongs to another process.
     Session,
-    /// A fault of dermis itself.
+    /// A bug in dermis.
     Internal,
     /// None of these.
     Other,
@@ -51,7 +51,7 @@ impl Kind {
     }
 }
 
-/// An error on its way to Python: made without the interpreter, so that it can come out of detached work.
+/// An error on its way to Python. It is made without the interpreter, so that detached work can return it.
 #[derive(Debug)]
 pub struct Fault {
     kind: Kind,
@@ -59,18 +59,18 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// Of this kind, with these words.
+    /// A fault of this kind with this message.
     pub fn new(kind: Kind, message: impl Into<String>) -> Self {
         Self { kind, message: shown(&message.into(), MOST_SHOWN) }
     }
 
-    /// An argument that does not fit.
+    /// An invalid argument.
     pub fn input(what: &str, expected: impl std::fmt::Display, got: impl std::fmt::Display) -> Self {
         let got = shown(&got.to_string(), MOST_ECHOED);
         Self::new(Kind::Input, format!("{what}: expected {expected}, got {got}"))
     }
 
-    /// The same with words in front, that say where.
+    /// Prefixes the message with the place of the fault.
     #[must_use]
     pub fn at(mut self, place: &str) -> Self {
         self.message = format!("{place}: {}", self.message);
@@ -91,7 +91,7 @@ impl Fault {
     }
 }
 
-/// Text for people: control characters but line ends escaped, and cut in the middle where it is long.
+/// Text for people: control characters except line ends are escaped, and long text is cut in the middle.
 fn shown(text: &str, most: usize) -> String {
     let count = text.chars().count();
     let escaped = |text: &mut dyn Iterator<Item = char>| -> String {
@@ -214,7 +214,7 @@ fn kind_of_twin(error: &dermis::twin::TwinError) -> Kind {
     }
 }
 
-/// The kind of an error from its type, or of the first of its causes that has one.
+/// The kind of an error by its type, or that of the first cause that has one.
 fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Kind> {
     None.or_else(|| cause.downcast_ref().map(kind_of_lab))
         .or_else(|| cause.downcast_ref().map(kind_of_live))

@@ -1,4 +1,4 @@
-//! [`PyFrame`]: one frame of readings and when it was taken.
+//! [`PyFrame`]: one frame of readings with its time.
 
 use dermis::device::{Frame, HostStamp};
 use numpy::PyArray1;
@@ -7,26 +7,26 @@ use pyo3::prelude::*;
 use crate::arrays::{Doubles, array1};
 use crate::errors::Fault;
 
-/// One frame, as a twin or an instrument delivers it.
+/// One frame, as delivered by a twin or an instrument.
 ///
 /// Parameters
 /// ----------
 /// values : array_like
 ///     Shape (k,): readings, NaN where missing.
 /// sequence : int
-///     Its number; gaps are lost frames.
+///     Sequence number; gaps are lost frames.
 /// time_s : float
-///     When, on the instrument's clock.
+///     Time on the instrument's clock.
 #[pyclass(frozen, module = "dermis", name = "Frame")]
 pub struct PyFrame {
-    /// As the pipeline takes it.
+    /// The frame in the form that the pipeline takes.
     pub frame: Frame,
-    /// Seconds on the clock of whoever made it.
+    /// Seconds on the clock of the frame's source.
     pub time_s: f64,
 }
 
 impl PyFrame {
-    /// A frame whose times are the device's own, so that a run at any pace gives the same touches.
+    /// A frame timed by the device's own clock, so that a run at any pace gives the same touches.
     pub fn timed(sequence: u64, time_s: f64, values: &[f64], imaginary: &[f64]) -> Self {
         let time_ns = (time_s.max(0.0) * 1e9) as u64;
         let mut frame = Frame::with_capacity(values.len());
@@ -68,13 +68,13 @@ impl PyFrame {
         array1(py, self.frame.imaginary.clone())
     }
 
-    /// The instrument's number of the frame.
+    /// The instrument's sequence number of the frame.
     #[getter]
     fn sequence(&self) -> u64 {
         self.frame.sequence
     }
 
-    /// Seconds on the clock of whoever made it.
+    /// Seconds on the clock of the frame's source.
     #[getter]
     fn time_s(&self) -> f64 {
         self.time_s

@@ -9,28 +9,28 @@ use pyo3::prelude::*;
 use crate::arrays::{Doubles, array2, array3};
 use crate::errors::Fault;
 
-/// The pixels of images over a mesh.
+/// A grid of pixels over a mesh, for images.
 #[pyclass(frozen, module = "dermis", name = "Grid")]
 pub struct PyGrid {
-    /// Elements to pixels.
+    /// Map from elements to pixels.
     pub map: Arc<PixelMap>,
 }
 
 #[pymethods]
 impl PyGrid {
-    /// Rows.
+    /// Number of rows.
     #[getter]
     fn rows(&self) -> usize {
         self.map.grid().rows
     }
 
-    /// Columns.
+    /// Number of columns.
     #[getter]
     fn columns(&self) -> usize {
         self.map.grid().columns
     }
 
-    /// Rows and columns.
+    /// Numbers of rows and columns.
     #[getter]
     fn shape(&self) -> (usize, usize) {
         (self.rows(), self.columns())
@@ -42,7 +42,7 @@ impl PyGrid {
         self.map.grid().pixel_m
     }
 
-    /// Left, right, bottom and top, millimetres, as matplotlib's ``imshow`` takes them.
+    /// Left, right, bottom and top, millimetres, in the order of matplotlib's ``imshow``.
     #[getter]
     fn extent_mm(&self) -> [f64; 4] {
         let grid = self.map.grid();
@@ -51,13 +51,13 @@ impl PyGrid {
         [left, left + pixel * grid.columns as f64, top - pixel * grid.rows as f64, top]
     }
 
-    /// Which pixels have a value, shape (rows, columns).
+    /// True for pixels with a value, shape (rows, columns).
     #[getter]
     fn inside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
         array2(py, self.map.inside_mask(), self.rows(), self.columns())
     }
 
-    /// Middles of the pixels, shape (rows, columns, 2), metres.
+    /// Centres of the pixels, shape (rows, columns, 2), metres.
     #[getter]
     fn centres_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let centres = self.map.grid().centres_m();
@@ -65,12 +65,12 @@ impl PyGrid {
         Ok(array3(py, centres.as_flattened().to_vec(), shape)?.into_any())
     }
 
-    /// Values of elements as an image, by area of overlap; NaN outside.
+    /// Converts values of elements to an image, weighted by area of overlap; NaN outside.
     ///
     /// Parameters
     /// ----------
     /// values : array_like
-    ///     Shape (m,).
+    ///     Shape (m,): one value per element.
     ///
     /// Returns
     /// -------

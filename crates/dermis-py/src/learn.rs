@@ -1,4 +1,4 @@
-//! Training sets, shard by shard, and the check of networks trained elsewhere.
+//! Training sets made shard by shard, and checks of networks trained elsewhere.
 
 use std::path::{Path, PathBuf};
 
@@ -13,9 +13,9 @@ use crate::errors::Fault;
 use crate::skin::skin_of;
 use crate::work::{run, run_interruptibly};
 
-/// A shard is made in memory.
+/// Most samples in a shard, which is made in memory.
 const MOST_SHARD_SAMPLES: usize = 10_000;
-/// Each is a file of one folder.
+/// Most shards; each is a file in one folder.
 const MOST_SHARDS: usize = 1_000_000;
 
 fn request_of(skin: &Bound<'_, PyAny>, samples: usize, shard_samples: usize, seed: u64) -> PyResult<TrainSetRequest> {
@@ -36,14 +36,14 @@ fn request_of(skin: &Bound<'_, PyAny>, samples: usize, shard_samples: usize, see
     Ok(request)
 }
 
-/// The prepared skin of a training set, and the set in its folder, made or found.
+/// The prepared skin of a training set, and the set in its folder, new or existing.
 fn set_of(request: &TrainSetRequest, folder: &Path) -> Result<(Prepared, TrainingSet), Fault> {
     let prepared = Prepared::new(request.skin.clone())?;
     let set = TrainingSet::create(folder, request.checked_manifest(prepared.map.grid())?)?;
     Ok((prepared, set))
 }
 
-/// Makes the folder of a training set, or finds it, and returns the numbers of the shards that it lacks.
+/// Creates or opens the folder of a training set, and returns the numbers of the missing shards.
 #[pyfunction]
 #[pyo3(signature = (skin, folder, samples, *, shard_samples=250, seed=1))]
 pub fn create_train_set(
@@ -58,8 +58,8 @@ pub fn create_train_set(
     run_interruptibly(py, "training set", move || Ok(set_of(&request, &folder)?.1.missing()))
 }
 
-/// Simulates one shard of a training set into its folder. It depends on the seed and its number alone, and appears
-/// under its name only when it is whole.
+/// Simulates one shard of a training set into its folder. A shard depends only on the seed and its number, and
+/// appears under its name only when complete.
 #[pyfunction]
 #[pyo3(signature = (skin, folder, shard, samples, *, shard_samples=250, seed=1))]
 pub fn write_shard(
@@ -112,7 +112,7 @@ impl PyNetwork {
         self.model.card.classes.clone()
     }
 
-    /// Factors that images are multiplied by, shape (inputs,).
+    /// Factors for the input images, shape (inputs,).
     #[getter]
     fn input_scale<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         array1(py, self.model.card.input_scale.clone())

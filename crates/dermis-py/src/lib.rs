@@ -1,5 +1,6 @@
-//! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. What needs no speed is
-//! Python, in `python/dermis`; every name here is documented there, in `_dermis.pyi` and `__init__.py`.
+//! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. Parts that need no
+//! speed are written in Python, in `python/dermis`; every name here is documented there, in `_dermis.pyi` and
+//! `__init__.py`.
 
 mod arrays;
 mod calibration;
@@ -30,13 +31,13 @@ use pyo3::prelude::*;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Runs the `dermis` command with these arguments, the program's name first, and returns its exit code. Commands that
-/// record or serve take over the signals of the process for good: they are for a process of their own.
+/// record or serve take over the process's signal handling for good, so run them in a separate process.
 #[pyfunction]
 fn run_command(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<u8> {
     work::run(py, || Ok(dermis_cli::run_command(arguments)))
 }
 
-/// Panics, so that tests can see what becomes of one.
+/// Panics, for tests of how panics are handled.
 #[pyfunction]
 fn _panic(py: Python<'_>) -> PyResult<()> {
     work::run(py, || panic!("a test asked for this"))

@@ -1,4 +1,4 @@
-//! `dermis.mit`: coils, bodies, and the changes of mutual inductance that bodies make.
+//! `dermis.mit`: coils, bodies, and the changes of mutual inductance caused by bodies.
 
 use dermis::mit::{CoilArray, CoilShape, CoilSpec, Complex, Polarizability, Sphere};
 use numpy::{Complex64, PyArray1, PyArray2};
@@ -12,20 +12,20 @@ fn plain(values: &[Complex]) -> Vec<Complex64> {
     values.iter().map(|value| Complex64::new(value.re, value.im)).collect()
 }
 
-/// Equal coils, flat spirals, at places.
+/// Identical coils, flat spirals, at given positions.
 ///
 /// Parameters
 /// ----------
 /// places_m : array_like
-///     Shape (n, 2) or (n, 3): their middles, metres.
+///     Shape (n, 2) or (n, 3): their centres, metres.
 /// inner_m, outer_m : float
 ///     Widths, metres.
 /// turns : int
-///     Turns of each.
+///     Number of turns in each.
 /// square : bool
-///     Square in place of round.
+///     Square instead of round.
 /// inductance_h : float, optional
-///     Measured self inductance, which fields are scaled to.
+///     Measured self-inductance, to which fields are scaled.
 /// shield_z_m : float, optional
 ///     Height of a perfectly conducting plane below them.
 #[pyclass(frozen, module = "dermis.mit", name = "Coils")]
@@ -69,14 +69,14 @@ impl PyCoils {
         Ok(Self { coils })
     }
 
-    /// Pairs of coils in the order of channels, shape (p, 2).
+    /// Pairs of coils in channel order, shape (p, 2).
     #[getter]
     fn pairs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         let pairs = self.coils.pairs();
         array2(py, pairs.as_flattened().iter().map(|&coil| coil as u32).collect(), pairs.len(), 2)
     }
 
-    /// Middles, shape (n, 3), metres.
+    /// Centres, shape (n, 3), metres.
     #[getter]
     fn places_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let outlines = self.coils.outlines();
@@ -88,25 +88,25 @@ impl PyCoils {
         Ok(array1(py, run(py, || Ok(self.coils.mutuals_h()))?))
     }
 
-    /// Self inductance of every coil, shape (n,), henries.
+    /// Self-inductance of every coil, shape (n,), henries.
     fn self_inductances_h<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let own = || Ok(self.coils.coils().iter().map(|coil| coil.self_inductance_h()).collect());
         Ok(array1(py, run(py, own)?))
     }
 
-    /// Changes of mutual inductance by a body, complex, henries.
+    /// Changes of mutual inductance caused by a body, complex, henries.
     ///
     /// Parameters
     /// ----------
     /// body : Body
-    ///     What; all wire has to lie outside the sphere around it.
+    ///     The body; all wire must lie outside the sphere around it.
     /// centre_m : sequence of float
-    ///     Where its middle is: x, y and z, metres.
+    ///     Its centre: x, y and z, metres.
     ///
     /// Returns
     /// -------
     /// numpy.ndarray
-    ///     Shape (p,): one change a pair, complex, henries.
+    ///     Shape (p,): one change per pair, complex, henries.
     fn changes_h<'py>(
         &self,
         py: Python<'py>,
@@ -137,7 +137,7 @@ impl PyCoils {
     }
 }
 
-/// A conducting body at one frequency, as its answer to the fields of coils.
+/// A conducting body at one frequency, represented by its response to the coils' fields.
 #[pyclass(frozen, module = "dermis.mit", name = "Body")]
 pub struct PyBody {
     body: Polarizability,
@@ -145,7 +145,7 @@ pub struct PyBody {
 
 #[pymethods]
 impl PyBody {
-    /// A sphere of one material, in closed form.
+    /// A sphere of a single material, in closed form.
     ///
     /// Parameters
     /// ----------
@@ -156,7 +156,7 @@ impl PyBody {
     /// frequency_hz : float
     ///     Frequency of the currents in the coils, hertz.
     /// relative_permeability : float
-    ///     1 of what is not magnetic.
+    ///     Relative permeability; 1 for non-magnetic materials.
     ///
     /// Returns
     /// -------
@@ -179,7 +179,7 @@ impl PyBody {
         self.body.radius_m
     }
 
-    /// Its answer to the harmonics of a field, shape (h, h), complex.
+    /// Its response to the harmonics of a field, shape (h, h), complex.
     #[getter]
     fn tau<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<Complex64>>> {
         let size = dermis::mit::HARMONICS;

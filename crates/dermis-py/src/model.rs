@@ -24,7 +24,7 @@ use crate::work::{run, run_interruptibly};
 /// A skin's forward model at rest.
 #[pyclass(frozen, module = "dermis", name = "Model")]
 pub struct PyModel {
-    /// What the pipeline is made of, too.
+    /// The prepared skin, which pipelines use too.
     pub prepared: Arc<Prepared>,
     forward: OnceLock<Arc<ForwardModel>>,
     nodes: Py<PyArray2<f64>>,
@@ -34,7 +34,7 @@ pub struct PyModel {
 }
 
 impl PyModel {
-    /// Of a prepared skin.
+    /// The model of a prepared skin.
     pub fn of(py: Python<'_>, prepared: Arc<Prepared>) -> PyResult<Self> {
         let mesh = &prepared.body.mesh.mesh;
         let sigma = vec![prepared.skin.sheet_conductance_s(); mesh.element_count()];
@@ -56,7 +56,7 @@ impl PyModel {
         self.prepared.body.mesh.mesh.element_count()
     }
 
-    /// The model of the conducting sheet, made when first asked for.
+    /// The model of the conducting sheet, built on first use.
     fn forward(&self) -> Result<&Arc<ForwardModel>, Fault> {
         if self.prepared.skin.modality == Modality::Mit {
             let expected = "a skin of electrodes; of coils there are model.voltages() at rest and model.pixel_jacobian";
@@ -66,11 +66,11 @@ impl PyModel {
             return Ok(forward);
         }
         let made = ForwardModel::new(self.prepared.body.mesh.clone(), self.protocol().clone())?;
-        // Where another thread was faster, both are the same.
+        // If another thread was faster, both models are the same.
         Ok(self.forward.get_or_init(|| Arc::new(made)))
     }
 
-    /// Voltages as the skin's instrument reads them, through its readout circuit where it has one.
+    /// Voltages as read by the skin's instrument, through its readout circuit if it has one.
     fn read(&self, sigma: &[f64]) -> Result<Vec<f64>, Fault> {
         let forward = self.forward()?;
         match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
@@ -82,8 +82,8 @@ impl PyModel {
         }
     }
 
-    /// The model whose Jacobian is that of the readings at a conductivity: that of the effective patterns behind a
-    /// circuit.
+    /// The model whose Jacobian is that of the readings at a conductivity: with a circuit, the model with the
+    /// effective patterns.
     fn effective(&self, sigma: &[f64]) -> Result<Arc<ForwardModel>, Fault> {
         let forward = self.forward()?;
         match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
@@ -123,10 +123,10 @@ impl PyModel {
     }
 }
 
-/// Dictionaries in dictionaries that a skin file's value may be made of.
+/// Nesting depth allowed for dictionaries in a skin file's value.
 const MOST_NESTED: usize = 32;
 
-/// A word, a number or a dictionary, as it would stand in a skin file.
+/// A word, a number or a dictionary, as written in a skin file.
 fn written(what: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     written_within(what, value, MOST_NESTED)
 }
@@ -160,7 +160,7 @@ impl PyModel {
         PySkin { skin: self.prepared.skin.clone() }
     }
 
-    /// Node coordinates, shape (n, 2) of flat meshes or (n, 3), metres. Read-only.
+    /// Node coordinates, shape (n, 2) for flat meshes, otherwise (n, 3), metres. Read-only.
     #[getter]
     fn nodes(&self, py: Python<'_>) -> Py<PyArray2<f64>> {
         self.nodes.clone_ref(py)
@@ -184,15 +184,15 @@ impl PyModel {
         PyTuple::new(py, electrodes_of(&self.prepared.body.mesh))
     }
 
-    /// Electrodes of every channel, shape (k, 4), from 0: the drive's first and second (current goes in at the
-    /// second), the measured first and second (the reading is the first's potential less the second's); -1 where a
+    /// Electrodes of every channel, shape (k, 4), from 0: the drive's first and second (current enters at the
+    /// second), and the measured first and second (the reading is the first's potential minus the second's); -1 if a
     /// pattern has no such electrode, or several.
     #[getter]
     fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         channels_of(py, self.protocol())
     }
 
-    /// A label of every channel, electrodes from 1: ``1-2 > 5-6``.
+    /// A label for every channel, with electrodes counted from 1: ``1-2 > 5-6``.
     #[getter]
     fn channel_labels(&self) -> Vec<String> {
         (0..self.protocol().channel_count()).map(|channel| self.protocol().channel_label(channel)).collect()
@@ -204,7 +204,7 @@ impl PyModel {
         dense_patterns(py, self.protocol().electrode_count(), self.protocol().stimulations().iter())
     }
 
-    /// Weights of the potentials that every channel reads, shape (k, electrodes).
+    /// Weights of the potentials in every channel's reading, shape (k, electrodes).
     #[getter]
     fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let protocol = self.protocol();
@@ -218,18 +218,18 @@ impl PyModel {
         array1(py, self.protocol().measurements().iter().map(|measurement| measurement.stimulation).collect())
     }
 
-    /// The pixels of images.
+    /// The pixel grid of images.
     #[getter]
     fn grid(&self) -> PyGrid {
         PyGrid { map: self.map.clone() }
     }
 
-    /// Voltages of all channels, as the skin's instrument reads them.
+    /// Voltages of all channels, as read by the skin's instrument.
     ///
     /// Parameters
     /// ----------
     /// sigma : array_like, optional
-    ///     Shape (m,): sheet conductance of every element, siemens, positive; the file's own where left out.
+    ///     Shape (m,): sheet conductance of every element, siemens, positive; default: the file's own.
     ///
     /// Returns
     /// -------
@@ -250,12 +250,13 @@ impl PyModel {
     /// Parameters
     /// ----------
     /// sigma : array_like, optional
-    ///     Shape (m,), siemens: where; the file's own where left out.
+    ///     Shape (m,): sheet conductance to linearise at, siemens; default: the file's own.
     ///
     /// Returns
     /// -------
     /// numpy.ndarray
-    ///     Shape (k, m), dv/dsigma in volts per siemens. Readings behind a circuit are those of its patterns at sigma.
+    ///     Shape (k, m), dv/dsigma in volts per siemens. With a readout circuit, the Jacobian of its patterns at
+    ///     sigma.
     #[pyo3(signature = (sigma=None))]
     fn jacobian<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let sigma = self.sigma_of(py, sigma)?;
@@ -269,7 +270,7 @@ impl PyModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,), siemens.
+    ///     Shape (m,): sheet conductance of every element, siemens.
     /// cotangent : array_like
     ///     Shape (k,): weight of every channel.
     ///
@@ -290,14 +291,14 @@ impl PyModel {
         Ok(array1(py, run(py, || Ok(self.effective(sigma)?.solve(sigma)?.vjp(cotangent)?))?))
     }
 
-    /// Voltages of many conductivities, in parallel.
+    /// Voltages for many conductivities, in parallel.
     ///
     /// Parameters
     /// ----------
     /// sigmas : array_like
-    ///     Shape (n, m), siemens.
+    ///     Shape (n, m): one set of sheet conductances per row, siemens.
     /// threads : int, optional
-    ///     How many; all processors where left out.
+    ///     Number of threads; default: all processors.
     ///
     /// Returns
     /// -------
@@ -315,7 +316,7 @@ impl PyModel {
         })
     }
 
-    /// Sensitivity to relative changes of the inside pixels, shape (k, pixels), volts; of coils, to the elements'
+    /// Sensitivity to relative changes of the inside pixels, shape (k, pixels), volts; for coils, to the elements'
     /// travel.
     #[getter]
     fn pixel_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
@@ -323,12 +324,12 @@ impl PyModel {
         array2(py, jacobian.values.clone(), jacobian.rows, jacobian.columns)
     }
 
-    /// Images of frames against a baseline.
+    /// Images of frames relative to a baseline.
     ///
     /// Parameters
     /// ----------
     /// baseline : array_like
-    ///     Shape (k,) or (n, k): the untouched skin; from 8 frames on their scatter is taken as the noise.
+    ///     Shape (k,) or (n, k): the untouched skin; with 8 frames or more their scatter is taken as the noise.
     /// frames : array_like
     ///     Shape (n, k) or (k,): readings in the skin's order, NaN where missing.
     /// prior : str or dict, optional

@@ -1,4 +1,4 @@
-//! The search for the order of a file's channels, and the conductance of a sheet, on arrays.
+//! Functions on arrays: the search for a file's channel order, and the conductance of a sheet.
 
 use dermis::device::{FrameTable, Layout};
 use dermis::lab::channel_search::{self, LEAST, find_order};
@@ -22,7 +22,7 @@ fn table_of(what: &str, frames: &Bound<'_, PyAny>) -> PyResult<FrameTable> {
     Ok(FrameTable::new(Layout::Channels { count }, frames.values()?.to_vec(), what).map_err(Fault::from)?)
 }
 
-/// What `dermis order` finds, as a dictionary; `dermis.find_order` makes an `Order` of it.
+/// Result of `dermis order` as a dictionary; `dermis.find_order` turns it into an `Order`.
 #[pyfunction]
 pub fn search_order<'py>(
     py: Python<'py>,
@@ -49,7 +49,7 @@ pub fn search_order<'py>(
     dict.set_item("description", best.map_or("", |best| best.description.as_str()))?;
     dict.set_item("lines", found.fitting().map_or_else(String::new, channel_search::OrderCandidate::lines))?;
     dict.set_item("verdict", found.verdict())?;
-    // Of several that fit alike, the one that the skin file states is believed.
+    // If several orders fit equally well, trust the one in the skin file.
     dict.set_item("is_clear", found.is_clear || (is_stated && correlation >= LEAST))?;
     dict.set_item("is_stated", is_stated)?;
     let candidates: Vec<(f64, &str)> =
@@ -62,7 +62,7 @@ pub fn search_order<'py>(
     Ok(dict)
 }
 
-/// What `dermis conductance` finds, as a dictionary; `dermis.conductance` makes a `Conductance` of it.
+/// Result of `dermis conductance` as a dictionary; `dermis.conductance` turns it into a `Conductance`.
 #[pyfunction]
 pub fn estimate_conductance<'py>(
     py: Python<'py>,

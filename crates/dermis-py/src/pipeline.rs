@@ -20,12 +20,12 @@ use crate::result::PyFrameResult;
 use crate::skin::{PySkin, same_skin, skin_of};
 use crate::work::{lock, run, run_briefly, run_interruptibly};
 
-/// Frames in which a pipeline may make its operator: the lock of the interpreter is given up.
+/// Number of frames in which a pipeline may build its operator; the interpreter lock is released during these.
 const LEARNING: u64 = 64;
 
 struct Running {
     pipeline: Pipeline,
-    /// Frames given as arrays, and their number and time.
+    /// Reused for frames given as arrays, with their number and time.
     frame: Frame,
     next_sequence: u64,
     origin_ns: Option<u64>,
@@ -36,13 +36,13 @@ struct Running {
 /// Parameters
 /// ----------
 /// skin : Skin, Model or str
-///     The skin; with its model, nothing is solved anew.
+///     The skin; with its model, nothing has to be solved again.
 /// calibration : Calibration or str, optional
 ///     Made by :func:`calibrate` or ``dermis calibrate``.
 /// forces : str, optional
 ///     A force calibration made by ``dermis calibrate --forces``.
 /// hyperparameter : float, optional
-///     The number lambda, in place of the skin file's rule.
+///     The number lambda, overriding the skin file's rule.
 #[pyclass(frozen, module = "dermis", name = "Pipeline")]
 pub struct PyPipeline {
     skin: Skin,
@@ -58,7 +58,7 @@ pub fn extent_mm(prepared: &Prepared) -> [f64; 4] {
     [left, left + pixel * grid.columns as f64, top - pixel * grid.rows as f64, top]
 }
 
-/// A calibration from what Python calls one: the object, or its file.
+/// A calibration for any value that Python accepts as one: the object, or its file.
 pub fn calibration_of(value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Calibration>> {
     let Some(value) = value else { return Ok(None) };
     if let Ok(calibration) = value.cast::<PyCalibration>() {
@@ -128,19 +128,19 @@ impl PyPipeline {
         PySkin { skin: self.skin.clone() }
     }
 
-    /// Frames processed.
+    /// Number of frames processed.
     #[getter]
     fn frames(&self) -> u64 {
         lock(&self.running).pipeline.frames()
     }
 
-    /// True once the baseline stands.
+    /// True once there is a baseline.
     #[getter]
     fn ready(&self) -> bool {
         lock(&self.running).pipeline.reference().is_some()
     }
 
-    /// lambda in use, once the baseline stands.
+    /// Current lambda, once there is a baseline.
     #[getter]
     fn hyperparameter(&self) -> Option<f64> {
         lock(&self.running).pipeline.hyperparameter()
@@ -153,12 +153,12 @@ impl PyPipeline {
     /// frame : Frame or array_like
     ///     A frame, or its readings, shape (k,), NaN where missing.
     /// time_s : float, optional
-    ///     Time of an array, seconds, rising; the present where left out.
+    ///     Time of an array, seconds, increasing; default: now.
     ///
     /// Returns
     /// -------
     /// Result
-    ///     Until the baseline stands (32 frames), its image is NaN and it has no touches.
+    ///     The result; until there is a baseline (32 frames), its image is NaN and it has no touches.
     #[pyo3(signature = (frame, *, time_s=None))]
     fn process(&self, py: Python<'_>, frame: &Bound<'_, PyAny>, time_s: Option<f64>) -> PyResult<PyFrameResult> {
         if let Some(time_s) = time_s.filter(|time_s| !(0.0..1e9).contains(time_s)) {
@@ -193,18 +193,18 @@ impl PyPipeline {
         })
     }
 
-    /// Takes the mean of the next frames as the baseline; how many.
+    /// Takes the mean of the next frames as the baseline, and returns their number.
     ///
     /// Parameters
     /// ----------
     /// force : bool
-    ///     Also while something touches.
+    ///     Take it even while something touches the skin.
     #[pyo3(signature = (*, force=false))]
     fn tare(&self, py: Python<'_>, force: bool) -> PyResult<usize> {
         run(py, || Ok(lock(&self.running).pipeline.tare(force, "asked for")?))
     }
 
-    /// Asks for another lambda, which is in use 0.3 seconds of the frames' time later.
+    /// Requests another lambda, which takes effect 0.3 seconds of frame time later.
     fn set_hyperparameter(&self, py: Python<'_>, hyperparameter: f64) -> PyResult<()> {
         run(py, || Ok(lock(&self.running).pipeline.set_hyperparameter(hyperparameter)?))
     }
@@ -215,7 +215,7 @@ impl PyPipeline {
         crate::arrays::array1(py, lock(&self.running).pipeline.baseline().0.to_vec())
     }
 
-    /// Refuses a model of another skin.
+    /// Rejects a model of another skin.
     fn check_model(&self, model: &Bound<'_, PyModel>) -> PyResult<()> {
         Ok(same_skin("model", &self.skin, &model.get().prepared.skin)?)
     }
@@ -226,7 +226,8 @@ impl PyPipeline {
 }
 
 impl PyPipeline {
-    /// Frames take microseconds once the operator stands, which giving up the interpreter's lock would double.
+    /// Keeps the interpreter lock for fast frames: once the operator is built they take microseconds, which releasing
+    /// the lock would double.
     fn work<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Running) -> Result<T, Fault> + Send) -> PyResult<T> {
         if let Ok(mut running) = self.running.try_lock()
             && running.pipeline.frames() > LEARNING
@@ -237,7 +238,7 @@ impl PyPipeline {
         run(py, || work(&mut lock(&self.running)))
     }
 
-    /// Skins whose touches are fitted, or whose elements are solved for, take longer than 50 us a frame.
+    /// True for skins that take longer than 50 us per frame, because touches are fitted or elements solved for.
     fn is_slow(&self) -> bool {
         self.skin.fits_touches() || self.skin.damage.watch || self.skin.imaging.solve != dermis::skin::Solve::Pixels
     }
@@ -249,8 +250,8 @@ impl PyPipeline {
     }
 }
 
-/// Seconds that a pipeline takes for so many of some frames, shape (n, k), over and over, where nothing is made of the
-/// results: what :meth:`Pipeline.process` takes beyond it is Python's.
+/// Seconds that a pipeline takes for this many frames, cycling through those given, shape (n, k), without using the
+/// results; anything beyond it in :meth:`Pipeline.process` is due to Python.
 #[pyfunction]
 pub fn _seconds_of_frames(
     py: Python<'_>,

@@ -1,4 +1,4 @@
-//! A source in Python: an iterable of frames, or a function that is called for each.
+//! A source written in Python: an iterable of frames, or a function that is called for each.
 
 use std::time::Duration;
 
@@ -10,12 +10,12 @@ use pyo3::types::PyTuple;
 
 use crate::arrays::type_name;
 
-/// How long a function that had no frame is left alone.
+/// Delay before asking a function again that had no frame.
 const NAP: Duration = Duration::from_millis(2);
 
-/// Frames of a Python object, taken on the session's own thread.
+/// Frames of a Python object, taken in the session's own thread.
 pub struct PythonSource {
-    /// An iterator, or a function of no arguments.
+    /// An iterator, or a function without arguments.
     object: Py<PyAny>,
     is_function: bool,
     layout: Layout,
@@ -25,7 +25,7 @@ pub struct PythonSource {
 }
 
 impl PythonSource {
-    /// Of an iterable or a callable that yields frames of so many channels.
+    /// A source from an iterable or a callable that yields frames with this number of channels.
     pub fn new(object: &Bound<'_, PyAny>, channels: usize) -> PyResult<Self> {
         let is_function = object.is_callable() && !object.hasattr("__iter__")?;
         let name = format!("Python {}", type_name(object));
@@ -40,7 +40,7 @@ impl PythonSource {
         })
     }
 
-    /// Takes the next frame; `None` where the source has ended, `Some(false)` where there is none yet.
+    /// Takes the next frame; `None` if the source has ended, `Some(false)` if there is no frame yet.
     fn take(&self, py: Python<'_>, frame: &mut Frame) -> Result<Option<bool>, String> {
         let object = self.object.bind(py);
         let said = |error: PyErr| format!("frame {}: {error}", self.counters.frames);
@@ -53,7 +53,7 @@ impl PythonSource {
         if value.is_none() {
             return Ok(Some(false));
         }
-        // (time_s, readings), or readings alone.
+        // Either (time_s, readings) or just readings.
         let is_pair = |pair: &&Bound<'_, PyTuple>| {
             pair.len() == 2 && pair.get_item(1).is_ok_and(|second| second.hasattr("__len__").unwrap_or(false))
         };
@@ -85,7 +85,7 @@ impl PythonSource {
     }
 }
 
-/// Real and imaginary parts of one frame; no imaginary ones of real numbers.
+/// Real and imaginary parts of one frame; no imaginary parts for real readings.
 fn numbers(readings: &Bound<'_, PyAny>) -> PyResult<(Vec<f64>, Vec<f64>)> {
     let numpy = readings.py().import("numpy")?;
     let array = numpy.call_method1("asarray", (readings,))?.call_method0("ravel")?;
@@ -111,7 +111,7 @@ impl Source for PythonSource {
         if self.ended {
             return Ok(SourceEvent::End);
         }
-        // An interpreter that is going down yields nothing more.
+        // An interpreter that is shutting down yields nothing more.
         let taken = Python::try_attach(|py| self.take(py, frame)).unwrap_or(Ok(None));
         match taken {
             Ok(Some(true)) => {

@@ -26,7 +26,7 @@ use crate::work::{run, run_interruptibly};
 /// Raises
 /// ------
 /// FileError
-///     No such file, or none of dermis.
+///     The file doesn't exist, or isn't a recording of dermis.
 #[pyclass(frozen, module = "dermis", name = "Recording")]
 pub struct PyRecording {
     path: PathBuf,
@@ -36,7 +36,7 @@ pub struct PyRecording {
     labels: Vec<String>,
 }
 
-/// Frames of a recording in the skin's channels.
+/// Frames of a recording in the skin's channel order.
 #[derive(Default)]
 struct Frames {
     values: Vec<f64>,
@@ -51,7 +51,7 @@ impl PyRecording {
         Ok(Recording::open(&self.path)?)
     }
 
-    /// Frames from `start` to before `stop`.
+    /// Reads frames from `start` up to but excluding `stop`.
     fn read_frames(&self, start: usize, stop: Option<usize>, raw: bool) -> Result<Frames, Fault> {
         let mut recording = self.read()?;
         let layout = recording.head().layout.clone();
@@ -103,19 +103,19 @@ impl PyRecording {
         PySkin { skin: self.skin.clone() }
     }
 
-    /// Where the frames came from.
+    /// Source of the frames.
     #[getter]
     fn source(&self) -> &str {
         &self.source
     }
 
-    /// Frames, as the recording's end says, or None.
+    /// Number of frames stated at the recording's end, or None.
     #[getter]
     fn frames_written(&self) -> Option<u64> {
         self.written
     }
 
-    /// A label of every channel.
+    /// A label for every channel.
     #[getter]
     fn channel_labels(&self) -> PyResult<Vec<String>> {
         let protocol = self.skin.protocol().map_err(Fault::from)?;
@@ -125,14 +125,14 @@ impl PyRecording {
         Ok((0..protocol.channel_count()).map(|channel| protocol.channel_label(channel)).collect())
     }
 
-    /// Readings.
+    /// Readings of the frames.
     ///
     /// Parameters
     /// ----------
     /// start, stop : int, optional
-    ///     From which frame, and before which.
+    ///     First frame, and the frame before which to stop.
     /// raw : bool
-    ///     In the instrument's own order in place of the skin's.
+    ///     Use the instrument's own order instead of the skin's.
     ///
     /// Returns
     /// -------
@@ -150,21 +150,21 @@ impl PyRecording {
         array2(py, frames.values, frames.times_s.len(), frames.channels)
     }
 
-    /// Times of the frames, and their numbers.
+    /// Times and sequence numbers of the frames.
     ///
     /// Parameters
     /// ----------
     /// start, stop : int, optional
-    ///     From which frame, and before which.
+    ///     First frame, and the frame before which to stop.
     ///
     /// Returns
     /// -------
     /// times_s : numpy.ndarray
-    ///     Shape (n,): seconds from the first frame.
+    ///     Shape (n,): seconds since the first frame.
     /// wall_ns : numpy.ndarray
-    ///     Shape (n,): by the host's wall clock, nanoseconds since 1970.
+    ///     Shape (n,): host's wall clock, nanoseconds since 1970.
     /// sequences : numpy.ndarray
-    ///     Shape (n,): the instrument's numbers; gaps are lost frames.
+    ///     Shape (n,): the instrument's sequence numbers; gaps are lost frames.
     #[pyo3(signature = (start=0, stop=None))]
     fn times<'py>(
         &self,
@@ -176,8 +176,7 @@ impl PyRecording {
         Ok((array1(py, frames.times_s), array1(py, frames.wall_ns), array1(py, frames.sequences)))
     }
 
-    /// Touches that were recorded, as a structured array: ``sequence``, ``wall_ns`` and the fields of
-    /// ``dermis.touch_dtype``.
+    /// Recorded touches as a structured array: ``sequence``, ``wall_ns`` and the fields of ``dermis.touch_dtype``.
     fn touches<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let (rows, sequences, times_ns) = run(py, || {
             let mut recording = self.read()?;
@@ -211,8 +210,8 @@ impl PyRecording {
         slf.py().import("dermis._tables")?.getattr("to_xarray")?.call1((slf,))
     }
 
-    /// Baselines that came into use: a dictionary each, of ``wall_ns``, ``reason``, ``values`` and ``noise_std``, shape
-    /// (k,) both.
+    /// Baselines that came into use: for each a dictionary with ``wall_ns``, ``reason``, ``values`` and
+    /// ``noise_std``, both of shape (k,).
     fn baselines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let list = PyList::empty(py);
         let found = run(py, || {
@@ -236,7 +235,7 @@ impl PyRecording {
         Ok(list)
     }
 
-    /// What happened: a dictionary each, of ``wall_ns``, ``event``, ``detail`` and ``values``.
+    /// Events: for each a dictionary with ``wall_ns``, ``event``, ``detail`` and ``values``.
     fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let list = PyList::empty(py);
         let found = run(py, || {
@@ -268,7 +267,7 @@ impl PyRecording {
     }
 }
 
-/// What a file of frames holds, for Python.
+/// Content of a file of frames, for Python.
 struct FileFrames {
     rows: Vec<Vec<f64>>,
     times_s: Option<Vec<f64>>,
@@ -277,42 +276,42 @@ struct FileFrames {
     understood: String,
 }
 
-/// Frames of any file that ``dermis reconstruct`` reads: tables as text, NumPy, recordings, ROS bags, Sciospec ``.eit`` and
-/// the others.
+/// Reads frames from any file that ``dermis reconstruct`` reads: text tables, NumPy, recordings, ROS bags, Sciospec
+/// ``.eit`` and others.
 ///
 /// Parameters
 /// ----------
 /// path : str or os.PathLike
-///     The file or folder; ``#A..B`` after it chooses frames.
+///     The file or folder; ``#A..B`` after it selects frames.
 /// skin : Skin or str, optional
-///     With a skin, single-ended potentials and full matrices become its channels, and columns that name their electrodes
-///     are put in its order; without, readings are as they stand.
+///     With a skin, single-ended potentials and full matrices are converted to its channels, and columns that name
+///     their electrodes are put in its order. Without one, readings are returned as they are.
 /// format : str, optional
-///     Recognised where left out.
+///     Format of the file; default: recognised from the file.
 /// columns : str, optional
 ///     Columns of a table that hold readings: names, indices from 0, ranges such as ``"1..209"``.
 /// skip_rows : int
-///     Lines at the beginning of a text that are passed over.
+///     Lines to skip at the start of a text file.
 /// array, topic : str, optional
-///     Array of an archive, or topic of a bag.
+///     Array in an archive, or topic in a bag.
 /// transpose : bool
-///     Frames stand in columns.
+///     Frames are stored as columns.
 ///
 /// Returns
 /// -------
 /// frames : numpy.ndarray
 ///     Shape (n, k), NaN where missing.
 /// times_s : numpy.ndarray or None
-///     Shape (n,), seconds, where the file has times.
+///     Shape (n,), seconds, if the file has times.
 ///
-/// The pair that is returned has the attributes ``frames``, ``times_s``, ``sequences`` (the instrument's numbers, gaps are
-/// lost frames), ``wall_ns`` (nanoseconds since 1970), each None where the file has none, and ``understood``, which says in a
-/// line what was made of the file.
+/// The returned pair has the attributes ``frames``, ``times_s``, ``sequences`` (the instrument's sequence numbers,
+/// gaps are lost frames) and ``wall_ns`` (nanoseconds since 1970), each None if the file has none, and
+/// ``understood``, a line on how the file was interpreted.
 ///
 /// Raises
 /// ------
 /// FileError
-///     A file that cannot be read, with the place in it and what to do.
+///     The file cannot be read; the message gives the place and advice.
 #[pyfunction]
 #[pyo3(signature = (path, skin=None, *, format=None, columns=None, skip_rows=0, array=None, topic=None, transpose=false))]
 pub fn read_frames<'py>(

@@ -1,4 +1,4 @@
-//! [`PyFrameResult`]: what the pipeline says of one frame, as arrays made when they are asked for.
+//! [`PyFrameResult`]: the pipeline's results for one frame, as arrays made on demand.
 
 use dermis::device::HostStamp;
 use dermis::live::output::Output;
@@ -24,7 +24,7 @@ fn phase_name(phase: TouchPhase) -> &'static str {
     }
 }
 
-/// x_mm, y_mm and probability of another place, given by its position (metres) and probability.
+/// x_mm, y_mm and probability of an alternative position, from its position (metres) and probability.
 fn other_numbers(other: Option<([f64; 2], f64)>) -> [f64; 3] {
     other.map_or([f64::NAN, f64::NAN, 0.0], |([x, y], probability)| [1e3 * x, 1e3 * y, probability])
 }
@@ -81,7 +81,7 @@ pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Bound<'py, 
     py.import("dermis._tables")?.getattr("touches")?.call1((ids, phases, values))
 }
 
-/// What came of one frame.
+/// Results for one frame.
 #[pyclass(frozen, module = "dermis", name = "Result")]
 pub struct PyFrameResult {
     sequence: u64,
@@ -119,7 +119,7 @@ struct Damage {
 }
 
 impl PyFrameResult {
-    /// Copied out of the pipeline's memory.
+    /// Copies the results out of the pipeline's memory.
     pub fn of(output: &Output<'_>, time_s: f64, ready: bool, extent_mm: [f64; 4], quantity: &'static str) -> Self {
         let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
         let damage = |damage: &dermis::touch::damage::Damage| Damage {
@@ -160,13 +160,13 @@ impl PyFrameResult {
 
 #[pymethods]
 impl PyFrameResult {
-    /// Number of the frame.
+    /// Sequence number of the frame.
     #[getter]
     fn sequence(&self) -> u64 {
         self.sequence
     }
 
-    /// Its time, seconds.
+    /// Time of the frame, seconds.
     #[getter]
     fn time_s(&self) -> f64 {
         self.time_s
@@ -178,8 +178,8 @@ impl PyFrameResult {
         self.wall_ns
     }
 
-    /// The system's monotonic clock at the frame's first byte, nanoseconds: ``time.monotonic_ns()`` on Linux. It is the
-    /// same in all processes of a machine.
+    /// The system's monotonic clock at the frame's first byte, nanoseconds: ``time.monotonic_ns()`` on Linux. It is
+    /// common to all processes of a machine.
     #[getter]
     fn monotonic_ns(&self) -> u64 {
         self.monotonic_ns
@@ -191,7 +191,7 @@ impl PyFrameResult {
         self.device_ns
     }
 
-    /// True once the baseline stood.
+    /// True if there was a baseline.
     #[getter]
     fn ready(&self) -> bool {
         self.ready
@@ -203,7 +203,7 @@ impl PyFrameResult {
         array1(py, self.raw.clone())
     }
 
-    /// Readings less the baseline, shape (k,).
+    /// Readings minus the baseline, shape (k,).
     #[getter]
     fn compensated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         array1(py, self.compensated.clone())
@@ -222,24 +222,24 @@ impl PyFrameResult {
         self.extent_mm
     }
 
-    /// What its values are.
+    /// Quantity of the image's values.
     #[getter]
     fn image_quantity(&self) -> &'static str {
         self.quantity
     }
 
     /// Touches as a structured array of ``dermis.touch_dtype``: ``id``, ``phase``, ``x_mm``, ``y_mm``, ``force_n``,
-    /// ``amplitude``, ``area_mm2``, ``sigma_x_mm``, ``sigma_y_mm``, ``radius_mm``; NaN where unknown. Those that have
-    /// just gone have the phase ``end``.
+    /// ``amplitude``, ``area_mm2``, ``sigma_x_mm``, ``sigma_y_mm``, ``radius_mm``; NaN where unknown. Touches that
+    /// have just ended have the phase ``end``.
     #[getter]
     fn touches(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         let make = || Ok::<_, PyErr>(table_of(py, &self.touches)?.unbind());
         Ok(self.table.get_or_try_init(py, make)?.clone_ref(py))
     }
 
-    /// ``sound``, ``frame`` (what is wrong with the frames as a whole: ``"frozen"``, ``"saturated"``, ``"flipped"``,
-    /// ``"out-of-range"``, ``"blank"``, or None), the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from
-    /// 0.
+    /// ``sound``; ``frame`` (fault of the frames as a whole: ``"frozen"``, ``"saturated"``, ``"flipped"``,
+    /// ``"out-of-range"``, ``"blank"``, or None); the ``channels`` left out, with their faults; and the faulty
+    /// ``electrodes``, from 0.
     #[getter]
     fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let health = PyDict::new(py);
@@ -279,7 +279,7 @@ impl PyFrameResult {
     /// Parameters
     /// ----------
     /// axes : matplotlib.axes.Axes, optional
-    ///     Where; a new figure's where left out.
+    ///     Axes to draw on; default: a new figure's.
     ///
     /// Returns
     /// -------

@@ -1,4 +1,4 @@
-//! [`PySession`]: a source read by a thread of its own, and its pipeline.
+//! [`PySession`]: a source read by a separate thread, and its pipeline.
 
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -23,12 +23,12 @@ use crate::skin::{PySkin, skin_of};
 use crate::twin::radius_and_load;
 use crate::work::{lock, run, run_interruptibly};
 
-/// Frames that may wait between source and pipeline, as in `dermis run`.
+/// Frames that may queue between source and pipeline, as in `dermis run`.
 const QUEUE: usize = 64;
-/// The same of a twin that waits for whoever takes its frames, as few as there can be: a press shows a few frames
-/// later.
+/// The same for a twin that can wait for its frames to be taken. As small as possible, so that a press shows within a
+/// few frames.
 const TWIN_QUEUE: usize = 2;
-/// How long a frame is waited for before Ctrl-C is looked for.
+/// Longest wait for a frame between checks for Ctrl-C.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 struct Running {
@@ -37,13 +37,13 @@ struct Running {
     twin: Option<TwinControl>,
     frames: u64,
     origin_ns: Option<u64>,
-    /// What a recording from the page begins with.
+    /// Head of recordings made from the page.
     head: RecordingHead,
     page: Option<LivePage>,
 }
 
 impl Running {
-    /// The source has nothing more: the page says so.
+    /// Tells the page that the source has ended.
     fn end(&mut self) -> Result<Step, Fault> {
         if let Some(page) = &mut self.page {
             page.end()?;
@@ -52,14 +52,14 @@ impl Running {
     }
 }
 
-/// What a step of a session came to.
+/// Result of a step of a session.
 enum Step {
     Result(Box<PyFrameResult>),
     Idle,
     End,
 }
 
-/// Frames of a source through a pipeline.
+/// Frames from a source, processed by a pipeline.
 #[pyclass(frozen, module = "dermis", name = "Session")]
 pub struct PySession {
     selector: String,
@@ -70,37 +70,37 @@ pub struct PySession {
     running: Mutex<Option<Running>>,
 }
 
-/// Opens a source of frames, and a pipeline for it.
+/// Opens a source of frames and a pipeline for it.
 ///
 /// Parameters
 /// ----------
 /// source : str, os.PathLike, iterable or callable
-///     ``twin:NAME``, ``tcp:HOST:PORT``, ``serial:PORT``, or a file: a recording (.mcap), or whatever ``dermis reconstruct``
-///     reads. Or an iterable of frames, or a function that is called for each: a frame is an array of shape (k,), real or
-///     complex, or a pair (time in seconds, array). A function returns None where there is no frame yet, and raises
-///     StopIteration at the end. Both are called from a thread of the session.
+///     One of ``twin:NAME``, ``tcp:HOST:PORT``, ``serial:PORT``, or a file: a recording (.mcap), or anything that
+///     ``dermis reconstruct`` reads. Or an iterable of frames, or a function that is called for each frame. A frame
+///     is an array of shape (k,), real or complex, or a pair (time in seconds, array). A function returns None if
+///     there is no frame yet, and raises StopIteration at the end. Both are called from a thread of the session.
 /// skin : Skin or str, optional
-///     Whose frames they are, where the source does not say; healing-square where left out.
+///     Skin of the frames, if the source doesn't name it; default: healing-square.
 /// frames : int, optional
-///     Stop after so many.
+///     Stop after this many frames.
 /// speed : float
-///     Pace of twins and files: 1 as recorded, 0 as fast as frames are asked for.
+///     Speed of twins and files: 1 in real time, 0 as fast as frames are requested.
 /// calibration, forces : str or os.PathLike, optional
 ///     Files made by ``dermis calibrate``.
 /// as_set : bool
 ///     Leave an instrument on the wire as it is set.
 /// as_skin : bool
-///     Read a recording, and calibrations, as `skin`'s though they are of another skin.
+///     Accept a recording and calibrations of another skin as `skin`'s.
 ///
 /// Returns
 /// -------
 /// Session
-///     An iterator of results, and a context manager.
+///     An iterator over results, and a context manager.
 ///
 /// Raises
 /// ------
 /// Error
-///     A source or a skin that cannot be opened.
+///     A source or a skin cannot be opened.
 #[pyfunction]
 #[pyo3(signature = (source, skin=None, *, frames=None, speed=0.0, calibration=None, forces=None, as_set=false, as_skin=false))]
 pub fn open(
@@ -176,7 +176,7 @@ pub fn open(
 }
 
 impl PySession {
-    /// Refuses a session that is closed, or whose thread is in another process.
+    /// Rejects a session that is closed, or whose thread is in another process.
     fn with<T>(&self, work: impl FnOnce(&mut Running) -> Result<T, Fault>) -> Result<T, Fault> {
         let here = std::process::id();
         if here != self.opened_in {
@@ -271,8 +271,8 @@ impl PySession {
         Ok(false)
     }
 
-    /// Stops reading, ends a recording that was begun on the page, and closes the page; a session that is closed stays
-    /// so.
+    /// Stops reading, ends a recording started from the page, and closes the page. Closing a closed session has no
+    /// effect.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         run(py, || {
             if std::process::id() != self.opened_in {
@@ -294,21 +294,21 @@ impl PySession {
 
     /// Opens the live page of this session's own frames in a browser.
     ///
-    /// The page is served by this process and shows every frame that is taken from the session, so that it moves while
-    /// a loop runs over the session. What is asked there (tare, lambda, presses on a twin, recordings) is done before
-    /// the next frame. It goes with the session.
+    /// The page is served by this process and shows every frame taken from the session, so it moves while a loop runs
+    /// over the session. Requests from the page (tare, lambda, presses on a twin, recordings) are carried out before
+    /// the next frame. The page closes with the session.
     ///
     /// Parameters
     /// ----------
     /// port : int
-    ///     Of this machine's own address; a free one where left out.
+    ///     Port on this machine's own address; default: any free one.
     /// browser : bool
-    ///     Whether a browser is asked to show it.
+    ///     Ask a browser to open it.
     ///
     /// Returns
     /// -------
     /// str
-    ///     The page's address, the same at every call.
+    ///     The page's address, which is the same at every call.
     #[pyo3(signature = (*, port=0, browser=true))]
     fn show(&self, py: Python<'_>, port: u16, browser: bool) -> PyResult<String> {
         run(py, || {
@@ -331,11 +331,11 @@ impl PySession {
     /// True once closed, and in a process forked from the one that opened it.
     #[getter]
     fn closed(&self) -> bool {
-        // Who held the lock at the fork holds it for ever there.
+        // After a fork a lock held by another thread stays locked for ever.
         std::process::id() != self.opened_in || lock(&self.running).is_none()
     }
 
-    /// What was opened.
+    /// The opened source.
     #[getter]
     fn source(&self) -> &str {
         &self.selector
@@ -347,7 +347,7 @@ impl PySession {
         PySkin { skin: self.skin.clone() }
     }
 
-    /// Frames delivered, and dropped, lost, damaged and repeated on the way.
+    /// Numbers of frames delivered, and dropped, lost, damaged and repeated on the way.
     #[getter]
     fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (frames, counters) = run(py, || self.with(|running| Ok((running.frames, running.acquisition.counters()))))?;
@@ -360,34 +360,34 @@ impl PySession {
         Ok(named)
     }
 
-    /// As :meth:`Pipeline.tare`.
+    /// Takes a new baseline, like :meth:`Pipeline.tare`.
     #[pyo3(signature = (*, force=false))]
     fn tare(&self, py: Python<'_>, force: bool) -> PyResult<usize> {
         run(py, || self.with(|running| Ok(running.pipeline.tare(force, "asked for")?)))
     }
 
-    /// Asks for another lambda, which is in use 0.3 seconds of the frames' time later.
+    /// Requests another lambda, which takes effect 0.3 seconds of frame time later.
     fn set_hyperparameter(&self, py: Python<'_>, hyperparameter: f64) -> PyResult<()> {
         run(py, || self.with(|running| Ok(running.pipeline.set_hyperparameter(hyperparameter)?)))
     }
 
-    /// Presses a session's twin, from one of its next frames on.
+    /// Presses a session's twin, starting with one of its next frames.
     ///
     /// Parameters
     /// ----------
     /// x_mm, y_mm : float
-    ///     Where, from the skin's centre.
+    ///     Position, from the skin's centre.
     /// radius_mm, force_n : float, optional
-    ///     Radius and force; what the skin is made for where left out.
+    ///     Radius and force; default: the skin's usual press.
     /// pressure_kpa : float, optional
-    ///     Mean pressure in place of a force.
+    ///     Mean pressure, instead of a force.
     /// pointer : int
-    ///     Who presses: several may at once.
+    ///     Identifies the press, since several are possible at once.
     ///
     /// Raises
     /// ------
     /// InputError
-    ///     A place off the skin, numbers that make no sense, a session of something that is no twin.
+    ///     The position is off the skin, a number is invalid, or the session's source is not a twin.
     #[pyo3(signature = (x_mm, y_mm, radius_mm=None, force_n=None, *, pressure_kpa=None, pointer=1))]
     fn press(
         &self,
@@ -405,7 +405,7 @@ impl PySession {
             let (radius_m, load) = radius_and_load(radius_mm, force_n, pressure_kpa, usual)?;
             let position_m = [1e-3 * x_mm, 1e-3 * y_mm];
             let pressure_pa = Indenter { centre_m: position_m, shape: Shape::Disc { radius_m }, load }.pressure_pa();
-            // The twin's thread has no one to tell that a press makes no sense.
+            // Check here, because the twin's thread cannot report an invalid press.
             if !self.skin.outline().contains(position_m) {
                 return Err(Fault::input("press", "a place on the skin", format!("({x_mm}, {y_mm}) mm")));
             }
@@ -419,7 +419,7 @@ impl PySession {
         })
     }
 
-    /// Stops pressing a session's twin.
+    /// Ends a press on a session's twin.
     #[pyo3(signature = (pointer=1))]
     fn release(&self, py: Python<'_>, pointer: u64) -> PyResult<()> {
         run(py, || self.command(TwinCommand::Release { pointer }))
@@ -434,12 +434,12 @@ impl PySession {
 impl Drop for PySession {
     fn drop(&mut self) {
         if std::process::id() != self.opened_in {
-            // The threads that would be waited for are in the parent, and so may be who holds the lock.
+            // The threads to join are in the parent, and so may be the holder of the lock.
             let running = std::mem::replace(&mut self.running, Mutex::new(None));
             std::mem::forget(running);
             return;
         }
-        // The thread that is waited for may be waiting for the interpreter, which whoever drops a session holds.
+        // The thread to join may be waiting for the interpreter lock, which is held here.
         let running = std::mem::replace(&mut self.running, Mutex::new(None));
         let mut running = Some(running);
         Python::try_attach(|py| py.detach(|| drop(running.take())));

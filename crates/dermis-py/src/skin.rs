@@ -1,4 +1,4 @@
-//! [`PySkin`]: a skin file, checked.
+//! [`PySkin`]: a checked skin file.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::model::PyModel;
 pub use crate::skin_argument::{PySkin, skin_of};
 use crate::work::run_interruptibly;
 
-/// Corners of the polygon that a disc is drawn as.
+/// Corners of the polygon that represents a disc.
 const DISC_CORNERS: usize = 128;
 
 #[pymethods]
@@ -30,18 +30,18 @@ impl PySkin {
         BUILTIN_NAMES.to_vec()
     }
 
-    /// A skin from the text of its file, of this or an earlier version of the format.
+    /// A skin from the text of its file, in this or an earlier version of the format.
     ///
     /// Parameters
     /// ----------
     /// text : str
-    ///     TOML, with all parts in it.
+    ///     TOML text, with all parts in it.
     #[staticmethod]
     fn from_toml(text: &str) -> PyResult<Self> {
         Ok(Self { skin: Skin::parse_any_version(text, "skin").map_err(Fault::from)? })
     }
 
-    /// The skin as TOML, all parts in it.
+    /// The skin as TOML text, with all parts in it.
     fn to_toml(&self) -> String {
         self.skin.to_toml()
     }
@@ -58,31 +58,31 @@ impl PySkin {
         &self.skin.title
     }
 
-    /// What physics reads it: ``eit`` or ``mit``.
+    /// Physical principle: ``eit`` or ``mit``.
     #[getter]
     fn modality(&self) -> &'static str {
         self.skin.modality.name()
     }
 
-    /// What the values of its images are.
+    /// Quantity of its images' values.
     #[getter]
     fn image_quantity(&self) -> &'static str {
         self.skin.modality.image_quantity()
     }
 
-    /// Frames a second of its instrument, or None.
+    /// Frame rate of its instrument, or None.
     #[getter]
     fn frames_per_s(&self) -> Option<f64> {
         self.skin.backend.frames_per_s
     }
 
-    /// Readings in a frame.
+    /// Number of readings in a frame.
     #[getter]
     fn channel_count(&self) -> PyResult<usize> {
         Ok(self.skin.protocol().map_err(Fault::from)?.channel_count())
     }
 
-    /// Electrodes, or coils.
+    /// Number of electrodes or coils.
     #[getter]
     fn electrode_count(&self) -> usize {
         self.skin.electrode_shapes().len()
@@ -94,7 +94,7 @@ impl PySkin {
         self.skin.sheet_conductance_s()
     }
 
-    /// Corners of the rim, shape (n, 2), metres, the first not repeated; a disc has 128. Read-only.
+    /// Corners of the rim, shape (n, 2), metres, without repeating the first; a disc has 128. Read-only.
     #[getter]
     fn outline<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let points: Vec<[f64; 2]> = match self.skin.outline() {
@@ -113,7 +113,7 @@ impl PySkin {
         read_only(array2(py, points.as_flattened().to_vec(), points.len(), 2)?)
     }
 
-    /// Lower left and upper right corner, metres.
+    /// Lower left and upper right corners, metres.
     #[getter]
     fn bounds_m(&self) -> ([f64; 2], [f64; 2]) {
         self.skin.outline().bounds_m()
@@ -124,7 +124,7 @@ impl PySkin {
     /// Parameters
     /// ----------
     /// elements : int, optional
-    ///     About how many elements; the skin file's number where left out.
+    ///     Approximate number of elements; default: the skin file's.
     ///
     /// Returns
     /// -------
@@ -133,7 +133,7 @@ impl PySkin {
     /// Raises
     /// ------
     /// SkinError
-    ///     Geometry that cannot be meshed.
+    ///     The geometry cannot be meshed.
     #[pyo3(signature = (elements=None))]
     fn model(&self, py: Python<'_>, elements: Option<usize>) -> PyResult<PyModel> {
         let mut skin = self.skin.clone();
@@ -145,12 +145,12 @@ impl PySkin {
         PyModel::of(py, Arc::new(prepared))
     }
 
-    /// Draws rim, electrodes and their numbers.
+    /// Draws the rim and the numbered electrodes.
     ///
     /// Parameters
     /// ----------
     /// axes : matplotlib.axes.Axes, optional
-    ///     Where; a new figure's where left out.
+    ///     Axes to draw on; default: a new figure's.
     ///
     /// Returns
     /// -------
@@ -198,7 +198,7 @@ fn polygon(outline: &Outline) -> Vec<[f64; 2]> {
     }
 }
 
-/// Refuses a model of another skin.
+/// Rejects a model of another skin.
 pub fn same_skin(what: &str, expected: &Skin, got: &Skin) -> Result<(), Fault> {
     if expected.name == got.name {
         return Ok(());

@@ -1,4 +1,4 @@
-//! [`PySkin`], and what Python may give in its place.
+//! [`PySkin`], and the values that Python may give in its place.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 
 use crate::errors::Fault;
 
-/// A skin as its file says.
+/// A skin as described by its file.
 ///
 /// Parameters
 /// ----------
@@ -17,14 +17,14 @@ use crate::errors::Fault;
 /// Raises
 /// ------
 /// SkinError
-///     A skin that there is none of, or a file that makes no sense, with the key, the value and what was expected.
+///     The skin is unknown or its file is invalid; the message gives the key, the value and what was expected.
 #[pyclass(frozen, module = "dermis", name = "Skin")]
 pub struct PySkin {
-    /// The file.
+    /// The skin file.
     pub skin: Skin,
 }
 
-/// A skin from what Python calls one: the object, a name, a path, or the text of a file.
+/// A skin from any value that Python accepts as one: the object, a name, a path, or the text of a file.
 pub fn skin_of(value: &Bound<'_, PyAny>) -> PyResult<Skin> {
     if let Ok(skin) = value.cast::<PySkin>() {
         return Ok(skin.get().skin.clone());
@@ -34,7 +34,7 @@ pub fn skin_of(value: &Bound<'_, PyAny>) -> PyResult<Skin> {
         Fault::input("skin", expected, crate::arrays::type_name(value))
     })?;
     let text = path.to_string_lossy().into_owned();
-    // No path has a line break, and no skin file has none.
+    // A path has no line break, and a skin file always has one.
     let skin = if text.contains('\n') { Skin::parse(&text, "skin") } else { Skin::open(&text) };
     Ok(skin.map_err(Fault::from)?)
 }

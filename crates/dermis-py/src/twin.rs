@@ -14,9 +14,9 @@ use crate::frame::PyFrame;
 use crate::skin::{PySkin, skin_of};
 use crate::work::{lock, run, run_interruptibly};
 
-/// Frames a second where the skin file gives none, as the command has it.
+/// Frame rate if the skin file gives none, frames per second, as in the command.
 const FRAMES_PER_S: f64 = 50.0;
-/// Steps without a frame after which an instrument that loses all of them is given up.
+/// Steps without a frame after which to give up on an instrument that loses all frames.
 const MOST_LOST: usize = 10_000;
 
 struct Running {
@@ -26,14 +26,14 @@ struct Running {
     values: Vec<f64>,
 }
 
-/// The digital twin of a skin: mechanics, fields and instrument, on another mesh than the reconstruction's.
+/// The digital twin of a skin: mechanics, fields and instrument, on a mesh other than the reconstruction's.
 ///
 /// Parameters
 /// ----------
 /// skin : Skin or str
 ///     The skin.
 /// seed : int, optional
-///     Of the instrument's noise; the skin file's where left out. The same seed gives the same bits.
+///     Seed of the instrument's noise; default: the skin file's. The same seed gives identical bits.
 #[pyclass(frozen, module = "dermis", name = "Twin")]
 pub struct PyTwin {
     skin: Skin,
@@ -42,8 +42,8 @@ pub struct PyTwin {
     running: Mutex<Running>,
 }
 
-/// Radius (metres) of a disc that presses, and its one force or pressure; the usual ones, in metres and pascals, where
-/// left out.
+/// Radius (metres) of a pressing disc and its force or pressure, only one of which may be given; the defaults are in
+/// metres and pascals.
 pub fn radius_and_load(
     radius_mm: Option<f64>,
     force_n: Option<f64>,
@@ -94,23 +94,23 @@ impl PyTwin {
         lock(&self.running).time_s
     }
 
-    /// Presses with a round indenter from the next frame on, or goes on pressing elsewhere or otherwise.
+    /// Presses with a round indenter from the next frame on, or changes a current press.
     ///
     /// Parameters
     /// ----------
     /// x_mm, y_mm : float
-    ///     Where, from the skin's centre.
+    ///     Position, from the skin's centre.
     /// radius_mm, force_n : float, optional
-    ///     Radius and force; what the skin is made for where left out.
+    ///     Radius and force; default: the skin's usual press.
     /// pressure_kpa : float, optional
-    ///     Mean pressure in place of a force.
+    ///     Mean pressure, instead of a force.
     /// pointer : int
-    ///     Who presses: several may at once.
+    ///     Identifies the press, since several are possible at once.
     ///
     /// Raises
     /// ------
     /// InputError
-    ///     A place off the skin, numbers that make no sense.
+    ///     The position is off the skin, or a number is invalid.
     #[pyo3(signature = (x_mm, y_mm, radius_mm=None, force_n=None, *, pressure_kpa=None, pointer=1))]
     fn press(
         &self,
@@ -132,12 +132,12 @@ impl PyTwin {
         })
     }
 
-    /// Stops pressing.
+    /// Ends a press.
     ///
     /// Parameters
     /// ----------
     /// pointer : int, optional
-    ///     Who; everybody where left out.
+    ///     The press to end; default: all.
     #[pyo3(signature = (pointer=None))]
     fn release(&self, py: Python<'_>, pointer: Option<u64>) -> PyResult<()> {
         run(py, || {
@@ -150,12 +150,12 @@ impl PyTwin {
         })
     }
 
-    /// The next frame.
+    /// Returns the next frame.
     ///
     /// Parameters
     /// ----------
     /// dt_s : float, optional
-    ///     Time to the frame after it; the period where left out.
+    ///     Time until the following frame; default: the period.
     ///
     /// Returns
     /// -------
@@ -186,8 +186,8 @@ impl PyTwin {
         })
     }
 
-    /// What truly pressed in the last frame: a dictionary each, of ``x_mm``, ``y_mm``, ``radius_mm``, ``pressure_kpa``,
-    /// ``force_n``.
+    /// The true presses in the last frame: for each a dictionary with ``x_mm``, ``y_mm``, ``radius_mm``,
+    /// ``pressure_kpa``, ``force_n``.
     #[getter]
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let touches = PyList::empty(py);

@@ -1,5 +1,5 @@
-//! How work is done for Python: without the interpreter's lock, with panics as exceptions, with Ctrl-C answered, and on
-//! threads that are there. A process that was forked has none of its parent's threads, so that it gets some of its own.
+//! Runs work for Python: without the interpreter lock, with panics turned into exceptions, with Ctrl-C handled, and
+//! on threads that exist. A forked process has none of its parent's threads, so it gets its own.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -11,23 +11,24 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::errors::{Fault, Kind};
 
-/// How often Ctrl-C is looked for.
+/// Interval between checks for Ctrl-C.
 const SIGNALS: Duration = Duration::from_millis(50);
-/// How long work may take before anything of it is shown.
+/// Time that work may take before its progress is shown.
 const QUIET: Duration = Duration::from_secs(1);
 
 /// The process that loaded this library.
 static LOADED_IN: OnceLock<u32> = OnceLock::new();
 
-/// Remembers which process this is; called once, when the library is loaded.
+/// Records the current process; called once, when the library is loaded.
 pub fn remember_process() {
     let _ = LOADED_IN.set(std::process::id());
 }
 
-/// Threads of a forked process. The parent's are left alone: joining threads that are not there would wait for ever.
+/// Threads of a forked process. The parent's are left alone, because joining threads that don't exist would wait for
+/// ever.
 static OWN_THREADS: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// What is locked, whatever a panic elsewhere has made of it.
+/// Locks a mutex even if it was poisoned by a panic elsewhere.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -50,13 +51,13 @@ fn own_threads() -> Result<Option<Arc<ThreadPool>>, Fault> {
     Ok(Some(threads))
 }
 
-/// So many threads; as many as there are processors for 0.
+/// A pool with this number of threads; 0 for as many as there are processors.
 pub fn pool(threads: usize) -> Result<ThreadPool, Fault> {
     let made = ThreadPoolBuilder::new().num_threads(threads).build();
     made.map_err(|error| Fault::new(Kind::Other, format!("threads: {error}")))
 }
 
-/// A panic as an error: what it said.
+/// Turns a panic into an error with its message.
 fn guarded<T>(work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
@@ -65,7 +66,7 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     })
 }
 
-/// Short work, a few milliseconds: the lock is given up, panics become exceptions.
+/// Runs short work of a few milliseconds: the interpreter lock is released, and panics become exceptions.
 pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T, Fault> + Send) -> PyResult<T> {
     let done = py.detach(|| {
         guarded(|| match own_threads()? {
@@ -76,12 +77,12 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T, Fault> + Se
     Ok(done?)
 }
 
-/// Work of the length of a frame: the lock is kept, which costs less than giving it up.
+/// Runs work as long as a frame. The interpreter lock is kept, which costs less than releasing it.
 pub fn run_briefly<T>(work: impl FnOnce() -> Result<T, Fault>) -> PyResult<T> {
     Ok(guarded(work)?)
 }
 
-/// How far long work is: counted by its threads, shown by the one that waits for it.
+/// Progress of long work: counted by the working threads, shown by the thread that waits.
 #[derive(Default)]
 pub struct Progress {
     done: AtomicUsize,
@@ -89,7 +90,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// One more of the total is done. Refuses once nobody waits for the rest.
+    /// Counts one more step. Returns an error once nobody waits for the rest.
     pub fn step(&self) -> Result<(), Fault> {
         self.done.fetch_add(1, Ordering::Relaxed);
         if self.stopped.load(Ordering::Relaxed) {
@@ -99,7 +100,7 @@ impl Progress {
     }
 }
 
-/// A bar of tqdm, once work has taken a moment, where there is one.
+/// A tqdm bar, if tqdm is installed, shown once the work has taken a moment.
 struct Bar {
     label: &'static str,
     total: Option<usize>,
@@ -132,8 +133,7 @@ impl Bar {
     }
 }
 
-/// Waits for a thread's result, and looks for Ctrl-C and shows how far it is meanwhile. Called without the
-/// interpreter's lock.
+/// Waits for a thread's result, checks for Ctrl-C and shows progress meanwhile. Called without the interpreter lock.
 fn wait<T>(receiver: &mpsc::Receiver<Result<T, Fault>>, progress: &Progress, mut bar: Bar) -> PyResult<T> {
     let done = loop {
         match receiver.recv_timeout(SIGNALS) {
@@ -163,8 +163,8 @@ fn no_thread(error: std::io::Error) -> Fault {
     Fault::new(Kind::Other, format!("thread: {error}"))
 }
 
-/// Long work, on a thread of its own, while this one looks for Ctrl-C. What was interrupted runs on to its end behind,
-/// and its result is discarded. `label` names it where its time is shown.
+/// Runs long work in a separate thread, while this one checks for Ctrl-C. Interrupted work continues in the
+/// background, and its result is discarded. `label` names it in the progress display.
 pub fn run_interruptibly<T: Send + 'static>(
     py: Python<'_>,
     label: &'static str,
@@ -184,9 +184,10 @@ pub fn run_interruptibly<T: Send + 'static>(
     py.detach(|| wait(&lock(&receiver), &Progress::default(), Bar::new(label, None)))
 }
 
-/// Operations a second that every machine of this century does on one core.
+/// Operations per second that every machine of this century manages on one core.
 const OPERATIONS_PER_S: f64 = 1e9;
-/// Work of more seconds than this is done where Ctrl-C is answered; a thread for it costs a hundredth of that.
+/// Work that takes longer than this, in seconds, runs where Ctrl-C is handled; starting a thread costs a hundredth of
+/// it.
 const SHORT_S: f64 = 0.01;
 
 /// Chooses by the number of operations: [`run`] for short work, [`run_interruptibly`] for long work.
@@ -199,8 +200,8 @@ pub fn run_sized<T: Send + 'static>(
     if operations > SHORT_S * OPERATIONS_PER_S { run_interruptibly(py, label, work) } else { run(py, work) }
 }
 
-/// Long work of so many equal steps, on so many threads or as many as there are processors. It counts its steps, and
-/// ends at the next one when it is interrupted.
+/// Runs long work in `steps` equal steps, on the given number of threads or as many as there are processors. It
+/// counts its steps, and stops at the next one when interrupted.
 pub fn run_steps<T: Send>(
     py: Python<'_>,
     label: &'static str,
@@ -209,7 +210,7 @@ pub fn run_steps<T: Send>(
     work: impl FnOnce(&Progress) -> Result<T, Fault> + Send,
 ) -> PyResult<T> {
     let threads = match threads {
-        // Threads that are there have their memory already.
+        // Existing threads already have their memory.
         Some(threads) if threads != rayon::current_num_threads() => Some(Arc::new(pool(threads)?)),
         _ => own_threads()?,
     };

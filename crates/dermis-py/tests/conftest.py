@@ -1,4 +1,4 @@
-"""What the tests share. Skins are prepared once: that takes a moment each."""
+"""Shared fixtures. Skins are prepared once, since each takes a moment."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def model(skin):
 
 @pytest.fixture(scope="session")
 def disc():
-    """A small model: quick to differentiate by differences."""
+    """A small model that is quick to differentiate by finite differences."""
     return dermis.Skin("hydrogel-disc").model(elements=400)
 
 

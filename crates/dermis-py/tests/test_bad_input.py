@@ -1,4 +1,4 @@
-"""Arguments that do not fit become exceptions that say what was expected and what came; nothing ends the interpreter."""
+"""Invalid arguments give exceptions that say what was expected and what was given; nothing ends the interpreter."""
 
 import os
 import pickle
@@ -99,7 +99,7 @@ def test_frames_of_another_skin(skin):
         frame[7] = value
         with pytest.raises(dermis.InputError, match="channel 7"):
             pipe.process(frame)
-    # A whole frame of missing values is a frame.
+    # A frame of missing values is still a frame.
     assert not pipe.process(np.full(208, np.nan)).ready
     with pytest.raises(dermis.InputError, match="time_s"):
         pipe.process(np.ones(208), time_s=-1.0)
@@ -158,7 +158,8 @@ def test_a_session_after_its_end():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_after_a_fork(disc):
-    """The child has none of the parent's threads: a session says so, and everything else works on threads of its own."""
+    """The child has none of the parent's threads: a session reports this, and everything else uses its own
+    threads."""
     disc.voltages_many(np.stack([disc.sigma] * 8))
     expected = disc.voltages()
     session = dermis.open("twin:healing-square", frames=50)
@@ -229,7 +230,7 @@ def test_one_pipeline_from_several_threads(skin):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_session_in_a_forked_process_while_a_thread_uses_it():
-    """Whoever held the session's lock at the fork is not there to give it back: nothing may wait for it."""
+    """The holder of the session's lock at the fork can no longer release it, so nothing may wait for it."""
     with dermis.open("twin:healing-square") as session:
         busy = threading.Thread(target=lambda: [next(session) for _ in range(400)])
         busy.start()
@@ -256,7 +257,7 @@ def test_a_session_in_a_forked_process_while_a_thread_uses_it():
 
 
 def exit_of(child, seconds=120):
-    """The exit code of a child; a hanging one is ended."""
+    """The exit code of a child process; a hanging one is killed."""
     deadline = time.monotonic() + seconds
     while True:
         done, status = os.waitpid(child, os.WNOHANG)

@@ -1,4 +1,4 @@
-"""Boards that people can buy, each against a stand-in with its interface."""
+"""Commercial boards, each replaced by a stand-in with the same interface."""
 
 import importlib.util
 from pathlib import Path
@@ -17,7 +17,8 @@ def example(name):
 
 
 class Cn0565:
-    """What pyadi-iio's ``adi.cn0565`` shows: settings, the sequence f+, s+, s-, f-, and readings as (real, imaginary)."""
+    """The interface of pyadi-iio's ``adi.cn0565``: settings, the sequence f+, s+, s-, f-, and readings as (real,
+    imaginary)."""
 
     electrode_count, force_distance, sense_distance = 8, 1, 1
     readings = None
@@ -47,7 +48,7 @@ def test_cn0565_finds_an_object_where_it_is():
     skin = cn0565.skin_of(board)
     model = skin.model(elements=2500)
     rest = model.voltages()
-    # An insulator of 30 mm at (50, 20) mm, behind an instrument with a gain and a phase of its own.
+    # A 30 mm insulator at (50, 20) mm, behind an instrument with its own gain and phase.
     centroids = np.asarray(model.nodes)[np.asarray(model.elements)].mean(axis=1)[:, :2]
     sigma = np.where(np.hypot(*(centroids - [0.05, 0.02]).T) < 0.015, 0.05, 1.0) * model.sigma
     phase = 37.0 * np.exp(0.4j)

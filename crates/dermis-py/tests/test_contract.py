@@ -1,4 +1,4 @@
-"""The ten lines by which people know the package, word for word, and what they promise of shapes and types."""
+"""The ten lines that introduce the package, word for word, and the shapes and types that they promise."""
 
 import subprocess
 import sys
@@ -87,7 +87,7 @@ def test_touches_have_their_fields(skin, pressed):
     # Within a tenth of the skin's side.
     assert abs(touch.x_mm - 10) < 10 and abs(touch.y_mm + 5) < 10
     assert result.touches["id"].tolist() == [1]
-    # Arrays go the same way as frames.
+    # Arrays are processed like frames.
     again = dermis.Pipeline(skin)
     for frame in rest + press:
         plain = again.process(frame.values, time_s=frame.time_s)
@@ -134,6 +134,6 @@ def test_models_of_coils_are_read_at_rest_only():
 
 
 def test_a_circuit_is_part_of_the_model():
-    """Skins whose instrument loads them: voltages at the file's own conductivity are those that the pipeline has."""
+    """Skins loaded by their instrument: voltages at the file's own conductivity equal the pipeline's."""
     model = dermis.Skin("piezo-square").model(elements=1500)
     np.testing.assert_allclose(model.voltages(model.sigma), model.voltages(), rtol=1e-12)

@@ -1,4 +1,5 @@
-"""Docstrings as numpydoc reads them: every parameter named once, with its kind; what comes back said; arrays with shapes."""
+"""Docstrings as numpydoc reads them: every parameter once, with its type; return values described; arrays with
+shapes."""
 
 import inspect
 import re
@@ -10,14 +11,14 @@ from dermis import eit, lerobot, mit, plot
 
 numpydoc = pytest.importorskip("numpydoc.validate", reason="numpydoc is not installed")
 
-# Sections that are wrong, parameters that are missing, unknown or in another order, or without a kind or a description.
+# Sections that are wrong, and parameters that are missing, unknown, out of order, or lack a type or a description.
 FAULTS = {"GL01", "GL06", "GL07", "GL08", "PR01", "PR02", "PR03", "PR04", "PR07", "PR08", "RT03", "YD01"}
-# One argument whose name says all is said in the first line.
+# A single argument with an obvious name may be described in the first line.
 SHORT = 1
 
 
 def public():
-    """Everything that people call, by the name that leads to it."""
+    """All public names, with the dotted path to each."""
     for module in (dermis, eit, lerobot, mit, plot):
         for name in getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")]):
             value = getattr(module, name)
@@ -51,7 +52,7 @@ def test_docstring(path):
 
 
 def test_arrays_have_shapes():
-    """Where a docstring speaks of an array, it says its shape."""
+    """Docstrings state the shape of every array they mention."""
     lacking = []
     for path, value in ALL.items():
         doc = inspect.getdoc(value) or ""
@@ -72,7 +73,7 @@ def test_properties_of_arrays_have_shapes():
 
 
 def stubbed_arrays():
-    """Properties that the stubs give as arrays."""
+    """Properties that are arrays according to the stubs."""
     import ast
     from pathlib import Path
 

@@ -8,7 +8,7 @@ from dermis import eit
 
 
 def square(size=9):
-    """A square of 1 m, its nodes row by row, and points at its corners and the middles of its sides."""
+    """A 1 m square with its nodes row by row, and point electrodes at its corners and the centres of its sides."""
     axis = np.linspace(0.0, 1.0, size)
     nodes = np.array([(x, y) for y in axis for x in axis])
     at = lambda row, column: row * size + column
@@ -36,7 +36,7 @@ def sigma(model):
 def test_vjp_is_the_transposed_jacobian(model, sigma, random):
     cotangent = random.normal(size=model.protocol.channel_count)
     expected = model.jacobian(sigma).T @ cotangent
-    # Sums of the same products in another order.
+    # The same products are summed in another order.
     np.testing.assert_allclose(model.vjp(sigma, cotangent), expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
@@ -45,7 +45,8 @@ def test_vjp_against_differences(model, sigma, random):
     gradient = model.vjp(sigma, cotangent)
     for element in random.choice(len(sigma), 12, replace=False):
         step = np.zeros_like(sigma)
-        # Third-root-of-rounding steps leave about 1e-10 of the value; the largest gradients are compared with that.
+        # Steps of the cube root of the rounding error leave about 1e-10 of the value; compare relative to the largest
+        # gradients.
         step[element] = 6e-6 * sigma[element]
         above, below = model.voltages(sigma + step), model.voltages(sigma - step)
         slope = cotangent @ (above - below) / (2 * step[element])
@@ -53,12 +54,12 @@ def test_vjp_against_differences(model, sigma, random):
 
 
 def test_vjp_of_skins(disc, random):
-    """Of skins with pads or rims under the complete electrode model, single-ended readings included."""
+    """Skins with pads or rim electrodes under the complete electrode model, including single-ended readings."""
     for of in (disc, dermis.Skin("piezo-square").model(elements=800)):
         sigma = of.sigma * random.uniform(0.7, 1.4, len(of.sigma))
         cotangent = random.normal(size=len(of.voltages()))
         if of.skin.name == "piezo-square":
-            # The derivative of readings behind a circuit is that of its patterns at this conductivity, as J has it.
+            # The derivative of readings behind a circuit is that of its patterns at this conductivity, as in J.
             expected = of.jacobian(sigma).T @ cotangent
         else:
             expected = of.jacobian(sigma).T @ cotangent
@@ -126,7 +127,7 @@ def test_operators(model, sigma):
 
 
 def test_figures_of_merit(model):
-    """A disc drawn where it is has no error of position, no ringing, and an amplitude response of 1."""
+    """A disc drawn in the right place has no position error, no ringing, and an amplitude response of 1."""
     grid = model.mesh.grid(64)
     x, y = np.moveaxis(grid.centres_m, -1, 0)
     inside = np.hypot(x - 0.6, y - 0.5) < 0.15
@@ -193,7 +194,7 @@ def test_meshio():
 
 
 def test_eidors_structures(model, sigma):
-    """A fwd_model as EIDORS writes it, indices from 1, becomes the same model."""
+    """A fwd_model as written by EIDORS, with indices from 1, becomes the same model."""
 
     class Record(dict):
         __getattr__ = dict.get
@@ -228,7 +229,8 @@ def test_rings_of_electrodes():
 def test_coils_and_bodies():
     from dermis import mit
 
-    # Two coaxial single turns: Maxwell's formula by complete elliptic integrals, worked out by SciPy's for this pair.
+    # Two coaxial single turns: Maxwell's formula with complete elliptic integrals, evaluated with SciPy for this
+    # pair.
     coils = mit.Coils([[0, 0, 0], [0, 0, 0.02]], inner_m=0.0198, outer_m=0.0202, turns=1)
     mutual = coils.mutuals_h()[0]
     a, d = 0.01, 0.02

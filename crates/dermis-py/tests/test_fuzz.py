@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hn
 import dermis
 from dermis import eit, mit
 
-# The same arrays in every run of the tests on a clean clone; others in a run by hand.
+# The same arrays in every test run on a clean clone, but random ones when run by hand.
 PATIENT = settings(
     deadline=None, max_examples=60, suppress_health_check=list(HealthCheck), derandomize="CI" in os.environ, database=None
 )
@@ -113,14 +113,14 @@ def test_operators(jacobian, rule):
         pass
 
 
-# Arguments of the kinds that people mix up, beside the right ones.
+# Types that people confuse, in addition to valid ones.
 NUMBERS = st.one_of(st.floats(), st.integers(-(2**70), 2**70), st.none(), st.text(max_size=5), st.booleans())
-# What Python itself says of an argument of another kind.
+# Python's own exceptions for arguments of the wrong type.
 PYTHON_S = (TypeError, OverflowError)
 
 
 def attempt(*calls, also=()):
-    """Every call returns or raises what it may."""
+    """Checks that every call returns, or raises an allowed exception."""
     for call in calls:
         try:
             call()
@@ -175,7 +175,7 @@ def test_sessions(session, numbers, named):
 @PATIENT
 @given(source=st.text(max_size=40), named=st.dictionaries(st.sampled_from(["skin", "frames", "speed", "calibration", "forces", "as_set"]), NUMBERS))
 def test_opening(source, named):
-    # Nothing that could be an instrument of somebody.
+    # Exclude anything that could be somebody's instrument.
     for scheme in ("", "twin:", "file:"):
         if "tcp" in source or "serial" in source:
             return
@@ -193,7 +193,7 @@ def recorded(tmp_path_factory):
 @PATIENT
 @given(data=st.data())
 def test_recordings(recorded, data):
-    """Bytes changed, cut off and put in: frames, or an exception."""
+    """Bytes changed, removed and inserted: frames, or an exception."""
     whole = recorded.read_bytes()
     damaged = bytearray(whole)
     for _ in range(data.draw(st.integers(1, 6))):
@@ -251,7 +251,7 @@ def test_parts_of_models(first, second, numbers):
         lambda: eit.greit_figures(first, mesh.grid(8), *numbers),
         lambda: mesh.grid(number if not isinstance(number, int) else abs(number) % 100).to_pixels(first),
     ]
-    # A centre that is no pair of numbers is pyo3's to refuse.
+    # A centre that isn't a pair of numbers is rejected by pyo3.
     attempt(*calls, also=(*PYTHON_S, ValueError))
 
 

@@ -1,4 +1,4 @@
-"""Windows of touch for camera images: against a plain loop over slots, and bad input."""
+"""Windows of touch for camera images, compared with a plain loop over slots, and invalid input."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_no_window_looks_into_the_future_and_none_repeats_a_frame():
     time_s = np.arange(100) / 100
     found = lerobot.windows(time_s[:, None], time_s, [0.305, 0.5], slots=4, rate_hz=100)
     np.testing.assert_allclose(found[0, :, 0], [0.27, 0.28, 0.29, 0.30])
-    # A frame on the edge belongs to the slot that ends there, whatever rounding says.
+    # A frame on the edge belongs to the slot that ends there, despite rounding.
     np.testing.assert_allclose(found[1, :, 0], [0.47, 0.48, 0.49, 0.50])
     early = lerobot.windows(time_s[:, None], time_s, [-1.0], slots=4, rate_hz=100)
     assert np.isnan(early).all()

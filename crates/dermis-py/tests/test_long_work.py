@@ -1,4 +1,4 @@
-"""Long work: its progress is shown by tqdm, Ctrl-C ends it, and what is interrupted leaves nothing behind."""
+"""Long work: tqdm shows its progress, Ctrl-C ends it, and interrupted work leaves nothing behind."""
 
 import os
 import signal
@@ -30,7 +30,7 @@ def voltages_many(skin, folder):
 
 
 def voltages_many_of_a_large_mesh(skin, folder):
-    """One row alone takes long."""
+    """A single row takes long."""
     from test_eit import square
 
     from dermis import eit
@@ -109,7 +109,7 @@ LONG = [
 ]
 
 
-# What a shell starts in its background ignores the signal of Ctrl-C, and hands that on.
+# Processes started in a shell's background ignore the signal of Ctrl-C and pass that on.
 LISTEN = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 CHILD = LISTEN + """
 import sys, tempfile
@@ -126,7 +126,7 @@ except KeyboardInterrupt:
 
 
 def after_ctrl_c(child):
-    """What a process says that is interrupted; one that goes on is ended."""
+    """Output of a process that is interrupted; one that keeps running is killed."""
     child.send_signal(signal.SIGINT)
     try:
         return child.communicate(timeout=120)
@@ -136,8 +136,8 @@ def after_ctrl_c(child):
 
 @pytest.mark.parametrize("work", LONG, ids=lambda work: work.__name__)
 def test_ctrl_c_ends(work, tmp_path):
-    """The signal comes while the work is under way, and the exception without waiting for its end: in a process of its own,
-    with which the work ends that nobody waits for any more."""
+    """The signal arrives during the work, and the exception doesn't wait for its end. Runs in a separate process,
+    whose end also ends the abandoned work."""
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD, work.__name__, str(tmp_path)], cwd=Path(__file__).parent, stdout=subprocess.PIPE, text=True
     )
@@ -148,7 +148,7 @@ def test_ctrl_c_ends(work, tmp_path):
 
 
 def test_interrupted_shards_are_not_there(skin, tmp_path):
-    """A process that is interrupted in the middle of a shard leaves whole ones alone."""
+    """A process interrupted in the middle of a shard leaves complete ones in place."""
     code = LISTEN + (
         "import sys; from dermis._dermis import create_train_set, write_shard; folder = sys.argv[1]\n"
         "for shard in create_train_set('healing-square', folder, 4000, shard_samples=400):\n"
@@ -164,7 +164,7 @@ def test_interrupted_shards_are_not_there(skin, tmp_path):
 
 
 class Bar:
-    """What is asked of tqdm."""
+    """Records the calls to tqdm."""
 
     seen = []
 
@@ -185,7 +185,7 @@ class Bar:
 
 @pytest.fixture
 def bars(monkeypatch):
-    """A tqdm that remembers, whether one is installed or not."""
+    """A recording tqdm, whether or not the real one is installed."""
     import types
 
     package, auto = types.ModuleType("tqdm"), types.ModuleType("tqdm.auto")

@@ -25,12 +25,12 @@ def test_notebook(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_outputs_are_kept_and_small(name):
-    """Readers see what comes of the cells without running them (`scripts/run_notebooks.py` renews it)."""
+    """Readers see the output of the cells without running them (`scripts/run_notebooks.py` renews it)."""
     text = (FOLDER / f"{name}.ipynb").read_text()
     assert len(text) < 150_000, "pictures are to be small"
     cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
     outputs = [output for cell in cells for output in cell["outputs"]]
     assert outputs and not any(output["output_type"] == "error" for output in outputs)
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
-    # Nothing of the machine that ran them.
+    # Nothing may reveal the machine that ran them.
     assert not any(word in text for word in ("/tmp/", "/home/", "/root/", "0x7f"))

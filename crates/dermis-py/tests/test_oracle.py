@@ -1,4 +1,5 @@
-"""EIDORS' values (computed with EIDORS 3.10 in Octave), as the Rust tests compare them: through Python nothing is lost."""
+"""EIDORS' values (computed with EIDORS 3.10 in Octave), compared as in the Rust tests: nothing is lost through
+Python."""
 
 import json
 
@@ -32,7 +33,8 @@ def case(request):
     return folder, case, eit.ForwardModel(mesh, electrodes, protocol)
 
 
-# Tolerances: what EIDORS and an independent dense implementation differ by (4e-13 and 5e-13), with room for the order of sums.
+# Tolerances: the differences between EIDORS and an independent dense implementation (4e-13 and 5e-13), with room for
+# the order of sums.
 @pytest.mark.parametrize("which", ["hom", "incl", "wave"])
 def test_voltages(case, which):
     _, values, model = case
@@ -47,7 +49,7 @@ def test_jacobians(case, which):
     folder, values, model = case
     stored = (folder / f"J_{which}.f64.planes.zst").read_bytes()
     planes = zstandard.ZstdDecompressor().decompressobj().decompress(stored)
-    # Eight planes of bytes, the most significant bytes of all numbers first.
+    # Eight planes of bytes, with the most significant bytes of all numbers first.
     rows = len(values["meas"])
     expected = np.frombuffer(planes, "u1").reshape(8, -1).T.copy().view(">f8").reshape(rows, -1).astype(float)
     assert relative(model.jacobian(values[f"sigma_{which}"]), expected) < 1e-9
@@ -63,7 +65,7 @@ def test_images(case):
     compared = 0
     for recon in values["recon"]:
         name = next((name for name in priors if name in recon["prior"].lower()), None)
-        # The Laplace prior is singular; model space solves it exactly, where unknowns are few.
+        # The Laplace prior is singular; model space solves it exactly if there are few unknowns.
         if name is None or recon["normalize_measurements"] or (name == "laplace" and jacobian.shape[1] > 1024):
             continue
         operator = eit.Operator(jacobian, priors[name], recon["hyperparameter"], mesh=model.mesh)

@@ -80,14 +80,14 @@ def test_the_page_shows_what_the_session_has(tmp_path, monkeypatch):
         assert scene["skin"] == "ionic-disc" and scene["is_twin"]
         for _ in range(40):
             result = next(session)
-        # Every update is acknowledged; the newest one is of the frame that the loop has seen last.
+        # Every update is acknowledged, so the newest one is of the frame that the loop saw last.
         image = page.until(lambda message: isinstance(message, bytes) and message[6:8] == b"\1\0" and frame_of(message) == result.sequence)
         rows, columns = struct.unpack("<II", image[24:32])
         np.testing.assert_array_equal(np.frombuffer(image, "<f4", offset=32).reshape(rows, columns), result.image)
         state = page.until(is_kind("state"))
         assert state["frame"] == result.sequence and state["state"]["hyperparameter"] is not None
         page.send({"ack": state["sequence"]})
-        # What is asked on the page is done before a next frame.
+        # Requests from the page are carried out before the next frame.
         page.send({"id": 7, "command": {"hyperparameter": 0.125}})
         page.send({"id": 8, "command": "record_start"})
         answers = {}

@@ -1,4 +1,4 @@
-"""pyEIT's own examples redone: the same mesh, the same point electrodes, the same numbers."""
+"""pyEIT's own examples repeated with the same mesh, the same point electrodes and the same numbers."""
 
 import time
 
@@ -48,7 +48,7 @@ def test_jacobian(peers, capsys):
     sigma = np.ones(len(mesh.element))
     expected, _ = theirs.compute_jac(perm=sigma)
     got = ours.jacobian(sigma)
-    # pyEIT's Jacobian is that of +u on every element: the opposite sign of EIDORS' derivative.
+    # pyEIT's Jacobian is for +u on every element, which has the opposite sign of EIDORS' derivative.
     signed = min((np.linalg.norm(s * got - expected) / np.linalg.norm(expected), s) for s in (1.0, -1.0))
     assert signed[0] < 1e-6
     ratio = seconds(lambda: theirs.compute_jac(perm=sigma)) / seconds(lambda: ours.jacobian(sigma))
@@ -61,7 +61,8 @@ def test_jacobian(peers, capsys):
     [("dgn", eit.Prior.identity()), ("lm", eit.Prior.noser(1.0)), ("kotre", eit.Prior.noser(0.5))],
 )
 def test_gauss_newton_step(peers, method, prior, capsys):
-    """pyEIT's JAC is the one-step solution with its lambda the square of ours: `lm` and `kotre` weigh by J'J's diagonal."""
+    """pyEIT's JAC is the one-step solution with its lambda the square of ours; `lm` and `kotre` weight by J'J's
+    diagonal."""
     from pyeit.eit import jac
 
     mesh, pattern, theirs, ours = peers
@@ -73,7 +74,7 @@ def test_gauss_newton_step(peers, method, prior, capsys):
     v0, v1 = ours.voltages(sigma), ours.voltages(changed)
     image = np.real(solver.solve(v1, v0, normalize=False))
     step = eit.Operator(ours.jacobian(sigma), prior, np.sqrt(0.01))(v1 - v0)
-    # But for the sign of its Jacobian.
+    # Equal except for the sign of its Jacobian.
     assert min(np.linalg.norm(s * step - image) for s in (1.0, -1.0)) < 1e-6 * np.linalg.norm(image)
     setup = {"p": 0.5, "lamb": 0.01, "method": method, "jac_normalized": False}
     ratio = seconds(lambda: solver.setup(**setup)) / seconds(lambda: eit.Operator(ours.jacobian(sigma), prior, np.sqrt(0.01)))
@@ -82,8 +83,8 @@ def test_gauss_newton_step(peers, method, prior, capsys):
 
 
 def test_greit(peers, capsys):
-    """pyEIT's GREIT, `W' J' (JJ' + l diag(JJ')^p)^-1` on differences in proportion to the reference: our one-step
-    solution with the identity as prior and channels that are as noisy as their rows are long, on its own grid."""
+    """pyEIT's GREIT, `W' J' (JJ' + l diag(JJ')^p)^-1` on differences relative to the reference, equals our one-step
+    solution on its own grid, with the identity as prior and channel noise proportional to the norms of the rows."""
     from pyeit.eit.greit import GREIT
 
     mesh, pattern, _, ours = peers
@@ -102,7 +103,7 @@ def test_greit(peers, capsys):
         noise = (jacobian**2).sum(axis=1) ** (0.5 * p)
         return weights.T @ eit.Operator(jacobian, eit.Prior.identity(), np.sqrt(lamb), noise=noise)((v1 - v0) / np.abs(v0))
 
-    # But for the sign of its Jacobian.
+    # Equal except for the sign of its Jacobian.
     assert min(np.linalg.norm(s * image() - expected) for s in (1.0, -1.0)) < 1e-6 * np.linalg.norm(expected)
 
     def theirs():

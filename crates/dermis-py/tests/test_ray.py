@@ -1,4 +1,4 @@
-"""Work on a cluster of two workers, one of which is killed: the same bits, nothing lost, nothing doubled."""
+"""Work on a cluster of two workers, one of which is killed: identical bits, nothing lost, nothing duplicated."""
 
 import hashlib
 import os
@@ -55,7 +55,7 @@ def test_a_training_set_with_a_worker_killed(cluster, tmp_path):
     thread.join()
     assert killed, "no worker was seen to kill"
     assert hashes(together) == hashes(alone) and len(hashes(alone)) == 7
-    # What is there is not made again.
+    # Existing shards are not made again.
     before = {file: file.stat().st_mtime_ns for file in together.iterdir()}
     train_set(skin, 12, together, shard_samples=2, seed=5)
     assert before == {file: file.stat().st_mtime_ns for file in together.iterdir()}

@@ -1,4 +1,4 @@
-"""A session under random sequences of everything that can be asked of it: it goes on and its counts add up."""
+"""A session under random sequences of all its operations: it keeps running and its counts add up."""
 
 import gc
 import os
@@ -14,12 +14,12 @@ import dermis
 NUMBERS = st.one_of(
     st.floats(-60, 60), st.floats(), st.integers(-(2**70), 2**70), st.none(), st.text(max_size=3), st.booleans()
 )
-# What Python itself says of an argument of another kind.
+# Python's own exceptions for arguments of the wrong type.
 REFUSED = (dermis.Error, TypeError, OverflowError, ValueError)
 
 
 class Sessions(RuleBasedStateMachine):
-    """One session at a time, open or closed, and what is known of it."""
+    """One session at a time, open or closed, and the facts known about it."""
 
     def __init__(self):
         super().__init__()
@@ -53,7 +53,7 @@ class Sessions(RuleBasedStateMachine):
             touches = result.touches
             assert len(set(touches["id"])) == len(touches)
             assert np.isfinite(touches["x_mm"]).all() and np.isfinite(touches["y_mm"]).all()
-            # Who is gone does not come back.
+            # A touch that has ended does not come back.
             self.gone |= self.there - set(touches["id"])
             self.there = set(touches["id"])
             assert not self.there & self.gone
@@ -132,7 +132,7 @@ class Sessions(RuleBasedStateMachine):
             self.session.close()
 
 
-# The same sequences in every run of the tests on a clean clone; others in a run by hand.
+# The same sequences in every test run on a clean clone, but random ones when run by hand.
 TestSessions = Sessions.TestCase
 TestSessions.settings = settings(
     deadline=None,

@@ -1,4 +1,4 @@
-"""Drawings, what notebooks show, tables of other packages, and the command that rides along."""
+"""Drawings, displays in notebooks, tables of other packages, and the bundled command."""
 
 import subprocess
 import sys
@@ -26,7 +26,7 @@ def test_recorded_frames(recording):
     touches = recording.touches()
     assert len(touches) and set(touches.phase) <= {"begin", "move", "end"} and (np.abs(touches.x_mm) < 60).all()
     assert recording.baselines() and isinstance(recording.events(), list)
-    # What comes of the same frames in a pipeline.
+    # Results of the same frames in a pipeline.
     replayed = [len(result.touches) for result in dermis.open(str(recording.path))]
     assert len(replayed) == 150 and sum(replayed) == len(touches)
 
@@ -159,7 +159,7 @@ def test_importing_needs_numpy_alone_and_no_time():
 
 
 def test_stubs_name_what_there_is():
-    """Every name of the compiled half stands in its stubs, with every member, and the other way round."""
+    """Every name and member of the compiled half is in its stubs, and the other way round."""
     import ast
     from pathlib import Path
 

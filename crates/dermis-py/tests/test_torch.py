@@ -58,7 +58,7 @@ def test_a_network_from_training_set_to_live(tmp_path):
     with torch.no_grad():
         logits = network(images)[0].numpy()
     probabilities = ours.probabilities(images[0].numpy())
-    # The temperature scales logits and leaves their order: the likeliest classes agree but for ties.
+    # The temperature scales logits and keeps their order, so the likeliest classes agree except for ties.
     assert (probabilities.argmax(axis=0) == logits.argmax(axis=0)).mean() > 0.999
     run = [sys.executable, "-m", "dermis", "run", "healing-square", "--speed", "0", "--headless", "--frames", "40", "--model", card]
     assert subprocess.run(run, capture_output=True).returncode == 0

@@ -1,4 +1,4 @@
-"""Types: the stubs say what the compiled half has, and the examples are free of guesses; and the examples run."""
+"""Types: the stubs match the compiled half, the examples type-check, and they run."""
 
 import shutil
 import subprocess
@@ -22,7 +22,7 @@ def test_stubs(tmp_path):
 
 def test_examples_under_pyright():
     pyright = shutil.which("pyright", path=str(Path(sys.executable).parent))
-    # The package of that name fetches the program when it is first run.
+    # The package of that name downloads the program when it is first run.
     if pyright is None or subprocess.run([pyright, "--version"], capture_output=True).returncode != 0:
         pytest.skip("pyright is not installed")
     run = subprocess.run([pyright, "--pythonpath", sys.executable, "-p", PROJECT], capture_output=True, text=True)

@@ -1,5 +1,6 @@
-//! Frames in recordings of others: MCAP files and ROS 2 bags (a folder with `metadata.yaml`, one file or several, in MCAP
-//! or SQLite) with a topic of `std_msgs` arrays, one message a frame. Times are those of the recorder.
+//! Frames in recordings of other programs: MCAP files and ROS 2 bags (a folder with `metadata.yaml` and one or
+//! several files, in MCAP or SQLite) that have a topic of `std_msgs` arrays with one message per frame. Times are
+//! those of the recorder.
 
 mod array;
 mod mcap_file;
@@ -15,9 +16,9 @@ use dermis_device::{DeviceError, FrameTable, Layout, ReadOptions};
 use crate::Error;
 use array::ArrayKind;
 
-/// Files that a split bag may have.
+/// Most files in a split bag.
 const MOST_FILES: usize = 10_000;
-/// Messages left out that are described one by one.
+/// Number of skipped messages to describe one by one.
 const DESCRIBED: usize = 3;
 
 /// A topic of a recording.
@@ -27,23 +28,23 @@ struct Topic {
     messages: u64,
 }
 
-/// What is wanted of the messages of all files.
+/// Collects the messages of all files.
 struct Collector {
     wanted: Option<String>,
     topics: BTreeMap<String, Topic>,
-    /// Frames of each topic that can hold some: time, readings.
+    /// Time and readings of the frames in each suitable topic.
     frames: BTreeMap<String, Vec<(i64, Vec<f64>)>>,
     held: u64,
     bad: Vec<String>,
 }
 
 impl Collector {
-    /// Takes a topic as its file announces it.
+    /// Adds a topic as announced by its file.
     fn topic(&mut self, name: &str, kind: &str) {
         self.topics.entry(name.to_owned()).or_insert_with(|| Topic { kind: kind.to_owned(), messages: 0 });
     }
 
-    /// Takes a message; false where there is no room for more.
+    /// Adds a message; returns false if there is no room for more.
     fn message(&mut self, topic: &str, at_ns: i64, data: &[u8]) -> bool {
         let Some(known) = self.topics.get_mut(topic) else { return true };
         known.messages += 1;
@@ -63,12 +64,12 @@ impl Collector {
     }
 }
 
-/// Whether a folder is a bag, or holds the files of one.
+/// True if a folder is a bag, or holds the files of one.
 pub(crate) fn is_bag(path: &Path) -> bool {
     path.is_dir() && (path.join("metadata.yaml").is_file() || bag_files(path).is_ok_and(|files| !files.is_empty()))
 }
 
-/// Whether a file is an SQLite database, as bags are.
+/// True if a file is an SQLite database, as bags are.
 pub(crate) fn is_sqlite(path: &Path) -> bool {
     use std::io::Read;
     let mut first = [0; 16];
@@ -77,10 +78,10 @@ pub(crate) fn is_sqlite(path: &Path) -> bool {
         .is_ok_and(|()| first == *b"SQLite format 3\0")
 }
 
-/// Frames of a topic of a bag's folder, of one of its files, or of another program's MCAP file.
+/// Frames of a topic in a bag's folder, in one of its files, or in another program's MCAP file.
 ///
 /// # Errors
-/// Files that cannot be read, several topics that would do or none, frames of different lengths.
+/// A file cannot be read, no topic or several topics qualify, or frames differ in length.
 pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<FrameTable, Error> {
     let files = if path.is_dir() { bag_files(path)? } else { vec![path.to_owned()] };
     let wanted = options.array.clone();
@@ -138,7 +139,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<FrameTable, Err
     Ok(table.with_wall_ns(wall_ns)?.with_sequences(sequences)?.with_notes(notes))
 }
 
-/// The topic that was asked for, or the only one of arrays.
+/// The requested topic, or the only one with arrays.
 fn chosen(collector: &Collector, path: &Path) -> Result<String, Error> {
     let all = || {
         let shown = collector.topics.iter().take(20);
@@ -165,7 +166,7 @@ fn chosen(collector: &Collector, path: &Path) -> Result<String, Error> {
     }
 }
 
-/// The files of a bag in their order: as `metadata.yaml` lists them, or by name.
+/// The files of a bag in order: as listed in `metadata.yaml`, or by name.
 fn bag_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let listing = folder.join("metadata.yaml");
     let mut files = if listing.is_file() {
@@ -196,13 +197,13 @@ fn bag_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(files)
 }
 
-/// The names below `relative_file_paths:`, one a line, `- name`.
+/// The names below `relative_file_paths:`, one per line as `- name`.
 fn listed_files(yaml: &str) -> Vec<String> {
     let mut lines = yaml.lines().skip_while(|line| line.trim() != "relative_file_paths:").skip(1);
     let mut names = Vec::new();
     while let Some(name) = lines.next().and_then(|line| line.trim().strip_prefix("- ").map(str::trim)) {
         let name = name.trim_matches(['"', '\'']);
-        // Older bags list the folder's own name before.
+        // Older bags prefix the folder's own name.
         names.push(
             Path::new(name).file_name().map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned()),
         );

@@ -1,4 +1,4 @@
-//! One recording of a whole body: the channels of every patch, and where the joints stand.
+//! One recording of a whole body: the channels of every patch, and the joint values.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -12,22 +12,22 @@ use super::shared_file::{SharedFile, lock, mcap_error, new_writer};
 use super::writer::{Recorder, add_channel};
 use crate::Error;
 
-/// Names of the metadata records of a body, and of its end.
+/// Names of the metadata records at a body's beginning and end.
 const BODY: &str = "dermis.body";
 const BODY_FINISHED: &str = "dermis.body_finished";
 
-/// Description of a body at the beginning of its recording.
+/// Description of a body at the start of its recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BodyHead {
     /// Name of the body.
     pub name: String,
     /// The body file's text.
     pub toml: String,
-    /// The URDF file's text, where there is one.
+    /// The URDF file's text, if there is one.
     pub urdf: Option<String>,
 }
 
-/// A recording of a body being written. Its file is whole once it and the recorders of all patches have finished.
+/// A recording of a body being written. The file is complete once it and the recorders of all patches have finished.
 pub struct BodyRecording {
     file: Arc<Mutex<SharedFile>>,
     joints: u16,
@@ -42,10 +42,10 @@ impl std::fmt::Debug for BodyRecording {
 }
 
 impl BodyRecording {
-    /// Starts a recording, as [`Recorder::create`] does.
+    /// Starts a recording, like [`Recorder::create`].
     ///
     /// # Errors
-    /// As [`Recorder::create`].
+    /// As for [`Recorder::create`].
     pub fn create(path: &Path, head: &BodyHead) -> Result<Self, Error> {
         let failed = |error| mcap_error(path, error);
         let mut writer = new_writer(destination(path)?).map_err(failed)?;
@@ -57,10 +57,10 @@ impl BodyRecording {
         Ok(Self { file, joints, patches: BTreeSet::new(), bytes: Vec::new() })
     }
 
-    /// A recorder for one patch.
+    /// Makes a recorder for one patch.
     ///
     /// # Errors
-    /// [`Error::Frames`] for a name that a patch has already or that has a slash, and as [`Recorder::create`].
+    /// [`Error::Frames`] for a name that is taken or contains a slash; otherwise as for [`Recorder::create`].
     pub fn patch(&mut self, name: &str, head: &RecordingHead) -> Result<Recorder, Error> {
         if name.is_empty() || name.contains('/') || !self.patches.insert(name.to_owned()) {
             return Err(Error::Frames {
@@ -72,7 +72,7 @@ impl BodyRecording {
         Recorder::of_patch(self.file.clone(), name, head)
     }
 
-    /// Writes where joints stand, radians or metres: a `sensor_msgs/JointState`.
+    /// Writes joint values, radians or metres, as a `sensor_msgs/JointState`.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -97,7 +97,7 @@ impl BodyRecording {
         lock(&self.file).write(self.joints, wall_ns, &self.bytes).map(|_| ())
     }
 
-    /// Nothing more is written of the body itself.
+    /// Ends the recording of the body itself.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -139,7 +139,7 @@ mod tests {
             body.write_joints(1_000 + n, [("elbow", 0.1 * n as f64), ("wrist", 0.0)].into_iter()).unwrap();
         }
         palm.write_event(2_000, "fell", "on the palm", &[1.0]).unwrap();
-        // The file is whole only after the last writer has finished.
+        // The file is complete only after the last writer has finished.
         back.finish(1).unwrap();
         body.finish().unwrap();
         assert!(!path.exists());

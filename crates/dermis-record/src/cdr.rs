@@ -1,20 +1,20 @@
-//! Classic CDR, little-endian, as ROS 2 puts it into recordings (OMG DDS-RTPS 2.5, section 10; OMG CORBA 3.3 part 2,
-//! section 9.3): four bytes say so, then every number stands at a multiple of its size, counted from after those four;
-//! strings and sequences begin with their length.
+//! Classic CDR, little-endian, as ROS 2 stores it in recordings (OMG DDS-RTPS 2.5, section 10; OMG CORBA 3.3 part 2,
+//! section 9.3). Four bytes identify the encoding. After them every number is aligned to a multiple of its size,
+//! counted from the end of those four; strings and sequences start with their length.
 //!
-//! Written and read by hand because live frames go through kept memory, and readings must survive to the bit. The tests
+//! Written by hand because live frames go through reused memory, and readings must survive bit for bit. The tests
 //! compare with an independent implementation.
 
 /// CDR_LE, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// A message being written into memory that is kept from one to the next.
+/// A message being written into reused memory.
 pub(super) struct CdrWriter<'a> {
     out: &'a mut Vec<u8>,
 }
 
 impl<'a> CdrWriter<'a> {
-    /// Forgets what is in `out` and begins a message.
+    /// Clears `out` and starts a message.
     pub(super) fn new(out: &'a mut Vec<u8>) -> Self {
         out.clear();
         out.extend_from_slice(&ENCAPSULATION);
@@ -55,7 +55,7 @@ impl<'a> CdrWriter<'a> {
 
     /// A sequence's length; its elements follow.
     pub(super) fn length(&mut self, length: usize) {
-        // No sequence here comes near four thousand million elements.
+        // No sequence here comes near four billion elements.
         self.u32(u32::try_from(length).unwrap_or(u32::MAX));
     }
 
@@ -88,14 +88,14 @@ impl<'a> CdrWriter<'a> {
     }
 }
 
-/// What is left of a message. Every getter returns none where the message is too short or malformed.
+/// The unread rest of a message. Every getter returns `None` if the message is too short or malformed.
 pub(super) struct CdrReader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
 impl<'a> CdrReader<'a> {
-    /// None for another byte order or encoding.
+    /// `None` for another byte order or encoding.
     pub(super) fn new(message: &'a [u8]) -> Option<Self> {
         let (encapsulation, bytes) = message.split_first_chunk::<4>()?;
         (encapsulation[..2] == ENCAPSULATION[..2]).then_some(Self { bytes, at: 0 })
@@ -129,12 +129,12 @@ impl<'a> CdrReader<'a> {
         self.u64().map(f64::from_bits)
     }
 
-    /// Whether all bytes have been read.
+    /// True if all bytes have been read.
     pub(super) fn is_at_end(&self) -> bool {
         self.at >= self.bytes.len()
     }
 
-    /// A sequence's length, no more than could follow at `least` bytes each.
+    /// A sequence's length, checked against the bytes that remain at `least` bytes per element.
     pub(super) fn length(&mut self, least: usize) -> Option<usize> {
         let length = usize::try_from(self.u32()?).ok()?;
         (length.checked_mul(least)? <= self.bytes.len() - self.at).then_some(length)
@@ -160,7 +160,7 @@ impl<'a> CdrReader<'a> {
         Some(())
     }
 
-    /// A sequence of elements of eight bytes.
+    /// A sequence of eight-byte elements.
     fn eights(&mut self) -> Option<&'a [[u8; 8]]> {
         Some(self.elements(8)?.as_chunks::<8>().0)
     }
@@ -181,7 +181,7 @@ mod tests {
     use proptest::prelude::*;
     use serde::{Deserialize, Serialize};
 
-    /// Every kind of value, in an order that needs padding before most.
+    /// Every kind of value, in an order that needs padding before most of them.
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
     struct Mixture {
         flag: bool,

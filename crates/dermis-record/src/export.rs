@@ -1,5 +1,5 @@
-//! Parts of a recording as tables for other programs: CSV for spreadsheets, Parquet for data frames, NPY for the
-//! frames' readings alone. Tables are streamed; a long recording needs no memory.
+//! Exports parts of a recording as tables for other programs: CSV for spreadsheets, Parquet for data frames, NPY for
+//! the frames' readings only. Tables are streamed, so memory doesn't grow with the recording.
 
 mod parquet;
 mod rows;
@@ -18,28 +18,28 @@ use crate::sink::staged::StagedFile;
 use parquet::ParquetWriter;
 use rows::{Cell, Column, CsvWriter, Kind, RowWriter};
 
-/// What of a recording is exported.
+/// The part of a recording to export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Table {
-    /// A row for each frame: number, times, readings.
+    /// One row per frame: number, times, readings.
     Frames,
-    /// A row for each touch in each frame.
+    /// One row per touch in each frame.
     Touches,
-    /// A row for each baseline.
+    /// One row per baseline.
     Baselines,
-    /// A row for each event.
+    /// One row per event.
     Events,
 }
 
-/// As what.
+/// Format of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TableFormat {
     /// Comma-separated text with a header line.
     Csv,
-    /// The readings of frames alone: frames x channels of 8-byte floats, or frames x 2 x channels, real parts before
-    /// imaginary ones, for complex instruments.
+    /// The readings of frames only: frames x channels of 8-byte floats, or, for complex instruments, frames x 2 x
+    /// channels with real parts before imaginary ones.
     Npy,
-    /// Apache Parquet, columns typed, uncompressed.
+    /// Apache Parquet with typed columns, uncompressed.
     Parquet,
 }
 
@@ -70,22 +70,21 @@ impl FromStr for TableFormat {
     }
 }
 
-/// What was exported.
+/// Summary of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Exported {
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Columns; of an array, those of a row.
+    /// Number of columns; for an array, values per row.
     pub columns: usize,
-    /// What of the recording could not be read.
+    /// Parts of the recording that could not be read.
     pub damage: Damage,
 }
 
-/// Writes a table of `recording`, from its beginning, to `path`; nothing stands there unless it is whole.
+/// Writes a table of `recording`, starting from its beginning, to `path`. The file appears only when it is complete.
 ///
 /// # Errors
-/// [`Error::Frames`] for anything but frames as NPY and for frames some of which are complex and some not,
-/// [`Error::Io`].
+/// [`Error::Frames`] if anything but frames is requested as NPY, or if only some frames are complex; [`Error::Io`].
 pub fn export<R: Read + Seek>(
     recording: &mut Recording<R>,
     table: Table,
@@ -133,7 +132,7 @@ pub fn export<R: Read + Seek>(
     Ok(Exported { rows, columns: columns.len(), damage: recording.damage() })
 }
 
-/// The frames' readings as an array. Its header says how many there are, so that they are read twice.
+/// Exports the frames' readings as an array. Its header states their number, so the frames are read twice.
 fn export_array<R: Read + Seek>(
     recording: &mut Recording<R>,
     table: Table,
@@ -233,7 +232,7 @@ fn columns<R: Read + Seek>(recording: &Recording<R>, table: Table, complex: bool
     columns
 }
 
-/// Twins and instruments that speak the wire deliver volts; files hold what whoever wrote them counted in.
+/// Twins and instruments on the wire deliver volts; files hold whatever unit their author used.
 fn is_in_volts(source: &str) -> bool {
     ["twin:", "tcp:", "serial:"].iter().any(|kind| source.starts_with(kind))
 }

@@ -1,4 +1,4 @@
-//! Where a recording's bytes go: a file that has another name until it is whole, or a device that stands under the
+//! Destination of a recording's bytes: a file with a temporary name until it is complete, or a device under the given
 //! name.
 
 use std::fs::{self, File, OpenOptions};
@@ -12,20 +12,20 @@ use super::sync::Syncer;
 use crate::Error;
 use crate::sink::staged::StagedFile;
 
-/// What the operating system has been given is on the disk itself after this, and the time that the disk takes for it.
+/// Interval for syncing written data to the disk, in addition to the time that the disk takes.
 const SYNC_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Where the bytes go.
+/// A destination for bytes.
 pub(super) trait Destination: Write + Send {
-    /// Makes everything durable and gives it its final name, unless another file has it; then the partial one stays.
+    /// Syncs everything to disk and gives the file its final name, unless that name is taken; then the partial name
+    /// stays.
     fn complete(self: Box<Self>) -> io::Result<()>;
 
-    /// Ends after an error: what was handed out whole stays, with a note of what happened behind it where there is
-    /// room.
+    /// Ends after an error: complete data stay, followed by a note of the failure if there is room.
     fn abandon(self: Box<Self>, _note: &[u8]) {}
 }
 
-/// A file under its partial name, or the device that stands at `path`.
+/// A file under its partial name, or the device at `path`.
 pub(super) fn destination(path: &Path) -> Result<Box<dyn Destination>, Error> {
     if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         let file = OpenOptions::new().write(true).open(path).map_err(Error::io(path))?;
@@ -34,8 +34,8 @@ pub(super) fn destination(path: &Path) -> Result<Box<dyn Destination>, Error> {
     Ok(Box::new(PartialFile::create(path)?))
 }
 
-/// What a recording is recovered into: a file that appears under its name when it is whole and otherwise not at all,
-/// for the partial name may be that of the broken recording.
+/// The destination of a recovered recording: a file that appears under its name only when complete. It doesn't use
+/// the partial name, which the broken recording may still have.
 pub(super) fn whole_file(path: &Path) -> Result<Box<dyn Destination>, Error> {
     refuse_existing(path)?;
     Ok(Box::new(StagedFile::create(path)?))
@@ -61,7 +61,7 @@ struct PartialFile {
     syncer: Syncer,
     partial: PathBuf,
     place: Place,
-    /// Bytes given out, and those of them that came to the system whole.
+    /// Bytes written, and the number of them that form complete chunks handed to the operating system.
     given: u64,
     whole: u64,
 }
@@ -73,13 +73,13 @@ impl PartialFile {
         let file = OpenOptions::new().write(true).create_new(true).open(&partial).map_err(Error::io(&partial))?;
         let handle = file.try_clone().map_err(Error::io(&partial))?;
         let syncer = Syncer::spawn(SYNC_INTERVAL, move || handle.sync_data()).map_err(Error::io(&partial))?;
-        // The name, too, shall be there after a loss of power.
+        // The name, too, should survive a loss of power.
         crate::sink::sync_directory(&partial);
         Ok(Self { out: BufWriter::new(file), syncer, partial, place: Place::at(path), given: 0, whole: 0 })
     }
 }
 
-/// What is no regular file and has no other name meanwhile.
+/// A destination that isn't a regular file, and so has no partial name.
 struct Device(BufWriter<File>);
 
 impl Write for Device {
@@ -114,7 +114,7 @@ impl Write for PartialFile {
 
 impl Destination for PartialFile {
     fn abandon(self: Box<Self>, note: &[u8]) {
-        // Half a chunk is of no use to anyone, and on a full disk it makes room for the note.
+        // Half a chunk is useless, and on a full disk removing it makes room for the note.
         let (mut file, _) = self.out.into_parts();
         let noted = file
             .set_len(self.whole)

@@ -1,4 +1,5 @@
-//! Frames of any file: recordings, bags and MCAP files of others, and the tables that [`dermis_device::read`] knows.
+//! Frames from any file: recordings, bags and MCAP files of other programs, and the tables that
+//! [`dermis_device::read`] knows.
 
 use std::io::Read;
 use std::path::Path;
@@ -15,10 +16,10 @@ use crate::{Error, Recording, bag};
 /// First bytes of every MCAP file.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// Where what was understood of a file is said: a target of its own, which the command shows always.
+/// Log target for reports on how a file was interpreted, which the command always shows.
 pub const UNDERSTOOD: &str = "understood";
 
-/// True of a file that is an MCAP file, by its first bytes, or, where it cannot be read, by its name.
+/// True if a file is MCAP by its first bytes or, if it cannot be read, by its name.
 fn is_mcap(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
     let place = of_body(path).map_or(path, |(place, _)| place);
@@ -29,10 +30,10 @@ fn is_mcap(path: &Path) -> bool {
     }
 }
 
-/// Refuses a recording whose frames are of another skin than this one; files of other kinds say nothing of their skin.
+/// Rejects a recording whose frames belong to another skin. Files of other kinds don't state their skin.
 ///
 /// # Errors
-/// [`dermis_live::Error::OtherSkin`]; a recording that cannot be read.
+/// [`dermis_live::Error::OtherSkin`], or the recording cannot be read.
 pub fn check_skin(spec: &FileSpec, skin: &Skin) -> Result<(), Error> {
     if spec.path.is_dir() || !is_recording(&spec.path) {
         return Ok(());
@@ -42,13 +43,13 @@ pub fn check_skin(spec: &FileSpec, skin: &Skin) -> Result<(), Error> {
     Ok(check_frames(&name, &recorded, skin)?)
 }
 
-/// True of a file that is a recording, by its first bytes, or, where it cannot be read, by its name. An MCAP file of
-/// another program with arrays of numbers is none.
+/// True if a file is a recording by its first bytes or, if it cannot be read, by its name. Another program's MCAP
+/// file with arrays of numbers is not a recording.
 pub fn is_recording(path: &Path) -> bool {
     is_mcap(path) && !is_of_others(path)
 }
 
-/// An MCAP file that can be read, and has nothing of dermis in it.
+/// True for a readable MCAP file without anything from dermis in it.
 fn is_of_others(path: &Path) -> bool {
     let Ok(file) = open_regular(path) else { return false };
     let outline = crate::scan::Outline::read(&mut std::io::BufReader::new(file));
@@ -59,12 +60,14 @@ fn is_of_others(path: &Path) -> bool {
     })
 }
 
-/// Reads the frames that `spec` names, of a recording, a bag or a table, as the options say: a [`ReadOptions`], or just a
-/// format or `None`. The frames of a recording have its numbers, times from its first frame on, and moments of the wall
-/// clock. What was understood is said under the target [`UNDERSTOOD`].
+/// Reads the frames selected by `spec` from a recording, a bag or a table.
+///
+/// `options` is a [`ReadOptions`], a format, or `None`. Frames of a recording keep its sequence numbers and
+/// wall-clock times, with times relative to its first frame. How the file was interpreted is logged under the target
+/// [`UNDERSTOOD`].
 ///
 /// # Errors
-/// A file that cannot be read or holds no frames, and more than [`MOST_BYTES`] of readings.
+/// A file cannot be read, holds no frames, or has more than [`MOST_BYTES`] of readings.
 pub fn read_frames(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTable, Error> {
     let options: ReadOptions = options.into();
     let table = read(spec, &options)?;
@@ -72,11 +75,11 @@ pub fn read_frames(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<F
     Ok(table)
 }
 
-/// The same for frames of a skin: its channels settle what a file leaves open, and columns that name their electrodes are
-/// put in its order.
+/// Like `read_frames`, for frames of a skin: its channels settle ambiguities in the file, and columns that name
+/// their electrodes are put in its order.
 ///
 /// # Errors
-/// As [`read_frames`], and electrodes in a header that are no channel of the skin.
+/// As for [`read_frames`], and if the header names electrodes that are not a channel of the skin.
 pub fn read_frames_of(skin: &Skin, spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTable, Error> {
     let options: ReadOptions = options.into();
     let options = options.with_channels(readings_of(skin));
@@ -120,7 +123,7 @@ fn read_recording(path: &Path) -> Result<FrameTable, Error> {
         }
     }
     let first_ns = times_ns.first().copied().unwrap_or_default();
-    // A clock that began anew stands before its first time.
+    // A clock that restarted is before its first time.
     let mut times_s: Vec<f64> =
         times_ns.iter().map(|ns| (i128::from(*ns) - i128::from(first_ns)) as f64 * 1e-9).collect();
     let mut notes = vec!["a recording of dermis".to_owned()];

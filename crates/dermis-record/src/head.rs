@@ -1,4 +1,4 @@
-//! What a recording says about itself at its beginning, as MCAP metadata records.
+//! The description at the start of a recording, as MCAP metadata records.
 
 use std::collections::BTreeMap;
 
@@ -13,26 +13,26 @@ pub(super) const RECORDING: &str = "dermis.recording";
 pub(super) const SKIN: &str = "dermis.skin";
 pub(super) const CALIBRATION: &str = "dermis.calibration";
 pub(super) const FINISHED: &str = "dermis.finished";
-/// Name of the metadata record that says what stopped a recording before its end.
+/// Name of the metadata record with the reason why a recording stopped early.
 pub(super) const STOPPED: &str = "dermis.stopped";
 
 /// Version of the format that [`super`] describes.
 const VERSION: &str = "2";
 
-/// What the frames of a recording are.
+/// Description of a recording's frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordingHead {
     /// The skin file's text.
     pub skin_toml: String,
-    /// What stands at which channel of a raw frame.
+    /// Assignment of channels in a raw frame.
     pub layout: Layout,
-    /// A name for every channel, or none at all.
+    /// A name for every channel, or empty.
     pub labels: Vec<String>,
-    /// Where the frames came from: a port, an address, a twin.
+    /// Source of the frames: a port, an address, a twin.
     pub source: String,
-    /// The text of the calibration that images were made with, if there was one.
+    /// The text of the calibration that images were made with, if any.
     pub calibration: Option<String>,
-    /// The text of the force calibration, if there was one.
+    /// The text of the force calibration, if any.
     pub forces: Option<String>,
 }
 
@@ -44,7 +44,7 @@ impl RecordingHead {
     }
 
     /// # Errors
-    /// [`Error::Frames`] unless there are no labels or as many as channels.
+    /// [`Error::Frames`] unless there are no labels or one per channel.
     pub(super) fn validate(&self) -> Result<(), Error> {
         let channels = self.layout.channels();
         if self.labels.is_empty() || self.labels.len() == channels {
@@ -80,7 +80,7 @@ impl RecordingHead {
         all
     }
 
-    /// The files that a recording carries for people: name, media type, text.
+    /// Files attached to a recording for people: name, media type, text.
     pub(super) fn attachments(&self) -> Vec<(&'static str, &'static str, &str)> {
         let mut all = vec![("skin.toml", "application/toml", self.skin_toml.as_str())];
         let calibrations = [("calibration.json", &self.calibration), ("forces.json", &self.forces)];
@@ -90,7 +90,7 @@ impl RecordingHead {
         all
     }
 
-    /// Reads both records back; the error is what is wrong with which key.
+    /// Reads both records back. The error names the key and its fault.
     pub(super) fn from_metadata(found: &BTreeMap<String, BTreeMap<String, String>>) -> Result<Self, (String, String)> {
         let entry = |name: &str, key: &str| {
             let absent = || (format!("metadata {name}, key {key}"), "expected in a dermis recording, not found".into());

@@ -1,6 +1,6 @@
 //! Recordings: raw frames before any processing, together with the skin, calibrations, baselines, touches and events,
-//! in one MCAP file (<https://mcap.dev/spec>, profile `ros2`) that general viewers open, and the same frames back as a
-//! [`dermis_device::Source`].
+//! in one MCAP file (<https://mcap.dev/spec>, profile `ros2`) that general viewers can open. The same frames are
+//! available again as a [`dermis_device::Source`].
 //!
 //! ```
 //! use dermis_device::{Frame, HostStamp, Layout};
@@ -27,41 +27,41 @@
 //!
 //! | | |
 //! |---|---|
-//! | [`Recorder`], [`LiveRecording`] | writing, by hand or of a running pipeline |
-//! | [`Recording`], [`read_frames`], [`read_frames_of`], [`Replay`], [`rerun`] | reading; as a table, as a source, through a pipeline again |
+//! | [`Recorder`], [`LiveRecording`] | writing, by hand or from a running pipeline |
+//! | [`Recording`], [`read_frames`], [`read_frames_of`], [`Replay`], [`rerun`] | reading: directly, as a table, as a source, through a pipeline again |
 //! | [`export`](fn@export), [`sink`] | tables for other programs; JSON lines, images, touches |
-//! | [`recover`](fn@recover) | a whole recording of what is left of a broken one |
+//! | [`recover`](fn@recover) | a complete recording from a broken one |
 //!
 //! # Channels
-//! All messages are CDR, and their definitions (`ros2msg`) stand in the file.
+//! All messages are CDR, and the file contains their definitions (`ros2msg`).
 //!
-//! | topic | type | what |
+//! | topic | type | content |
 //! |---|---|---|
 //! | `/dermis/frames` | `dermis_msgs/msg/Frame` | every raw frame, queued before it is processed |
 //! | `/dermis/baselines` | `dermis_msgs/msg/Baseline` | every baseline with its values, noise and reason |
 //! | `/dermis/touches` | `dermis_msgs/msg/Touches` | touches of frames that have any, or in which one ended |
 //! | `/dermis/events` | `dermis_msgs/msg/Event` | commands, gaps, faults |
-//! | `/dermis/image` | `sensor_msgs/msg/Image` | the image (32FC1), at most so many a second |
-//! | `/dermis/points` | `sensor_msgs/msg/PointCloud2` | the same on the skin's surface, a field `pressure` with the image's value |
+//! | `/dermis/image` | `sensor_msgs/msg/Image` | the image (32FC1), at a limited rate |
+//! | `/dermis/points` | `sensor_msgs/msg/PointCloud2` | the image on the skin's surface, with its value in the field `pressure` |
 //! | `/dermis/touch_points` | `sensor_msgs/msg/PointCloud2` | touches in space |
 //!
-//! A recording of a body ([`BodyRecording`]) has the topics of each patch below its name, `/dermis/PATCH/frames`, the
-//! same of its metadata, `dermis.skin/PATCH`, and `/joint_states`. It opens like a folder: `arm.mcap/PATCH` is a
-//! recording of that patch alone, wherever a recording is read.
+//! A recording of a body ([`BodyRecording`]) has each patch's topics below the patch's name, `/dermis/PATCH/frames`,
+//! its metadata as `dermis.skin/PATCH`, and `/joint_states`. It opens like a folder: `arm.mcap/PATCH` is a
+//! recording of that patch alone, and can be used anywhere a recording is read.
 //!
-//! The last three are there where a [`SkinView`] was given. Log times are the host's wall clock. Readings are 8 bytes
-//! each and exact, to the payload of a NaN.
+//! The last three topics exist if a [`SkinView`] was given. Log times are the host's wall clock. Readings take 8
+//! bytes each and are exact, including the payload of a NaN.
 //!
 //! Metadata records: `dermis.recording` (format version, channel layout and labels as JSON, source, software),
 //! `dermis.skin` (the skin file, key `toml`), `dermis.calibration` (the calibrations, keys `image` and `forces`), all
 //! attached as files too, and at the end `dermis.finished` (frames written and dropped).
 //!
-//! # What survives
-//! While it is being made, a recording `press.mcap` is called `press.partial.mcap`; it gets its name when it is whole
-//! and on disk. Twice a second everything is handed to the operating system as a complete chunk with a checksum, so a
-//! partial recording whose writer was killed lacks at most about the last second; it opens like any other, and
-//! [`Recording::damage`] says what is missing. Neither name is ever overwritten. Where a device stands under the name
-//! (a pipe, a terminal), it is written to directly.
+//! # Interrupted recordings
+//! While in progress, a recording `press.mcap` is called `press.partial.mcap`; it gets its name when it is complete
+//! and on disk. Twice a second everything is handed to the operating system as a complete chunk with a checksum, so
+//! if the writer is killed, the partial recording lacks about the last second at most. It opens like any other, and
+//! [`Recording::damage`] reports what is missing. Neither name is ever overwritten. A device at the path (a pipe, a
+//! terminal) is written to directly.
 
 mod bag;
 mod body;

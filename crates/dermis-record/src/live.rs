@@ -1,5 +1,5 @@
-//! A live pipeline being recorded: what is to be offered to the recorder before and after each frame, so that a replay
-//! has everything that the result depended on.
+//! Records a live pipeline: passes to the recorder, before and after each frame, everything that a replay needs to
+//! reproduce the results.
 
 use std::path::{Path, PathBuf};
 
@@ -15,47 +15,48 @@ use dermis_live::stages::health::HealthWatch;
 /// Frames that may wait for the disk.
 const QUEUE: usize = 1024;
 
-/// Events that a replay obeys.
+/// Events that a replay carries out.
 pub(super) const TARE: &str = "tare";
 pub(super) const HYPERPARAMETER: &str = "hyperparameter";
 
-/// A recording of a running pipeline. Nothing here waits for the disk, and no failure of it reaches the pipeline.
+/// A recording of a running pipeline. Nothing here waits for the disk, and no failure of the recording reaches the
+/// pipeline.
 #[derive(Debug)]
 pub struct LiveRecording {
     path: PathBuf,
     handle: RecorderHandle,
     last_sequence: Option<u64>,
-    /// Time of the frame at hand, by the device's clock where it has one, so that a twin that runs faster than time is
-    /// pictured as often as one that does not.
+    /// Time of the current frame, by the device's clock if it has one, so that a twin running faster than real time
+    /// gets as many images per frame as one that doesn't.
     time_ns: u64,
     health: HealthWatch,
     failure_told: bool,
 }
 
-/// How a recording ended.
+/// Outcome of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordingEnd {
-    /// Where it was to stand.
+    /// Intended path.
     pub path: PathBuf,
-    /// Frames in it.
+    /// Frames in the recording.
     pub frames: u64,
-    /// Frames that were offered and are not in it.
+    /// Frames that were offered but not recorded.
     pub lost: u64,
-    /// What stopped it; what was written until then stands under the partial name.
+    /// The error that stopped it, if any; the data written before are in the file with the partial name.
     pub error: Option<String>,
 }
 
 impl LiveRecording {
-    /// Starts to record to `path`, with at most `images_per_s` images a second (none at 0). If the pipeline has a
-    /// baseline already, the recording begins with it.
+    /// Starts recording to `path`, with at most `images_per_s` images per second (none at 0). If the pipeline already
+    /// has a baseline, the recording starts with it.
     ///
     /// # Errors
-    /// As [`Recorder::create`].
+    /// As for [`Recorder::create`].
     pub fn start(path: &Path, head: &RecordingHead, pipeline: &Pipeline, images_per_s: f64) -> Result<Self, Error> {
         Self::start_with(Recorder::create(path, head)?, pipeline, images_per_s)
     }
 
-    /// As [`LiveRecording::start`], with a recorder that is there already: that of a body's patch.
+    /// Like [`LiveRecording::start`], with an existing recorder, such as a body patch's.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -71,17 +72,17 @@ impl LiveRecording {
         Ok(live)
     }
 
-    /// Where the recording will stand.
+    /// Final path of the recording.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What has been written and lost.
+    /// Numbers of frames written and lost.
     pub fn status(&self) -> RecorderStatus {
         self.handle.status()
     }
 
-    /// Takes a raw frame, before anything is made of it. A gap in the numbers is an event of its own.
+    /// Records a raw frame; call it before processing. A gap in the sequence numbers is recorded as an event.
     pub fn frame(&mut self, frame: &Frame) {
         let missing = self.last_sequence.map_or(0, |last| frame.sequence.saturating_sub(last).saturating_sub(1));
         if missing > 0 {
@@ -93,8 +94,8 @@ impl LiveRecording {
         self.handle.offer(frame);
     }
 
-    /// Takes what was made of the frame. Faults that it made known, and recoveries, are events; so is, in the first
-    /// frame, what was broken before the recording began, and what a search for the readout's circuit has come to.
+    /// Records the results of the frame. New faults and recoveries become events. The first frame also records faults
+    /// from before the recording, and the state of a search for the readout's circuit.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
         for event in output.damage.events {
@@ -110,7 +111,7 @@ impl LiveRecording {
         }
     }
 
-    /// Takes the baseline in use, if there is one.
+    /// Records the current baseline, if there is one.
     pub fn baseline(&self, pipeline: &Pipeline, wall_ns: u64) {
         if let Some(record) = pipeline.baseline_records().last() {
             let (values, noise_std) = pipeline.baseline();
@@ -118,29 +119,29 @@ impl LiveRecording {
         }
     }
 
-    /// A tare was accepted before the next frame.
+    /// Records that a tare was accepted before the next frame.
     pub fn tare(&self, force: bool, reason: &str) {
         self.event(TARE, reason, &[f64::from(u8::from(force))]);
     }
 
-    /// Another lambda is in use from the next frame on.
+    /// Records that another lambda applies from the next frame on.
     pub fn hyperparameter(&self, lambda: f64) {
         self.event(HYPERPARAMETER, &format!("lambda {lambda:e}"), &[lambda]);
     }
 
-    /// Anything else that happened before the next frame: in a word, for people, and the numbers that belong to it.
+    /// Records any other event before the next frame: its name, a description and its numbers.
     pub fn event(&self, event: &str, detail: &str, values: &[f64]) {
         self.handle.offer_event(HostStamp::now().wall_ns, event, detail, values);
     }
 
-    /// What has stopped the recording, the first time it is asked after that.
+    /// The error that stopped the recording; returned once.
     pub fn new_failure(&mut self) -> Option<String> {
         let error = self.handle.status().error.filter(|_| !self.failure_told)?;
         self.failure_told = true;
         Some(error)
     }
 
-    /// What ends the recording from elsewhere, also while whoever records is busy.
+    /// A handle that ends the recording from elsewhere, even while the recording thread is busy.
     pub fn stop(&self) -> RecordingStop {
         self.handle.stop()
     }
@@ -158,8 +159,8 @@ impl LiveRecording {
     }
 }
 
-/// What happened to a damage: the event, the same for people, and id, x, y, length (metres), direction (radians), depth
-/// and share that is left.
+/// The fields of a damage event: its name, a description, and id, x, y, length (metres), direction (radians), depth
+/// and remaining share.
 fn damage_event(event: &DamageEvent) -> (&'static str, String, [f64; 7]) {
     let damage = event.damage();
     let shape = &damage.shape;

@@ -9,9 +9,9 @@ use super::cdr::{CdrReader, CdrWriter};
 /// A baseline as recorded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BaselineEntry {
-    /// When and why it was set; the time is that of the frame that completed it.
+    /// Time of the frame that completed the baseline, and the reason for it.
     pub record: ReferenceRecord,
-    /// The baseline, one value a channel of the protocol.
+    /// The baseline, one value per channel of the protocol.
     pub values: Vec<f64>,
     /// Standard deviation of each channel at rest, in the same unit; may be empty.
     pub noise_std: Vec<f64>,
@@ -24,18 +24,18 @@ impl Default for BaselineEntry {
     }
 }
 
-/// The touches of a frame as recorded.
+/// The touches of a frame, as recorded.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TouchesEntry {
     /// The frame's number.
     pub sequence: u64,
     /// The frame's time on the host's monotonic clock, nanoseconds.
     pub time_ns: u64,
-    /// Its touches, those that ended in it included.
+    /// Its touches, including those that ended in it.
     pub touches: Vec<TouchEntry>,
 }
 
-/// A touch as recorded; in the skin's frame, x to the right and y up.
+/// A touch as recorded, in the skin's frame, x to the right and y up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TouchEntry {
     /// Identity.
@@ -52,31 +52,31 @@ pub struct TouchEntry {
     pub sigma_m: [f64; 2],
     /// Normal force, newtons; NaN without calibration.
     pub force_n: f64,
-    /// Where the force lies in its calibration; empty without.
+    /// Range of the force relative to its calibration; empty without one.
     pub force_range: String,
-    /// Fitted radius, metres; NaN where none was fitted.
+    /// Fitted radius, metres; NaN if none was fitted.
     pub radius_m: f64,
-    /// Where the touch may be instead, where that is in doubt.
+    /// An alternative position, if the position is ambiguous.
     pub other_place: Option<OtherPlaceEntry>,
 }
 
-/// Where a touch may be instead, as recorded.
+/// An alternative position of a touch, as recorded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OtherPlaceEntry {
     /// Position, metres.
     pub position_m: [f64; 2],
-    /// Standard deviations of the position if the touch is there, metres.
+    /// Standard deviations of the position in this case, metres.
     pub sigma_m: [f64; 2],
-    /// Probability that it is, 0 to 1.
+    /// Probability that the touch is there, 0 to 1.
     pub probability: f64,
 }
 
-/// Something that happened, as recorded.
+/// An event as recorded.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EventEntry {
-    /// What happened, in one word.
+    /// Name of the event.
     pub event: String,
-    /// The same for people.
+    /// Description for people.
     pub detail: String,
     /// Numbers that belong to it.
     pub values: Vec<f64>,
@@ -96,7 +96,8 @@ pub(super) fn write_frame(out: &mut Vec<u8>, frame: &Frame) {
     cdr.u64s(&frame.channel_times_ns);
 }
 
-/// Reads a frame into `frame`, or returns none if the bytes are no such message; `frame` then holds part of it.
+/// Reads a frame into `frame`; `None` if the bytes are not such a message, in which case `frame` may be partly
+/// filled.
 pub(super) fn read_frame(bytes: &[u8], frame: &mut Frame) -> Option<()> {
     let mut cdr = CdrReader::new(bytes)?;
     frame.clear();
@@ -108,7 +109,7 @@ pub(super) fn read_frame(bytes: &[u8], frame: &mut Frame) -> Option<()> {
     cdr.doubles(&mut frame.values)?;
     cdr.doubles(&mut frame.imaginary)?;
     frame.status = Status(u16::try_from(cdr.u32()?).ok()?);
-    // -1, all bits set, stands for none.
+    // -1, with all bits set, means no gain.
     frame.gain = u8::try_from(cdr.u32()?).ok();
     cdr.u64s(&mut frame.channel_times_ns)
 }
@@ -135,7 +136,7 @@ pub(super) fn read_baseline(bytes: &[u8]) -> Option<BaselineEntry> {
     Some(entry)
 }
 
-/// Writes the touches of frame `sequence`; those that ended in it stand in `events`.
+/// Writes the touches of frame `sequence`; those that ended in it are in `events`.
 pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
     let ended = || events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
     let all = || touches.iter().chain(ended());
@@ -172,7 +173,7 @@ pub(super) fn read_touches(bytes: &[u8]) -> Option<TouchesEntry> {
     let mut cdr = CdrReader::new(bytes)?;
     let (sequence, time_ns) = (cdr.u64()?, cdr.u64()?);
     let mut touches = (0..cdr.length(1)?).map(|_| read_touch(&mut cdr)).collect::<Option<Vec<_>>>()?;
-    // Recordings made before touches had other places end here.
+    // Recordings made before alternative positions were added end here.
     let others = if cdr.is_at_end() { 0 } else { cdr.length(1)? };
     for _ in 0..others {
         let id = cdr.u64()?;
@@ -224,7 +225,7 @@ const ORIGINS: [ReferenceOrigin; 5] = [
     ReferenceOrigin::Damage,
 ];
 
-/// A baseline's origin in a word.
+/// Name of a baseline's origin.
 pub(super) fn origin_name(origin: ReferenceOrigin) -> &'static str {
     match origin {
         ReferenceOrigin::Startup => "startup",
@@ -252,7 +253,7 @@ mod tests {
     use dermis_touch::PlaceHypothesis;
     use proptest::prelude::*;
 
-    /// The frame without its readings, and these as bits, NaN among them.
+    /// The frame without its readings, and the readings as bits, NaN among them.
     fn bits(frame: &Frame) -> (Frame, Vec<u64>, Vec<u64>) {
         let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
         let rest = Frame { values: Vec::new(), imaginary: Vec::new(), ..frame.clone() };
@@ -315,7 +316,7 @@ mod tests {
         assert_eq!((first.other_place, second.other_place), (Some(other), None));
         assert_eq!((second.id, second.phase, second.position_m), (2, TouchPhase::End, [5e-3, 6e-3]));
 
-        // As it was before touches had other places: nothing after the touches.
+        // As before alternative positions were added: nothing after the touches.
         touches[0].other_place = None;
         write_touches(&mut bytes, 7, 9, &touches, &[]);
         let before = read_touches(&bytes[..bytes.len() - 4]).unwrap();

@@ -1,5 +1,5 @@
-//! A bounded queue and a thread before a [`Recorder`], so that a slow or full disk never holds up the pipeline: what
-//! does not fit is dropped and counted, and what goes wrong is kept until someone asks.
+//! A bounded queue and a thread in front of a [`Recorder`], so that a slow or full disk never delays the pipeline.
+//! Frames that don't fit are dropped and counted, and errors are kept until someone asks for them.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -17,25 +17,25 @@ use super::writer::{Recorder, RecordingSummary};
 use crate::Error;
 use dermis_live::output::Output;
 
-/// Room for baselines and events beside frames and touches; they are rare.
+/// Room for baselines and events, which are rare, in addition to frames and touches.
 const RARE: usize = 64;
 
-/// Images that may wait; they are made from what is recorded anyway, and one left out is no loss.
+/// Images that may wait. They can be recomputed from the recording, so skipping one is no loss.
 const IMAGES: usize = 16;
 
-/// How a recording in progress is doing.
+/// Status of a recording in progress.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecorderStatus {
-    /// Frames encoded. The last half second of them may still be in memory.
+    /// Frames encoded. Those of the last half second may still be in memory.
     pub written: u64,
-    /// Frames that were offered and are not recorded: the queue was full, or the recording has stopped. Then those that
-    /// were still in memory are among them.
+    /// Frames that were offered but not recorded because the queue was full or the recording has stopped. In the
+    /// latter case this includes frames that were still in memory.
     pub dropped: u64,
-    /// Why the recording has stopped, if it has.
+    /// The error that stopped the recording, if any.
     pub error: Option<String>,
 }
 
-/// What waits in the queue.
+/// Content of the queue.
 enum Item {
     Frame(Frame),
     Touches { wall_ns: u64, message: Vec<u8> },
@@ -55,25 +55,25 @@ struct Shared {
     error: OnceLock<String>,
 }
 
-/// A recording that is written by a thread of its own.
+/// A recording written by a separate thread.
 ///
-/// Offering a frame copies it into memory that is kept and never waits. Dropping the handle finishes the recording as
-/// [`RecorderHandle::finish`] does, only that an error then goes to the log.
+/// Offering a frame copies it into reused memory and never waits. Dropping the handle finishes the recording like
+/// [`RecorderHandle::finish`], except that errors go to the log.
 pub struct RecorderHandle {
     items: Option<Sender<Item>>,
     free_frames: Receiver<Frame>,
     free_messages: Receiver<Vec<u8>>,
     free_images: Receiver<Vec<f32>>,
     view: Option<SkinView>,
-    /// When the next image is due, on the frames' clock.
+    /// Time of the next image, on the frames' clock.
     image_due_ns: u64,
     shared: Arc<Shared>,
     stop: RecordingStop,
     thread: Option<JoinHandle<Result<RecordingSummary, Error>>>,
 }
 
-/// Ends a recording from anywhere, also where whoever records is stuck: what is queued is written and the file made
-/// whole. What is offered after that is refused.
+/// Ends a recording from anywhere, even if the recording thread is stuck: the queue is written and the file
+/// completed. Frames offered after that are refused.
 #[derive(Clone, Debug)]
 pub struct RecordingStop {
     ask: Sender<()>,
@@ -82,18 +82,18 @@ pub struct RecordingStop {
 }
 
 impl RecordingStop {
-    /// Asks for the end and does not wait for it.
+    /// Asks for the end without waiting for it.
     pub fn ask(&self) {
-        // One wish is enough.
+        // One request is enough.
         let _ = self.ask.try_send(());
     }
 
-    /// Waits at most so long for the end; false where it has not come.
+    /// Waits for the end, at most `most`; returns false if it hasn't come by then.
     pub fn wait(&self, most: Duration) -> bool {
         !matches!(self.ended.recv_timeout(most), Err(RecvTimeoutError::Timeout))
     }
 
-    /// Whether the recording has ended.
+    /// True if the recording has ended.
     pub fn has_ended(&self) -> bool {
         self.wait(Duration::ZERO)
     }
@@ -109,7 +109,7 @@ impl RecorderHandle {
     /// Starts the thread. `capacity` frames, at least 1, can wait: a second's worth bridges a disk's usual pauses.
     ///
     /// # Errors
-    /// [`Error::Io`] if the system gives no thread.
+    /// [`Error::Io`] if the operating system refuses a thread.
     pub fn spawn(recorder: Recorder, capacity: usize) -> Result<Self, Error> {
         let capacity = capacity.max(1);
         let (items, queue) = bounded(3 * capacity + IMAGES + RARE);
@@ -162,7 +162,7 @@ impl RecorderHandle {
         })
     }
 
-    /// Queues a raw frame; false if it is dropped because the queue is full or the recording has stopped.
+    /// Queues a raw frame; returns false if it is dropped because the queue is full or the recording has stopped.
     pub fn offer(&self, frame: &Frame) -> bool {
         self.shared.offered.fetch_add(1, Ordering::Relaxed);
         let queued = self.free_frames.try_recv().is_ok_and(|mut copy| {
@@ -175,8 +175,9 @@ impl RecorderHandle {
         queued
     }
 
-    /// Queues what was made of a frame: its touches, if there are any or one ended, and its image, if one is due at
-    /// `time_ns` on the frames' clock. What does not fit is left out: it can be made again from the frame.
+    /// Queues the results of a frame: its touches, if it has any or one ended, and its image, if one is due at
+    /// `time_ns` on the frames' clock. Results that don't fit are left out, since they can be recomputed from the
+    /// frame.
     pub fn offer_results(&mut self, output: &Output<'_>, time_ns: u64) {
         let wall_ns = output.wall_ns;
         let ended = output.events.iter().any(|event| matches!(event, TouchEvent::End(_)));
@@ -193,7 +194,7 @@ impl RecorderHandle {
             }
         }
         let Some(view) = &self.view else { return };
-        // A clock that was set back does not end the images.
+        // A clock that is set back must not stop the images.
         let due = time_ns >= self.image_due_ns || time_ns.saturating_add(view.period_ns()) < self.image_due_ns;
         if due
             && output.image.iter().any(|value| value.is_finite())
@@ -206,20 +207,21 @@ impl RecorderHandle {
         }
     }
 
-    /// Queues a baseline that came into use at `wall_ns`, with the noise of its channels; false if it is dropped.
+    /// Queues a baseline that came into use at `wall_ns`, with the noise of its channels; returns false if it is
+    /// dropped.
     pub fn offer_baseline(&self, wall_ns: u64, record: &ReferenceRecord, values: &[f64], noise_std: &[f64]) -> bool {
         let (values, noise_std) = (values.to_vec(), noise_std.to_vec());
         self.send(Item::Baseline { wall_ns, record: record.clone(), values, noise_std })
     }
 
-    /// Queues that something happened before the next frame: in a word, for people, and the numbers that belong to it;
-    /// false if it is dropped.
+    /// Queues an event before the next frame: its name, a description and its numbers. Returns false if it is
+    /// dropped.
     pub fn offer_event(&self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> bool {
         let (event, detail, values) = (event.to_owned(), detail.to_owned(), values.to_vec());
         self.send(Item::Event { wall_ns, event, detail, values })
     }
 
-    /// What has been written and lost.
+    /// Numbers of frames written and lost.
     #[must_use]
     pub fn status(&self) -> RecorderStatus {
         let error = self.shared.error.get().cloned();
@@ -230,18 +232,19 @@ impl RecorderHandle {
         }
     }
 
-    /// Frames saved and lost of a recording that has failed, to be asked after [`RecorderHandle::finish`].
+    /// Returns a function that gives the numbers of frames saved and lost after [`RecorderHandle::finish`], even for
+    /// a failed recording.
     pub(super) fn watch(&self) -> impl FnOnce() -> (u64, u64) + use<> {
         let shared = self.shared.clone();
         move || (shared.safe.load(Ordering::Relaxed), shared.dropped(true))
     }
 
-    /// What ends the recording from elsewhere.
+    /// A handle that ends the recording from elsewhere.
     pub fn stop(&self) -> RecordingStop {
         self.stop.clone()
     }
 
-    /// Writes what is queued, ends the recording and gives it its final name.
+    /// Writes the queue, ends the recording and gives it its final name.
     ///
     /// # Errors
     /// The error that stopped the recording, if one did.
@@ -257,7 +260,7 @@ impl RecorderHandle {
         }
     }
 
-    /// Waits for the thread, once.
+    /// Joins the thread, once.
     fn join(&mut self) -> Option<Result<RecordingSummary, Error>> {
         self.items = None;
         let result = self.thread.take()?.join();
@@ -278,7 +281,7 @@ impl Drop for RecorderHandle {
 }
 
 impl Shared {
-    /// Frames lost; once the recording has stopped, those in the queue are.
+    /// Frames lost. Once the recording has stopped, this includes those in the queue.
     fn dropped(&self, stopped: bool) -> u64 {
         if stopped {
             let safe = self.safe.load(Ordering::Relaxed);
@@ -288,14 +291,14 @@ impl Shared {
     }
 }
 
-/// The thread's belongings.
+/// State of the writing thread.
 struct WriterThread {
     recorder: Recorder,
     queue: Receiver<Item>,
     return_frame: Sender<Frame>,
     return_message: Sender<Vec<u8>>,
     return_image: Sender<Vec<f32>>,
-    /// Wishes that the recording may end, and what keeps that queue open.
+    /// Requests to end the recording, and a sender that keeps the channel open.
     asked: Receiver<()>,
     _ask: Sender<()>,
     shared: Arc<Shared>,
@@ -308,13 +311,13 @@ impl WriterThread {
         shared.safe.store(self.recorder.safe_frames(), Ordering::Relaxed);
         let frames = self.recorder.frames();
         let result = drained.and_then(|()| self.recorder.finish(shared.dropped(false)));
-        // One whose name was taken meanwhile stands whole under its partial name.
+        // A file whose name was taken meanwhile is complete under its partial name.
         if let Err(Error::Io { source, .. }) = &result
             && source.kind() == std::io::ErrorKind::AlreadyExists
         {
             shared.safe.store(frames, Ordering::Relaxed);
         }
-        // Whoever sees the error is refused from then on.
+        // Close the queue first, so that anyone who sees the error is refused from then on.
         drop(self.queue);
         if let Err(error) = &result {
             let _ = shared.error.set(error.to_string());
@@ -385,7 +388,7 @@ mod tests {
     use super::super::{Recorder, Recording, RecordingHead};
     use super::*;
 
-    /// A disk with room for a number of bytes, which can be held up.
+    /// A disk with room for a number of bytes, which can be made to hang.
     #[derive(Clone)]
     struct Disk {
         room: usize,
@@ -434,7 +437,7 @@ mod tests {
     }
 
     fn frame(sequence: u64, channels: usize) -> Frame {
-        // Digits that do not compress, so that chunks fill.
+        // Random digits that don't compress, so that chunks fill up.
         let mut state = sequence.wrapping_add(1);
         let mut next = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -459,7 +462,7 @@ mod tests {
         let recorder = disk.recorder(1000);
         let handle = RecorderHandle::spawn(recorder, 4).unwrap();
         let held = disk.content.lock().unwrap();
-        // More than a chunk and the queue together hold; were an offer to wait, this would never end.
+        // More than fits into a chunk and the queue together; if an offer waited, this would never end.
         let kept = (0..1000).filter(|&sequence| handle.offer(&frame(sequence, 1000))).count() as u64;
         assert!(kept < 1000);
         assert_eq!(handle.status().dropped, 1000 - kept);

@@ -1,5 +1,5 @@
-//! Reading a recording, whole or damaged. Every chunk's checksum is compared before anything of it is believed; what
-//! cannot be read is passed over and counted.
+//! Reads a recording, complete or damaged. Every chunk's checksum is verified before its content is used; unreadable
+//! parts are skipped and counted.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,7 +17,7 @@ use super::shared_file::CHUNK_BYTES;
 use super::{BaselineEntry, EventEntry, TouchesEntry, messages, schema};
 use crate::Error;
 
-/// More than any chunk of ours has in it: what makes one due, and a message beside.
+/// Upper bound on our chunks: the size at which one is closed, and one more message.
 const MOST_CHUNK_BYTES: u64 = 2 * CHUNK_BYTES as u64;
 
 /// A message's header: channel (u16), sequence (u32), log and publish time (u64 each).
@@ -42,39 +42,39 @@ pub enum Entry<'a> {
         /// The frame's number and its touches.
         entry: &'a TouchesEntry,
     },
-    /// Something happened.
+    /// An event happened.
     Event {
         /// Wall clock, nanoseconds since 1970-01-01 UTC.
         wall_ns: u64,
-        /// What.
+        /// The event.
         entry: &'a EventEntry,
     },
 }
 
-/// Frames that a damaged recording had and that cannot be read.
+/// Number of frames that a damaged recording lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LostFrames {
-    /// So many: the recording's own statistics survived.
+    /// Exactly this many, since the recording's own statistics survived.
     Exactly(u64),
-    /// Unknown, for the recording's end is missing. Those chunks that are there in part had room for about so many.
+    /// Unknown, because the recording's end is missing. The field estimates how many fit into the damaged chunks.
     Unknown {
-        /// Frames that fit into the damaged chunks, as far as these announce a size.
+        /// Frames that fit into the damaged chunks, by their stated sizes.
         in_damaged_chunks: u64,
     },
 }
 
-/// What could not be read of a recording.
+/// Unreadable parts of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Damage {
-    /// The recording was not finished, or its end is cut off.
+    /// True if the recording was not finished, or its end is missing.
     pub cut_off: bool,
-    /// Bytes in damaged chunks and after the last whole record.
+    /// Bytes in damaged chunks and after the last complete record.
     pub bytes: u64,
-    /// Chunks whose content fails its checksum or cannot be decompressed.
+    /// Chunks that fail their checksum or cannot be decompressed.
     pub chunks: u64,
-    /// Single messages or records that are malformed, or of a channel that nothing describes.
+    /// Single messages or records that are malformed, or whose channel has no description.
     pub messages: u64,
-    /// Frames missing, known once every entry has been read; until then, the frames still to come count as missing.
+    /// Missing frames, final once every entry has been read; until then, frames not yet read count as missing.
     pub frames: LostFrames,
 }
 
@@ -87,7 +87,7 @@ impl Damage {
 }
 
 impl fmt::Display for Damage {
-    /// What is missing, in words: "2 damaged chunks, 5120 bytes unreadable, 40 frames missing".
+    /// Describes what is missing: "2 damaged chunks, 5120 bytes unreadable, 40 frames missing".
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let counted = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
         let parts = [
@@ -111,19 +111,19 @@ impl fmt::Display for Damage {
 
 /// A recording being read.
 ///
-/// Only one chunk, a megabyte or so, is in memory at a time. A file that is still being written opens like one that is
-/// cut off.
+/// Only one chunk, about a megabyte, is in memory at a time. A file that is still being written opens like a
+/// truncated one.
 pub struct Recording<R = BufReader<File>> {
     input: R,
     path: PathBuf,
     head: RecordingHead,
-    /// The patch that is read of a body's recording.
+    /// The patch to read, in a body's recording.
     patch: Option<String>,
     outline: Outline,
     topics: BTreeMap<u16, String>,
     next_chunk: usize,
     chunk: Option<LinearReader>,
-    /// Size of the open chunk once decompressed, as it announces it.
+    /// Stated size of the open chunk after decompression.
     announced_bytes: u64,
     memory: Memory,
     tally: Tally,
@@ -131,7 +131,7 @@ pub struct Recording<R = BufReader<File>> {
     counts: BTreeMap<u16, u64>,
 }
 
-/// The entry read last, by kind.
+/// The last entry read, by kind.
 #[derive(Debug, Default)]
 struct Memory {
     frame: Frame,
@@ -140,7 +140,7 @@ struct Memory {
     event: EventEntry,
 }
 
-/// What has been read and what could not be since the last rewind.
+/// Totals of what has been read, and of what could not be, since the last rewind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     frames: u64,
@@ -151,7 +151,7 @@ struct Tally {
     damaged_chunk_bytes: u64,
 }
 
-/// Kinds of entries; the content is in the recording's own memory.
+/// Kinds of entries; their content is in the recording's own memory.
 enum Kind {
     Frame,
     Baseline,
@@ -160,7 +160,7 @@ enum Kind {
     Other,
 }
 
-/// What the next step in a chunk came to.
+/// Result of a step within a chunk.
 enum Step {
     Entry(Kind, u64),
     Skipped,
@@ -175,10 +175,10 @@ impl<R> std::fmt::Debug for Recording<R> {
 }
 
 impl Recording {
-    /// Opens a recording, finished or not. Chunks are looked at only when entries are read.
+    /// Opens a recording, finished or not. Chunks are read only when entries are requested.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Content`] if the file is no MCAP, or none of dermis, or cut off so early that it lacks
+    /// [`Error::Io`]; [`Error::Content`] if the file is not MCAP, was not written by dermis, or was cut off before
     /// its skin.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let (place, patch) = of_body(path).map_or((path, None), |(place, patch)| (place, Some(patch)));
@@ -188,10 +188,10 @@ impl Recording {
 }
 
 impl<R: Read + Seek> Recording<R> {
-    /// Reads a recording from anything that can seek; `name` is for messages.
+    /// Reads a recording from any seekable input; `name` is only used in messages.
     ///
     /// # Errors
-    /// As [`Recording::open`].
+    /// As for [`Recording::open`].
     pub fn from_reader(input: R, name: impl Into<PathBuf>) -> Result<Self, Error> {
         Self::read_head(input, name.into(), None)
     }
@@ -221,7 +221,7 @@ impl<R: Read + Seek> Recording<R> {
         })
     }
 
-    /// The file, or the name given.
+    /// The path of the file, or the given name.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -236,31 +236,31 @@ impl<R: Read + Seek> Recording<R> {
         &self.head.skin_toml
     }
 
-    /// Frames in the recording, as its end says; none if the end is missing.
+    /// Number of frames, as stated at the recording's end; `None` if the end is missing.
     pub fn frames_written(&self) -> Option<u64> {
         let statistics = self.outline.statistics.as_ref()?;
         let (channel, _) = self.outline.topics.iter().find(|(_, topic)| *topic == schema::FRAMES)?;
         Some(statistics.channel_message_counts.get(channel).copied().unwrap_or(0))
     }
 
-    /// Frames that were dropped while recording because the disk was too slow; none if the end is missing.
+    /// Frames dropped while recording because the disk was too slow; `None` if the end is missing.
     pub fn frames_dropped(&self) -> Option<u64> {
         self.outline.metadata.get(FINISHED)?.get("dropped")?.parse().ok()
     }
 
-    /// What stopped the recording before its end, where that was an error which could still be noted: a full disk, say.
-    /// A recording that was killed has no such note.
+    /// The error that stopped the recording early, if it could still be noted, such as a full disk. A recording that
+    /// was killed has no such note.
     pub fn stopped(&self) -> Option<&str> {
         self.outline.metadata.get(STOPPED)?.get("reason").map(String::as_str)
     }
 
-    /// What could not be read so far; complete once every entry has been read.
+    /// The parts that could not be read so far; final once every entry has been read.
     pub fn damage(&self) -> Damage {
         let tally = &self.tally;
         let frames = match self.frames_written() {
             Some(written) => LostFrames::Exactly(written.saturating_sub(tally.frames)),
             None => {
-                // A chunk that is cut off before it says its size, or within, has no more in it than any other.
+                // Assume the usual bound for a chunk that is cut off in or before its size field.
                 let cut = match (self.outline.bytes_cut, self.outline.cut_chunk_bytes) {
                     (0, _) => 0,
                     (_, 0) => MOST_CHUNK_BYTES,
@@ -288,8 +288,8 @@ impl<R: Read + Seek> Recording<R> {
         self.counts.clear();
     }
 
-    /// Messages read so far, by topic, also of topics that dermis does not know; those that nothing describes are left
-    /// out.
+    /// Number of messages read so far, by topic, including topics unknown to dermis but not messages without a
+    /// description.
     pub fn counts(&self) -> BTreeMap<&str, u64> {
         let named =
             self.counts.iter().filter_map(|(channel, count)| Some((self.topics.get(channel)?.as_str(), *count)));
@@ -298,10 +298,10 @@ impl<R: Read + Seek> Recording<R> {
         counts
     }
 
-    /// The next entry, or none after the last one that can be read.
+    /// The next entry, or `None` after the last readable one.
     ///
     /// # Errors
-    /// [`Error::Io`] if the system cannot read; damage is no error but counted in [`Recording::damage`].
+    /// [`Error::Io`] if reading fails. Damage is not an error; it is counted in [`Recording::damage`].
     pub fn next_entry(&mut self) -> Result<Option<Entry<'_>>, Error> {
         let kind = self.advance().map_err(|error| Error::io(&self.path)(error))?;
         Ok(kind.map(|(kind, wall_ns)| match kind {
@@ -312,10 +312,10 @@ impl<R: Read + Seek> Recording<R> {
         }))
     }
 
-    /// The next frame into `frame`, passing over other entries; false after the last.
+    /// Reads the next frame into `frame`, skipping other entries; returns false after the last.
     ///
     /// # Errors
-    /// As [`Recording::next_entry`].
+    /// As for [`Recording::next_entry`].
     pub fn next_frame(&mut self, frame: &mut Frame) -> Result<bool, Error> {
         self.try_next_frame(frame).map_err(|error| Error::io(&self.path)(error))
     }
@@ -330,7 +330,7 @@ impl<R: Read + Seek> Recording<R> {
         Ok(false)
     }
 
-    /// The next frame in the recording's own memory, passing over other entries.
+    /// The next frame, in the recording's own memory, skipping other entries.
     pub(super) fn next_frame_peek(&mut self) -> Result<Option<&Frame>, Error> {
         while let Some((kind, _)) = self.advance().map_err(|error| Error::io(&self.path)(error))? {
             if matches!(kind, Kind::Frame) {
@@ -348,7 +348,7 @@ impl<R: Read + Seek> Recording<R> {
         })
     }
 
-    /// Goes to the next entry and decodes it into memory of `self`.
+    /// Advances to the next entry and decodes it into `self`.
     fn advance(&mut self) -> io::Result<Option<(Kind, u64)>> {
         loop {
             if self.chunk.is_none() && !self.open_chunk()? {
@@ -367,7 +367,7 @@ impl<R: Read + Seek> Recording<R> {
         }
     }
 
-    /// Reads the next chunk's bytes; false after the last.
+    /// Reads the next chunk's bytes; returns false after the last.
     fn open_chunk(&mut self) -> io::Result<bool> {
         while let Some(&place) = self.outline.chunks.get(self.next_chunk) {
             self.next_chunk += 1;
@@ -385,19 +385,20 @@ impl<R: Read + Seek> Recording<R> {
     fn count_damaged(&mut self, place: ChunkPlace, announced_bytes: u64) {
         self.tally.chunks += 1;
         self.tally.bytes = self.tally.bytes.saturating_add(place.length);
-        // What a damaged chunk announces may be damaged itself.
+        // The stated size of a damaged chunk may be damaged itself.
         let most = announced_bytes.max(MOST_CHUNK_BYTES);
         self.tally.damaged_chunk_bytes = self.tally.damaged_chunk_bytes.saturating_add(most);
     }
 
-    /// Takes one record out of the open chunk.
+    /// Takes one record from the open chunk.
     fn step(&mut self) -> Step {
         let Some(reader) = self.chunk.as_mut() else { return Step::ChunkEnd };
         let (opcode, data) = match reader.next_event() {
             None => return Step::ChunkEnd,
             Some(Err(_)) => return Step::ChunkDamaged,
             Some(Ok(LinearReadEvent::ReadRequest(_))) => {
-                // All bytes are there already. Told so, the reader ends well if the chunk was whole.
+                // The reader already has all bytes. Told that there are no more, it ends cleanly if the chunk was
+                // complete.
                 reader.notify_read(0);
                 return Step::Skipped;
             }
@@ -435,14 +436,15 @@ impl<R: Read + Seek> Recording<R> {
     }
 }
 
-/// The recording of a body and the name of a patch in it, where a path goes on beyond a file: `arm.mcap/PATCH`.
+/// Splits a path that continues beyond a file, `arm.mcap/PATCH`, into the recording of a body and the name of a
+/// patch.
 pub(super) fn of_body(path: &Path) -> Option<(&Path, String)> {
     let place = path.parent().filter(|place| place.is_file())?;
     Some((place, path.file_name()?.to_str()?.to_owned()))
 }
 
-/// A reader that has all of a chunk, and the chunk's size once decompressed, as it announces it; none if the chunk is
-/// too large to be one of ours.
+/// A reader with all bytes of a chunk, and the chunk's stated size after decompression; `None` if the chunk is too
+/// large to be one of ours.
 pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> io::Result<Option<(LinearReader, u64)>> {
     let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
         return Ok(None);
@@ -461,7 +463,7 @@ pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> i
     Ok(Some((reader, announced_bytes)))
 }
 
-/// Decodes a message into the memory for its kind; none if it is malformed or nothing describes its channel.
+/// Decodes a message into the memory for its kind; `None` if it is malformed or its channel has no description.
 fn decode(data: &[u8], topics: &BTreeMap<u16, String>, channels: usize, memory: &mut Memory) -> Option<(Kind, u64)> {
     let (header, body) = data.split_at_checked(MESSAGE_HEADER)?;
     let channel = u16::from_le_bytes([header[0], header[1]]);

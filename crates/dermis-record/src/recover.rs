@@ -1,5 +1,5 @@
-//! A whole recording from what is left of a broken one: every chunk whose checksum holds is copied message by message,
-//! also of topics that dermis does not know, and index and summary are made anew.
+//! Rebuilds a complete recording from a broken one. Every chunk with a valid checksum is copied message by message,
+//! including topics unknown to dermis, and index and summary are recreated.
 
 use std::collections::BTreeMap;
 use std::io::BufReader;
@@ -18,26 +18,26 @@ use super::writer::attach_all;
 use super::{Damage, Recording, reader};
 use crate::Error;
 
-/// Name of the metadata record that says where a recording was recovered from.
+/// Name of the metadata record that names the source of a recovered recording.
 const RECOVERED: &str = "dermis.recovered";
 
-/// What became of a broken recording.
+/// Result of a recovery.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recovered {
-    /// Frames in the new one.
+    /// Frames in the new recording.
     pub frames: u64,
-    /// Messages in the new one, frames among them.
+    /// Messages in the new recording, including frames.
     pub messages: u64,
-    /// What of the old one could not be read.
+    /// Parts of the old recording that could not be read.
     pub damage: Damage,
-    /// What stopped the old one, where that was noted: [`Recording::stopped`].
+    /// The error that stopped the old recording, if it was noted: [`Recording::stopped`].
     pub stopped: Option<String>,
 }
 
-/// Makes a whole recording at `to` from what can be read of `from`, which stays as it is.
+/// Writes a complete recording to `to` from the readable parts of `from`, which is not changed.
 ///
 /// # Errors
-/// As [`Recording::open`], and [`Error::Io`] if `to` exists or cannot be written.
+/// As for [`Recording::open`], and [`Error::Io`] if `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
     let mut recording = Recording::open(from)?;
     let mut frames = 0;
@@ -70,7 +70,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
     Ok(Recovered { frames, messages, damage, stopped: recording.stopped().map(str::to_owned) })
 }
 
-/// A copy in progress. Numbers of schemas and channels are given anew.
+/// A copy in progress. Schemas and channels get new numbers.
 struct Copy<'a> {
     writer: FileWriter,
     outline: &'a Outline,
@@ -80,7 +80,7 @@ struct Copy<'a> {
 }
 
 impl Copy<'_> {
-    /// Metadata, attachments, and what the summary knows of schemas and channels.
+    /// Copies metadata and attachments, and the schemas and channels known from the summary.
     fn head(&mut self, recording: &Recording) -> Result<(), McapError> {
         for (name, metadata) in self.outline.metadata.iter().filter(|(name, _)| name.as_str() != FINISHED) {
             self.writer.write_metadata(&Metadata { name: name.clone(), metadata: metadata.clone() })?;
@@ -93,7 +93,7 @@ impl Copy<'_> {
         self.writer.flush()
     }
 
-    /// Copies one chunk. Its checksum is compared before any of it is believed; a chunk that fails is passed over.
+    /// Copies one chunk. Its checksum is verified before anything is used; a chunk that fails is skipped.
     fn chunk(&mut self, mut chunk: mcap::sans_io::linear_reader::LinearReader) -> Result<(), McapError> {
         loop {
             match chunk.next_event() {
@@ -106,7 +106,7 @@ impl Copy<'_> {
         self.writer.flush()
     }
 
-    /// Takes over a schema or a channel.
+    /// Copies a schema or a channel.
     fn describe(&mut self, kind: u8, data: &[u8]) -> Result<(), McapError> {
         match mcap::parse_record(kind, data) {
             Ok(Record::Schema { header, data }) => {
@@ -125,7 +125,7 @@ impl Copy<'_> {
 
     fn message(&mut self, data: &[u8]) -> Result<(), McapError> {
         let Ok(Record::Message { header, data }) = mcap::parse_record(op::MESSAGE, data) else { return Ok(()) };
-        // A message that nothing describes was counted as damage.
+        // A message without a description has been counted as damage.
         let Some(&channel_id) = self.channels.get(&header.channel_id) else { return Ok(()) };
         self.messages += 1;
         self.writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &data)

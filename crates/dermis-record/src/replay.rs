@@ -1,4 +1,4 @@
-//! A recording played as a source, at its own pace, at a given rate or as fast as it is asked for.
+//! Plays a recording as a source, at its own pace, at a given rate or as fast as frames are requested.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -11,22 +11,23 @@ use super::Recording;
 
 /// A [`Recording`] as a [`Source`].
 ///
-/// Readings and sequence numbers are those recorded, and gaps in the numbers count as lost; in a repetition the numbers
-/// go on. Host times are taken when a frame is handed out. The device time is the device's where it sent one, otherwise
-/// the recorded host time since the first frame, so that whoever needs the frames' own times has them at any pace.
+/// Readings and sequence numbers are those of the recording, and gaps in the numbers count as lost; when the
+/// recording is repeated, the numbers continue. Host times are taken when a frame is delivered. The device time is
+/// the device's if it sent one, otherwise the recorded host time since the first frame, so that the original times
+/// are available at any pace.
 pub struct Replay<R = BufReader<File>> {
     recording: Recording<R>,
     name: String,
     pacing: Pacing,
     repeat: Repeat,
-    /// The next frame, read ahead to know when it is due.
+    /// The next frame, read in advance to know when it is due.
     ahead: Frame,
     ahead_is_there: bool,
     due: Option<Instant>,
-    /// Recorded host time of the first and of the last frame handed out in this pass.
+    /// Recorded host times of the first and last frames delivered in this pass.
     first_ns: Option<u64>,
     last_ns: Option<u64>,
-    /// Recorded sequence of the last frame handed out in this pass, and what it was handed out as.
+    /// Recorded sequence number of the last frame delivered in this pass, and the number it was delivered with.
     last_recorded: Option<u64>,
     last_sequence: Option<u64>,
     last_distance: Duration,
@@ -81,13 +82,13 @@ impl<R: Read + Seek + Send> Replay<R> {
         &self.recording
     }
 
-    /// Reads the next frame ahead; false if there is none.
+    /// Reads the next frame in advance; returns false after the last.
     fn read_ahead(&mut self) -> Result<bool, DeviceError> {
         while !self.ahead_is_there {
             if self.read_frame()? {
                 self.ahead_is_there = true;
             } else if self.repeat == Repeat::Once || self.last_ns.is_none() {
-                // A recording without a readable frame is not asked again.
+                // Don't repeat a recording without any readable frame.
                 return Ok(false);
             } else {
                 self.bad_before += self.recording.damage().messages;
@@ -112,10 +113,11 @@ impl<R: Read + Seek + Send> Replay<R> {
         })
     }
 
-    /// Time between the frame read ahead and the one before it. The first of a repetition follows at the distance of
-    /// the last two.
+    /// Time between the frame read in advance and the one before it. For the first frame of a repetition, the
+    /// interval between the last two.
     fn distance(&mut self) -> Duration {
-        // Clocks cannot be set arbitrarily far ahead; a day is as good as never. Times that go back count as none.
+        // Clocks cannot be set arbitrarily far ahead, and a day is as good as forever. Times that go back give a zero
+        // interval.
         const LONGEST: Duration = Duration::from_secs(86_400);
         let distance = match (self.pacing, self.last_ns) {
             (Pacing::Rate { frames_per_s }, _) => Duration::try_from_secs_f64(frames_per_s.recip()).unwrap_or(LONGEST),
@@ -126,7 +128,7 @@ impl<R: Read + Seek + Send> Replay<R> {
         self.last_distance
     }
 
-    /// Number under which the frame read ahead is handed out, counting what the recording lost before it.
+    /// Sequence number for the frame read in advance; also counts frames that the recording lost before it.
     fn number(&mut self) -> u64 {
         let recorded = self.ahead.sequence;
         let lost = self.last_recorded.map_or(0, |last| recorded.saturating_sub(last).saturating_sub(1));
@@ -139,7 +141,7 @@ impl<R: Read + Seek + Send> Replay<R> {
         number
     }
 
-    /// Sleeps until the next frame is due, at most `timeout`; true if it is due.
+    /// Sleeps until the next frame is due, at most `timeout`; returns true if it is due.
     fn wait(&self, timeout: Duration) -> bool {
         let Some(due) = self.due else { return true };
         let left = due.saturating_duration_since(Instant::now());

@@ -1,6 +1,6 @@
-//! A recording run through the pipeline again. Frames come with the numbers and times that they had, what was commanded
-//! is commanded again at the same places, and the calibrations are those recorded, so that the results are those of the
-//! live run to the bit; with another skin, prior or lambda they are what that would have given.
+//! Runs a recording through the pipeline again. Frames keep their numbers and times, recorded commands are repeated
+//! at the same points, and the recorded calibrations are used, so the results equal those of the live run bit for
+//! bit. With another skin, prior or lambda the results are those that the live run would have had.
 
 use std::io::{Read, Seek};
 use std::ops::ControlFlow;
@@ -21,35 +21,35 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
 
-/// Longest sleep between two looks at whether to stop.
+/// Longest sleep between checks of the stop flag.
 const NAP: Duration = Duration::from_millis(50);
 
-/// How a recording is run again.
+/// Options of a rerun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RerunOptions {
-    /// 1 as fast as recorded, 2 twice as fast, 0 as fast as possible.
+    /// 1 in real time, 2 twice as fast, 0 as fast as possible.
     pub speed: f64,
-    /// Follow changes of lambda that were made while recording. No where another one is to be tried.
+    /// Repeat changes of lambda made while recording; false to try another value.
     pub follow_hyperparameter: bool,
 }
 
 impl Default for RerunOptions {
-    /// As fast as possible, following everything.
+    /// As fast as possible, repeating all commands.
     fn default() -> Self {
         Self { speed: 0.0, follow_hyperparameter: true }
     }
 }
 
-/// How a rerun went.
+/// Summary of a rerun.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RerunReport {
-    /// Frames run.
+    /// Number of frames run.
     pub frames: u64,
-    /// Frames that are missing between them, by their numbers.
+    /// Number of frames missing in between, by their sequence numbers.
     pub missing: u64,
-    /// What of the recording could not be read.
+    /// Parts of the recording that could not be read.
     pub damage: Damage,
-    /// Recorded commands that were refused this time, as can happen to a tare under another image.
+    /// Recorded commands that were refused this time, as can happen to a tare with another image.
     pub refused: u64,
 }
 
@@ -62,8 +62,8 @@ impl RerunReport {
 }
 
 impl RecordingHead {
-    /// The head for recording frames of `layout`, which `source` sends, of a prepared skin. Channels are labelled where
-    /// the frames hold the protocol's channels themselves.
+    /// The head for recording a prepared skin's frames of `layout`, sent by `source`. Channels get labels if the
+    /// frames hold the protocol's channels themselves.
     pub fn of(prepared: &Prepared, layout: Layout, source: &str) -> Self {
         let mut head = Self::new(prepared.skin.to_toml(), layout, source);
         if head.layout.channels() == prepared.channels() {
@@ -72,11 +72,12 @@ impl RecordingHead {
         head
     }
 
-    /// The pipeline that the recording was made with, for the recorded skin or another one; `file` is for messages. The
-    /// recorded calibrations are used without checking their fingerprints, since the caller chose the skin.
+    /// The pipeline that the recording was made with, for the recorded skin or another one; `file` is only used in
+    /// messages. The recorded calibrations are used without checking their fingerprints, since the caller chose the
+    /// skin.
     ///
     /// # Errors
-    /// A skin that cannot be prepared or does not fit the recorded frames, calibrations that cannot be read.
+    /// The skin cannot be prepared or doesn't fit the recorded frames, or a calibration cannot be read.
     pub fn pipeline(&self, skin: Skin, file: &Path) -> Result<Pipeline, Error> {
         let calibration =
             self.calibration.as_deref().map(|text| Calibration::parse(text.as_bytes(), file)).transpose()?;
@@ -88,12 +89,11 @@ impl RecordingHead {
     }
 }
 
-/// Runs what is left of `recording` through `pipeline` and hands every result to `each`, until that breaks off, `stop`
-/// is set or the recording ends. A recording that was begun in the middle of a run begins with the baseline then in
-/// use.
+/// Runs the rest of `recording` through `pipeline` and hands every result to `each`, until `each` breaks off, `stop`
+/// is set or the recording ends. A recording started in the middle of a run begins with the baseline then in use.
 ///
 /// # Errors
-/// Frames that do not fit the pipeline, [`Error::Io`], and those of `each`.
+/// Frames don't fit the pipeline, [`Error::Io`], or an error of `each`.
 pub fn rerun<R: Read + Seek>(
     recording: &mut Recording<R>,
     pipeline: &mut Pipeline,
@@ -105,21 +105,21 @@ pub fn rerun<R: Read + Seek>(
     let progress = Driver::new(pipeline).run(&mut feed, &mut |output: &Output<'_>| each(output))?;
     let Progress { frames, missing, refused } = progress;
     let mut damage = feed.recording.damage();
-    // What was not reached is not lost.
+    // Frames that weren't reached are not lost.
     if feed.is_stopped {
         damage.frames = LostFrames::Exactly(0);
     }
     Ok(RerunReport { frames, missing, damage, refused })
 }
 
-/// Frames of a recording at their pace, and what was commanded between them.
+/// The frames of a recording at their pace, with the commands between them.
 struct RecordingFeed<'a, R> {
     recording: &'a mut Recording<R>,
     options: RerunOptions,
     stop: &'a AtomicBool,
-    /// When the first frame was run, and its time.
+    /// Start time, and the recorded time of the first frame.
     begun: Option<(Instant, u64)>,
-    /// It was told to stop before the end.
+    /// True if it was told to stop before the end.
     is_stopped: bool,
 }
 
@@ -147,7 +147,7 @@ impl<R: Read + Seek> Feed for RecordingFeed<'_, R> {
     }
 }
 
-/// What was commanded, if an event is a command that is to be followed.
+/// The command behind an event, if it is one and should be repeated.
 fn command(entry: &EventEntry, options: RerunOptions) -> Option<Command> {
     let value = *entry.values.first()?;
     match entry.event.as_str() {
@@ -159,7 +159,7 @@ fn command(entry: &EventEntry, options: RerunOptions) -> Option<Command> {
 
 /// Sleeps until a frame is due.
 fn wait(start: Instant, since_first: Duration, speed: f64, stop: &AtomicBool) {
-    // Beyond what a clock can be set to, there is no pace to keep.
+    // The due time is beyond any clock, so there is no pace to keep.
     let after = Duration::try_from_secs_f64(since_first.as_secs_f64() / speed);
     let Some(due) = after.ok().and_then(|after| start.checked_add(after)) else { return };
     while !stop.load(Ordering::Relaxed) {

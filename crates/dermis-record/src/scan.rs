@@ -1,5 +1,5 @@
-//! A first pass over a recording that looks at the frame of every record (kind, length) and passes over chunks: where
-//! the chunks are, what the metadata and the summary say, and where the file is cut off.
+//! A first pass over a recording. It looks only at the kind and length of each record and skips chunks, to find the
+//! position of the chunks, the content of metadata and summary, and the point where the file is cut off.
 //!
 //! A record is an operation code (u8), a length (u64, little-endian) and that many bytes.
 
@@ -12,46 +12,46 @@ use mcap::records::{Record, Statistics, op};
 use super::head::RECORDING;
 use super::schema;
 
-/// Longest record, and longest chunk once decompressed, that is read into memory.
+/// Longest record, and longest chunk after decompression, that is read into memory.
 pub(super) const MOST_BYTES: usize = 64 << 20;
 
-/// A run of messages outside chunks ends with the first one beyond these bytes.
+/// Close a run of messages outside chunks at the first message beyond this size.
 const RUN_BYTES: u64 = 1 << 20;
 
 /// Bytes before a record's content.
 pub(super) const PREFIX: u64 = 9;
 
-/// Where a chunk record stands, prefix included, or a run of messages outside chunks.
+/// Position of a chunk record including its prefix, or of a run of messages outside chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ChunkPlace {
     pub offset: u64,
     pub length: u64,
-    /// Messages that stand outside chunks, one after the other.
+    /// True for consecutive messages outside chunks.
     pub is_run: bool,
 }
 
-/// What the first pass found.
+/// Result of the first pass.
 #[derive(Debug, Default)]
 pub(super) struct Outline {
     pub chunks: Vec<ChunkPlace>,
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
-    /// Topics of channels that stand outside chunks: the summary's.
+    /// Topics of channels outside chunks, that is, from the summary.
     pub topics: BTreeMap<u16, String>,
     pub statistics: Option<Statistics>,
-    /// Kind and content of the records that describe schemas and channels outside chunks.
+    /// Kind and content of the records outside chunks that describe schemas and channels.
     pub descriptions: Vec<(u8, Vec<u8>)>,
-    /// The closing record was reached.
+    /// True if the closing record was reached.
     pub whole: bool,
-    /// Records outside chunks that could not be understood.
+    /// Records outside chunks that could not be parsed.
     pub bad_records: u64,
-    /// Bytes after the last whole record.
+    /// Bytes after the last complete record.
     pub bytes_cut: u64,
-    /// A chunk that is cut off: its size before compression, as it announces it.
+    /// Stated uncompressed size of a chunk that is cut off.
     pub cut_chunk_bytes: u64,
 }
 
 impl Outline {
-    /// None if `input` does not begin as an MCAP file.
+    /// `None` if `input` doesn't start like an MCAP file.
     pub(super) fn read(input: &mut (impl Read + Seek)) -> io::Result<Option<Self>> {
         let end = input.seek(SeekFrom::End(0))?;
         input.seek(SeekFrom::Start(0))?;
@@ -76,11 +76,10 @@ impl Outline {
         Ok(Some(outline))
     }
 
-    /// The outline of one patch of a body, as if it had been recorded alone. Without a patch nothing changes.
+    /// The outline of one patch of a body, as if it had been recorded by itself. Without a patch nothing changes.
     ///
     /// # Errors
-    /// A recording of a body of which no patch is named, a patch that it does not have, or one of something that is no
-    /// body.
+    /// No patch is named for a recording of a body, the named patch doesn't exist, or the recording isn't of a body.
     pub(super) fn of_patch(mut self, patch: Option<&str>) -> Result<Self, String> {
         let prefix = schema::name_of(RECORDING, Some(""));
         let patches: Vec<&str> = self.metadata.keys().filter_map(|name| name.strip_prefix(&prefix)).collect();
@@ -110,7 +109,8 @@ impl Outline {
         Ok(self)
     }
 
-    /// Takes in the record at `at`, of which `left` bytes may be there, and returns its length; none if it is cut off.
+    /// Takes in the record at `at`, of which up to `left` bytes are present, and returns its length; `None` if it is
+    /// cut off.
     fn record(&mut self, input: &mut (impl Read + Seek), at: u64, left: u64) -> io::Result<Option<u64>> {
         if left < PREFIX {
             return Ok(None);
@@ -128,7 +128,7 @@ impl Outline {
             return Ok(None);
         }
         match kind {
-            // Messages outside chunks: runs of them are read as chunks are.
+            // Messages outside chunks: runs of them are read like chunks.
             op::MESSAGE => match self.chunks.last_mut() {
                 Some(run) if run.is_run && run.offset + run.length == at && run.length < RUN_BYTES => {
                     run.length += PREFIX + length;
@@ -164,8 +164,8 @@ impl Outline {
     }
 }
 
-/// The uncompressed size in a chunk's header, third of its u64 fields, as far as it can be believed; 0 where even that
-/// is cut off.
+/// The uncompressed size in a chunk's header, the third of its u64 fields, if it is plausible; 0 if even that is cut
+/// off.
 pub(super) fn announced_size(header: &[u8]) -> u64 {
     let size = header.get(16..24).and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes);
     if size <= MOST_BYTES as u64 { size } else { 0 }

@@ -1,5 +1,6 @@
-//! Topics of a recording and the ROS 2 definitions (`ros2msg`) of what stands at them. With these in the file, readers
-//! that have never heard of dermis decode every message. Our own are the files of the ROS package in `dermis_msgs`.
+//! Topics of a recording and the ROS 2 definitions (`ros2msg`) of their messages. With these in the file, readers
+//! that know nothing of dermis can decode every message. Our own definitions are the files of the ROS package in
+//! `dermis_msgs`.
 
 /// Topics.
 pub(super) const FRAMES: &str = "/dermis/frames";
@@ -17,7 +18,7 @@ pub(super) const JOINTS: Schema =
 /// Prefix of every topic of dermis.
 const DERMIS: &str = "/dermis/";
 
-/// A topic of one patch, where the recording is of a body: `/dermis/PATCH/frames`.
+/// A topic of one patch, if the recording is of a body: `/dermis/PATCH/frames`.
 pub(super) fn topic_of(topic: &str, patch: Option<&str>) -> String {
     match (patch, topic.strip_prefix(DERMIS)) {
         (Some(patch), Some(rest)) => format!("{DERMIS}{patch}/{rest}"),
@@ -25,13 +26,13 @@ pub(super) fn topic_of(topic: &str, patch: Option<&str>) -> String {
     }
 }
 
-/// A topic as it would be called if the patch were recorded alone. Those of other patches keep their names.
+/// The topic's name if the patch were recorded by itself. Topics of other patches keep their names.
 pub(super) fn topic_alone(topic: &str, patch: Option<&str>) -> String {
     let rest = patch.and_then(|patch| topic.strip_prefix(DERMIS)?.strip_prefix(patch)?.strip_prefix('/'));
     rest.map_or_else(|| topic.to_owned(), |rest| format!("{DERMIS}{rest}"))
 }
 
-/// Name of a metadata record of one patch, where the recording is of a body: `dermis.skin/PATCH`.
+/// Name of a metadata record of one patch, if the recording is of a body: `dermis.skin/PATCH`.
 pub(super) fn name_of(name: &str, patch: Option<&str>) -> String {
     patch.map_or_else(|| name.to_owned(), |patch| format!("{name}/{patch}"))
 }
@@ -40,11 +41,11 @@ pub(super) fn name_of(name: &str, patch: Option<&str>) -> String {
 pub(super) struct Schema {
     pub(super) topic: &'static str,
     pub(super) name: &'static str,
-    /// The definition, then those of the types it is made of.
+    /// The definition, followed by those of the types it uses.
     pub(super) parts: &'static [&'static str],
 }
 
-/// What every recording has.
+/// Messages in every recording.
 pub(super) const OWN: [Schema; 4] = [
     Schema { topic: FRAMES, name: "dermis_msgs/msg/Frame", parts: &[FRAME] },
     Schema { topic: BASELINES, name: "dermis_msgs/msg/Baseline", parts: &[BASELINE] },
@@ -52,7 +53,7 @@ pub(super) const OWN: [Schema; 4] = [
     Schema { topic: EVENTS, name: "dermis_msgs/msg/Event", parts: &[EVENT] },
 ];
 
-/// What viewers draw.
+/// Messages that viewers draw.
 pub(super) const STANDARD: [Schema; 3] = [
     Schema { topic: IMAGE, name: "sensor_msgs/msg/Image", parts: &[IMAGE_OF_ROS, HEADER, TIME] },
     Schema { topic: POINTS, name: "sensor_msgs/msg/PointCloud2", parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME] },
@@ -64,7 +65,7 @@ pub(super) const STANDARD: [Schema; 3] = [
 ];
 
 impl Schema {
-    /// The text of the schema: the definition, and each further one under a heading `MSG: package/Type` that follows a
+    /// The text of the schema: the definition, then each further one under a heading `MSG: package/Type` after a
     /// line of 80 equals signs.
     pub(super) fn text(&self) -> String {
         self.parts.join(&format!("{}\n", "=".repeat(80)))

@@ -1,5 +1,5 @@
-//! The file behind one recorder, or behind those of a body's patches, which write into it in turn. It is whole once all
-//! of them have finished.
+//! The file behind one recorder, or shared by the recorders of a body's patches, which take turns writing to it. It
+//! is complete once all of them have finished.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -14,25 +14,25 @@ use super::file::Destination;
 use super::head::STOPPED;
 use crate::Error;
 
-/// Everything is handed to the operating system this often.
+/// Interval for handing everything to the operating system.
 pub(super) const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// The same once so much has come together; large enough to compress well.
+/// Amount of data that triggers this earlier; large enough to compress well.
 pub(super) const CHUNK_BYTES: usize = 1 << 20;
 
-/// The format's writer to wherever the bytes go.
+/// The format's writer, for any destination.
 pub(super) type FileWriter = Writer<NoSeek<Box<dyn Destination>>>;
 
 /// A file being written.
 pub(super) struct SharedFile {
     name: PathBuf,
-    /// None after a failure.
+    /// `None` after a failure.
     writer: Option<FileWriter>,
     message: u32,
     flushed: Instant,
-    /// Bytes of messages that the operating system does not have yet.
+    /// Bytes of messages not yet handed to the operating system.
     pending: usize,
-    /// How often it was given all of them.
+    /// Number of times that everything was handed out.
     handed_out: u64,
     /// Number of writers that haven't finished.
     writers: usize,
@@ -55,12 +55,12 @@ impl SharedFile {
         &self.name
     }
 
-    /// How often everything was handed to the operating system.
+    /// Number of times that everything was handed to the operating system.
     pub fn handed_out(&self) -> u64 {
         self.handed_out
     }
 
-    /// Writes a message; true where everything was handed out after it.
+    /// Writes a message; returns true if everything was handed out after it.
     ///
     /// # Errors
     /// [`Error::Io`]; nothing can be written after it.
@@ -72,10 +72,10 @@ impl SharedFile {
         self.flush_if_due()
     }
 
-    /// Hands out what was written, if half a second has passed since or much has come together; true where it did.
+    /// Hands out the written data if half a second has passed or enough has accumulated; returns true if it did.
     ///
     /// # Errors
-    /// As [`SharedFile::write`].
+    /// As for [`SharedFile::write`].
     pub fn flush_if_due(&mut self) -> Result<bool, Error> {
         let due = self.pending >= CHUNK_BYTES || self.flushed.elapsed() >= FLUSH_INTERVAL;
         if self.pending == 0 || !due {
@@ -88,10 +88,11 @@ impl SharedFile {
         Ok(true)
     }
 
-    /// A writer has finished; `end` says so in the file. The last writer gets the destination, to complete it.
+    /// Registers that a writer has finished and writes `end` to the file. For the last writer, returns the
+    /// destination to be completed.
     ///
     /// # Errors
-    /// As [`SharedFile::write`].
+    /// As for [`SharedFile::write`].
     pub fn finish(&mut self, end: &Metadata) -> Result<Option<Box<dyn Destination>>, Error> {
         let is_last = self.writers <= 1;
         self.attempt(|writer| {
@@ -103,10 +104,10 @@ impl SharedFile {
         Ok(if is_last { self.writer.take().map(|writer| writer.into_inner().into_inner()) } else { None })
     }
 
-    /// Runs a step; after a failure the writer is put out of use without writing anything more.
+    /// Runs a step. After a failure the writer is disabled without writing anything more.
     ///
     /// # Errors
-    /// As [`SharedFile::write`].
+    /// As for [`SharedFile::write`].
     pub fn attempt<T>(&mut self, step: impl FnOnce(&mut FileWriter) -> Result<T, McapError>) -> Result<T, Error> {
         let stopped = || Error::io(&self.name)(io::Error::other("the recording has stopped after an earlier error"));
         let writer = self.writer.as_mut().ok_or_else(stopped)?;
@@ -120,14 +121,14 @@ impl SharedFile {
     }
 }
 
-/// The file, also after a panic elsewhere: what was written stands.
+/// Locks the file, even after a panic elsewhere, since what was written remains valid.
 pub(super) fn lock(file: &Mutex<SharedFile>) -> MutexGuard<'_, SharedFile> {
     file.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A writer of recordings. Chunks are built in memory and written whole, so that a killed writer leaves no half chunk
-/// but the last. They are ended by whoever writes and not by size, so that it is known which messages are out of this
-/// process's hands.
+/// A writer of recordings. Chunks are built in memory and written complete, so that a killed writer leaves at most
+/// one half chunk, the last. Chunks are ended explicitly rather than by size, so that it is known which messages have
+/// left this process.
 pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapError> {
     let options = WriteOptions::new()
         .profile("ros2")
@@ -140,7 +141,8 @@ pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapEr
     options.create(NoSeek::new(out))
 }
 
-/// A metadata record that says why a recording stopped, as bytes: the format's own writer is of no use after an error.
+/// A metadata record with the reason why a recording stopped, as bytes, because the format's own writer is unusable
+/// after an error.
 fn stopped_note(reason: &str) -> Vec<u8> {
     let text = |out: &mut Vec<u8>, text: &str| {
         out.extend_from_slice(&(text.len() as u32).to_le_bytes());

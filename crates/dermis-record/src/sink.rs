@@ -1,5 +1,5 @@
-//! Where the results of the pipeline go. A [`Sink`] takes one [`Output`](dermis_live::output::Output) per frame and
-//! knows nothing of what stands before it; files appear under their names only when they are whole.
+//! Destinations for the results of the pipeline. A [`Sink`] takes one [`Output`](dermis_live::output::Output) per
+//! frame and knows nothing of the stages before it; files appear under their names only when complete.
 
 mod image_stack;
 mod interface;
@@ -21,7 +21,7 @@ pub(crate) mod testing {
     use dermis_touch::health::Health;
     use dermis_touch::{ContactSign, Observation, Touch, TouchEvent, TouchPhase};
 
-    /// A touch at (x, y) in millimetres with standard deviations 0.5 and 0.25 mm and an area of 100 mm^2.
+    /// A touch at (x, y) in millimetres with standard deviations of 0.5 and 0.25 mm and an area of 100 mm^2.
     pub(crate) fn touch(id: u64, phase: TouchPhase, x_mm: f64, y_mm: f64) -> Touch {
         Touch {
             id,
@@ -44,7 +44,7 @@ pub(crate) mod testing {
         }
     }
 
-    /// A frame of two channels with an image of 2 rows and 3 columns.
+    /// A frame with two channels and an image of 2 rows and 3 columns.
     pub(crate) fn output<'a>(
         sequence: u64,
         image: &'a [f32],

@@ -1,5 +1,5 @@
-//! Has the operating system put a recording on the disk every now and then, so that a loss of power costs no more than
-//! that. A thread of its own waits for the disk; who writes never does.
+//! Makes the operating system sync a recording to disk at intervals, to limit the data lost in a power failure. A
+//! separate thread waits for the disk; the writer never does.
 
 use std::io;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
@@ -7,14 +7,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Calls a synchronisation at most so often.
+/// Calls a sync function at a limited rate.
 #[derive(Debug)]
 pub(super) struct Syncer {
     interval: Duration,
     asked: Instant,
-    /// None once it ends.
+    /// `None` once it is ending.
     ask: Option<SyncSender<()>>,
-    /// What went wrong, until it is told.
+    /// The last error, until it has been reported.
     failed: Arc<Mutex<Option<io::Error>>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -25,7 +25,7 @@ impl Syncer {
         interval: Duration,
         mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
     ) -> io::Result<Self> {
-        // One more may be asked for while one is under way.
+        // One more request may wait while one is in progress.
         let (ask, asked) = sync_channel(1);
         let failed = Arc::new(Mutex::new(None));
         let told = failed.clone();
@@ -39,14 +39,14 @@ impl Syncer {
         Ok(Self { interval, asked: Instant::now(), ask: Some(ask), failed, thread: Some(thread) })
     }
 
-    /// To be called when the operating system has been given more.
+    /// Call this whenever more data has been handed to the operating system.
     ///
     /// # Errors
-    /// What the disk refused since the last call, once.
+    /// Any error of the disk since the last call; returned once.
     pub(super) fn written(&mut self) -> io::Result<()> {
         if self.asked.elapsed() >= self.interval
             && let Some(ask) = &self.ask
-            // A disk that has not finished the one before is asked at the next call.
+            // If the disk is still busy with the previous request, try again at the next call.
             && !matches!(ask.try_send(()), Err(TrySendError::Full(())))
         {
             self.asked = Instant::now();
@@ -59,7 +59,7 @@ impl Drop for Syncer {
     fn drop(&mut self) {
         self.ask = None;
         if let Some(thread) = self.thread.take() {
-            // Its panic has been printed by the runtime.
+            // The runtime has already printed its panic.
             let _ = thread.join();
         }
     }
@@ -102,7 +102,7 @@ mod tests {
             Err(io::Error::other("no space"))
         };
         let mut syncer = Syncer::spawn(Duration::ZERO, sync).unwrap();
-        // The disk hangs in the first, one more waits, and all further calls come back at once.
+        // The disk hangs in the first request, one more waits, and all further calls return at once.
         (0..1000).for_each(|_| syncer.written().unwrap());
         drop(go);
         ended.recv().unwrap();

@@ -1,4 +1,4 @@
-//! What viewers draw of a recording: the image as `sensor_msgs/Image`, the same on the skin's surface as
+//! Messages for viewers of a recording: the image as `sensor_msgs/Image`, the same on the skin's surface as
 //! `sensor_msgs/PointCloud2`, and the touches as a second point cloud.
 
 use dermis_touch::Touch;
@@ -7,21 +7,21 @@ use super::cdr::CdrWriter;
 use dermis_live::prepare::Prepared;
 use dermis_skin::Bend;
 
-/// Where the pixels of a skin are in space: x to the right, y up, z out of the skin, origin at the skin's middle.
+/// Positions of a skin's pixels in space: x to the right, y up, z out of the skin, origin at the skin's centre.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SkinView {
     frame_id: String,
     rows: usize,
     columns: usize,
-    /// Pixels on the skin and their middles, metres.
+    /// Pixels on the skin and their centres, metres.
     points: Vec<(usize, [f32; 3])>,
-    /// Radius of the cylinder that the skin is bent on, metres.
+    /// Radius of the cylinder that the skin is bent around, metres.
     bend_radius_m: Option<f64>,
     period_ns: u64,
 }
 
 impl SkinView {
-    /// Images a second that are recorded unless said otherwise.
+    /// Images recorded per second by default.
     pub const IMAGES_PER_S: f64 = 10.0;
 
     /// The view of a prepared skin, with [`Self::IMAGES_PER_S`].
@@ -35,25 +35,25 @@ impl SkinView {
         Self { frame_id, rows, columns, points, bend_radius_m, period_ns: 0 }.with_images_per_s(Self::IMAGES_PER_S)
     }
 
-    /// In the frame of this name, in place of the skin's.
+    /// Uses this frame of reference instead of the skin's.
     #[must_use]
     pub fn with_frame_id(self, frame_id: &str) -> Self {
         Self { frame_id: frame_id.to_owned(), ..self }
     }
 
-    /// At most so many images and point clouds a second; from 1e9 on, and for what is no number, every frame has one.
+    /// Limits images and point clouds to this number per second. From 1e9 on, and for NaN, every frame has one.
     #[must_use]
     pub fn with_images_per_s(self, images_per_s: f64) -> Self {
-        // Casting saturates, and makes 0 of NaN.
+        // The cast saturates, and turns NaN into 0.
         Self { period_ns: (1e9 / images_per_s) as u64, ..self }
     }
 
-    /// Least time between two images, nanoseconds.
+    /// Minimum time between two images, nanoseconds.
     pub(super) fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
-    /// Pixels of an image.
+    /// Number of pixels in an image.
     pub(super) fn pixels(&self) -> usize {
         self.rows * self.columns
     }
@@ -70,7 +70,7 @@ impl SkinView {
         cdr.bytes(4 * image.len(), |out| out.extend(image.iter().flat_map(|value| value.to_le_bytes())));
     }
 
-    /// A point for each pixel on the skin, with the image's value there.
+    /// One point for each pixel on the skin, with the image's value there.
     pub(super) fn write_points(&self, out: &mut Vec<u8>, wall_ns: u64, image: &[f32]) {
         let mut cdr = CdrWriter::new(out);
         self.header(&mut cdr, wall_ns);
@@ -83,7 +83,7 @@ impl SkinView {
         });
     }
 
-    /// A point for each touch; `force_n` is NaN without calibration.
+    /// One point for each touch; `force_n` is NaN without calibration.
     pub(super) fn write_touch_points(&self, out: &mut Vec<u8>, wall_ns: u64, touches: &[Touch]) {
         let mut cdr = CdrWriter::new(out);
         self.header(&mut cdr, wall_ns);
@@ -109,18 +109,18 @@ impl SkinView {
 
     /// `std_msgs/Header`.
     fn header(&self, cdr: &mut CdrWriter<'_>, wall_ns: u64) {
-        // The type of the standard ends in 2038.
+        // The standard's type ends in 2038.
         cdr.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
         cdr.u32((wall_ns % 1_000_000_000) as u32);
         cdr.string(&self.frame_id);
     }
 }
 
-/// `sensor_msgs/PointField` numbers of types that are four bytes long.
+/// Numbers in `sensor_msgs/PointField` of the four-byte types.
 const UINT32: u8 = 6;
 const FLOAT32: u8 = 7;
 
-/// The rest of a `PointCloud2` after its header: one row of `count` points, whose fields of four bytes `fill` appends.
+/// The rest of a `PointCloud2` after its header: one row of `count` points, whose four-byte fields `fill` appends.
 fn cloud(cdr: &mut CdrWriter<'_>, fields: &[(&str, u8)], count: usize, fill: impl FnOnce(&mut Vec<u8>)) {
     let step = 4 * fields.len();
     cdr.u32(1);
@@ -136,11 +136,12 @@ fn cloud(cdr: &mut CdrWriter<'_>, fields: &[(&str, u8)], count: usize, fill: imp
     cdr.u32(step as u32);
     cdr.u32((step * count) as u32);
     cdr.bytes(step * count, fill);
-    // is_dense: positions are all finite.
+    // is_dense: all positions are finite.
     cdr.bool(true);
 }
 
-/// A place on the sheet laid flat, in space. A bent sheet follows a cylinder whose axis runs along y behind it.
+/// Position in space of a place on the flattened sheet. A bent sheet follows a cylinder behind it whose axis runs
+/// along y.
 fn in_space([x_m, y_m]: [f64; 2], bend_radius_m: Option<f64>) -> [f32; 3] {
     let (x, z) = match bend_radius_m {
         Some(radius) => (radius * (x_m / radius).sin(), radius * ((x_m / radius).cos() - 1.0)),

@@ -1,4 +1,4 @@
-//! Writing a recording, in the thread of the caller. [`super::RecorderHandle`] puts a queue and a thread before it.
+//! Writes a recording in the caller's thread. [`super::RecorderHandle`] puts a queue and a thread in front of it.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -17,16 +17,16 @@ use super::view::SkinView;
 use super::{messages, schema};
 use crate::Error;
 
-/// What a finished recording holds.
+/// Summary of a finished recording.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct RecordingSummary {
-    /// Frames in it.
+    /// Number of frames.
     pub frames: u64,
-    /// Frames that were offered and did not fit the queue.
+    /// Frames that were offered but didn't fit into the queue.
     pub dropped: u64,
 }
 
-/// Numbers of the channels in the file.
+/// Channel numbers in the file.
 #[derive(Clone, Copy)]
 struct Channels {
     frames: u16,
@@ -35,7 +35,7 @@ struct Channels {
     events: u16,
 }
 
-/// What viewers draw, and the numbers of its channels.
+/// The view for viewers, and its channel numbers.
 struct Drawn {
     view: SkinView,
     image: u16,
@@ -45,21 +45,21 @@ struct Drawn {
 
 /// A recording being written.
 ///
-/// A recorder dropped before [`Recorder::finish`] leaves a readable file under its partial name.
+/// Dropping a recorder before [`Recorder::finish`] leaves a readable file under its partial name.
 pub struct Recorder {
     name: PathBuf,
-    /// The recorders of a body's patches share one.
+    /// Shared by the recorders of a body's patches.
     file: Arc<Mutex<SharedFile>>,
-    /// Name of the patch, where the recording is of a body.
+    /// Name of the patch, if the recording is of a body.
     patch: Option<String>,
     channels: Channels,
     readings: usize,
     drawn: Option<Drawn>,
     bytes: Vec<u8>,
     frames: u64,
-    /// Of them, those that the operating system has.
+    /// Number of them that the operating system has.
     safe_frames: u64,
-    /// How often the file had been handed out when that was last counted.
+    /// Number of hand-outs of the file when `safe_frames` was last updated.
     handed_out: u64,
 }
 
@@ -70,12 +70,12 @@ impl std::fmt::Debug for Recorder {
 }
 
 impl Recorder {
-    /// Starts a recording that will stand at `path` once finished, and until then beside it with `.partial` before the
-    /// extension. A device that stands at `path` (a pipe, a terminal) is written to directly.
+    /// Starts a recording, which appears at `path` once finished. Until then it has `.partial` before its extension.
+    /// A device at `path` (a pipe, a terminal) is written to directly.
     ///
     /// # Errors
-    /// [`Error::Io`] if either file exists (recordings are never overwritten) or none can be made there,
-    /// [`Error::Frames`] for a wrong number of labels.
+    /// [`Error::Io`] if either file exists (recordings are never overwritten) or cannot be created, [`Error::Frames`]
+    /// for a wrong number of labels.
     pub fn create(path: &Path, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
         Self::new(destination(path)?, path.to_owned(), head)
@@ -88,7 +88,7 @@ impl Recorder {
         Ok(Self::of(Arc::new(Mutex::new(SharedFile::new(name, writer))), None, channels, head.layout.channels()))
     }
 
-    /// A recorder for one patch of a body, which writes into the body's file.
+    /// A recorder for one patch of a body, which writes to the body's file.
     pub(super) fn of_patch(file: Arc<Mutex<SharedFile>>, patch: &str, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
         let channels = lock(&file).attempt(|writer| write_head(writer, head, Some(patch)))?;
@@ -102,7 +102,7 @@ impl Recorder {
         Self { name, file, patch, channels, readings, drawn, bytes, frames: 0, safe_frames: 0, handed_out: 0 }
     }
 
-    /// Also takes images, point clouds and touches as viewers draw them.
+    /// Also records images, point clouds and touches for viewers.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -124,7 +124,7 @@ impl Recorder {
         Ok(self)
     }
 
-    /// The view that images are drawn in, if any.
+    /// The view used for images, if any.
     #[must_use]
     pub fn view(&self) -> Option<&SkinView> {
         self.drawn.as_ref().map(|drawn| &drawn.view)
@@ -142,7 +142,7 @@ impl Recorder {
         self.frames
     }
 
-    /// Frames that the operating system has: those survive the end of this process.
+    /// Number of frames that the operating system has; these survive the end of this process.
     #[must_use]
     pub fn safe_frames(&self) -> u64 {
         self.safe_frames
@@ -151,8 +151,8 @@ impl Recorder {
     /// Writes a raw frame.
     ///
     /// # Errors
-    /// [`Error::Frames`] for another number of readings than the layout's, [`Error::Io`]; nothing can be written after
-    /// the latter.
+    /// [`Error::Frames`] if the number of readings differs from the layout's; [`Error::Io`], after which nothing can
+    /// be written.
     pub fn write_frame(&mut self, frame: &Frame) -> Result<(), Error> {
         let (real, imaginary) = (frame.values.len(), frame.imaginary.len());
         if real != self.readings || (imaginary != 0 && imaginary != real) {
@@ -164,7 +164,7 @@ impl Recorder {
         }
         messages::write_frame(&mut self.bytes, frame);
         self.count_safe();
-        // Counted first, for writing may hand it out at once.
+        // Count it first, because writing may hand it out at once.
         self.frames += 1;
         self.write(self.channels.frames, frame.host_wall_ns)
     }
@@ -184,7 +184,7 @@ impl Recorder {
         self.write(self.channels.baselines, wall_ns)
     }
 
-    /// Writes the touches of frame `sequence`; those that ended in it stand in `events`.
+    /// Writes the touches of frame `sequence`; those that ended in it are in `events`.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -200,16 +200,16 @@ impl Recorder {
         self.write(self.channels.touches, wall_ns)
     }
 
-    /// Writes touches that were made into a message elsewhere.
+    /// Writes touches from a message encoded elsewhere.
     pub(super) fn write_touches_message(&mut self, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
         self.write_message(self.channels.touches, wall_ns, message)
     }
 
-    /// Writes a frame's image, row-major with `NaN` outside the skin, as an image and as a point cloud. Without a view
-    /// this does nothing.
+    /// Writes a frame's image, row-major with `NaN` outside the skin, as an image and as a point cloud. Without a
+    /// view this does nothing.
     ///
     /// # Errors
-    /// [`Error::Frames`] for another number of pixels than the view's, [`Error::Io`].
+    /// [`Error::Frames`] if the number of pixels differs from the view's; [`Error::Io`].
     pub fn write_image(&mut self, wall_ns: u64, image: &[f32]) -> Result<(), Error> {
         let Some(drawn) = &self.drawn else { return Ok(()) };
         if image.len() != drawn.view.pixels() {
@@ -236,13 +236,13 @@ impl Recorder {
         self.write(drawn.touch_points, wall_ns)
     }
 
-    /// As [`Recorder::write_touch_points`], from a message made elsewhere.
+    /// Like [`Recorder::write_touch_points`], from a message encoded elsewhere.
     pub(super) fn write_touch_points_message(&mut self, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
         let Some(drawn) = &self.drawn else { return Ok(()) };
         self.write_message(drawn.touch_points, wall_ns, message)
     }
 
-    /// Writes that something happened before the next frame: in a word, for people, and the numbers that belong to it.
+    /// Writes an event that happened before the next frame: its name, a description and its numbers.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -251,7 +251,7 @@ impl Recorder {
         self.write(self.channels.events, wall_ns)
     }
 
-    /// Hands what was written to the operating system, if half a second has passed since that was last done. Writing
+    /// Hands the written data to the operating system if half a second has passed since this was last done. Writing
     /// does this by itself; call it when nothing is written for longer.
     ///
     /// # Errors
@@ -275,10 +275,10 @@ impl Recorder {
         self.safe_frames = self.frames;
     }
 
-    /// Ends the recording and gives it its final name. `dropped` frames are noted in it as missing.
+    /// Ends the recording and gives it its final name. `dropped` frames are recorded as missing.
     ///
     /// # Errors
-    /// [`Error::Io`]; what was written so far stays under the partial name.
+    /// [`Error::Io`]; data already written stay under the partial name.
     pub fn finish(mut self, dropped: u64) -> Result<RecordingSummary, Error> {
         let summary = RecordingSummary { frames: self.frames, dropped };
         let entries = [("frames", self.frames.to_string()), ("dropped", dropped.to_string())];
@@ -306,7 +306,7 @@ impl Recorder {
     }
 }
 
-/// Writes metadata, the skin and the channels, and hands them out at once: they are what a reader needs most.
+/// Writes metadata, the skin and the channels, and hands them out at once, because a reader needs them most.
 fn write_head(writer: &mut FileWriter, head: &RecordingHead, patch: Option<&str>) -> Result<Channels, McapError> {
     for mut record in head.metadata() {
         record.name = schema::name_of(&record.name, patch);

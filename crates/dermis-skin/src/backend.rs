@@ -1,4 +1,4 @@
-//! What reads a skin: instrument and protocol.
+//! The backend that reads a skin: instrument and protocol.
 
 use std::path::Path;
 
@@ -12,14 +12,14 @@ use crate::check::Checker;
 use crate::electronics::Electronics;
 use crate::error::Error;
 
-/// Most listed pairs: all that 1024 electrodes could be driven by one after the other, four times over.
+/// Maximum number of listed pairs: enough to drive 1024 electrodes one after the other, four times over.
 pub(crate) const MOST_PAIRS: usize = 4096;
 
 /// Instrument and protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Backend {
-    /// Name of the instrument, for people.
+    /// Name of the instrument, for display.
     #[serde(default)]
     pub instrument: String,
     /// Current amplitude.
@@ -27,64 +27,64 @@ pub struct Backend {
     /// Drive frequency.
     #[serde(default)]
     pub frequency_khz: Option<f64>,
-    /// Every channel by its electrodes, in order; in place of `drive` and `measure`.
+    /// Every channel by its electrodes, in order; replaces `drive` and `measure`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<ChannelList>,
-    /// Which pairs drive.
+    /// Electrode pairs that drive.
     #[serde(default = "DrivePattern::listed", skip_serializing_if = "DrivePattern::is_listed")]
     pub drive: DrivePattern,
-    /// What is read for each.
+    /// Readings taken for each drive.
     #[serde(default = "MeasurePattern::listed", skip_serializing_if = "MeasurePattern::is_listed")]
     pub measure: MeasurePattern,
-    /// Order of the readings of a drive.
+    /// Order of the readings of one drive.
     #[serde(default)]
     pub order: ReadingOrder,
-    /// Channels that touch a driven electrode.
+    /// Treatment of channels that touch a driven electrode.
     #[serde(default)]
     pub driven: DrivenChannels,
-    /// What a reading is.
+    /// Kind of value that a reading is.
     #[serde(default)]
     pub reads: Reads,
-    /// The values of a frame are differences from the untouched skin already: there is no baseline to ask for.
+    /// True if the values of a frame are already differences from the untouched skin, so no baseline is needed.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub differences: bool,
-    /// Whether electrodes and pairs are what they are said to be.
+    /// How far the electrodes and pairs given here can be trusted.
     #[serde(default, skip_serializing_if = "Wiring::is_known")]
     pub wiring: Wiring,
-    /// What the readout does to the potentials, where it is not an ideal voltmeter.
+    /// Effect of the readout on the potentials, if it is not an ideal voltmeter.
     #[serde(default)]
     pub circuit: Option<CircuitChoice>,
-    /// Frames a second, where the instrument has a rate of its own.
+    /// Frames per second, if the instrument runs at its own rate.
     #[serde(default)]
     pub frames_per_s: Option<f64>,
-    /// What is sent to an instrument of lines with every connection: what starts it after its reset, line end included.
+    /// Text sent to a line-based instrument on every connection to start it after its reset, including the line end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub send: Option<String>,
-    /// What the electronics add to a reading, for twins.
+    /// Errors that the electronics add to a reading, for twins.
     #[serde(default, skip_serializing_if = "Electronics::is_default")]
     pub electronics: Electronics,
 }
 
-/// What is known of the readout's circuit.
+/// What is known about the readout circuit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum CircuitChoice {
-    /// It is this one.
+    /// The circuit is given.
     Known(Circuit),
-    /// Only that there is one: it is found from frames of unknown touches.
+    /// There is a circuit, but it is unknown and is identified from frames of unknown touches.
     ToLearn(LearnCircuit),
 }
 
-/// The word for a circuit that is to be found.
+/// Keyword for a circuit that has to be identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum LearnCircuit {
-    /// As it stands in the file.
+    /// Written `learn` in the file.
     #[serde(rename = "learn")]
     Learn,
 }
 
 impl CircuitChoice {
-    /// The circuit, where it is known.
+    /// The circuit, if it is known.
     pub fn known(&self) -> Option<&Circuit> {
         match self {
             Self::Known(circuit) => Some(circuit),
@@ -93,8 +93,8 @@ impl CircuitChoice {
     }
 }
 
-/// A readout that loads the skin and reads a mixture of lines, see [`dermis_tomo::eit::ReadoutCircuit`]. Admittances to
-/// ground are relative to the skin's sheet conductance.
+/// A readout that loads the skin and reads a mixture of lines, see [`dermis_tomo::eit::ReadoutCircuit`]. Admittances
+/// to ground are relative to the skin's sheet conductance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Circuit {
@@ -107,7 +107,7 @@ pub struct Circuit {
 }
 
 impl Circuit {
-    /// As the forward model takes it.
+    /// The circuit in the form that the forward model takes.
     pub fn readout(&self) -> dermis_tomo::eit::ReadoutCircuit {
         use dermis_tomo::eit::{CurrentReturn, Lines, ReadoutCircuit};
         let [plus, minus, sink] = self.reading;
@@ -120,7 +120,7 @@ impl Circuit {
     }
 }
 
-/// Drive patterns; electrodes are numbered from 1.
+/// Drive patterns. Electrodes are numbered from 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DrivePattern {
@@ -136,9 +136,9 @@ pub enum DrivePattern {
     Trigonometric,
     /// Listed [sink, source].
     Pairs(Vec<[u32; 2]>),
-    /// Coils, one after the other.
+    /// Coils, one after another.
     EachCoil,
-    /// As [`Backend::channels`] lists them; no word of the file.
+    /// As listed by [`Backend::channels`]; cannot be written in the file.
     #[serde(skip)]
     Listed,
 }
@@ -153,7 +153,7 @@ impl DrivePattern {
     }
 }
 
-/// Measuring patterns; electrodes are numbered from 1.
+/// Measurement patterns. Electrodes are numbered from 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MeasurePattern {
@@ -165,13 +165,13 @@ pub enum MeasurePattern {
     Skip(usize),
     /// Pairs (j, j+L/2-1).
     PseudoPolar,
-    /// Every electrode against `mean`, `sink`, or an electrode number.
+    /// Every electrode against `mean`, `sink` or a numbered electrode.
     SingleEnded(ReferenceChoice),
     /// Listed [plus, minus].
     Pairs(Vec<[u32; 2]>),
-    /// Coils of higher number than the one that drives.
+    /// Coils with a higher number than the driving one.
     HigherCoils,
-    /// As [`Backend::channels`] lists them; no word of the file.
+    /// As listed by [`Backend::channels`]; cannot be written in the file.
     #[serde(skip)]
     Listed,
 }
@@ -205,67 +205,67 @@ pub enum ReadingOrder {
     /// By electrode number.
     #[default]
     Absolute,
-    /// From the drive pair on.
+    /// Starting from the drive pair.
     Rotating,
 }
 
-/// Channels that touch a driven electrode.
+/// Treatment of channels that touch a driven electrode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DrivenChannels {
-    /// Not among the readings.
+    /// Left out of the readings.
     #[default]
     Drop,
     /// Read like all others.
     Keep,
 }
 
-/// What a reading is.
+/// Kind of value that a reading is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reads {
     /// A signed voltage (in-phase).
     #[default]
     Signed,
-    /// A rectified voltage: the sign is the model's.
+    /// A rectified voltage; the sign comes from the model.
     Magnitude,
-    /// Real and imaginary parts: the component in phase with the baseline is used.
+    /// Real and imaginary parts; the component in phase with the baseline is used.
     Complex,
 }
 
-/// Whether electrodes and pairs are what they are said to be.
+/// How far the electrodes and pairs given in the file can be trusted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Wiring {
-    /// They are: physics predicts what a touch does.
+    /// They are correct, so physics predicts the effect of a touch.
     #[default]
     Known,
-    /// Only their number of channels is: what a touch does is learnt from pokes alone.
+    /// Only the number of channels is correct; the effect of a touch is learnt from pokes alone.
     Unknown,
 }
 
 impl Wiring {
-    /// True where physics may be relied on.
+    /// True if physics can be relied on.
     pub fn is_known(&self) -> bool {
         *self == Self::Known
     }
 }
 
 impl Backend {
-    /// Frames a second; 50 where the file gives none.
+    /// Frames per second; 50 if the file does not say.
     pub fn frame_rate_hz(&self) -> f64 {
         self.frames_per_s.unwrap_or(50.0)
     }
 
-    /// True where coils drive and read, rather than electrodes.
+    /// True if coils drive and read instead of electrodes.
     pub fn is_of_coils(&self) -> bool {
         self.drive == DrivePattern::EachCoil && self.measure == MeasurePattern::HigherCoils
     }
 
-    /// Stimulation and measurement as explicit lists, for so many electrodes or coils.
+    /// Stimulation and measurement as explicit lists, for `count` electrodes or coils.
     ///
     /// # Errors
-    /// Patterns that need another number, or name electrodes that do not exist.
+    /// Fails if a pattern needs a different count or names electrodes that do not exist.
     pub fn protocol(&self, count: usize) -> Result<Protocol, ProtocolError> {
         let amplitude_a = self.current_ma * 1e-3;
         if let Some(channels) = &self.channels {
@@ -280,7 +280,7 @@ impl Backend {
             even: false,
             got: count,
         };
-        // Electrode 0 does not exist on paper; wrapping makes it an index that is out of range and is refused as such.
+        // Numbers start at 1. A mistaken 0 wraps to an index that is out of range and is refused.
         let zero_based =
             |pairs: &[[u32; 2]]| pairs.iter().map(|p| (p[0].wrapping_sub(1), p[1].wrapping_sub(1))).collect::<Vec<_>>();
         Protocol::generate(&ProtocolSpec {
@@ -321,8 +321,8 @@ impl Backend {
         })
     }
 
-    /// Reads a list of channels from its file, looked for in `folder`. A list says all that patterns and orders say, so
-    /// those beside it are dropped.
+    /// Reads a list of channels from its file in `folder`. The list replaces all patterns and orders, so those are
+    /// dropped.
     pub(crate) fn read_channels(&mut self, file: &str, folder: Option<&Path>) -> Result<(), Error> {
         let Some(channels) = &mut self.channels else { return Ok(()) };
         channels.read(file, folder)?;
@@ -331,7 +331,7 @@ impl Backend {
         Ok(())
     }
 
-    /// `coils`: the skin has coils and elements in place of electrodes, of which there are `count`.
+    /// Checks the table. With `coils`, the skin has `count` coils with elements instead of `count` electrodes.
     pub(crate) fn check(&self, coils: bool, count: usize, checker: &Checker<'_>) -> Result<(), Error> {
         match &self.channels {
             Some(_) if coils => {

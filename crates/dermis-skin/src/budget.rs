@@ -1,6 +1,6 @@
-//! What a skin will cost before anything of it is built: bytes and operations worked out from the sizes in its file,
-//! what drives them, and the key to change. The counts are upper estimates, made to hold for what `dermis run` needs at
-//! its start: 0.9 to 2 times of it (measured on all built-in skins, and on some with grids of 16 to 160).
+//! Cost of a skin before anything is built: bytes and operations estimated from the sizes in its file, the largest
+//! contribution, and the key to change. The estimates lean high: for the startup of `dermis run` they are 0.9 to 2
+//! times the actual need (measured on all built-in skins and on some with grids of 16 to 160).
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,53 +15,52 @@ use crate::imaging::{Imaging, PriorChoice, Solve};
 use crate::layer::Layer;
 use crate::skin::{Modality, Skin};
 
-/// Memory that may be used where neither the user nor the system says: 8 GB.
+/// Memory limit when neither the user nor the system sets one: 8 GB.
 const MEMORY_BYTES: f64 = 8e9;
-/// Longest preparation without the user's consent, seconds.
+/// Longest preparation allowed without the user's consent, seconds.
 const MOST_SECONDS: f64 = 1800.0;
-/// Operations a second that every machine of this century does: dense products on one core.
+/// Operations per second that any current machine manages: dense products on one core.
 const OPERATIONS_PER_S: f64 = 4e9;
-/// Bytes of the program itself with what it always has in memory.
+/// Memory used by the program itself, bytes.
 const PROGRAM: f64 = 24e6;
-/// Jacobians that are in memory at once: itself, weighted and merged, with the prior applied to it, the operator and
-/// what it is made from, and the responses that touches are fitted with.
+/// Number of Jacobians in memory at once: the Jacobian itself, weighted and merged, with the prior applied, the
+/// operator and its inputs, and the responses used to fit touches.
 const JACOBIANS: f64 = 8.0;
-/// Matrices of the inverse problem's unknowns that are in memory at once.
+/// Number of square matrices over the inverse problem's unknowns in memory at once.
 const SYSTEMS: f64 = 3.0;
-/// Matrices of pixels x pixels that fitting spots takes: interactions, and the same in the making.
+/// Number of pixels x pixels matrices needed to fit spots: the interactions and the workspace to compute them.
 const INTERACTIONS: f64 = 2.2;
-/// Fields of every electrode on every node that are in memory at once, of the image's model and of touches'.
+/// Copies in memory at once of the fields of every electrode on every node, for the image model and the touch model.
 const FIELDS: f64 = 8.0;
-/// Bytes of a number in double precision.
+/// Bytes of a double-precision number.
 const NUMBER: f64 = 8.0;
-/// Matrices of examples x examples, or of landmarks x landmarks, that are in memory at once while a calibration is
-/// fitted.
+/// Number of matrices of examples x examples, or landmarks x landmarks, in memory at once during a calibration fit.
 const CORRELATIONS: f64 = 12.0;
-/// Of landmarks x examples, in single precision.
+/// Number of matrices of landmarks x examples, in single precision.
 const TO_LANDMARKS: f64 = 1.5;
-/// Copies of the pokes' frames, in double precision.
+/// Copies of the poke frames, in double precision.
 const POKE_FRAMES: f64 = 4.0;
-/// Bytes of a triangle and its share of the nodes: mesh, matrix, factor.
+/// Bytes per triangle, including its share of the nodes: mesh, matrix and factor.
 const TRIANGLE: f64 = 600.0;
-/// Triangles that an electrode brings besides those of the sheet.
+/// Extra triangles that each electrode adds to those of the sheet.
 const ELECTRODE_TRIANGLES: f64 = 250.0;
-/// Bytes of the factor of an element's system, and operations of its solution, for each tetrahedron of its mesh.
+/// Factorisation of an element's system: bytes, and operations to solve it, per tetrahedron of its mesh.
 const BODY_FACTOR: f64 = 6000.0;
 const BODY_OPERATIONS: f64 = 1e7;
-/// Operations that placing a triangle costs for each electrode and vertex of the outline that its size depends on.
+/// Operations to place a triangle, per electrode and outline vertex that affects its size.
 const MESHING: f64 = 400.0;
 
-/// Bytes that may be used, as the user said; 0: not said.
+/// Memory limit set by the user, bytes; 0 if unset.
 static MEMORY: AtomicU64 = AtomicU64::new(0);
 
-/// Lets preparations use so many bytes, and as long as they take.
+/// Limits preparations to `bytes` of memory and lifts the limit on their time.
 pub fn set_memory_limit(bytes: u64) {
     MEMORY.store(bytes.max(1), Ordering::Relaxed);
     dermis_tomo::memory::set_limit(bytes);
 }
 
-/// Bytes that a preparation may use: what [`set_memory_limit`] was told, or three quarters of the machine's memory, of
-/// the container's limit or of the limit on address space, whichever is least. Solvers get the same limit.
+/// Memory that a preparation may use, bytes: the value given to [`set_memory_limit`], or three quarters of the
+/// smallest of the machine's memory, the container's limit and the address space limit. Solvers get the same limit.
 pub fn memory_limit() -> u64 {
     let limit = match MEMORY.load(Ordering::Relaxed) {
         0 => (machine_bytes().map_or(MEMORY_BYTES, |bytes| 0.75 * bytes)) as u64,
@@ -79,7 +78,7 @@ fn machine_bytes() -> Option<f64> {
         let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
         Some(kilobytes * 1024.0)
     };
-    // "max" where there is no limit.
+    // Reads "max" if there is no limit.
     let container = || read("/sys/fs/cgroup/memory.max")?.trim().parse().ok();
     let process = || {
         let text = read("/proc/self/limits")?;
@@ -88,16 +87,16 @@ fn machine_bytes() -> Option<f64> {
     [machine(), container(), process()].into_iter().flatten().reduce(f64::min)
 }
 
-/// What a preparation costs.
+/// Cost of a preparation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Budget {
-    /// Bytes in memory at once.
+    /// Peak memory, bytes.
     pub bytes: f64,
     /// Seconds of work on one core.
     pub seconds: f64,
-    /// The largest part of it, for people.
+    /// The largest contribution, for display.
     pub driver: String,
-    /// The key to change, with its value and what may be done.
+    /// The key to change, with its value and the remedy.
     pub change: String,
 }
 
@@ -108,7 +107,7 @@ impl fmt::Display for Budget {
     }
 }
 
-/// One thing that costs.
+/// One contribution to the cost.
 struct Cost {
     bytes: f64,
     operations: f64,
@@ -116,7 +115,7 @@ struct Cost {
     change: String,
 }
 
-/// The sizes that everything follows from.
+/// The sizes that determine all costs.
 struct Sizes {
     pixels: f64,
     channels: f64,
@@ -131,7 +130,7 @@ impl Sizes {
         let (width, height) = (high[0] - low[0], high[1] - low[1]);
         let share = (skin.outline().area_m2() / (width * height)).clamp(0.0, 1.0);
         let grid = skin.imaging.grid as f64;
-        // Pixels are square, and as many as the grid has stand along the longer side.
+        // Pixels are square; the grid size counts those along the longer side.
         let pixels = grid * grid * (width.min(height) / width.max(height)) * share;
         let electrodes = skin.frontend.coils.as_ref().map_or(skin.frontend.electrodes.count(), |coils| coils.count());
         let electrodes = electrodes as f64;
@@ -155,8 +154,8 @@ impl Sizes {
     }
 }
 
-/// Smooth priors of a flat skin are stored as correlations along x and along y; of pixels that are bent out of the
-/// plane, and of mixtures, between all pixels.
+/// Smooth priors of a flat skin are stored as correlations along x and along y. Mixtures, and priors over pixels bent
+/// out of the plane, need correlations between all pixels.
 fn is_dense(prior: &PriorChoice, is_flat: bool) -> bool {
     match prior {
         PriorChoice::GaussianMm(_) | PriorChoice::Balanced { .. } => !is_flat,
@@ -165,14 +164,14 @@ fn is_dense(prior: &PriorChoice, is_flat: bool) -> bool {
     }
 }
 
-/// Whether touches are fitted through a membrane, which couples every pixel with every other.
+/// True if touches are fitted through a membrane, which couples every pixel to every other.
 fn fits_through_membrane(skin: &Skin) -> bool {
     let has_membrane = matches!(&skin.frontend.layer, Layer::Liquid(layer) if layer.tension_n_per_m > 0.0);
     skin.fits_touches() && has_membrane
 }
 
 impl Budget {
-    /// Of reconstructing a skin: its mesh, its forward model, its operator.
+    /// Cost of imaging a skin: its mesh, its forward model and its operator.
     pub fn of_imaging(skin: &Skin) -> Self {
         let Sizes { pixels, channels, drives, electrodes, vertices } = Sizes::of(skin);
         let Imaging { grid, elements, prior, solve, .. } = &skin.imaging;
@@ -202,7 +201,7 @@ impl Budget {
             });
             if fits_through_membrane(skin) {
                 costs.push(Cost {
-                    // Interactions of pixels, made from the fields of every pixel on every node.
+                    // Interactions of pixels, computed from the field of every pixel on every node.
                     bytes: NUMBER * pixels * (INTERACTIONS * pixels + nodes_of(triangles, electrodes)),
                     operations: pixels * pixels * (2.0 * channels.min(pixels) + 30.0),
                     driver: format!(
@@ -225,7 +224,7 @@ impl Budget {
         Self::sum(PROGRAM, costs)
     }
 
-    /// Of a twin of so many triangles away from its electrodes.
+    /// Cost of a twin with `triangles` triangles away from its electrodes.
     pub fn of_twin(skin: &Skin, triangles: f64) -> Self {
         let Sizes { electrodes, drives, vertices, .. } = Sizes::of(skin);
         let near = if skin.modality == Modality::Mit { 0.0 } else { ELECTRODE_TRIANGLES * electrodes };
@@ -238,8 +237,8 @@ impl Budget {
         Self::sum(0.0, costs)
     }
 
-    /// Of fitting a calibration to so many pokes, of which at most so many are landmarks: beside what imaging takes, 1
-    /// to 1.5 times what was measured with 1,500 to 12,000 pokes of 192 channels.
+    /// Cost of fitting a calibration to `pokes` pokes with at most `landmarks` landmarks, on top of the cost of
+    /// imaging: 1 to 1.5 times the need measured with 1,500 to 12,000 pokes of 192 channels.
     pub fn of_pokes(skin: &Skin, pokes: usize, landmarks: usize) -> Self {
         let Sizes { channels, .. } = Sizes::of(skin);
         let (all, judged) = (pokes as f64, pokes.min(landmarks) as f64);
@@ -268,10 +267,10 @@ impl Budget {
         Self { bytes, seconds: operations / OPERATIONS_PER_S, driver, change }
     }
 
-    /// Refuses what would need more than may be used.
+    /// Refuses a preparation that exceeds the limits.
     ///
     /// # Errors
-    /// [`Error::Budget`] with what drives it and what to change.
+    /// [`Error::Budget`] with the largest contribution and the key to change.
     pub fn check(&self, skin: &Skin, what: &'static str) -> Result<(), Error> {
         let limit = memory_limit() as f64;
         let is_said = MEMORY.load(Ordering::Relaxed) != 0;
@@ -306,7 +305,7 @@ fn mesh_cost(triangles: f64, electrodes: f64, vertices: f64, change: String) -> 
     }
 }
 
-/// Eddy currents in an element that is solved for the first time, by edge elements.
+/// Eddy currents in an element that has not been solved before, by edge elements.
 fn body_cost(skin: &Skin) -> Option<Cost> {
     let (element, frequency_hz) = (skin.element()?, 1e3 * skin.backend.frequency_khz?);
     if !needs_solving(&element, frequency_hz) {
@@ -327,19 +326,19 @@ fn nodes_of(triangles: f64, electrodes: f64) -> f64 {
     0.5 * triangles + electrodes
 }
 
-/// Fields of every electrode on every node, and the factor.
+/// Fields of every electrode on every node, plus the factor.
 fn fields_cost(triangles: f64, fields: f64, electrodes: f64) -> Cost {
     let nodes = nodes_of(triangles, electrodes);
     Cost {
         bytes: FIELDS * NUMBER * nodes * fields,
-        // Substitution in a factor of about 30 numbers a node and right-hand side, the factorisation itself.
+        // Substitution in a factor of about 30 numbers per node and right-hand side, plus the factorisation.
         operations: 120.0 * nodes * fields + 20.0 * nodes.powf(1.5),
         driver: format!("the fields of {fields:.0} electrodes or drives on {nodes:.0} nodes"),
         change: format!("{electrodes:.0} electrodes in frontend.electrodes, or imaging.elements: take fewer"),
     }
 }
 
-/// Bytes for people.
+/// Formats bytes for display.
 fn size(bytes: f64) -> String {
     match bytes {
         b if b >= 1e12 => format!("{:.1} TB", b / 1e12),
@@ -348,7 +347,7 @@ fn size(bytes: f64) -> String {
     }
 }
 
-/// Seconds for people.
+/// Formats seconds for display.
 fn time(seconds: f64) -> String {
     match seconds {
         s if s >= 7200.0 => format!("{:.0} h", s / 3600.0),
@@ -357,10 +356,10 @@ fn time(seconds: f64) -> String {
     }
 }
 
-/// Bytes from what a user writes: `8GB`, `512MB`, `2.5G`, or a plain number of bytes.
+/// Parses a size as users write it: `8GB`, `512MB`, `2.5G`, or a plain number of bytes.
 ///
 /// # Errors
-/// What was expected.
+/// Says what was expected.
 ///
 /// ```
 /// use dermis_skin::budget::parse_bytes;
@@ -395,7 +394,7 @@ mod tests {
         Skin::parse(&text.replace(from, to), "changed").unwrap()
     }
 
-    /// Whatever machine this runs on.
+    /// True if a budget is refused on any machine.
     fn refusal(budget: &Budget) -> bool {
         budget.bytes > 24e9 || budget.seconds > MOST_SECONDS
     }
@@ -415,13 +414,13 @@ mod tests {
         let mut skin = Skin::open("ionic-square").unwrap();
         skin.imaging.grid = 512;
         let budget = Budget::of_imaging(&skin);
-        // 262,144 pixels squared, eight bytes each.
+        // 262,144 pixels squared, at eight bytes each.
         assert!(budget.bytes > 5e11, "{budget}");
         assert!(refusal(&budget) && budget.change.contains("imaging.grid = 512"), "{budget:?}");
         assert!(budget.driver.contains("interactions"), "{budget:?}");
         let error = budget.check(&skin, "the image").unwrap_err().to_string();
         assert!(error.contains("--memory") && error.contains("imaging.grid = 512"), "{error}");
-        // Without a membrane the operator alone counts: smooth priors of a flat skin are small.
+        // Without a membrane only the operator counts: smooth priors of a flat skin are small.
         let mut gel = Skin::open("healing-square").unwrap();
         gel.imaging.grid = 512;
         assert!(Budget::of_imaging(&gel).bytes < 0.02 * budget.bytes);
@@ -431,7 +430,7 @@ mod tests {
     fn pokes_are_paid_for_by_their_landmarks() {
         let skin = Skin::open("ionic-disc").unwrap();
         let [exact, many] = [3000, 12_000].map(|pokes| Budget::of_pokes(&skin, pokes, 3000));
-        // Measured, beside 150 MB of the skin itself: 680 and 940 MB.
+        // Measured: 680 and 940 MB, on top of 150 MB for the skin itself.
         assert!((680e6..1100e6).contains(&exact.bytes), "{exact}");
         assert!((940e6..1500e6).contains(&many.bytes) && many.seconds < 120.0, "{many}");
         let endless = Budget::of_pokes(&skin, 1_000_000_000, 3000);
@@ -442,7 +441,7 @@ mod tests {
     fn nine_hundred_pads_are_told_to_need_more_than_a_laptop() {
         let skin = changed("piezo-disc", "per_side = 8", "per_side = 30");
         let budget = Budget::of_imaging(&skin);
-        // Refused or not is a matter of the machine.
+        // Refusal depends on the machine.
         assert!(budget.bytes > 10e9 && budget.seconds > 60.0, "{budget:?}");
         assert!(budget.change.contains("900 electrodes"), "{budget:?}");
     }

@@ -1,4 +1,4 @@
-//! Skins made in code: what a skin file says, in a line or two.
+//! Skins made in code, in a line or two instead of a skin file.
 
 use crate::backend::MOST_PAIRS;
 use crate::backend::{Backend, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads, Wiring};
@@ -16,11 +16,11 @@ use crate::tolerances::Tolerances;
 use crate::touch::TouchSettings;
 use crate::twin::TwinSettings;
 
-/// Fewest electrodes that stand in for unknown ones.
+/// Minimum number of electrodes that stand in for unknown ones.
 const FEWEST_STAND_INS: usize = 8;
 
 impl SheetLayer {
-    /// A gel of this thickness and conductivity that thins as it is pressed: a modulus of 100 kPa.
+    /// A gel with this thickness and conductivity that thins under pressure, with a modulus of 100 kPa.
     pub fn gel(thickness_mm: f64, conductivity_s_per_m: f64) -> Self {
         Self {
             thickness_mm,
@@ -35,8 +35,8 @@ impl SheetLayer {
 }
 
 impl Skin {
-    /// A skin of electrodes with this outline and layer, 16 of them round the rim, adjacent drive and measurement of 1
-    /// mA. [`Skin::checked`] says whether it makes sense.
+    /// A skin with electrodes and this outline and layer: 16 electrodes around the rim, adjacent drive and
+    /// measurement, 1 mA. [`Skin::checked`] checks that it makes sense.
     pub fn new(name: &str, shape: Shape, layer: Layer) -> Self {
         let polarity = layer.polarity();
         let gain = if matches!(layer, Layer::Liquid(_)) { GainMatch::Channel } else { GainMatch::Global };
@@ -82,11 +82,11 @@ impl Skin {
         skin.with_rim_electrodes(16, width_mm.min(10.0))
     }
 
-    /// A skin of which only outline and number of channels are known. Electrodes and pairs stand in for the real ones,
-    /// so that every part of dermis has something to count; what it reads is learnt from pokes.
+    /// A skin of which only the outline and the number of channels are known. Placeholder electrodes and pairs give
+    /// every part of dermis something to count; the readings are learnt from pokes.
     ///
     /// # Errors
-    /// No channels, or more than can be listed as pairs.
+    /// Fails if there are no channels, or more than can be listed as pairs.
     pub fn of_channels(name: &str, shape: Shape, channels: usize) -> Result<Self, Error> {
         if !(1..=MOST_PAIRS).contains(&channels) {
             let checker = Checker { file: name };
@@ -105,40 +105,40 @@ impl Skin {
         skin.checked()
     }
 
-    /// A rectangle, millimetres; see [`Skin::new`].
+    /// A rectangle, in millimetres; see [`Skin::new`].
     pub fn rectangle(name: &str, width_mm: f64, height_mm: f64, layer: Layer) -> Self {
         Self::new(name, Shape::Rectangle { width_mm, height_mm }, layer)
     }
 
-    /// A disc, millimetres; see [`Skin::new`].
+    /// A disc, in millimetres; see [`Skin::new`].
     pub fn disc(name: &str, diameter_mm: f64, layer: Layer) -> Self {
         Self::new(name, Shape::Disc { diameter_mm }, layer)
     }
 
-    /// A polygon, millimetres; see [`Skin::new`].
+    /// A polygon, in millimetres; see [`Skin::new`].
     pub fn polygon(name: &str, outer_mm: Vec<[f64; 2]>, holes_mm: Vec<Vec<[f64; 2]>>, layer: Layer) -> Self {
         Self::new(name, Shape::Polygon { outer_mm, holes_mm }, layer)
     }
 
-    /// With so many electrodes of this width evenly round the rim, millimetres.
+    /// Puts `count` electrodes of width `width_mm` at even distances around the rim.
     pub fn with_rim_electrodes(self, count: usize, width_mm: f64) -> Self {
         self.with_electrodes(Electrodes::Rim { count, width_mm, start_deg: None, clockwise: false })
     }
 
-    /// With these electrodes.
+    /// Replaces the electrodes.
     pub fn with_electrodes(mut self, electrodes: Electrodes) -> Self {
         self.frontend.electrodes = electrodes;
         self
     }
 
-    /// With these stimulation and measurement patterns.
+    /// Replaces the stimulation and measurement patterns.
     pub fn with_patterns(mut self, drive: DrivePattern, measure: MeasurePattern) -> Self {
         self.backend.channels = None;
         (self.backend.drive, self.backend.measure) = (drive, measure);
         self
     }
 
-    /// With these channels, in this order, electrodes numbered from 1.
+    /// Replaces the channels, in this order. Electrodes are numbered from 1.
     pub fn with_channels(mut self, channels: Vec<ListedChannel>) -> Self {
         self.backend.channels = Some(ChannelList::Listed(channels));
         (self.backend.drive, self.backend.measure) = (DrivePattern::Listed, MeasurePattern::Listed);

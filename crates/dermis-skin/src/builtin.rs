@@ -1,6 +1,6 @@
-//! The skins that come with dermis: the files of `skins/`, embedded.
+//! The built-in skins: the files of `skins/`, embedded.
 
-/// The skin that is taken where none is named.
+/// Default skin if none is named.
 pub const DEFAULT_NAME: &str = "healing-square";
 
 /// Names of the built-in skins.
@@ -21,7 +21,7 @@ pub const BUILTIN_NAMES: [&str; 14] = [
     "pyeidors-tank",
 ];
 
-/// The file of a built-in skin.
+/// The file of a built-in skin, as text.
 pub fn builtin_text(name: &str) -> Option<&'static str> {
     Some(match name {
         "healing-square" => include_str!("../skins/healing-square.toml"),
@@ -42,7 +42,7 @@ pub fn builtin_text(name: &str) -> Option<&'static str> {
     })
 }
 
-/// A file that built-in skins share, by the path that they name it with.
+/// A file shared by built-in skins, by the path that they give.
 pub(super) fn builtin_part(path: &str) -> Option<&'static str> {
     match path {
         "backends/mit-16.toml" => Some(include_str!("../skins/backends/mit-16.toml")),

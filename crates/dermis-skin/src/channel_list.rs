@@ -1,5 +1,5 @@
-//! `channels` in `[backend]`: every reading by its electrodes, in the file or in a CSV file beside it. For protocols that
-//! no drive and measuring pattern describes: any order, any mixture, pairs that read themselves.
+//! `channels` in `[backend]`: every reading by its electrodes, in the skin file or in a CSV file next to it. For
+//! protocols that no drive and measurement pattern describes: any order, any mixture, pairs that read themselves.
 
 use std::path::Path;
 
@@ -12,37 +12,37 @@ use crate::check::Checker;
 use crate::error::Error;
 use crate::parts::read_beside;
 
-/// Most channels of a list: 128 electrodes whose adjacent pairs all drive and all read.
+/// Maximum length of a list: 128 electrodes where every adjacent pair drives and every adjacent pair reads.
 pub(crate) const MOST_CHANNELS: usize = 1 << 14;
 
-/// The channels of a frame in order, electrodes numbered from 1.
+/// The channels of a frame, in order. Electrodes are numbered from 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a list of [sink, source, plus, minus] (or [a, b] for pairs that read themselves), or the path of a CSV file"
 )]
 pub enum ChannelList {
-    /// In place.
+    /// Listed in the skin file.
     Listed(Vec<ListedChannel>),
-    /// A CSV file beside the skin file, with a column for each of sink, source, plus and minus, or with two columns for
-    /// pairs that read themselves. Skins that were read hold its rows in place of its name.
+    /// A CSV file next to the skin file, with columns for sink, source, plus and minus, or two columns for pairs that
+    /// read themselves. Reading a skin replaces the name with the rows.
     File(String),
 }
 
-/// One channel of a list. Current goes in at `source` and out at `sink`; the reading is the potential of `plus` less
-/// that of `minus`.
+/// One channel of a list. Current enters at `source` and leaves at `sink`. The reading is the potential of `plus`
+/// minus the potential of `minus`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum ListedChannel {
     /// `[sink, source, plus, minus]`.
     Pairs([u32; 4]),
-    /// `[a, b]`: the pair that drives reads itself. Sink a, source b; the potential of b less that of a.
+    /// `[a, b]`: the driving pair reads itself. Sink a, source b; the reading is the potential of b minus that of a.
     Itself([u32; 2]),
     /// `[sink, source, plus, "mean"]` or `[sink, source, plus, "sink"]`: a single-ended reading.
     SingleEnded(u32, u32, u32, AgainstWord),
 }
 
-/// What a single-ended reading of a list is measured against.
+/// Reference of a single-ended reading in a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AgainstWord {
@@ -53,7 +53,7 @@ pub enum AgainstWord {
 }
 
 impl ListedChannel {
-    /// The electrodes that it names.
+    /// The electrodes that this channel names, and how many there are.
     fn electrodes(&self) -> ([u32; 4], usize) {
         match *self {
             Self::Pairs(four) => (four, 4),
@@ -62,7 +62,7 @@ impl ListedChannel {
         }
     }
 
-    /// As in a skin file.
+    /// The channel as written in a skin file.
     fn text(&self) -> String {
         match self {
             Self::Pairs([a, b, c, d]) => format!("[{a}, {b}, {c}, {d}]"),
@@ -72,9 +72,9 @@ impl ListedChannel {
         }
     }
 
-    /// The drive pair [sink, source], from 0, and the measuring pattern.
+    /// The drive pair [sink, source], counted from 0, and the measurement pattern.
     fn patterns(&self, count: usize) -> ([u32; 2], Pattern) {
-        // Electrode 0 does not exist on paper; wrapping makes it an index that is out of range and is refused as such.
+        // Numbers start at 1. A mistaken 0 wraps to an index that is out of range and is refused.
         let index = |number: u32| number.wrapping_sub(1);
         let pair = |plus, minus| Pattern::pair(index(plus), index(minus), 1.0);
         match *self {
@@ -93,7 +93,7 @@ impl ListedChannel {
 }
 
 impl ChannelList {
-    /// The channels, where they are in place.
+    /// The channels, if they are listed in place.
     pub fn channels(&self) -> &[ListedChannel] {
         match self {
             Self::Listed(channels) => channels,
@@ -101,7 +101,7 @@ impl ChannelList {
         }
     }
 
-    /// Reads the file, if the list is in one, which is looked for in `folder`.
+    /// Reads the list from its file in `folder`, if it is in one.
     pub(crate) fn read(&mut self, file: &str, folder: Option<&Path>) -> Result<(), Error> {
         let Self::File(path) = self else { return Ok(()) };
         let (text, name) = read_beside(FIELD, path, file, folder, "a list, or a CSV file beside the skin file")?;
@@ -109,7 +109,7 @@ impl ChannelList {
         Ok(())
     }
 
-    /// As explicit lists; drives in the order in which they first appear.
+    /// The protocol as explicit lists. Drives are in order of first appearance.
     pub(crate) fn protocol(&self, count: usize, amplitude_a: f64) -> Result<Protocol, ProtocolError> {
         let mut drives: Vec<[u32; 2]> = Vec::new();
         let mut known = std::collections::HashMap::new();
@@ -159,12 +159,13 @@ impl ChannelList {
     }
 }
 
-/// The key in skin files.
+/// Key in skin files.
 const FIELD: &str = "backend.channels";
 
-/// What a column of a CSV file holds.
+/// Role of each column in a CSV file.
 const ROLES: [&str; 4] = ["sink", "source", "plus", "minus"];
-/// Names of the four columns: ours, those of EIT firmware, and those of geoelectrics (A and B drive, M and N read).
+/// Names of the four columns: our own, those of EIT firmware, and those of geoelectrics (A and B drive, M and N
+/// read).
 const NAMES: [&[&str]; 4] = [
     &["sink", "snk", "drive_sink", "i_minus", "isink", "current_sink", "current_out", "i_out", "b"],
     &["source", "src", "drive_source", "i_plus", "isource", "current_source", "current_in", "i_in", "a"],
@@ -172,7 +173,7 @@ const NAMES: [&[&str]; 4] = [
     &["minus", "vn", "v_minus", "neg", "negative", "meas_minus", "measure_minus", "v_neg", "n"],
 ];
 
-/// The rows of a CSV file: whole numbers between commas, semicolons, tabs or blanks, below an optional header.
+/// Rows of a CSV file: whole numbers separated by commas, semicolons, tabs or spaces, below an optional header.
 fn parse_csv(text: &str, file: &str) -> Result<Vec<ListedChannel>, Error> {
     let refuse = |line: usize, message: String| Error::SkinFile {
         file: file.into(),
@@ -224,7 +225,7 @@ fn cells(line: &str) -> Vec<String> {
     }
 }
 
-/// Which columns hold what, from their names.
+/// The role of each column, from the header.
 fn columns_of(header: &[String]) -> Result<Vec<usize>, String> {
     if header.len() == 2 {
         return Ok(vec![0, 1]);

@@ -1,15 +1,15 @@
-//! Ranges of the numbers of a skin file: every refusal names the file, the key, the value and what was expected.
+//! Ranges of the numbers in a skin file. Every error names the file, the key, the value and the expected range.
 
 use crate::error::Error;
 
 /// Metres in a millimetre.
 pub(crate) const MM: f64 = 1e-3;
-/// Longest length that a skin file may hold, millimetres: ten metres.
+/// Maximum length in a skin file, millimetres: ten metres.
 pub(crate) const MOST_MM: f64 = 1e4;
-/// Shortest one: a micrometre.
+/// Minimum length, millimetres: one micrometre.
 pub(crate) const LEAST_MM: f64 = 1e-3;
 
-/// The file that is checked, to name it in errors.
+/// The file being checked, to name it in errors.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Checker<'a> {
     pub file: &'a str,
@@ -26,7 +26,7 @@ impl Checker<'_> {
         }
     }
 
-    /// A number within a range, ends included.
+    /// Checks that a number is within a range, ends included.
     pub fn within(&self, field: &str, value: f64, low: f64, high: f64) -> Result<(), Error> {
         if value >= low && value <= high {
             return Ok(());
@@ -34,17 +34,17 @@ impl Checker<'_> {
         Err(self.refused(field, value, format!("{} to {}", number(low), number(high))))
     }
 
-    /// A length in millimetres.
+    /// Checks a length in millimetres.
     pub fn length_mm(&self, field: &str, value: f64) -> Result<(), Error> {
         self.within(field, value, LEAST_MM, MOST_MM)
     }
 
-    /// A coordinate in millimetres.
+    /// Checks coordinates in millimetres.
     pub fn place_mm(&self, field: &str, value: &[f64]) -> Result<(), Error> {
         value.iter().try_for_each(|&v| self.within(field, v, -MOST_MM, MOST_MM))
     }
 
-    /// A whole number within a range, ends included.
+    /// Checks that a whole number is within a range, ends included.
     pub fn count(&self, field: &str, value: usize, low: usize, high: usize) -> Result<(), Error> {
         if (low..=high).contains(&value) {
             return Ok(());
@@ -64,7 +64,7 @@ mod tests {
     use crate::budget::Budget;
     use crate::{BUILTIN_NAMES, Skin};
 
-    /// What people and programs write by mistake, and what they write on purpose.
+    /// Values that people and programs write, by mistake or on purpose.
     fn hostile() -> Vec<Value> {
         let floats = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, 0.0, -0.0, 1e-300, 1e300];
         let whole = [-1, 0, i64::MAX, i64::MIN];
@@ -74,10 +74,10 @@ mod tests {
         numbers.chain(texts.map(Value::String)).chain(others).collect()
     }
 
-    /// A skin's file with a value in place of one of its own.
+    /// Builds a skin file with one value replaced.
     type Build<'a> = dyn Fn(Value) -> Value + 'a;
 
-    /// Every skin that a value in place of one of the file's makes, with the keys on the way there.
+    /// Visits every value of the file, with its key and a function that replaces it.
     fn with_each(value: &Value, key: &str, put: &mut dyn FnMut(&str, &Build<'_>)) {
         put(key, &|new| new);
         match value {
@@ -93,7 +93,7 @@ mod tests {
                 }
             }
             Value::Array(list) => {
-                // The first and the last stand for all.
+                // Test only the first and the last entry.
                 let ends = [0, list.len().saturating_sub(1)];
                 for index in ends.into_iter().take(list.len().min(2)) {
                     with_each(&list[index], key, &mut |key, build| {
@@ -117,7 +117,7 @@ mod tests {
             let text = Skin::open(name).unwrap().to_toml();
             let whole: Value = Value::Table(text.parse().unwrap());
             with_each(&whole, "", &mut |path, build| {
-                // A key that another skin has too is the same key.
+                // Skip keys already seen in another skin.
                 if !seen.insert(path.to_owned()) {
                     return;
                 }
@@ -134,7 +134,7 @@ mod tests {
                             let message = error.to_string();
                             assert!(message.starts_with("hostile.toml: "), "{path} = {value}: {message}");
                             refused += 1;
-                            // A value may also be wrong for what another key says, which is then named.
+                            // A value may clash with another key, which is then the one named.
                             named += u32::from(message.contains(key));
                         }
                     }
@@ -142,7 +142,7 @@ mod tests {
             });
         }
         assert!(refused > 1_000 && taken > 100, "{refused} refused, {taken} taken");
-        // Nine in ten do; the rest name another key, or the list that an entry stands in.
+        // Nine in ten name the key; the rest name another key, or the list that the entry is in.
         assert!(f64::from(named) > 0.85 * f64::from(refused), "{named} of {refused} refusals name the key");
     }
 }

@@ -1,5 +1,5 @@
-//! Priors and rules for lambda as people write them on a command line: `laplace`, `noser=0.5`, `0.02`,
-//! `noise-figure=0.5`, or the value as it would stand in a skin file.
+//! Priors and rules for lambda as written on a command line: `laplace`, `noser=0.5`, `0.02`, `noise-figure=0.5`, or
+//! the value as it would appear in a skin file.
 
 use std::str::FromStr;
 
@@ -14,7 +14,7 @@ struct Written<T> {
     value: T,
 }
 
-/// Understands `text` as a TOML value, as a bare word, or as `key=value`.
+/// Parses `text` as a TOML value, as a bare word, or as `key=value`.
 fn written<T: DeserializeOwned>(text: &str) -> Option<T> {
     let text = text.trim();
     let forms = [format!("value = {text}"), format!("value = \"{text}\""), format!("value = {{ {text} }}")];

@@ -1,4 +1,4 @@
-//! What a skin file says of telling damage from touch.
+//! Settings in a skin file for telling damage from touch.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,16 +10,16 @@ use crate::error::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DamageSettings {
-    /// Whether damage is watched: by the image where pressing raises the conductivity, by what stays where it lowers
-    /// it.
+    /// True to watch for damage: in the image if pressing raises the conductivity, by lasting changes if pressing
+    /// lowers it.
     pub watch: bool,
     /// Damage is suspected below minus this many standard deviations of the image's noise.
     pub begin_sigma: f64,
-    /// Drop of the image (relative conductivity change) below which nothing counts.
+    /// Minimum drop of the image (relative conductivity change) that counts as damage.
     pub smallest_depth: f64,
-    /// How long it must be seen before it is believed.
+    /// Time that damage must be visible before it is reported, seconds.
     pub confirm_s: f64,
-    /// Length of intact sheet that a healed scar is worth, by which progress of healing is told.
+    /// Length of intact sheet with the same resistance as a healed scar; used to measure the progress of healing.
     pub healed_scar_mm: f64,
 }
 

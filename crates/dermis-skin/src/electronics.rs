@@ -1,5 +1,5 @@
-//! What the electronics add to a reading: noise, converter, multiplexer. A preset by name, each number overridable.
-//! Twins read through it; hardware and recordings know nothing of it.
+//! Errors that the electronics add to a reading: noise, converter, multiplexer. A named preset; each number can be
+//! overridden. Only twins use this, not hardware or recordings.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,132 +7,133 @@ use serde::{Deserialize, Serialize};
 use crate::check::Checker;
 use crate::error::Error;
 
-/// The table `[backend.electronics]`. What is left out is the preset's.
+/// The table `[backend.electronics]`. Missing values come from the preset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Electronics {
-    /// Where the numbers come from that are not given.
+    /// Source of the numbers that are not given.
     pub preset: Preset,
-    /// Noise of a reading at 0 V: standard deviation at the skin, microvolts.
+    /// Noise of a reading at 0 V, microvolts: standard deviation, referred to the skin.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise_uv: Option<f64>,
-    /// Noise in proportion to the reading: standard deviation over the reading. 10^(-SNR/20) of an amplitude ratio in
-    /// dB.
+    /// Noise proportional to the reading: standard deviation divided by the reading. 10^(-SNR/20) for an SNR given in
+    /// dB as an amplitude ratio.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise_share: Option<f64>,
-    /// Resolution of the converter over its whole range, both signs; 0: none.
+    /// Resolution of the converter over its whole range, both signs, bits; 0 for an ideal converter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub converter_bits: Option<u32>,
-    /// Largest voltage at the skin that it converts, without further gain, millivolts.
+    /// Full scale of the converter at the skin without further gain, millivolts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub full_scale_mv: Option<f64>,
-    /// Amplifier ranges, each twice the gain of the one before; every reading takes the largest gain that it fits in.
+    /// Number of amplifier ranges, each with twice the gain of the one before. Every reading uses the largest gain
+    /// that it fits in.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_ranges: Option<u32>,
-    /// Step of the current source, microamperes; 0: none.
+    /// Step of the current source, microamperes; 0 for a continuous source.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub current_step_ua: Option<f64>,
-    /// Largest current of the source, microamperes, where it has steps.
+    /// Maximum current of the source, microamperes, if it has steps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub largest_current_ua: Option<f64>,
-    /// On-resistance of the measuring multiplexer, ohm; 0: no multiplexer.
+    /// On-resistance of the measuring multiplexer, ohm; 0 for no multiplexer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_resistance_ohm: Option<f64>,
-    /// Input resistance behind it, megohm.
+    /// Input resistance behind the multiplexer, megohm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub input_resistance_mohm: Option<f64>,
-    /// Input capacitance behind it, picofarads.
+    /// Input capacitance behind the multiplexer, picofarads.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub input_capacitance_pf: Option<f64>,
-    /// Share of the difference from each neighbour in scan order that couples into a channel.
+    /// Crosstalk: share of the difference from each neighbour in scan order that couples into a channel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<f64>,
-    /// Settling time of a channel before it is converted, microseconds.
+    /// Settling time of a channel before conversion, microseconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub settling_us: Option<f64>,
-    /// Time that a conversion takes, microseconds.
+    /// Conversion time, microseconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub conversion_us: Option<f64>,
-    /// Random walk of the gain that is common to all channels: relative deviation after one second.
+    /// Random walk of the gain common to all channels: relative deviation after one second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_per_sqrt_s: Option<f64>,
-    /// The same of each channel alone.
+    /// Random walk of each channel's own gain: relative deviation after one second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channel_drift_per_sqrt_s: Option<f64>,
-    /// Mains voltage picked up by every channel, amplitude at the skin, microvolts.
+    /// Mains voltage picked up by every channel, microvolts: amplitude at the skin.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mains_uv: Option<f64>,
-    /// Its frequency, 50 or 60 Hz.
+    /// Mains frequency, 50 or 60 Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mains_hz: Option<f64>,
 }
 
-/// Electronics by name.
+/// Named presets of electronics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
     /// Scaled to the skin: noise and converter relative to its largest resting voltage, as good as the published
-    /// instrument of that kind of layer.
+    /// instrument for that kind of layer.
     #[default]
     Auto,
-    /// Adds nothing.
+    /// Ideal electronics: adds no errors.
     Ideal,
-    /// A 14-bit converter of 125 mV at the skin, 29 uV of noise and 3e-4 of the reading: through the two ends that the
-    /// paper of the self-healing sandwich gives (22.7 dB at 0.4 mV, 67.0 dB at 87.9 mV).
+    /// A 14-bit converter with 125 mV full scale at the skin, 29 uV of noise plus 3e-4 of the reading. Fitted to the
+    /// two extremes in the paper on the self-healing sandwich (22.7 dB at 0.4 mV, 67.0 dB at 87.9 mV).
     RedPitaya,
-    /// An industrial tomograph of 16 frames of 208 channels a second, 59.7 dB as an amplitude ratio: noise of 1.03e-3
-    /// of the reading.
+    /// An industrial tomograph, 16 frames per second with 208 channels each. Its SNR of 59.7 dB, as an amplitude
+    /// ratio, is noise of 1.03e-3 of the reading.
     #[serde(rename = "wastewater-16")]
     Wastewater16,
-    /// A 64-channel multiplexer of 400 ohm, a current source of 2.6 uA steps to 40 uA, a 16-bit converter of 860
-    /// samples a second in five ranges from 4.096 V, 20 uV of noise and 1e-4 of the reading.
+    /// A 64-channel multiplexer of 400 ohm, a current source with steps of 2.6 uA up to 40 uA, a 16-bit converter at
+    /// 860 samples per second in five ranges from 4.096 V, 20 uV of noise plus 1e-4 of the reading.
     #[serde(rename = "multiplexer-64")]
     Multiplexer64,
-    /// Ranged channel by channel, 16 bits, 83 dB: the instrument of eight coils.
+    /// The eight-coil instrument: ranged channel by channel, 16 bits, 83 dB.
     #[serde(rename = "mit-8")]
     Mit8,
-    /// The same of sixteen coils, 50 dB.
+    /// The sixteen-coil instrument: the same with 50 dB.
     #[serde(rename = "mit-16")]
     Mit16,
 }
 
-/// Electronics with every number known.
+/// Electronics with every number set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ElectronicsNumbers {
-    /// Volts.
+    /// Noise at 0 V, volts.
     pub noise_v: f64,
-    /// Noise over reading.
+    /// Noise proportional to the reading.
     pub noise_share: f64,
-    /// Bits and the full scale at the skin without further gain, volts.
+    /// Bits, and full scale at the skin without further gain, volts.
     pub converter: Option<(u32, f64)>,
-    /// Ranges of doubled gain, 1 or more.
+    /// Number of ranges, each with twice the gain of the one before; at least 1.
     pub gain_ranges: u32,
-    /// Step and end of the source, amperes.
+    /// Step and maximum of the source, amperes.
     pub current_steps_a: Option<[f64; 2]>,
     /// The multiplexer.
     pub multiplexer: Option<MultiplexerNumbers>,
-    /// Settling and conversion of a channel, seconds.
+    /// Settling and conversion times of a channel, seconds.
     pub timing_s: Option<[f64; 2]>,
-    /// Random walk of the gain, common and of each channel, after one second.
+    /// Random walk of the gain after one second: common, and per channel.
     pub drift_per_sqrt_s: [f64; 2],
-    /// Amplitude (volts) and frequency (hertz) of what is picked up.
+    /// Mains pickup: amplitude (volts) and frequency (hertz).
     pub mains: Option<[f64; 2]>,
 }
 
-/// A multiplexer on the measuring side.
+/// A multiplexer on the measurement side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MultiplexerNumbers {
     /// On-resistance.
     pub on_resistance_ohm: f64,
-    /// Input resistance behind it.
+    /// Input resistance behind the multiplexer.
     pub input_resistance_ohm: f64,
-    /// Input capacitance behind it, farads.
+    /// Input capacitance behind the multiplexer, farads.
     pub input_capacitance_f: f64,
-    /// Share of the neighbours' difference that couples in.
+    /// Share of the difference from the neighbours that couples in.
     pub crosstalk: f64,
 }
 
-/// Nothing is added.
+/// Adds no errors.
 const IDEAL: ElectronicsNumbers = ElectronicsNumbers {
     noise_v: 0.0,
     noise_share: 0.0,
@@ -187,7 +188,7 @@ impl Preset {
             Self::Mit8 => ranged(83.0),
             Self::Mit16 => ranged(50.0),
             Self::Auto => {
-                // The largest channel with room for two fifths more.
+                // Headroom of 40 % above the largest channel.
                 let full_scale_v = 1.4 * largest_v;
                 match kind {
                     "liquid" => Self::Wastewater16.numbers(kind, largest_v),
@@ -211,7 +212,7 @@ impl Preset {
 }
 
 impl Electronics {
-    /// Every number, for a layer of this kind whose largest resting voltage is this.
+    /// All numbers, for a layer of this kind and its largest resting voltage.
     pub fn numbers(&self, kind: &str, largest_v: f64) -> ElectronicsNumbers {
         let mut numbers = self.preset.numbers(kind, largest_v);
         let set = |value: Option<f64>, factor: f64, into: &mut f64| {

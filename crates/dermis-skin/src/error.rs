@@ -1,30 +1,30 @@
-//! Errors of skin files: where, the key, the value, and what was expected.
+//! Errors of skin files: the place, the key, the value and what was expected.
 
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Why a skin file could not be used.
+/// Reasons why a skin file cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A skin file could not be understood; the message shows the place.
+    /// A skin file could not be parsed; the message shows the place.
     #[error("{file}: {message}")]
     SkinFile {
         /// The file, or `built-in skin NAME`.
         file: String,
-        /// What is wrong, with line and column.
+        /// The problem, with line and column.
         message: String,
     },
-    /// A skin file of an earlier version of the format.
+    /// A skin file in an earlier version of the format.
     #[error("{file}: written for an earlier version of dermis: {}; `dermis skins upgrade {file}` rewrites it", moved.join("; "))]
     OldFormat {
         /// The file.
         file: String,
-        /// Which keys have moved, and where to.
+        /// The keys that have moved, and where to.
         moved: Vec<String>,
     },
-    /// A field of a skin file holds a value that makes no sense.
+    /// A field of a skin file holds a value that is out of range or inconsistent.
     #[error("{file}: {field} = {value}: expected {expected}")]
     SkinField {
         /// The file, or `built-in skin NAME`.
@@ -33,31 +33,31 @@ pub enum Error {
         field: String,
         /// Its value.
         value: String,
-        /// What was expected.
+        /// Expected values.
         expected: String,
     },
-    /// More memory or time than may be used, known from the sizes before anything is built.
+    /// More memory or time needed than allowed, known from the sizes before anything is built.
     #[error("{skin}: {what} takes {needed}; expected at most {limit}: {change}, or allow it with --memory {memory}")]
     Budget {
         /// Name of the skin.
         skin: String,
-        /// What would be built.
+        /// The part that would be built.
         what: &'static str,
-        /// Memory and time, and what drives them.
+        /// Memory and time needed, and the largest contribution.
         needed: String,
         /// The key to change.
         change: String,
-        /// What may be used.
+        /// The limit.
         limit: String,
-        /// What would do.
+        /// Memory limit that would suffice.
         memory: String,
     },
     /// No such built-in skin and no such file.
     #[error("skin {name:?}: no file of that name and no built-in skin; built-in are {known}")]
     UnknownSkin {
-        /// What was asked for.
+        /// The name asked for.
         name: String,
-        /// The names there are.
+        /// The known names.
         known: String,
     },
     /// A file that could not be read or written.
@@ -65,10 +65,10 @@ pub enum Error {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// From the mesh.
+    /// Error from the mesh.
     #[error("mesh of {skin}: {source}")]
     Mesh {
         /// Name of the skin.
@@ -76,7 +76,7 @@ pub enum Error {
         /// The cause.
         source: dermis_tomo::mesh::MeshError,
     },
-    /// From the protocol.
+    /// Error from the protocol.
     #[error("protocol of {skin}: {source}")]
     Protocol {
         /// Name of the skin.
@@ -84,7 +84,7 @@ pub enum Error {
         /// The cause.
         source: dermis_tomo::eit::ProtocolError,
     },
-    /// From coils.
+    /// Error from coils.
     #[error("coils of {skin}: {source}")]
     Coils {
         /// Name of the skin.

@@ -1,4 +1,4 @@
-//! What is sewn on the robot: outline, layer, electrodes.
+//! The physical part of a skin on the robot: outline, layer, electrodes.
 
 mod electrodes;
 
@@ -16,30 +16,30 @@ use crate::layer::Layer;
 use crate::magnetic::{Coils, Elements};
 use crate::mesh_file::MeshFile;
 
-/// More vertices of an outline than any drawing needs.
+/// Maximum number of outline vertices, more than any drawing needs.
 const MOST_VERTICES: usize = 2000;
 
-/// What is sewn on the robot.
+/// The physical part of a skin on the robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Frontend {
-    /// Outline, laid flat.
+    /// Outline of the sheet laid flat.
     pub shape: Shape,
-    /// What the sheet is bent on; flat where left out. Positions are those of the sheet laid flat.
+    /// Surface that the sheet is bent onto; flat by default. Positions refer to the sheet laid flat.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bend: Option<Bend>,
     /// The conducting layer.
     pub layer: Layer,
-    /// Where the electrodes are.
+    /// Positions of the electrodes.
     #[serde(default, skip_serializing_if = "Electrodes::are_none")]
     pub electrodes: Electrodes,
     /// Specific contact impedance of every electrode, ohm.m^2.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub contact_impedance_ohm_m2: f64,
-    /// The coils of magnetic induction, in place of electrodes.
+    /// Coils for magnetic induction, instead of electrodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coils: Option<Coils>,
-    /// The conducting elements over the coils.
+    /// Conducting elements above the coils.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elements: Option<Elements>,
 }
@@ -48,7 +48,7 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-/// Outline of a skin, centred at the origin.
+/// Outline of a skin, centred on the origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Shape {
@@ -77,17 +77,17 @@ pub enum Shape {
         #[serde(default)]
         holes_mm: Vec<Vec<[f64; 2]>>,
     },
-    /// The rim of a flat mesh in a file, with its electrodes. Skins that were read have a polygon in its place.
+    /// The rim of a flat mesh in a file, with its electrodes. Reading a skin replaces it with a polygon.
     Mesh(MeshFile),
 }
 
-/// What a sheet is bent on, without stretching it.
+/// Surface that a sheet is bent onto without stretching.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Bend {
     /// A cylinder whose axis runs along y, behind the sheet.
     Cylinder {
-        /// Its diameter.
+        /// Diameter of the cylinder.
         diameter_mm: f64,
     },
 }
@@ -105,7 +105,7 @@ impl Shape {
                 let metres = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] * MM, p[1] * MM]).collect::<Vec<_>>();
                 Outline::Polygon { outer: metres(outer_mm), holes: holes_mm.iter().map(|h| metres(h)).collect() }
             }
-            // No skin that is checked has one.
+            // Unreachable in a checked skin.
             Shape::Mesh(_) => Outline::Disc { radius_m: MM },
         }
     }
@@ -161,7 +161,7 @@ impl Shape {
     }
 }
 
-/// A ring of three or more vertices that does not cross or touch itself.
+/// Checks a ring: three or more vertices, no crossing or touching itself.
 fn check_ring(field: &str, ring: &[[f64; 2]], checker: &Checker<'_>) -> Result<(), Error> {
     if ring.len() < 3 {
         return Err(checker.refused(field, format!("{} vertices", ring.len()), "3 or more"));
@@ -185,7 +185,7 @@ fn check_ring(field: &str, ring: &[[f64; 2]], checker: &Checker<'_>) -> Result<(
     Ok(())
 }
 
-/// Whether two segments meet.
+/// True if two segments intersect.
 fn cross(p: [f64; 2], q: [f64; 2], r: [f64; 2], s: [f64; 2]) -> bool {
     let side = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     let within =
@@ -200,7 +200,7 @@ fn cross(p: [f64; 2], q: [f64; 2], r: [f64; 2], s: [f64; 2]) -> bool {
         || (d4 == 0.0 && within(p, q, s))
 }
 
-/// Whether a point lies inside a ring, by the number of edges to its right.
+/// True if a point is inside a ring, by counting the edges to its right.
 fn contains(ring: &[[f64; 2]], p: [f64; 2]) -> bool {
     let mut inside = false;
     for k in 0..ring.len() {
@@ -213,8 +213,8 @@ fn contains(ring: &[[f64; 2]], p: [f64; 2]) -> bool {
 }
 
 impl Frontend {
-    /// How the sheet lies in space: maps between positions on the sheet laid flat, in which everything else is given,
-    /// and points in space, for drawing. Bending without stretching changes no field, see [`Surface`].
+    /// Surface of the sheet in space. Maps positions on the sheet laid flat, which everything else uses, to points in
+    /// space, for drawing. Bending without stretching changes no field, see [`Surface`].
     pub fn surface(&self) -> Surface {
         match self.bend {
             Some(Bend::Cylinder { diameter_mm }) => Surface::Cylinder { radius_m: 0.5 * diameter_mm * MM },
@@ -222,7 +222,7 @@ impl Frontend {
         }
     }
 
-    /// Reads outline and electrodes from a mesh, looked for in `folder`.
+    /// Reads the outline and electrodes from a mesh file in `folder`.
     pub(crate) fn read_mesh(&mut self, file: &str, folder: Option<&Path>) -> Result<(), Error> {
         let Shape::Mesh(mesh) = &self.shape else { return Ok(()) };
         let (shape, electrodes) = mesh.read(self.electrodes.are_none() && self.coils.is_none(), file, folder)?;

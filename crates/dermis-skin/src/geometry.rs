@@ -1,4 +1,4 @@
-//! From a skin file to its geometry, mesh and protocol.
+//! From a skin file to geometry, mesh and protocol.
 
 use dermis_mit::Element;
 use dermis_tomo::eit::Protocol;
@@ -9,7 +9,7 @@ use crate::layer::Layer;
 use crate::magnetic::Coils;
 use crate::skin::{Modality, Skin};
 
-/// A skin's geometry made concrete.
+/// A skin's geometry and mesh.
 #[derive(Clone, Debug)]
 pub struct SkinBody {
     /// Outline, metres.
@@ -26,7 +26,7 @@ impl Skin {
         self.frontend.shape.outline()
     }
 
-    /// Electrode shapes in metres, in order; of coils, their outlines.
+    /// Electrode shapes in metres, in order; outlines of the coils for a skin with coils.
     pub fn electrode_shapes(&self) -> Vec<ElectrodeShape> {
         match &self.frontend.coils {
             Some(coils) => coils.outlines(),
@@ -34,26 +34,26 @@ impl Skin {
         }
     }
 
-    /// How the sheet lies in space, see [`crate::Frontend::surface`].
+    /// Surface of the sheet in space, see [`crate::Frontend::surface`].
     pub fn surface(&self) -> Surface {
         self.frontend.surface()
     }
 
-    /// Sheet conductance of the resting skin, siemens: conductivity times thickness; of elements, their metal's
-    /// conductivity over a metre, which means nothing.
+    /// Sheet conductance of the resting skin, siemens: conductivity times thickness. For elements, the conductivity
+    /// of their metal over one metre, which has no physical meaning.
     pub fn sheet_conductance_s(&self) -> f64 {
         self.frontend.layer.conductivity_s_per_m() * self.frontend.layer.thickness_m().unwrap_or(1.0)
     }
 
-    /// The reconstruction's mesh, with electrodes.
+    /// The reconstruction mesh, with electrodes.
     ///
     /// # Errors
-    /// Shapes that cannot be meshed, electrodes that overlap or lie off the skin.
+    /// Fails if the shapes cannot be meshed, or if electrodes overlap or lie off the skin.
     pub fn body(&self) -> Result<SkinBody, Error> {
         self.body_with_elements(self.imaging.elements)
     }
 
-    /// A mesh of about so many elements, with electrodes.
+    /// A mesh of about `elements` elements, with electrodes.
     ///
     /// # Errors
     /// As [`Skin::body`].
@@ -63,7 +63,7 @@ impl Skin {
         self.body_with_electrodes(elements, electrodes, &factors)
     }
 
-    /// As [`Skin::body_with_elements`] with electrodes somewhat elsewhere, and a factor on each contact impedance.
+    /// As [`Skin::body_with_elements`], with displaced electrodes and a factor on each contact impedance.
     pub fn body_with_electrodes(
         &self,
         elements: usize,
@@ -77,8 +77,8 @@ impl Skin {
         Ok(SkinBody { outline: spec.outline, electrodes: spec.electrodes, mesh })
     }
 
-    /// A mesh of about so many elements, with electrodes and with slits along lines (both ends, metres), which bring
-    /// some more; and which of them could be slit, see [`SheetSpec::build_slit`].
+    /// A mesh of about `elements` elements with electrodes and with slits along lines (both ends, metres), which add
+    /// some elements. The flags tell which lines could be slit, see [`SheetSpec::build_slit`].
     pub fn slit_mesh(&self, elements: usize, lines: &[[[f64; 2]; 2]]) -> Result<(SlitMesh, Vec<bool>), Error> {
         let spec = self.unsized_spec(elements, self.electrode_shapes());
         let impedances: Vec<f64> = self.sheet_contact_impedances(&spec.electrodes).collect();
@@ -94,23 +94,23 @@ impl Skin {
         Error::Mesh { skin: self.name.clone(), source }
     }
 
-    /// The sheet before its elements are sized to so many.
+    /// The sheet with a first guess of the element size.
     fn unsized_spec(&self, elements: usize, electrodes: Vec<ElectrodeShape>) -> SheetSpec {
         let outline = self.outline();
         let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
         SheetSpec::new(outline, electrodes, size)
     }
 
-    /// Contact impedance of every electrode in the unit that sheet models take: ohm.m^2 for pads under the sheet; ohm.m
-    /// (the specific impedance over the height of the layer that they touch) on the rim.
+    /// Contact impedance of every electrode in the unit of the sheet model: ohm.m^2 for pads under the sheet, ohm.m
+    /// (the specific impedance divided by the height of the layer that they touch) for electrodes on the rim.
     pub fn sheet_contact_impedances(&self, electrodes: &[ElectrodeShape]) -> impl Iterator<Item = f64> {
-        // Coils touch nothing: they are in the mesh to be drawn.
+        // Coils touch nothing; they are in the mesh only so that they can be drawn.
         let impedance = |shape| if self.modality == Modality::Mit { 1.0 } else { self.sheet_contact_impedance(shape) };
         electrodes.iter().map(impedance)
     }
 
-    /// Contact impedance in the unit that the sheet model takes: ohm.m^2 for pads under the sheet; ohm.m (the specific
-    /// impedance over the thickness) for electrodes on the rim.
+    /// Contact impedance in the unit of the sheet model: ohm.m^2 for pads under the sheet, ohm.m (the specific
+    /// impedance divided by the thickness) for electrodes on the rim.
     fn sheet_contact_impedance(&self, shape: &ElectrodeShape) -> f64 {
         let specific = self.frontend.contact_impedance_ohm_m2;
         match shape {
@@ -121,8 +121,9 @@ impl Skin {
         }
     }
 
-    /// Contact impedance of every electrode, ohm: the specific one over the electrode's area, on the rim its length
-    /// times the layer's thickness. 0 for electrodes that are points; empty for coils, which have none.
+    /// Contact impedance of every electrode, ohm: the specific impedance divided by the electrode's area. The area of
+    /// a rim electrode is its length times the layer's thickness. 0 for point electrodes; empty for coils, which have
+    /// none.
     pub fn contact_impedances_ohm(&self) -> Vec<f64> {
         if self.modality == Modality::Mit {
             return Vec::new();
@@ -139,10 +140,10 @@ impl Skin {
         self.electrode_shapes().iter().map(|shape| specific / area_m2(shape)).collect()
     }
 
-    /// The grid that images of this skin live on: exactly its bounding box.
+    /// The image grid of this skin: exactly its bounding box.
     ///
     /// # Errors
-    /// An outline without extent.
+    /// Fails if the outline has no extent.
     pub fn grid(&self) -> Result<PixelGrid, Error> {
         let (low, high) = self.outline().bounds_m();
         PixelGrid::covering(low, high, self.imaging.grid)
@@ -152,13 +153,13 @@ impl Skin {
     /// Stimulation and measurement as explicit lists.
     ///
     /// # Errors
-    /// Patterns that need another number of electrodes, or name electrodes that do not exist.
+    /// Fails if a pattern needs a different number of electrodes or names electrodes that do not exist.
     pub fn protocol(&self) -> Result<Protocol, Error> {
         let count = self.frontend.coils.as_ref().map_or_else(|| self.frontend.electrodes.count(), Coils::count);
         self.backend.protocol(count).map_err(|source| Error::Protocol { skin: self.name.clone(), source })
     }
 
-    /// What each conducting element is, as far as fields go; `None` for skins without.
+    /// Electromagnetic description of each conducting element; `None` for skins without elements.
     pub fn element(&self) -> Option<Element> {
         let (Layer::Elements(layer), Some(elements)) = (&self.frontend.layer, &self.frontend.elements) else {
             return None;

@@ -1,4 +1,4 @@
-//! What a skin file says of watching its channels.
+//! Settings in a skin file for watching its channels.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,12 +10,13 @@ use crate::error::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct HealthSettings {
-    /// Whether channels are watched at all.
+    /// True to watch the channels.
     pub watch: bool,
-    /// The converter's end: readings there are saturated. Left out: known only where a channel stays there.
+    /// Full scale of the converter; readings there are saturated. If left out, saturation is detected only on a
+    /// channel that stays at full scale.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub full_scale_mv: Option<f64>,
-    /// Frames in a row without fault after which a channel is taken back.
+    /// Number of consecutive frames without a fault before a channel is used again.
     pub recover_frames: u32,
 }
 

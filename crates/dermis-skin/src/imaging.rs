@@ -1,4 +1,4 @@
-//! From difference data to images: what the file says of it.
+//! Settings in a skin file for turning difference data into images.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,27 +7,27 @@ use crate::check::Checker;
 use crate::error::Error;
 use crate::refinement::Refinement;
 
-/// From difference data to images.
+/// Settings for turning difference data into images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Imaging {
     /// Pixels along the longer side.
     pub grid: usize,
-    /// Elements of the reconstruction's mesh.
+    /// Number of elements of the reconstruction mesh.
     pub elements: usize,
-    /// What is expected of an image.
+    /// Prior of an image.
     pub prior: PriorChoice,
-    /// What images are solved for.
+    /// Unknowns that are solved for.
     pub solve: Solve,
-    /// How lambda is found.
+    /// How to choose lambda.
     pub hyperparameter: HyperparameterChoice,
-    /// How much each channel counts.
+    /// Weight of each channel.
     pub weights: WeightChoice,
-    /// What the measured baseline is matched to the model by.
+    /// How to match the measured baseline to the model.
     pub gain: GainMatch,
-    /// Which change of conductivity is shown as positive.
+    /// Sign of conductivity change shown as positive.
     pub polarity: Polarity,
-    /// Steps that refine offline images of large contrasts; live images are linear in any case.
+    /// Refinement steps for offline images of large contrasts; live images are always linear.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refinement: Option<Refinement>,
 }
@@ -48,7 +48,7 @@ impl Default for Imaging {
     }
 }
 
-/// What images are solved for.
+/// Unknowns that are solved for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Solve {
@@ -92,27 +92,27 @@ impl Default for PriorChoice {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MixturePart {
-    /// Its weight.
+    /// Weight of this part.
     pub weight: f64,
     /// The prior.
     pub prior: PriorChoice,
 }
 
-/// Hyperparameter rules by name.
+/// Rules for the hyperparameter, by name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum HyperparameterChoice {
-    /// lambda itself.
+    /// A fixed lambda.
     Number(f64),
     /// lambda^2 relative to the mean eigenvalue of the data-space matrix.
     Relative(f64),
-    /// Corner of the L-curve of the frames at hand.
+    /// Corner of the L-curve of the given frames.
     LCurve,
-    /// Generalised cross-validation on the frames at hand.
+    /// Generalised cross-validation on the given frames.
     Gcv,
     /// Noise figure for a small touch in the middle.
     NoiseFigure(f64),
-    /// Expected mean squared whitened residual of the frames at hand.
+    /// Expected mean squared whitened residual of the given frames.
     KnownNoise(f64),
 }
 
@@ -122,26 +122,26 @@ impl Default for HyperparameterChoice {
     }
 }
 
-/// How much each channel counts.
+/// Weight of each channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum WeightChoice {
-    /// All alike.
+    /// Equal weights.
     Identity,
     /// Model and instrument error as a floor plus a share of the channel: standard deviation
-    /// `sqrt((floor max|v|)^2 + (share v)^2)` of model voltages v.
+    /// `sqrt((floor max|v|)^2 + (share v)^2)` for model voltages v.
     FloorAndShare {
         /// Relative to the largest voltage.
         floor: f64,
         /// Relative to the channel's own voltage.
         share: f64,
     },
-    /// Standard deviations of the baseline frames, with the floor above.
+    /// Standard deviations of the baseline frames, with this floor.
     Measured {
         /// Relative to the largest voltage.
         floor: f64,
     },
-    /// Full covariance of the baseline frames, shrunk toward its diagonal.
+    /// Full covariance of the baseline frames, shrunk towards its diagonal.
     MeasuredFull,
     /// Disagreement of reciprocal channels in the baseline.
     Reciprocity {
@@ -156,23 +156,23 @@ impl Default for WeightChoice {
     }
 }
 
-/// What a measured baseline is matched to the model by, before differences are imaged.
+/// How to match a measured baseline to the model before differences are imaged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum GainMatch {
     /// One factor for the whole frame (unknown gain or conductivity).
     #[default]
     Global,
-    /// One factor for the whole frame, found by regression with an intercept: the instrument adds an offset, which
-    /// cancels in differences but would bend the factor.
+    /// One factor for the whole frame, from a regression with an intercept. The instrument's offset cancels in
+    /// differences but would bias the factor.
     GlobalWithOffset,
-    /// One factor a drive (drive amplitudes differ).
+    /// One factor per drive (drive amplitudes differ).
     Drive,
-    /// One factor a channel: normalised differences, v/v0 - 1.
+    /// One factor per channel: normalised differences, v/v0 - 1.
     Channel,
 }
 
-/// Which change of conductivity counts as positive in images.
+/// Sign of conductivity change that counts as positive in images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Polarity {
@@ -194,7 +194,7 @@ impl Polarity {
 }
 
 impl Imaging {
-    /// `coils`: the skin has coils and elements; `circuit`: it has a readout circuit.
+    /// Checks the table. `coils`: the skin has coils and elements; `circuit`: it has a readout circuit.
     pub(crate) fn check(&self, coils: bool, circuit: bool, checker: &Checker<'_>) -> Result<(), Error> {
         if !(4..=512).contains(&self.grid) {
             return Err(checker.refused("imaging.grid", self.grid, "4 to 512 pixels"));
@@ -214,7 +214,7 @@ impl Imaging {
         }
         match self.weights {
             WeightChoice::FloorAndShare { floor, share } => {
-                // Without a floor, a channel that reads nothing would weigh infinitely much.
+                // Without a floor, a channel that reads zero would have infinite weight.
                 checker.within("imaging.weights.floor-and-share.floor", floor, 1e-12, 1e3)?;
                 checker.within("imaging.weights.floor-and-share.share", share, 0.0, 1e3)?;
             }

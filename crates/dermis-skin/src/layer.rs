@@ -1,5 +1,5 @@
-//! What a skin's layer is made of. The kind decides the physics; each has parameters, units, defaults and sources of
-//! its own.
+//! Material of a skin's layer. The kind decides the physics; each kind has its own parameters, units, defaults and
+//! sources.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,20 +12,20 @@ use crate::imaging::Polarity;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Layer {
-    /// A bare conductor: gel, carbon, hydrogel, fabric. Pressure changes its own conductance.
+    /// A bare conductor: gel, carbon, hydrogel, fabric. Pressure changes its conductance directly.
     Sheet(SheetLayer),
-    /// A sheet under a gap and a continuous shortcut layer that touches it where pressed.
+    /// A sheet under a gap and a continuous shortcut layer that touches the sheet under pressure.
     Sandwich(SandwichLayer),
-    /// A sheet under a gap and separate patches of a good conductor that touch it where pressed.
+    /// A sheet under a gap and separate, highly conductive patches that touch the sheet under pressure.
     Patches(PatchesLayer),
     /// A liquid in a tray, under a membrane or open. Pressing makes it shallower.
     Liquid(LiquidLayer),
-    /// Conductors on sponge or springs over coils.
+    /// Conductors on sponge or springs above coils.
     Elements(ElementsLayer),
 }
 
-/// A bare conductor. Under a pressure p its local conductance is multiplied by `exp(c p - G p / E)`: c the pressure
-/// coefficient, G the gauge factor, p/E the compressive strain of a thin layer that cannot spread sideways.
+/// A bare conductor. A pressure p multiplies the local conductance by `exp(c p - G p / E)`, with the pressure
+/// coefficient c, the gauge factor G, and p/E, the compressive strain of a thin layer that cannot spread sideways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SheetLayer {
@@ -33,21 +33,21 @@ pub struct SheetLayer {
     pub thickness_mm: f64,
     /// Conductivity at rest.
     pub conductivity_s_per_m: f64,
-    /// c: relative change of conductance with pressure, percent per kilopascal; above 0 where pressing makes the
+    /// c: relative change of conductance with pressure, percent per kilopascal. Positive if pressing makes the
     /// material conduct better (carbon-filled foam).
     #[serde(default)]
     pub pressure_percent_per_kpa: f64,
-    /// G: relative fall of conductance per compressive strain. 1 where conductance follows the thickness.
+    /// G: relative drop of conductance per compressive strain; 1 if conductance is proportional to thickness.
     #[serde(default = "one")]
     pub gauge_factor: f64,
     /// E: compressive modulus of the layer. Gelatin and hydrogels: 10 to 100 kPa.
     #[serde(default = "hundred")]
     pub modulus_kpa: f64,
-    /// Distance over which pressure spreads on its way into the layer: standard deviation of a Gaussian. Left out: half
-    /// the thickness, 0.5 mm at least.
+    /// Distance over which pressure spreads on its way into the layer: standard deviation of a Gaussian. Default:
+    /// half the thickness, at least 0.5 mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub smoothing_mm: Option<f64>,
-    /// Viscoelastic memory, where wanted.
+    /// Viscoelastic memory, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<Memory>,
 }
@@ -58,20 +58,20 @@ pub struct SheetLayer {
 pub struct SandwichLayer {
     /// Thickness of the sensing sheet.
     pub thickness_mm: f64,
-    /// Its conductivity at rest.
+    /// Conductivity at rest.
     pub conductivity_s_per_m: f64,
-    /// Sheet conductance of the shortcut layer, which covers the whole skin; at least 100 times the sheet's. Default:
-    /// 35 um of copper at 5.8e7 S/m.
+    /// Sheet conductance of the shortcut layer, which covers the whole skin; at least 100 times that of the sheet.
+    /// Default: 35 um of copper at 5.8e7 S/m.
     #[serde(default = "SandwichLayer::copper_s")]
     pub shortcut_s: f64,
-    /// Contact of the two.
+    /// Contact between sheet and shortcut.
     #[serde(default = "ContactLaw::sandwich")]
     pub contact: ContactLaw,
-    /// Distance over which pressure spreads on its way to the gap: standard deviation of a Gaussian. Default: 1 mm of
-    /// composite and half a millimetre of gap.
+    /// Distance over which pressure spreads on its way to the gap: standard deviation of a Gaussian. Default: through
+    /// 1 mm of composite and half a millimetre of gap.
     #[serde(default = "SandwichLayer::smoothing")]
     pub smoothing_mm: f64,
-    /// Viscoelastic memory, where wanted.
+    /// Viscoelastic memory, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<Memory>,
 }
@@ -82,30 +82,31 @@ pub struct SandwichLayer {
 pub struct PatchesLayer {
     /// Thickness of the sensing sheet.
     pub thickness_mm: f64,
-    /// Its conductivity at rest.
+    /// Conductivity at rest.
     pub conductivity_s_per_m: f64,
-    /// From the middle of a square patch to the next, along x and y. Default 10 (assumed; the paper gives none).
+    /// Distance between the centres of neighbouring square patches along x and y. Default 10 (assumed; not in the
+    /// paper).
     #[serde(default = "PatchesLayer::pitch")]
     pub pitch_mm: f64,
     /// Bare sheet between neighbouring patches. Default 1 (assumed).
     #[serde(default = "one")]
     pub gap_mm: f64,
-    /// Contact cells along the side of a patch, of the twin's discretisation.
+    /// Number of contact cells along the side of a patch in the twin's discretisation.
     #[serde(default = "PatchesLayer::cells")]
     pub cells_per_side: usize,
-    /// Contact of sheet and patches.
+    /// Contact between sheet and patches.
     #[serde(default = "ContactLaw::patches")]
     pub contact: ContactLaw,
-    /// Distance over which pressure spreads through the backing: standard deviation of a Gaussian. Default: evenly over
-    /// 5.5 mm of neoprene to either side, 5.5 / sqrt(3).
+    /// Distance over which pressure spreads through the backing: standard deviation of a Gaussian. Default: 5.5 /
+    /// sqrt(3), a uniform spread over 5.5 mm of neoprene to either side.
     #[serde(default = "PatchesLayer::smoothing")]
     pub smoothing_mm: f64,
-    /// Viscoelastic memory, where wanted.
+    /// Viscoelastic memory, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<Memory>,
 }
 
-/// A liquid in a tray, closed and full under a stretched membrane, or open (the liquid skins of ionic).
+/// A liquid in a tray: enclosed and full under a stretched membrane, or open (the liquid skins of ionic).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LiquidLayer {
@@ -116,61 +117,61 @@ pub struct LiquidLayer {
     /// Density. Default: water.
     #[serde(default = "LiquidLayer::density")]
     pub density_kg_per_m3: f64,
-    /// Tension of the membrane; 0 is an open tank, into which things are dipped. Default 60, fitted to the published
+    /// Tension of the membrane; 0 for an open tank that objects are dipped into. Default 60, fitted to the published
     /// skin.
     #[serde(default = "LiquidLayer::tension")]
     pub tension_n_per_m: f64,
-    /// Gravity in the skin's frame, z out of the skin. Default: flat, face up.
+    /// Gravity in the skin's frame, z pointing out of the skin. Default: flat, face up.
     #[serde(default = "LiquidLayer::gravity")]
     pub gravity_m_per_s2: [f64; 3],
-    /// Height of electrodes on the wall; left out: the depth. Current enters over this height.
+    /// Height of the electrodes on the wall, over which current enters. Default: the depth.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub electrode_height_mm: Option<f64>,
     /// Distance over which pressure spreads through the membrane: standard deviation of a Gaussian.
     #[serde(default = "LiquidLayer::smoothing")]
     pub smoothing_mm: f64,
-    /// Holes in the outline have walls, which hold the membrane. Without them a liquid cannot have holes.
+    /// True if holes in the outline have walls that hold the membrane. A liquid without such walls cannot have holes.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hole_walls: bool,
-    /// Viscoelastic memory of the membrane, where wanted.
+    /// Viscoelastic memory of the membrane, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<Memory>,
 }
 
-/// Conductors on sponge or springs over coils (the EM-skins). Where they stand and what they are is in
-/// `frontend.elements`.
+/// Conductors on sponge or springs above coils (the EM-skins). Their positions and shapes are in `frontend.elements`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ElementsLayer {
     /// Conductivity of the elements' metal.
     pub conductivity_s_per_m: f64,
-    /// Its permeability over that of vacuum.
+    /// Relative permeability of the metal.
     #[serde(default = "one")]
     pub relative_permeability: f64,
     /// Stiffness of each spring at rest.
     pub stiffness_n_per_m: f64,
-    /// How suddenly springs stiffen towards the end of their travel: 1 from the start, larger later.
+    /// Sharpness of stiffening towards the end of travel: 1 stiffens from the start, larger values stiffen later and
+    /// more abruptly.
     #[serde(default = "ElementsLayer::sharpness")]
     pub sharpness: f64,
-    /// Stiffness between neighbours, as of a common sponge; 0 for springs that stand alone.
+    /// Stiffness between neighbours, for instance through a common sponge; 0 for independent springs.
     #[serde(default)]
     pub coupling_n_per_m: f64,
-    /// Scatter of the elements' heights, a standard deviation; whoever reconstructs does not know it.
+    /// Standard deviation of the elements' heights; unknown to the reconstruction.
     #[serde(default = "ElementsLayer::tolerance")]
     pub height_tolerance_mm: f64,
-    /// Viscoelastic memory, where wanted.
+    /// Viscoelastic memory, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory: Option<Memory>,
 }
 
-/// Contact conductance per area against pressure: 0 up to the threshold, then `g_max x / (1 + x)` with
+/// Contact conductance per area as a function of pressure: 0 up to the threshold, then `g_max x / (1 + x)` with
 /// `x = ((p - p_t) / p_ref)^n`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ContactLaw {
     /// p_t: pressure that closes the gap.
     pub threshold_kpa: f64,
-    /// p_ref: pressure above the threshold that brings half of the saturated conductance.
+    /// p_ref: pressure above the threshold at half the saturated conductance.
     pub reference_kpa: f64,
     /// n: exponent of the power law.
     pub exponent: f64,
@@ -178,13 +179,13 @@ pub struct ContactLaw {
     pub saturation_s_per_m2: f64,
 }
 
-/// First-order viscoelastic memory: the share acts late, with the time constant (standard linear solid).
+/// First-order viscoelastic memory (standard linear solid): a share of the pressure acts with this time constant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Memory {
-    /// Share of the pressure that acts late, 0 to 1.
+    /// Share of the pressure that acts with a delay, 0 to 1.
     pub share: f64,
-    /// Its time constant.
+    /// Time constant of the delay.
     pub time_constant_s: f64,
 }
 
@@ -197,7 +198,7 @@ fn hundred() -> f64 {
 }
 
 impl Layer {
-    /// The word that names the kind in the file.
+    /// Keyword for the kind in the file.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Sheet(_) => "sheet",
@@ -220,7 +221,7 @@ impl Layer {
         Some(mm * 1e-3)
     }
 
-    /// Conductivity at rest, S/m; of elements, their metal's.
+    /// Conductivity at rest, S/m; for elements, the conductivity of their metal.
     pub fn conductivity_s_per_m(&self) -> f64 {
         match self {
             Self::Sheet(layer) => layer.conductivity_s_per_m,
@@ -231,7 +232,7 @@ impl Layer {
         }
     }
 
-    /// Height of the layer over which electrodes on the rim touch it, metres; `None` for elements.
+    /// Height over which electrodes on the rim touch the layer, metres; `None` for elements.
     pub fn rim_height_m(&self) -> Option<f64> {
         match self {
             Self::Liquid(layer) => Some(layer.electrode_height_mm.unwrap_or(layer.depth_mm) * 1e-3),
@@ -239,12 +240,12 @@ impl Layer {
         }
     }
 
-    /// True of a liquid without a membrane: a tank that things are dipped into.
+    /// True for a liquid without a membrane: a tank that objects are dipped into.
     pub fn is_open_tank(&self) -> bool {
         matches!(self, Self::Liquid(layer) if layer.tension_n_per_m == 0.0)
     }
 
-    /// Which change of conductivity a touch makes, where the file does not say.
+    /// Sign of the conductivity change under a touch, used if the file does not set it.
     pub fn polarity(&self) -> Polarity {
         match self {
             Self::Sheet(layer) if layer.response_per_kpa() < 0.0 => Polarity::LowersConductivity,
@@ -292,7 +293,7 @@ impl Layer {
             Self::Liquid(layer) => {
                 checker.within(&key("depth_mm"), layer.depth_mm, 1e-2, 1e4)?;
                 checker.within(&key("density_kg_per_m3"), layer.density_kg_per_m3, 1.0, 1e5)?;
-                // A membrane with hardly any tension is neither a membrane nor an open tank.
+                // A membrane with almost no tension is neither a membrane nor an open tank.
                 if layer.tension_n_per_m != 0.0 && !(1e-3..=1e6).contains(&layer.tension_n_per_m) {
                     let expected = "0 for an open tank, or 0.001 to 1e6";
                     return Err(checker.refused(&key("tension_n_per_m"), layer.tension_n_per_m, expected));
@@ -322,7 +323,7 @@ impl Layer {
 }
 
 impl SheetLayer {
-    /// Relative change of conductance with pressure, for small pressures, 1/kPa.
+    /// Relative change of conductance with pressure for small pressures, 1/kPa.
     pub fn response_per_kpa(&self) -> f64 {
         0.01 * self.pressure_percent_per_kpa - self.gauge_factor / self.modulus_kpa
     }
@@ -381,13 +382,13 @@ impl ElementsLayer {
 }
 
 impl ContactLaw {
-    /// Assumed, not fitted: it puts the 80 kPa of the published presses at about 60 % of saturation, where current
-    /// turns into the copper within 2.4 mm of an indenter's edge.
+    /// Assumed, not fitted: the 80 kPa of the published presses then reach about 60 % of saturation, and current
+    /// crosses into the copper within 2.4 mm of the indenter's edge.
     fn sandwich() -> Self {
         Self { threshold_kpa: 3.0, reference_kpa: 60.0, exponent: 1.5, saturation_s_per_m2: 1500.0 }
     }
 
-    /// The reference pressure is fitted to the published limit of detection of 83 Pa; the others are assumed.
+    /// The reference pressure is fitted to the published limit of detection of 83 Pa; the other values are assumed.
     fn patches() -> Self {
         Self { threshold_kpa: 0.05, reference_kpa: 0.888, exponent: 1.5, saturation_s_per_m2: 200.0 }
     }

@@ -1,7 +1,8 @@
-//! What a tactile skin is: its file, checked, and its geometry as meshes. Nothing is solved here.
+//! Description of a tactile skin: its file, validated, and its geometry as meshes. Nothing is solved here.
 //!
-//! A skin file is TOML with units in every key: what is sewn on the robot ([`Frontend`]), what reads it ([`Backend`]),
-//! and how images and touches are made of it. Unknown keys and numbers out of range are errors that show their place.
+//! A skin file is TOML with a unit in every key. It describes the part on the robot ([`Frontend`]), the instrument
+//! ([`Backend`]), and how images and touches are computed. Unknown keys and numbers out of range are errors that show
+//! their place.
 //!
 //! ```
 //! use dermis_skin::{Layer, SheetLayer, Skin};

@@ -1,4 +1,4 @@
-//! Coils and conducting elements of a skin of magnetic induction: what the file says of them.
+//! Coils and conducting elements of a magnetic induction skin, as given in the file.
 
 use dermis_mit::{CoilArray, CoilGrid, CoilShape, CoilSpec, Conductor, ElementShape, MitError};
 use dermis_tomo::mesh::{ElectrodeShape, Outline};
@@ -9,62 +9,62 @@ use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::pair::Pair;
 
-/// Most elements of a skin.
+/// Maximum number of elements in a skin.
 const MOST_ELEMENTS: usize = 1024;
-/// Most coils of a skin.
+/// Maximum number of coils in a skin.
 const MOST_COILS: usize = 64;
-/// Least and largest self inductance of a coil, microhenries: a millimetre of wire has about a thousandth of one, and a
-/// coil of 10,000 turns a metre wide has some hundred henries.
+/// Minimum and maximum self inductance of a coil, microhenries. A millimetre of wire has about a thousandth of one; a
+/// coil of 10,000 turns one metre wide has some hundred henries.
 const INDUCTANCE_UH: [f64; 2] = [1e-3, 1e9];
 
-/// Coils of a skin, all alike.
+/// The coils of a skin, all identical.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Coils {
-    /// Where they are; numbered in this order.
+    /// Positions, which also define the numbering.
     pub places: CoilPlaces,
-    /// Outline of their turns.
+    /// Outline of the turns.
     pub shape: Winding,
-    /// Clear width inside: diameter of round coils, side of square ones.
+    /// Inner width: diameter for round coils, side for square ones.
     pub inner_mm: f64,
-    /// Width outside.
+    /// Outer width.
     pub outer_mm: f64,
-    /// All turns together.
+    /// Total number of turns.
     pub turns: usize,
-    /// Layers one over another; the turns are a multiple of it.
+    /// Number of stacked layers; the number of turns must be a multiple of it.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub layers: usize,
-    /// Distance of neighbouring layers.
+    /// Distance between neighbouring layers.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub layer_pitch_mm: f64,
-    /// What carries the current. Default: wire that fills 80 % of the turns' distance.
+    /// The conductor. Default: wire that fills 80 % of the distance between turns.
     #[serde(default, skip_serializing_if = "CoilConductor::is_default")]
     pub conductor: CoilConductor,
-    /// Measured self inductance, to which the fields are scaled; left out: what the geometry gives.
+    /// Measured self inductance, to which the fields are scaled. Default: computed from the geometry.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inductance_uh: Option<f64>,
-    /// Height of a conducting plate beneath, as a shield or the robot's arm; below 0.
+    /// Height of a conducting plate underneath, such as a shield or the robot's arm; negative.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shield_mm: Option<f64>,
 }
 
-/// Where coils are.
+/// Positions of coils.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum CoilPlaces {
-    /// On a grid round the skin's middle, row by row from the bottom left.
+    /// On a grid around the skin's middle, row by row from the bottom left.
     Grid {
         /// Rows.
         rows: usize,
-        /// Coils in a row.
+        /// Number of coils in a row.
         columns: usize,
-        /// Distance of neighbours, one number or [along x, along y].
+        /// Distance between neighbours, one number or [along x, along y].
         pitch_mm: Pair<f64>,
-        /// Numbers of places that stay empty, counted from 1 over all places.
+        /// Numbers of the grid positions that stay empty, counted from 1 over all positions.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         left_out: Vec<usize>,
     },
-    /// Listed: [x, y, z] of each middle; z 0 is the plane that heights are counted from.
+    /// Explicit list: [x, y, z] of each centre. Heights are counted from the plane z = 0.
     List(Vec<[f64; 3]>),
 }
 
@@ -78,22 +78,22 @@ pub enum Winding {
     Square,
 }
 
-/// What carries the current of a coil.
+/// Conductor of a coil.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum CoilConductor {
-    /// Round wire whose diameter is this share of the distance of neighbouring turns.
+    /// Round wire whose diameter is this share of the distance between neighbouring turns.
     PitchShare(f64),
     /// Round wire.
     Wire {
-        /// Its diameter without insulation.
+        /// Wire diameter without insulation.
         diameter_mm: f64,
     },
-    /// A track, as on a circuit board.
+    /// A track on a circuit board.
     Track {
-        /// Its width.
+        /// Width of the track.
         width_mm: f64,
-        /// Its thickness.
+        /// Thickness of the track.
         thickness_mm: f64,
     },
 }
@@ -110,38 +110,38 @@ impl CoilConductor {
     }
 }
 
-/// Conducting elements that a touch moves toward the coils.
+/// Conducting elements that a touch moves towards the coils.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Elements {
-    /// Where they are; numbered in this order.
+    /// Positions, which also define the numbering.
     pub places: ElementPlaces,
-    /// Height of their middles over the coils' at rest.
+    /// Height of their centres above the coils at rest.
     pub rest_mm: f64,
     /// Travel when fully pressed: image value 1.
     pub travel_mm: f64,
-    /// What they are.
+    /// Shape of each element.
     pub shape: ElementShape,
 }
 
-/// Where elements are.
+/// Positions of elements.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ElementPlaces {
-    /// On a grid round the skin's middle, row by row from the bottom left.
+    /// On a grid around the skin's middle, row by row from the bottom left.
     Grid {
         /// Rows.
         rows: usize,
-        /// Elements in a row.
+        /// Number of elements in a row.
         columns: usize,
-        /// Distance of neighbours, one number or [along x, along y].
+        /// Distance between neighbours, one number or [along x, along y].
         pitch_mm: Pair<f64>,
     },
-    /// Listed.
+    /// Explicit list.
     List {
-        /// [x, y] of each middle.
+        /// Centre [x, y] of each element.
         at_mm: Vec<[f64; 2]>,
-        /// Width and height of the cell that each carries: what presses on the cell presses the element.
+        /// Width and height of the cell around each element; pressure on the cell presses the element.
         cell_mm: Pair<f64>,
     },
 }
@@ -159,7 +159,7 @@ fn is_zero(value: &f64) -> bool {
 }
 
 impl Coils {
-    /// What one of them is.
+    /// The specification of one coil.
     pub fn spec(&self) -> CoilSpec {
         CoilSpec {
             shape: match self.shape {
@@ -182,10 +182,10 @@ impl Coils {
         }
     }
 
-    /// Middles, metres, in order.
+    /// Centres, metres, in order.
     ///
     /// # Errors
-    /// Places left out that do not exist.
+    /// Fails if a position to leave out does not exist.
     pub fn places_m(&self) -> Result<Vec<[f64; 3]>, MitError> {
         match &self.places {
             CoilPlaces::Grid { rows, columns, pitch_mm, left_out } => CoilGrid {
@@ -199,10 +199,10 @@ impl Coils {
         }
     }
 
-    /// The array over its shield.
+    /// The coil array above its shield.
     ///
     /// # Errors
-    /// Coils that reach into each other or into the shield, windings that do not fit.
+    /// Fails if coils overlap each other or the shield, or if a winding does not fit.
     pub fn array(&self) -> Result<CoilArray, MitError> {
         let array = CoilArray::new(&self.spec(), &self.places_m()?)?;
         match self.shield_mm {
@@ -211,7 +211,7 @@ impl Coils {
         }
     }
 
-    /// Their number.
+    /// Number of coils.
     pub fn count(&self) -> usize {
         match &self.places {
             CoilPlaces::Grid { rows, columns, left_out, .. } => {
@@ -221,7 +221,7 @@ impl Coils {
         }
     }
 
-    /// Outlines of the coils, for drawing; none where their places make no sense.
+    /// Outlines of the coils, for drawing; empty if their positions are invalid.
     pub fn outlines(&self) -> Vec<ElectrodeShape> {
         let width_m = self.outer_mm * MM;
         let outline = |place: &[f64; 3]| {
@@ -271,11 +271,11 @@ impl Coils {
         if let Some(z_mm) = self.shield_mm {
             checker.within(&key("shield_mm"), z_mm, -1e4, -1e-3)?;
         }
-        // Windings, places and the shield against each other.
+        // Checks windings, positions and the shield against each other.
         self.array().map(|_| ()).map_err(|error| checker.refused("frontend.coils", "as given", error.to_string()))
     }
 
-    /// Whether the conductor fits between its neighbours.
+    /// Checks that the conductor fits between its neighbours.
     fn check_room(&self, checker: &Checker<'_>) -> Result<(), Error> {
         let (key, width_mm) = match self.conductor {
             CoilConductor::PitchShare(_) => return Ok(()),
@@ -299,7 +299,7 @@ impl Coils {
 }
 
 impl Elements {
-    /// Middles of the elements, metres.
+    /// Centres of the elements, metres.
     pub fn places_m(&self) -> Vec<[f64; 2]> {
         match &self.places {
             ElementPlaces::Grid { rows, columns, pitch_mm } => {
@@ -325,7 +325,7 @@ impl Elements {
         x.min(y)
     }
 
-    /// Their number.
+    /// Number of elements.
     pub fn count(&self) -> usize {
         match &self.places {
             ElementPlaces::Grid { rows, columns, .. } => rows.saturating_mul(*columns),

@@ -1,5 +1,5 @@
-//! `shape = { mesh = { file = "tank.msh" } }`: outline and electrodes of a skin from the rim and the groups of a mesh that
-//! Gmsh wrote. The skin is then one with that outline, and dermis meshes it itself.
+//! `shape = { mesh = { file = "tank.msh" } }`: outline and electrodes of a skin from the rim and the groups of a Gmsh
+//! mesh. Only the outline is kept; dermis then meshes the skin itself.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -13,22 +13,22 @@ use crate::error::Error;
 use crate::frontend::{Electrodes, RimElectrode, Shape};
 use crate::parts::read_bytes_beside;
 
-/// The key in skin files.
+/// Key in skin files.
 const FIELD: &str = "frontend.shape.mesh";
-/// Wider than any skin, and narrower than a skin of 10 mm whose millimetres are taken for metres.
+/// Maximum width of a mesh: wider than any skin, but narrower than a 10 mm skin whose millimetres are read as metres.
 const WIDEST_M: f64 = 5.0;
 
-/// A flat mesh whose rim is a skin's.
+/// A flat mesh whose rim is the outline of a skin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshFile {
-    /// MSH file of Gmsh, version 2.2 or 4.1, beside the skin file.
+    /// Gmsh MSH file, version 2.2 or 4.1, next to the skin file.
     pub file: String,
-    /// What its coordinates are in. Metres where left out, but a mesh wider than 5 m is then refused.
+    /// Unit of the coordinates. Default: metres, but a mesh wider than 5 m is then refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<LengthUnit>,
-    /// The groups of rim edges that are electrodes: this prefix and a number. Asked for where the skin file has no
-    /// electrodes of its own.
+    /// Prefix of the groups of rim edges that are electrodes; a number follows the prefix. Used if the skin file has
+    /// no electrodes itself.
     #[serde(default = "electrode")]
     pub electrodes: String,
 }
@@ -60,7 +60,7 @@ impl LengthUnit {
 }
 
 impl MeshFile {
-    /// Outline, and electrodes if they are `wanted`.
+    /// The outline, and the electrodes if `wanted`.
     pub(crate) fn read(
         &self,
         wanted: bool,
@@ -93,7 +93,7 @@ impl MeshFile {
             [scale * x, scale * y]
         };
         let area = |ring: &Vec<u32>| signed_area(&ring.iter().map(place).collect::<Vec<_>>());
-        // The outer rim encloses most.
+        // The outer rim encloses the largest area.
         loops.sort_by(|a, b| area(b).abs().total_cmp(&area(a).abs()));
         if let Some(outer) = loops.first_mut()
             && area(outer) < 0.0
@@ -106,7 +106,7 @@ impl MeshFile {
         Ok((Shape::Polygon { outer_mm: outer.iter().map(place).collect(), holes_mm }, electrodes))
     }
 
-    /// The groups as stretches of the outer rim.
+    /// The electrode groups as stretches of the outer rim.
     fn rim_electrodes(
         &self,
         read: &ElectrodedMesh,
@@ -146,7 +146,7 @@ impl MeshFile {
                 edges.ok_or_else(|| refuse(format!("electrode {number}: expected edges of the outer rim")))?;
             edges.sort_unstable();
             edges.dedup();
-            // Round the seam: begin after the one gap.
+            // Handle stretches that cross the seam: start after the only gap.
             let gaps: Vec<usize> =
                 (0..edges.len()).filter(|&k| (edges[k] + 1) % count != edges[(k + 1) % edges.len()]).collect();
             let first = match gaps[..] {

@@ -1,4 +1,4 @@
-//! The place of a skin on a robot.
+//! Position of a skin on a robot.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::check::Checker;
 use crate::error::Error;
 
-/// The place of a skin on a robot: the patch's frame on a link of the robot's description.
+/// Position of a skin on a robot: the frame of the skin patch relative to a link of the robot description.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Mount {
@@ -15,7 +15,8 @@ pub struct Mount {
     /// Origin of the skin in the link's frame, mm.
     #[serde(default)]
     pub xyz_mm: [f64; 3],
-    /// Roll, pitch and yaw of the skin in the link's frame, degrees: turns about the link's x, y and z in this order.
+    /// Roll, pitch and yaw of the skin in the link's frame, degrees: rotations about the link's x, y and z axes, in
+    /// this order.
     #[serde(default)]
     pub rpy_deg: [f64; 3],
 }

@@ -1,5 +1,5 @@
-//! `frontend` and `backend` of a skin file may be paths to files of their own, so that skins share them: one instrument
-//! reads many frontends. A path is relative to the skin file; those of built-in skins are embedded.
+//! `frontend` and `backend` of a skin file may be paths to separate files, so that skins can share them: one
+//! instrument reads many frontends. A path is relative to the skin file; the parts of built-in skins are embedded.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -13,7 +13,7 @@ use crate::builtin::builtin_part;
 use crate::check::Checker;
 use crate::error::Error;
 
-/// A table in place, or the path of a file that holds it.
+/// A table in place, or the path of a file that contains it.
 pub(crate) enum Part<T> {
     Here(T),
     File(String),
@@ -47,7 +47,7 @@ impl<'de, T: DeserializeOwned> Visitor<'de> for PartVisitor<T> {
 }
 
 impl<T: DeserializeOwned> Part<T> {
-    /// The folder that files named in this part are looked for in: its own, or the skin file's.
+    /// The folder for files named in this part: the part's own folder, or the skin file's.
     pub(crate) fn folder(&self, folder: Option<&Path>) -> Option<PathBuf> {
         match self {
             Part::Here(_) => folder.map(Path::to_path_buf),
@@ -84,7 +84,7 @@ impl<T: DeserializeOwned> Part<T> {
     }
 }
 
-/// A path that stays within the skin file's folder: skin files come from others.
+/// Checks that a path stays within the skin file's folder: skin files may come from untrusted sources.
 fn check_path(field: &str, path: &str, checker: &Checker<'_>) -> Result<(), Error> {
     if path.is_empty() || Path::new(path).is_absolute() || path.split(['/', '\\']).any(|part| part == "..") {
         let expected = "a path within the skin file's folder";
@@ -93,7 +93,7 @@ fn check_path(field: &str, path: &str, checker: &Checker<'_>) -> Result<(), Erro
     Ok(())
 }
 
-/// The text of a file that a skin file names, and its name for errors.
+/// Text of a file named in a skin file, and the file's name for errors.
 pub(crate) fn read_beside(
     field: &str,
     path: &str,
@@ -107,7 +107,7 @@ pub(crate) fn read_beside(
         .map_err(|_| Error::SkinFile { file: name, message: "not text (UTF-8)".into() })
 }
 
-/// The bytes of a file that a skin file names, and its name for errors.
+/// Bytes of a file named in a skin file, and the file's name for errors.
 pub(crate) fn read_bytes_beside(
     field: &str,
     path: &str,
@@ -131,13 +131,13 @@ pub(crate) fn read_bytes_beside(
     }
 }
 
-/// Longest file that a skin file names, bytes: a mesh of half a million elements.
+/// Maximum size of a file named in a skin file, bytes: enough for a mesh of half a million elements.
 const MOST_BESIDE_BYTES: u64 = 1 << 26;
 
-/// Longest skin file, bytes.
+/// Maximum size of a skin file, bytes.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// Reads a skin file or a part of one: a regular file of bounded size, as UTF-8.
+/// Reads a skin file or a part of one: a regular file of limited size, as UTF-8.
 pub(crate) fn read_skin_text(path: &Path) -> std::io::Result<String> {
     use std::io::{Error, ErrorKind::InvalidData};
     let text = String::from_utf8(read_bounded(path, MOST_BYTES, "a skin file (TOML)")?);
@@ -174,7 +174,7 @@ mod tests {
         std::fs::write(&file, &skin).unwrap();
         let read = Skin::open(file.to_str().unwrap()).unwrap();
         assert_eq!(read, Skin::open("healing-square").unwrap());
-        // Text alone has no folder: only built-in parts are found.
+        // Text alone has no folder, so only built-in parts are found.
         let error = Skin::parse(&skin, "a page").unwrap_err().to_string();
         assert!(error.starts_with("a page: backend = \"parts/own.toml\", which does not exist: expected"), "{error}");
         let shared = skin.replace("parts/own.toml", "backends/mux-64.toml");
@@ -190,7 +190,7 @@ mod tests {
         std::fs::write(&file, &text).unwrap();
         let error = Skin::open(file.to_str().unwrap()).unwrap_err().to_string();
         assert!(error.contains("own.toml") && error.contains("voltage") && error.contains("line 2"), "{error}");
-        // And one in place shows its line.
+        // An error in a table in place shows its line.
         let text = builtin_text("healing-square").unwrap().replace("per_side = 4", "per_side = 4, sides = 4");
         let error = Skin::parse(&text, "a page").unwrap_err().to_string();
         assert!(error.contains("sides") && error.contains("line"), "{error}");

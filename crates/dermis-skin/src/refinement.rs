@@ -1,4 +1,4 @@
-//! How a skin file asks for images of large contrasts: `imaging.refinement`.
+//! Settings in a skin file for images of large contrasts: `imaging.refinement`.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,24 +6,24 @@ use serde::{Deserialize, Serialize};
 use crate::check::Checker;
 use crate::error::Error;
 
-/// More steps than this are a typing error.
+/// Maximum number of steps; more are a typing error.
 const MOST_STEPS: usize = 50;
 
 /// Gauss-Newton steps in `y = log(sigma / sigma at rest)`, for contrasts too large for one linear step (tanks with
-/// metal and plastic). Refined images show y, not the relative change of conductivity.
+/// metal and plastic). Refined images show y instead of the relative change of conductivity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Refinement {
-    /// Steps, the first of which is the linear image.
+    /// Number of steps; the first is the linear image.
     pub steps: usize,
-    /// A step that would change any pixel by more than this (in y) is shortened as a whole.
+    /// Maximum change of any pixel (in y) in one step; a larger step is shortened as a whole.
     #[serde(default = "Refinement::default_largest_step")]
     pub largest_step: f64,
-    /// Pixels are held within plus and minus this y.
+    /// Pixels are clamped to plus and minus this y.
     #[serde(default = "Refinement::default_limit")]
     pub limit: f64,
     /// With a threshold t, images are written as `sign(y) clip(|y| - t, 0, 1)`: 0 in the background, 1 in strong
-    /// inclusions. Touches are found on y itself.
+    /// inclusions. Touches are still found on y.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub soft_threshold: Option<f64>,
 }
@@ -37,7 +37,7 @@ impl Refinement {
         3.0
     }
 
-    /// `sign(y) clip(|y| - t, 0, 1)` with the file's threshold t, if it has one.
+    /// Applies `sign(y) clip(|y| - t, 0, 1)` with the file's threshold t, if it has one.
     pub fn threshold(&self, image: &mut [f32]) {
         if let Some(threshold) = self.soft_threshold {
             for value in image.iter_mut() {
@@ -46,7 +46,7 @@ impl Refinement {
         }
     }
 
-    /// `circuit`: the skin has a readout circuit.
+    /// Checks the table. `circuit`: the skin has a readout circuit.
     pub(crate) fn check(&self, circuit: bool, checker: &Checker<'_>) -> Result<(), Error> {
         if !(1..=MOST_STEPS).contains(&self.steps) {
             return Err(checker.refused("imaging.refinement.steps", self.steps, format!("1 to {MOST_STEPS}")));

@@ -1,8 +1,8 @@
-//! The skin file as a JSON Schema, made from the types, so that editors complete and check skin files.
+//! JSON Schema of the skin file, generated from the types, so that editors can complete and check skin files.
 
 use crate::skin::Skin;
 
-/// The schema, as JSON. `frontend` and `backend` may also be the path of a file that holds the table.
+/// The schema as JSON. `frontend` and `backend` may also be the path of a file that contains the table.
 pub fn json_schema() -> serde_json::Value {
     let mut schema = schemars::schema_for!(Skin).to_value();
     for part in ["frontend", "backend"] {

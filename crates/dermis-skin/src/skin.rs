@@ -1,4 +1,4 @@
-//! The skin file as a whole: read, checked, written.
+//! The skin file as a whole: reading, checking, writing.
 
 use std::path::Path;
 
@@ -25,36 +25,36 @@ use crate::upgrade::upgrade;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Skin {
-    /// Short name, as on the command line.
+    /// Short name, as used on the command line.
     pub name: String,
-    /// One line for people.
+    /// One-line description for display.
     #[serde(default)]
     pub title: String,
-    /// What physics reads it.
+    /// Physics used to read it.
     pub modality: Modality,
     /// Geometry, material, electrodes.
     pub frontend: Frontend,
     /// Instrument and protocol.
     pub backend: Backend,
-    /// From difference data to images.
+    /// Settings from difference data to images.
     #[serde(default)]
     pub imaging: Imaging,
-    /// From images to touches.
+    /// Settings from images to touches.
     #[serde(default)]
     pub touch: TouchSettings,
-    /// How its channels are watched.
+    /// Settings for watching its channels.
     #[serde(default, skip_serializing_if = "HealthSettings::is_default")]
     pub health: HealthSettings,
-    /// How damage is told from touch.
+    /// Settings for telling damage from touch.
     #[serde(default, skip_serializing_if = "DamageSettings::is_default")]
     pub damage: DamageSettings,
-    /// Its twin.
+    /// Settings of its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
     /// Errors of the workshop that builds it.
     #[serde(default, skip_serializing_if = "Tolerances::is_default")]
     pub tolerances: Tolerances,
-    /// Its place on a robot.
+    /// Its position on a robot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mount: Option<Mount>,
 }
@@ -63,7 +63,7 @@ fn is_default(twin: &TwinSettings) -> bool {
     *twin == TwinSettings::default()
 }
 
-/// What physics reads a skin.
+/// Physics used to read a skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Modality {
@@ -74,7 +74,7 @@ pub enum Modality {
 }
 
 impl Modality {
-    /// As in skin files.
+    /// The name in skin files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Eit => "eit",
@@ -82,7 +82,7 @@ impl Modality {
         }
     }
 
-    /// What the values of its images are.
+    /// Quantity shown in its images.
     pub fn image_quantity(self) -> &'static str {
         match self {
             Self::Eit => "relative conductivity change",
@@ -92,10 +92,10 @@ impl Modality {
 }
 
 impl Skin {
-    /// A built-in skin by name, or a skin file by path.
+    /// Opens a built-in skin by name, or a skin file by path.
     ///
     /// # Errors
-    /// Neither exists, or the file is not a valid skin.
+    /// Fails if neither exists, or if the file is not a valid skin.
     pub fn open(name_or_path: &str) -> Result<Self, Error> {
         if let Some(text) = builtin_text(name_or_path) {
             return Self::parse(text, &format!("built-in skin {name_or_path}"));
@@ -110,16 +110,16 @@ impl Skin {
         }
     }
 
-    /// Parses and checks a skin file's text; `file` names it in errors. Of parts in files of their own, only built-in
-    /// ones are known here: text alone lies in no folder.
+    /// Parses and checks the text of a skin file; `file` names it in errors. Text has no folder, so the only parts in
+    /// separate files that it can use are the built-in ones.
     ///
     /// # Errors
-    /// TOML errors, unknown or missing keys, values that make no sense; each with its place.
+    /// TOML errors, unknown or missing keys, invalid values; each with its place.
     pub fn parse(text: &str, file: &str) -> Result<Self, Error> {
         Self::parse_in(text, file, None)
     }
 
-    /// As [`Skin::parse`], of text that stands, or is to stand, in a file: its parts may be beside it.
+    /// As [`Skin::parse`], for the text of a file that may or may not exist yet. Its parts may be next to it.
     ///
     /// # Errors
     /// As [`Skin::parse`].
@@ -131,7 +131,7 @@ impl Skin {
     fn parse_in(text: &str, file: &str, folder: Option<&Path>) -> Result<Self, Error> {
         match Self::read(text, file, folder) {
             Ok(skin) => Ok(skin),
-            // A file of an earlier version is told as such; what is wrong with it besides is told once it is upgraded.
+            // Report an old format first. Other problems show up once the file is upgraded.
             Err(error) => match upgrade(text) {
                 Some(upgraded) => Err(Error::OldFormat { file: file.to_string(), moved: upgraded.moved }),
                 None => Err(error),
@@ -139,7 +139,8 @@ impl Skin {
         }
     }
 
-    /// As [`Skin::parse`], of text that may be of an earlier version of the format, as in recordings and calibrations.
+    /// As [`Skin::parse`], for text that may be in an earlier version of the format, as in recordings and
+    /// calibrations.
     ///
     /// # Errors
     /// As [`Skin::parse`].
@@ -178,13 +179,13 @@ impl Skin {
         Ok(self)
     }
 
-    /// Whether the forward model places the touches of sheets, sandwiches, patches and liquids. It cannot where the
-    /// readout's circuit stands between the model and the readings. Elements over coils have a fit of their own.
+    /// True if the forward model can place touches on sheets, sandwiches, patches and liquids. It cannot if a readout
+    /// circuit stands between model and readings. Elements above coils have their own fit.
     pub fn fits_touches(&self) -> bool {
         self.modality == Modality::Eit && self.backend.circuit.is_none()
     }
 
-    /// Whether the file states how the layer answers a force, and presses are fitted through it.
+    /// True if the file states how the layer responds to a force, and presses are fitted through that law.
     pub fn states_force_law(&self) -> bool {
         let is_stated = match &self.frontend.layer {
             Layer::Sheet(layer) => layer.pressure_percent_per_kpa != 0.0 || layer.gauge_factor != 0.0,
@@ -220,7 +221,7 @@ impl Skin {
             None => (self.frontend.electrodes.count(), 0),
         };
         self.backend.check(elements, electrodes, checker)?;
-        // Faults may name channels.
+        // Faults may refer to channels.
         let channels = self.twin.names_channels().then(|| self.backend.protocol(electrodes.max(coils)));
         let channels = channels.and_then(Result::ok).map(|protocol| protocol.channel_count());
         self.twin.check(Parts { electrodes, coils, channels }, &self.frontend.layer, checker)?;
@@ -233,7 +234,7 @@ impl Skin {
     }
 }
 
-/// A skin file as written: its parts may be elsewhere.
+/// A skin file as written; its parts may be in other files.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -259,7 +260,7 @@ struct Written {
 }
 
 impl Written {
-    /// The skin with its parts read, those in files relative to `folder` (none: built-in parts only).
+    /// The skin with its parts read. Files are relative to `folder`; with `None`, only built-in parts are found.
     fn read(self, file: &str, folder: Option<&Path>) -> Result<Skin, Error> {
         let beside = self.backend.folder(folder);
         let mut backend = self.backend.read("backend", file, folder)?;

@@ -1,4 +1,4 @@
-//! From images to touches: what the file says of it.
+//! Settings in a skin file for turning images into touches.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,46 +6,46 @@ use serde::{Deserialize, Serialize};
 use crate::check::Checker;
 use crate::error::Error;
 
-/// From images to touches.
+/// Settings for turning images into touches.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TouchSettings {
     /// Touches begin above this many standard deviations of the image noise.
     pub begin_sigma: f64,
-    /// And end below this many.
+    /// Touches end below this many standard deviations of the image noise.
     pub hold_sigma: f64,
-    /// Peaks below this share of the strongest one are side lobes.
+    /// Peaks below this share of the strongest one count as side lobes.
     pub side_lobe_share: f64,
-    /// Smallest amplitude (relative conductivity change) that counts.
+    /// Minimum amplitude (relative conductivity change) of a touch.
     pub smallest_amplitude: f64,
-    /// Frames that a contact must last before it is a touch.
+    /// Minimum duration of a touch, frames.
     pub least_frames: u32,
-    /// Also find changes of the other sign (tanks).
+    /// Also find changes of the opposite sign (tanks).
     pub both_signs: bool,
-    /// Channel noise assumed where none was measured, as a share of the largest voltage.
+    /// Channel noise to assume if none was measured, as a share of the largest voltage.
     pub assumed_noise_share: f64,
-    /// Size of a touch as calibration and localisation assume it: standard deviation of a Gaussian, relative to half
+    /// Size of a touch assumed in calibration and localisation: standard deviation of a Gaussian, relative to half
     /// the shorter side of the skin.
     pub relative_size: f64,
-    /// Error of positions that noise does not explain, mm.
+    /// Position error that noise does not explain, mm.
     pub position_floor_mm: f64,
-    /// Standard deviation of each coordinate by what the model has wrong, mm, which the sigma of every touch holds
-    /// beside its noise; left out, a share of half the shorter side. A calibration by pokes brings its own.
+    /// Standard deviation of each coordinate due to model error, mm. The sigma of every touch combines it with noise.
+    /// Default: a share of half the shorter side. A calibration by pokes has its own value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_error_mm: Option<f64>,
     /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
     pub contact_s_per_m2: f64,
-    /// Ignored: the forward model places touches on every skin. Read so that files that still have it open.
+    /// Ignored: the forward model places touches on every skin. Accepted so that files that still have it open.
     #[serde(default, skip_serializing)]
     #[schemars(skip)]
     pub(crate) refine: Option<bool>,
-    /// Of sheets, liquids and patches: the largest share of a frame that a fit may leave beyond the noise; where it
-    /// leaves more, touches stay as the image has them. 1: any fit is taken.
+    /// Sheets, liquids and patches: maximum share of a frame that a fit may leave unexplained beyond the noise. Above
+    /// it, touches keep their positions from the image. 1 accepts any fit.
     pub most_unexplained: f64,
-    /// Of elements over coils: contacts whose elements are no farther apart than so many cells are one press that moves
-    /// several elements, placed by their forces; 0: every element that moves is a touch of its own.
+    /// Elements above coils: contacts whose elements are at most this many cells apart are one press that moves
+    /// several elements, placed by their forces. With 0, every moving element is a touch of its own.
     pub join_cells: f64,
-    /// Time constant of the drift compensation, seconds; 0 switches it off. It stands still under touch.
+    /// Time constant of the drift compensation, seconds; 0 switches it off. It pauses during a touch.
     pub drift_time_constant_s: f64,
 }
 

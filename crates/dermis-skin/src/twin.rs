@@ -1,4 +1,4 @@
-//! What a skin file says of its twin: the seed of its noise, and what is broken in its instrument.
+//! Settings in a skin file for its twin: noise seed and instrument faults.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,70 +7,70 @@ use crate::check::{Checker, LEAST_MM, MOST_MM};
 use crate::error::Error;
 use crate::layer::Layer;
 
-/// Latest time of a fault or a treatment, seconds after the first frame: 30 years.
+/// Maximum time of a fault or a treatment, seconds after the first frame: 30 years.
 const MOST_S: f64 = 1e9;
-/// Largest reading of a channel that is stuck or noisy, millivolts: a megavolt.
+/// Maximum reading of a stuck or noisy channel, millivolts: a megavolt.
 const MOST_MV: f64 = 1e9;
 
-/// The table `[twin]`. Hardware and recordings know nothing of it.
+/// The table `[twin]`. Only twins use it, not hardware or recordings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinSettings {
-    /// Seed of the instrument's noise and of its faults; left out: the twin's own.
+    /// Seed of the instrument's noise and faults. Default: the twin's own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// Angle by which the demodulator's reference leads, for `reads = "complex"` above all.
+    /// Phase lead of the demodulator's reference, mainly for `reads = "complex"`.
     #[serde(skip_serializing_if = "is_zero")]
     pub phase_error_deg: f64,
-    /// What is broken, and when.
+    /// Instrument faults and their times.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub faults: Vec<TwinFaults>,
-    /// What is done to a self-healing sheet, and when.
+    /// Treatments of a self-healing sheet and their times.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub treatments: Vec<TwinTreatment>,
-    /// How a sandwich's sheet heals under heat; left out: it can be cut, but does not heal.
+    /// Healing of a sandwich's sheet under heat. If left out, the sheet can be cut but does not heal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub healing: Option<Healing>,
-    /// Edge length of the twin's elements; left out: it follows from the skin's size and layer.
+    /// Edge length of the twin's elements. Default: derived from the skin's size and layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element_mm: Option<f64>,
-    /// The same at electrodes; left out: it follows from the electrodes' size.
+    /// Edge length of the twin's elements at electrodes. Default: derived from the electrode size.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub electrode_element_mm: Option<f64>,
-    /// What people may press with; left out: it follows from size and layer.
+    /// Range of presses available to users. Default: derived from size and layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub press: Option<PressSettings>,
-    /// What the twin demonstrates by itself; left out: it follows from size and layer.
+    /// Demonstration that the twin plays by itself. Default: derived from size and layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub demonstration: Option<Demonstration>,
 }
 
-/// How a material heals: full joining in `hours` at `temperature_c`, faster where it is hotter (Arrhenius). The
-/// defaults are those of the published self-healing composite; the activation energy is assumed.
+/// Healing of a material: fully joined after `hours` at `temperature_c`, faster at higher temperatures (Arrhenius).
+/// The defaults are from the published self-healing composite; the activation energy is assumed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Healing {
-    /// Temperature that heals a cut entirely.
+    /// Temperature at which a cut heals fully.
     pub temperature_c: f64,
-    /// The time that it takes.
+    /// Time to heal fully at that temperature.
     pub hours: f64,
-    /// Temperature of the room.
+    /// Room temperature.
     pub room_c: f64,
     /// Activation energy.
     pub activation_kj_per_mol: f64,
     /// Relative rise of the conductivity at the end of a full heating.
     pub peak_rise: f64,
-    /// What stays of it.
+    /// Part of the rise that remains.
     pub lasting_rise: f64,
-    /// Time constant of what passes.
+    /// Time constant with which the rest of the rise decays.
     pub relaxation_hours: f64,
-    /// Length of intact sheet that a healed scar is worth.
+    /// Length of intact sheet with the same resistance as a healed scar.
     pub scar_mm: f64,
-    /// Distance across a heat pad's rim over which warmth falls from all to nothing.
+    /// Distance across the rim of a heat pad over which the heating falls from full to none.
     pub pad_rim_mm: f64,
 }
 
-/// 2.01 kohm of the intact bar fell to 1.92 kohm: what stays of the rise in conductivity.
+/// Lasting rise in conductivity: the intact bar went from 2.01 kohm to 1.92 kohm.
 const LASTING_RISE: f64 = 2010.0 / 1920.0 - 1.0;
 
 impl Default for Healing {
@@ -83,7 +83,7 @@ impl Default for Healing {
             peak_rise: 0.3,
             lasting_rise: LASTING_RISE,
             relaxation_hours: 12.0,
-            // The bar of 100 mm: 2.07 kohm before it was cut, 2.15 kohm healed.
+            // The bar of 100 mm: 2.07 kohm before it was cut, 2.15 kohm once healed.
             scar_mm: 100.0 * (2150.0 * (1.0 + LASTING_RISE) / 2070.0 - 1.0),
             pad_rim_mm: 4.0,
         }
@@ -105,67 +105,67 @@ impl Healing {
     }
 }
 
-/// What people may press a twin with: least and most, and where sliders begin.
+/// Range of indenters and pressures offered to users, and the initial values of the sliders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PressSettings {
-    /// Least and largest radius of the indenter.
+    /// Minimum and maximum radius of the indenter.
     pub radius_mm: [f64; 2],
-    /// Least and largest pressure under it.
+    /// Minimum and maximum pressure under it.
     pub pressure_kpa: [f64; 2],
-    /// Radius at the start.
+    /// Initial radius.
     pub initial_radius_mm: f64,
-    /// Pressure at the start.
+    /// Initial pressure.
     pub initial_pressure_kpa: f64,
 }
 
-/// The demonstration of a twin: one touch wanders, others are pressed and slide, again and again.
+/// Demonstration of a twin: one touch wanders, others press and slide, in a loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Demonstration {
-    /// None.
+    /// No demonstration.
     None,
-    /// About the skin's middle, this many times as large as on a square of 100 mm.
+    /// Around the skin's middle, scaled by this factor from a 100 mm square.
     Scale(f64),
 }
 
-/// Something done to a self-healing sheet.
+/// A treatment of a self-healing sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TwinTreatment {
     /// Seconds after the first frame.
     pub at_s: f64,
-    /// What is done.
+    /// The treatment.
     pub action: TwinAction,
 }
 
-/// What can be done to a self-healing sheet.
+/// Treatments of a self-healing sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum TwinAction {
-    /// A blade cuts it.
+    /// A cut with a blade.
     Cut {
         /// One end.
         from_mm: [f64; 2],
         /// The other end.
         to_mm: [f64; 2],
     },
-    /// A heat pad is laid on it.
+    /// A heat pad laid on the sheet.
     Heal {
-        /// Middle of the pad.
+        /// Centre of the pad.
         at_mm: [f64; 2],
-        /// Its radius.
+        /// Radius of the pad.
         radius_mm: f64,
-        /// Its temperature.
+        /// Temperature of the pad.
         temperature_c: f64,
-        /// How long it stays.
+        /// Duration of the heating.
         hours: f64,
     },
-    /// Cuts, heat and their aftermath go this many times as fast from then on.
+    /// Speeds up cuts, heat and their aftermath by this factor from then on.
     TimeLapse(f64),
-    /// Its conductivity rises as a whole, percent a minute, from then on.
+    /// Raises the conductivity of the whole sheet from then on, percent per minute.
     DriftPercentPerMin(f64),
-    /// A new sheet is put in.
+    /// Replaces the sheet with a new one.
     Renew,
 }
 
@@ -177,58 +177,58 @@ fn is_zero(value: &f64) -> bool {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TwinFaults {
-    /// Seconds after the first frame from which they act.
+    /// Start of the faults, seconds after the first frame.
     pub from_s: f64,
-    /// Seconds after the first frame until which they act; left out: for good.
+    /// End of the faults, seconds after the first frame. Default: they last for good.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub until_s: Option<f64>,
     /// Electrodes without contact, counted from 1.
     pub open_electrodes: Vec<u32>,
-    /// Pairs of electrodes connected by a wire, counted from 1.
+    /// Pairs of electrodes shorted by a wire, counted from 1.
     pub shorted_pairs: Vec<[u32; 2]>,
-    /// Coils that neither make nor see a field, counted from 1; of skins with coils only.
+    /// Coils that neither generate nor sense a field, counted from 1; only for skins with coils.
     pub dead_coils: Vec<u32>,
-    /// Channels that always read the same.
+    /// Channels stuck at one value.
     pub stuck_channels: Vec<StuckChannel>,
-    /// Channels with noise of their own.
+    /// Channels with extra noise.
     pub noisy_channels: Vec<NoisyChannel>,
-    /// Probability of each frame to be lost on the way.
+    /// Probability that a frame is lost in transit.
     pub dropped_share: f64,
-    /// Probability of each frame to be a copy of the one before, number included.
+    /// Probability that a frame repeats the one before, including its number.
     pub repeated_share: f64,
 }
 
-/// A channel that always reads the same.
+/// A channel stuck at one value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StuckChannel {
-    /// Which, counted from 1 as on the page.
+    /// Channel number, counted from 1 as on the page.
     pub channel: usize,
-    /// What it reads.
+    /// Constant reading.
     pub value_mv: f64,
 }
 
-/// A channel with noise of its own besides that of all.
+/// A channel with noise on top of the common noise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoisyChannel {
-    /// Which, counted from 1 as on the page.
+    /// Channel number, counted from 1 as on the page.
     pub channel: usize,
-    /// Standard deviation of that noise.
+    /// Standard deviation of the extra noise.
     pub noise_mv: f64,
 }
 
-/// What there is that faults can name.
+/// Counts of what faults can refer to.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Parts {
     pub electrodes: usize,
     pub coils: usize,
-    /// `None` where a protocol cannot be made, which is refused elsewhere, by name.
+    /// `None` if no protocol can be made; that error is reported elsewhere, by name.
     pub channels: Option<usize>,
 }
 
 impl TwinSettings {
-    /// Whether any fault names a channel.
+    /// True if any fault refers to a channel.
     pub(crate) fn names_channels(&self) -> bool {
         self.faults.iter().any(|faults| !faults.stuck_channels.is_empty() || !faults.noisy_channels.is_empty())
     }
@@ -346,7 +346,7 @@ impl TwinFaults {
         }
     }
 
-    /// Channels 1 to `most`, and what they read.
+    /// Checks that channels are between 1 and `most`, and checks their readings.
     fn check_channels(&self, most: usize, checker: &Checker<'_>) -> Result<(), Error> {
         let expected = format!("channels 1 to {most}");
         let stuck = self.stuck_channels.iter().map(|s| ("twin.faults.stuck_channels.channel", s.channel));

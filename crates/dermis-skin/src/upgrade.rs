@@ -1,21 +1,22 @@
-//! Skin files of earlier versions of the format: which keys have moved, and the file rewritten with its comments.
+//! Upgrade of skin files from earlier versions of the format: lists the keys that have moved and rewrites the file,
+//! keeping its comments.
 
 use toml_edit::{Array, DocumentMut, InlineTable, Item, TableLike, Value};
 
-/// A file brought to the present format.
+/// A file converted to the current format.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Upgraded {
     /// The new text.
     pub text: String,
-    /// What was moved, for people: one sentence a key.
+    /// Changes made, for display: one sentence per key.
     pub moved: Vec<String>,
 }
 
-/// Words that named a bare conductor, and a tank.
+/// Former keywords for a bare conductor and for a tank.
 const SHEETS: [&str; 6] = ["gel", "hydrogel", "carbon", "fabric", "rubber", "foam"];
 const TANKS: [&str; 4] = ["water", "saline", "agar", "tank"];
 
-/// The coil arrays that were known by name.
+/// A coil array formerly known by name.
 struct NamedArray {
     name: &'static str,
     round: bool,
@@ -88,8 +89,8 @@ const ARRAYS: [NamedArray; 3] = [
     },
 ];
 
-/// Rewrites a file of an earlier version. `None` where the text is no TOML or nothing in it has moved; the result may
-/// still be refused for other reasons.
+/// Rewrites a file of an earlier version. Returns `None` if the text is not TOML or nothing in it has moved. The
+/// result may still be refused for other reasons.
 pub fn upgrade(text: &str) -> Option<Upgraded> {
     let mut document: DocumentMut = text.parse().ok()?;
     let mut moved = Vec::new();
@@ -106,7 +107,7 @@ pub fn upgrade(text: &str) -> Option<Upgraded> {
     (!moved.is_empty()).then(|| Upgraded { text: document.to_string(), moved })
 }
 
-/// Replaces a value and keeps what stands around it.
+/// Replaces a value and keeps the formatting around it.
 fn set(item: &mut Item, value: Value) {
     let decor = item.as_value().map(|old| old.decor().clone());
     let mut value = value;
@@ -262,7 +263,7 @@ measure = "adjacent"
 
     #[test]
     fn files_that_were_built_in_before_are_read_as_they_are() {
-        // As they stood before layers had parameters of their own.
+        // Built-in skins from before layers had their own parameters.
         let earlier = [
             (concat!("ionic", "-disc"), include_str!("upgrade/earlier-ionic-disc.toml")),
             (concat!("em", "-8"), include_str!("upgrade/earlier-em-8.toml")),

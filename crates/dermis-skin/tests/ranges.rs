@@ -1,5 +1,5 @@
-//! Every number that a skin file can hold has a range: what no skin can have is refused before any work goes into it,
-//! by the key's name. The keys are those of the JSON Schema, which is made from the types, so that none is forgotten.
+//! Every number in a skin file has a range. Impossible values are refused before any work starts, with the key's
+//! name. The keys come from the JSON Schema, which is generated from the types, so none is missed.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use dermis_skin::{Skin, json_schema};
 use serde_json::Value as Json;
 use toml::{Table, Value};
 
-/// Skins that hold every number between them: a built-in one, and what stands at some of its keys.
+/// Skins that contain every number between them: a built-in skin and values for some of its keys.
 const SKINS: &[(&str, &[(&str, &str)])] = &[
     (
         "healing-square",
@@ -140,7 +140,7 @@ const SKINS: &[(&str, &[(&str, &str)])] = &[
     ),
 ];
 
-/// A built-in skin's file with values at some of its keys.
+/// A built-in skin's file with some values replaced.
 fn skin(name: &str, changes: &[(&str, &str)]) -> Value {
     let mut whole = Value::Table(Skin::open(name).expect("a built-in skin").to_toml().parse().expect("TOML"));
     for (key, text) in changes {
@@ -156,10 +156,10 @@ fn skin(name: &str, changes: &[(&str, &str)]) -> Value {
     whole
 }
 
-/// Told of each number: its keys, and what makes the file with another one in its place.
+/// Called for each number with its keys and a function that builds the file with another value.
 type Put<'a> = &'a mut dyn FnMut(&[String], &dyn Fn(Value) -> Value);
 
-/// Every number of a file: the keys that lead to it, and the file with another value in its place.
+/// Visits every number of a file, with its keys and a function that replaces it.
 fn numbers(value: &Value, keys: &[String], put: Put<'_>) {
     match value {
         Value::Table(table) => {
@@ -175,7 +175,7 @@ fn numbers(value: &Value, keys: &[String], put: Put<'_>) {
             }
         }
         Value::Array(list) => {
-            // The first and the last stand for all.
+            // Test only the first and the last entry.
             let ends = BTreeSet::from([0, list.len().saturating_sub(1)]);
             for index in ends.into_iter().filter(|index| *index < list.len()) {
                 numbers(&list[index], keys, &mut |keys, build| {
@@ -192,7 +192,7 @@ fn numbers(value: &Value, keys: &[String], put: Put<'_>) {
     }
 }
 
-/// Names of all keys at which a schema has a number, or a list of numbers.
+/// Names of all keys whose schema is a number or a list of numbers.
 fn names_of_numbers(schema: &Json, root: &Json, names: &mut BTreeSet<String>) {
     if let Json::Object(object) = schema {
         if let Some(Json::Object(properties)) = object.get("properties") {
@@ -231,13 +231,13 @@ fn no_number_is_taken_that_is_none_or_beyond_all_bounds() {
             seen.insert(keys.last().expect("a key").clone());
             let parse =
                 |value: f64| Skin::parse(&toml::to_string(&build(Value::Float(value))).expect("TOML"), "made.toml");
-            // A seed may be any whole number, and no other.
+            // A seed may be any whole number, but nothing else.
             for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300] {
                 let error = parse(value).err().unwrap_or_else(|| panic!("{name}: {way} = {value} was taken"));
                 assert!(error.to_string().starts_with("made.toml: "), "{name}: {way} = {value}: {error}");
                 tried += 1;
             }
-            // Next to nothing is taken only where nothing is.
+            // A value close to zero is accepted only if zero is.
             assert!(parse(1e-300).is_err() || parse(0.0).is_ok(), "{name}: {way} = 1e-300 was taken, and 0 is not");
         });
     }

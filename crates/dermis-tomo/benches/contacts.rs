@@ -1,4 +1,4 @@
-//! Speed of the sandwich's contact model: patches followed from frame to frame, and looked for anew.
+//! Speed of the sandwich's contact model: patches tracked from frame to frame, and patches searched from scratch.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dermis_tomo::eit::contacts::{ContactPatch, ContactSheet, FitOptions, Looked, PatchSearch};
@@ -50,7 +50,7 @@ fn contacts(c: &mut Criterion) {
         let change = sheet.change_v(patches).expect("patches are sound");
         let size = (change.iter().map(|v| v * v).sum::<f64>() / change.len() as f64).sqrt();
         let deviation: Vec<f64> = change.iter().map(|v| (0.02 * v).hypot(0.005 * size)).collect();
-        // A tenth of a millimetre from the frame before.
+        // The previous frame, a tenth of a millimetre away.
         let before: Vec<ContactPatch> = patches
             .iter()
             .map(|p| ContactPatch { position_m: [p.position_m[0] + 1e-4, p.position_m[1]], ..*p })

@@ -1,5 +1,5 @@
-//! The costs that a skin pays once (forward model, Jacobian, operator) and for every frame, on one core unless the name
-//! says otherwise. `benches/peers` measures the same cases in SciPy and pyEIT; `benches/compare` prints the ratios.
+//! Costs paid once per skin (forward model, Jacobian, operator) and costs per frame, on one core unless the name says
+//! otherwise. `benches/peers` measures the same cases in SciPy and pyEIT; `benches/compare` prints the ratios.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use dermis_tomo::mesh::{
 };
 use faer::Mat;
 
-/// The allocator of the `dermis` command: it keeps the pages of large matrices for the next ones.
+/// The allocator of the `dermis` command, which reuses the pages of large matrices.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
@@ -23,7 +23,7 @@ const ELECTRODES: usize = 16;
 const RADIUS_M: f64 = 0.1;
 const WIDTH_M: f64 = 0.01;
 
-/// Adjacent drive, adjacent measurement, driven electrodes left out: 208 channels.
+/// Adjacent drive, adjacent measurement, without driven electrodes: 208 channels.
 fn protocol() -> Result<Protocol, Box<dyn std::error::Error>> {
     Ok(Protocol::generate(&ProtocolSpec {
         electrode_count: ELECTRODES,
@@ -41,7 +41,7 @@ fn disc(elements: usize) -> Result<ElectrodedMesh, MeshError> {
     Ok(spec.build(&[1e-3])?.0)
 }
 
-/// A square whose 64 x 64 pixels all lie inside.
+/// A square with all 64 x 64 pixels inside.
 fn square(elements: usize) -> Result<ElectrodedMesh, MeshError> {
     let outline = Outline::Rectangle { width_m: 2.0 * RADIUS_M, height_m: 2.0 * RADIUS_M };
     let rim = outline.rim_per_side(ELECTRODES / 4, WIDTH_M, Direction::CounterClockwise);
@@ -88,7 +88,7 @@ fn forward_and_jacobian(c: &mut Criterion) -> Outcome {
         c.bench_function(&format!("forward, {elements} elements"), |b| {
             b.iter(|| model.solve(black_box(&sigma)).map(|solution| solution.voltages()));
         });
-        // Into memory that is used again, as in every iteration; fresh pages are the system's cost, not the solver's.
+        // Reuses memory, as every iteration does; fresh pages are a cost of the system, not of the solver.
         let mut jacobian = Jacobian::default();
         c.bench_function(&format!("forward and Jacobian, {elements} elements"), |b| {
             b.iter(|| {
@@ -138,7 +138,7 @@ fn operators(c: &mut Criterion) -> Outcome {
     let body = square(5_000)?;
     let map = PixelMap::new(PixelGrid::over_mesh(&body.mesh, 64)?, &body.mesh)?;
     let positions = map.inside_centres_m().into_iter().map(|[x, y]| [x, y, 0.0]).collect();
-    // NOSER asks for no neighbours.
+    // NOSER does not use neighbours.
     let basis = ImageBasis { positions, neighbours: Vec::new() };
     let model = ForwardModel::new(body, protocol()?)?;
     let sigma = vec![1.0; model.body().mesh.element_count()];
@@ -154,7 +154,7 @@ fn operators(c: &mut Criterion) -> Outcome {
     c.bench_function("operator, 208 channels to 4096 pixels, NOSER", |b| b.iter(operator));
     live(c, "frame, 208 channels to 64 x 64", &operator()?);
     let large = Operator {
-        // No two columns alike, as with a full noise covariance: channels cannot be merged.
+        // No two columns are alike, as with a full noise covariance, so channels cannot be merged.
         matrix: Mat::from_fn(4096, 4096, |row, column| {
             let mixed = ((row * 4096 + column) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             (mixed >> 40) as f64 / (1_u64 << 24) as f64 - 0.5

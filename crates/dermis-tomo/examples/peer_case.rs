@@ -1,6 +1,6 @@
-//! Writes the disc of the benches as JSON, for programs that are to be compared on the same mesh: nodes (m), elements,
-//! the rim edges of every electrode, contact impedance (ohm.m), stimulations (A) and measurements, and the voltages (V)
-//! that dermis finds for unit sheet conductance.
+//! Writes the disc of the benches as JSON, so that other programs can be compared on the same mesh: nodes (m),
+//! elements, the rim edges of every electrode, contact impedance (ohm.m), stimulations (A) and measurements, and the
+//! voltages (V) computed by dermis for unit sheet conductance.
 //!
 //! `cargo run --release -p dermis-tomo --example peer_case -- 5000 case.json`
 

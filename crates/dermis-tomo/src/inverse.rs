@@ -1,6 +1,5 @@
-//! Inverse operators: `x = (J'WJ + lambda^2 R)^-1 J'W dv` in the form that is cheaper, its hyperparameter, what it does
-//! without some channels, and how sure it is.
-//!
+//! Inverse operators: `x = (J'WJ + lambda^2 R)^-1 J'W dv` in its cheapest form, the choice of its hyperparameter,
+//! operation without some channels, and uncertainty.
 //! `J` is channels x unknowns (pixels or elements), `W` the inverse noise covariance of the channels, `R` the prior's
 //! inverse covariance up to `lambda^2` (the hyperparameter enters squared, as in EIDORS), `dv` the difference data.
 

@@ -1,8 +1,8 @@
-//! Damped nonlinear least squares: one loop for every fit of parameters. It minimises a cost `F(x)`, half of or a whole
-//! sum of squares with priors, by steps that solve `(N + damping diag N) step = g` with `N = J'WJ` and `g = J'Wr`
-//! (Levenberg, Quart. Appl. Math. 2, 1944, 164; Marquardt, J. SIAM 11, 1963, 431), or by whole steps that are shortened
-//! while the cost rises. A problem says what its points, costs and equations are; it may solve these in its own way, as
-//! within bounds. The loop decides which steps are taken, and when to end.
+//! Damped nonlinear least squares: one loop for all parameter fits. It minimises a cost `F(x)`, a full or half sum of
+//! squares with priors, by steps that solve `(N + damping diag N) step = g` with `N = J'WJ` and `g = J'Wr`
+//! (Levenberg, Quart. Appl. Math. 2, 1944, 164; Marquardt, J. SIAM 11, 1963, 431), or by full steps that are
+//! shortened while the cost rises. A problem provides its points, costs and equations; it may solve these itself, for
+//! example within bounds. The loop decides which steps to take and when to stop.
 
 mod params;
 mod progress;
@@ -12,22 +12,23 @@ mod tests;
 pub use params::{Acceptance, Control, Damping, Error, Params, Tolerances};
 pub use progress::Progress;
 
-/// The equations of a step at one point.
+/// The normal equations at one point.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NormalEquations {
     /// `J'WJ` with the priors, unknowns x unknowns, row-major, both triangles.
     pub normal: Vec<f64>,
-    /// `J'Wr` with the priors, which points down the cost; or what else the problem's own [`Problem::solve`] needs.
+    /// `J'Wr` with the priors, a descent direction of the cost; or other input of the problem's own
+    /// [`Problem::solve`].
     pub right: Vec<f64>,
 }
 
 impl NormalEquations {
-    /// Equations for so many unknowns, all zero.
+    /// Equations for `unknowns` unknowns, all zero.
     pub fn new(unknowns: usize) -> Self {
         Self { normal: vec![0.0; unknowns * unknowns], right: vec![0.0; unknowns] }
     }
 
-    /// Makes room for so many unknowns.
+    /// Resizes for `unknowns` unknowns.
     pub fn resize(&mut self, unknowns: usize) {
         self.normal.resize(unknowns * unknowns, 0.0);
         self.right.resize(unknowns, 0.0);
@@ -38,8 +39,9 @@ impl NormalEquations {
         self.right.len()
     }
 
-    /// Solves with the diagonal raised by the damping's share of itself, and by 1e-12 of its largest entry. `factor`
-    /// has room for the matrix. False where that is not positive definite; `step` is then of no use.
+    /// Solves with the diagonal increased by the damping's share of itself and by 1e-12 of its largest entry.
+    /// `factor` must have room for the matrix. Returns false if the matrix is not positive definite; `step` is then
+    /// meaningless.
     pub fn solve_damped(&self, damping: f64, factor: &mut [f64], step: &mut [f64]) -> bool {
         let n = self.unknowns();
         let floor = 1e-12 * (0..n).map(|k| self.normal[k * n + k]).fold(0.0, f64::max);
@@ -56,26 +58,26 @@ impl NormalEquations {
     }
 }
 
-/// What the loop works in; it grows to the size of the problem and keeps it.
+/// Working memory of the loop; it grows to the size of the problem and is kept.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scratch {
     /// The equations of the last linearisation.
     pub equations: NormalEquations,
-    /// Room for a factor of the matrix.
+    /// Space for a factor of the matrix.
     pub factor: Vec<f64>,
     /// The last step.
     pub step: Vec<f64>,
 }
 
 impl Scratch {
-    /// Memory for problems of so many unknowns, allocated now.
+    /// Allocates memory for problems with `unknowns` unknowns.
     pub fn new(unknowns: usize) -> Self {
         let mut scratch = Self::default();
         scratch.resize(unknowns);
         scratch
     }
 
-    /// Makes room for so many unknowns.
+    /// Resizes for `unknowns` unknowns.
     pub fn resize(&mut self, unknowns: usize) {
         self.equations.resize(unknowns);
         self.factor.resize(unknowns * unknowns, 0.0);
@@ -83,94 +85,94 @@ impl Scratch {
     }
 }
 
-/// What lies at the end of a step.
+/// Result of trying a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trial {
-    /// Cost there.
+    /// Cost at the end of the step.
     pub cost: f64,
-    /// How far it is, in the problem's own measure; 0 where no tolerance asks for it.
+    /// Length of the step in the problem's own measure; 0 if no tolerance uses it.
     pub moved: f64,
 }
 
-/// What is fitted. It stands at one point, and remembers another one while that is tried.
+/// A problem to fit. It has a current point and remembers another one that is being tried.
 pub trait Problem {
-    /// What can go wrong.
+    /// Errors of the problem.
     type Error: From<Error>;
 
-    /// Number of unknowns, the same until the end.
+    /// Number of unknowns, constant during the fit.
     fn unknowns(&self) -> usize;
 
-    /// Cost at the point where it stands.
+    /// Cost at the current point.
     ///
     /// # Errors
     /// The problem's own.
     fn cost(&mut self) -> Result<f64, Self::Error>;
 
-    /// Writes the equations at that point, which have the right size and any values. False where there are none: the
-    /// fit ends there.
+    /// Writes the equations at the current point into `equations`, which has the right size and arbitrary values.
+    /// Returns false if the equations do not exist, which ends the fit.
     ///
     /// # Errors
     /// The problem's own.
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Self::Error>;
 
-    /// Solves the equations into `step`, with room for a factor of the matrix; without damping (0) where steps are
-    /// shortened instead. False where that cannot be done.
+    /// Solves the equations into `step`, with space for a factor of the matrix. The damping is 0 if steps are
+    /// shortened instead. Returns false on failure.
     fn solve(&mut self, equations: &NormalEquations, damping: f64, factor: &mut [f64], step: &mut [f64]) -> bool {
         equations.solve_damped(damping, factor, step)
     }
 
-    /// Tries the point that a step leads to, shortened where the problem bounds its steps. `None` where it cannot go
-    /// there.
+    /// Tries the point at the end of a step, shortened if the problem bounds its steps. `None` if that point is not
+    /// allowed.
     ///
     /// # Errors
     /// The problem's own.
     fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, Self::Error>;
 
-    /// Moves to the point that was tried last.
+    /// Moves to the last point tried.
     fn accept(&mut self);
 
-    /// Whether no further steps are needed after one that was taken.
+    /// True if no further steps are needed after this accepted step.
     fn is_settled(&self, progress: &Progress, tolerances: &Tolerances) -> bool {
         tolerances.are_met(progress)
     }
 }
 
-/// Why a fit has ended.
+/// Reason why a fit ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// A tolerance is met.
     Settled,
-    /// All trials or linearisations that were allowed are used.
+    /// All permitted trials or linearisations are used up.
     Limit,
-    /// No step lowers the cost: the damping is at its most, or too many steps in a row were rejected.
+    /// No step lowers the cost: the damping has reached its maximum, or too many consecutive steps were rejected.
     Stalled,
-    /// The equations cannot be had, or not be solved.
+    /// The equations are unavailable or cannot be solved.
     Unsolvable,
 }
 
-/// How a fit went.
+/// Summary of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Info {
-    /// Why it ended.
+    /// Reason for ending.
     pub outcome: Outcome,
-    /// Steps that were taken.
+    /// Number of accepted steps.
     pub steps: usize,
-    /// Steps that were tried, those included.
+    /// Number of steps tried, including accepted ones.
     pub trials: usize,
-    /// How often the equations were made.
+    /// Number of linearisations.
     pub linearisations: usize,
-    /// Cost at the end.
+    /// Final cost.
     pub cost: f64,
-    /// By how much the last step tried should have lowered the cost; NaN before the first.
+    /// Predicted drop in cost of the last step tried; NaN before the first.
     pub predicted: f64,
-    /// By how much the last step that was taken has lowered it; NaN before the first.
+    /// Actual drop in cost of the last accepted step; NaN before the first.
     pub actual: f64,
-    /// Damping at the end, with which a later fit may go on; 0 where steps are shortened.
+    /// Final damping, from which a later fit may continue; 0 if steps are shortened.
     pub damping: f64,
 }
 
-/// Minimises a problem's cost from where it stands, and leaves it at the best point found. Allocates nothing once the
-/// scratch has grown to size, unless the problem does.
+/// Minimises a problem's cost from its current point and leaves it at the best point found. Allocates nothing once
+/// the scratch has grown to size, unless the problem does.
 ///
 /// # Errors
 /// Parameters out of range, and the problem's own.
@@ -201,22 +203,22 @@ pub fn minimise<P: Problem>(problem: &mut P, params: &Params, scratch: &mut Scra
     }
 }
 
-/// A fit under way.
+/// A fit in progress.
 struct Search<'a, P> {
     problem: &'a mut P,
     params: &'a Params,
     scratch: &'a mut Scratch,
     info: Info,
-    /// The equations are not those of the point.
+    /// The equations do not belong to the current point.
     is_stale: bool,
-    /// The step is that of the equations, perhaps shortened.
+    /// The step solves the current equations, or is a shortened version of that step.
     is_solved: bool,
-    /// Steps rejected in a row at this point.
+    /// Number of consecutive steps rejected at this point.
     rejected: usize,
 }
 
 impl<P: Problem> Search<'_, P> {
-    /// Tries one step; says why, when the fit is at its end.
+    /// Tries one step; returns the outcome if the fit ends.
     fn step(&mut self) -> Result<Option<Outcome>, P::Error> {
         let params = self.params;
         if self.info.trials >= params.most_trials {
@@ -280,7 +282,7 @@ impl<P: Problem> Search<'_, P> {
         None
     }
 
-    /// The equations cannot be solved, or the problem cannot go where the step leads.
+    /// Handles equations that cannot be solved, or a step to a point that is not allowed.
     fn refuse(&mut self) -> Option<Outcome> {
         self.rejected += 1;
         self.is_solved = false;
@@ -298,8 +300,8 @@ impl<P: Problem> Search<'_, P> {
     }
 }
 
-/// Replaces the lower triangle of a symmetric matrix (row-major) by its Cholesky factor; false where it is not positive
-/// definite.
+/// Replaces the lower triangle of a symmetric matrix (row-major) with its Cholesky factor; false if it is not
+/// positive definite.
 pub(crate) fn factorise(matrix: &mut [f64], n: usize) -> bool {
     for row in 0..n {
         for column in 0..=row {
@@ -320,7 +322,7 @@ pub(crate) fn factorise(matrix: &mut [f64], n: usize) -> bool {
     true
 }
 
-/// Solves with that factor, in place.
+/// Solves with this factor, in place.
 pub(crate) fn solve_factored(factor: &[f64], x: &mut [f64], n: usize) {
     for row in 0..n {
         let sum: f64 = (0..row).map(|k| factor[row * n + k] * x[k]).sum();

@@ -42,9 +42,9 @@
 //! | [`quality`] | figures of merit of images |
 //! | [`memory`] | the memory that solvers may use |
 //!
-//! Conventions: SI units throughout; frame of a flat skin: x right, y up, z out of the skin toward the toucher; images
-//! are row-major with row 0 at the top (+y), pixel value at the pixel centre, `NaN` outside the skin; EIT signs as in
-//! EIDORS (`J = dv/dsigma`, stimulation in amperes into the body).
+//! Conventions: SI units throughout; frame of a flat skin: x right, y up, z out of the skin towards the viewer;
+//! images are row-major with row 0 at the top (+y), pixel value at the pixel centre, `NaN` outside the skin; EIT
+//! signs as in EIDORS (`J = dv/dsigma`, stimulation in amperes into the body).
 
 pub mod eit;
 pub mod inverse;

@@ -1,13 +1,13 @@
-//! A stretched membrane that closes a full tray of incompressible liquid, deflected by loads and gravity.
+//! A stretched membrane over a full tray of incompressible liquid, deflected by loads and gravity.
 //!
-//! With w the deflection into the liquid, T the tension (N/m, constant: slopes are small against the pre-stretch), p
-//! the pressure of what presses, c the liquid's pressure at the origin and g gravity in the skin's frame, equilibrium
-//! of an element of membrane is `T lap w = -p + c + rho (gx x + gy y) - rho gz w`, `w = 0` at the rim, with c such that
-//! `integral w = 0`. Linear triangles; the matrix `T K - rho gz M` is factored once, each set of loads costs one
+//! Let w be the deflection into the liquid, T the tension (N/m, constant: slopes are small against the pre-stretch),
+//! p the pressure of the load, c the liquid's pressure at the origin and g gravity in the skin's frame. Equilibrium
+//! of an element of membrane is `T lap w = -p + c + rho (gx x + gy y) - rho gz w`, with `w = 0` at the rim and c such
+//! that `integral w = 0`. Linear triangles; the matrix `T K - rho gz M` is factored once, each set of loads costs one
 //! back-substitution, and c follows from the membrane's response to a uniform pressure.
 //!
-//! Without tension it is the open surface of a tank, which gravity alone holds: the matrix is `-rho gz M`, with M
-//! lumped so that the surface follows the pressure without ripples, and the rim is free.
+//! Without tension it is the open surface of a tank, held by gravity alone: the matrix is `-rho gz M` with lumped M,
+//! so that the surface follows the pressure without ripples, and the rim is free.
 
 use faer::Mat;
 
@@ -17,18 +17,19 @@ use crate::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 /// Pairs (a, b), a >= b, of a triangle's corners.
 const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
 
-/// What membrane and liquid are.
+/// Properties of membrane and liquid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MembraneSpec {
-    /// Tension, newtons per metre; 0 is an open tank, which needs gravity that points into the skin.
+    /// Tension, newtons per metre. 0 is an open tank, which needs gravity pointing into the skin.
     pub tension_n_per_m: f64,
     /// Density of the liquid, kg/m^3.
     pub density_kg_per_m3: f64,
-    /// Gravity in the skin's frame (z out of the skin), m/s^2: `[0, 0, -9.81]` lies flat, `[0, -9.81, 0]` stands.
+    /// Gravity in the skin's frame (z out of the skin), m/s^2: `[0, 0, -9.81]` for a flat skin, `[0, -9.81, 0]` for
+    /// an upright one.
     pub gravity_m_per_s2: [f64; 3],
 }
 
-/// A membrane on a mesh of triangles; nodes on the mesh's border are held, unless the tank is open.
+/// A membrane on a mesh of triangles. Nodes on the mesh's border are fixed, unless the tank is open.
 #[derive(Debug)]
 pub struct Membrane {
     positions: Vec<[f64; 2]>,
@@ -36,7 +37,7 @@ pub struct Membrane {
     areas: Vec<f64>,
     structure: SpdStructure,
     factor: SpdFactor,
-    /// Unknown of each node; held nodes have none.
+    /// Unknown of each node; fixed nodes have none.
     unknowns: Vec<Option<u32>>,
     /// `integral phi` of each node, m^2.
     shares_m2: Vec<f64>,
@@ -51,7 +52,7 @@ pub struct Membrane {
 }
 
 impl MembraneSpec {
-    /// Without a membrane.
+    /// True if there is no membrane.
     pub fn is_open(&self) -> bool {
         self.tension_n_per_m == 0.0
     }
@@ -61,8 +62,8 @@ impl Membrane {
     /// Prepares and factors the membrane, at rest under gravity alone. `plan` is a flat mesh of triangles.
     ///
     /// # Errors
-    /// Another kind of mesh, numbers that are not finite, or a membrane too slack to hold the liquid when it hangs
-    /// beneath (the system is then not positive definite).
+    /// Another kind of mesh, non-finite numbers, or a membrane too slack to hold the liquid when it hangs underneath
+    /// (the system is then not positive definite).
     pub fn new(plan: &Mesh, spec: MembraneSpec) -> Result<Self, SparseError> {
         let numbers = [spec.tension_n_per_m, spec.density_kg_per_m3].into_iter().chain(spec.gravity_m_per_s2);
         if !numbers.into_iter().all(f64::is_finite) || spec.tension_n_per_m < 0.0 {
@@ -115,7 +116,7 @@ impl Membrane {
         Ok(membrane)
     }
 
-    /// Shares, response to a uniform pressure, forces of gravity, and rest under these.
+    /// Computes shares, response to a uniform pressure, gravity forces, and the rest position under them.
     fn prepare(&mut self, spec: &MembraneSpec) {
         let [gx, gy, _] = spec.gravity_m_per_s2;
         for (triangle, area) in self.triangles.iter().zip(&self.areas) {
@@ -152,7 +153,7 @@ impl Membrane {
         &self.triangles
     }
 
-    /// Brings the membrane into equilibrium with nodal forces (newtons, one a node) and gravity.
+    /// Brings the membrane into equilibrium with nodal forces (newtons, one per node) and gravity.
     pub fn deflect(&mut self, load_n: &[f64]) {
         let total: Vec<f64> = load_n.iter().zip(&self.weight_n).map(|(load, weight)| load + weight).collect();
         self.solve(&total);
@@ -167,17 +168,17 @@ impl Membrane {
         &self.deflection_m
     }
 
-    /// Pressure of the liquid beneath the membrane at the origin, above that outside, pascals.
+    /// Pressure of the liquid under the membrane at the origin, relative to outside, pascals.
     pub fn liquid_pressure_pa(&self) -> f64 {
         self.liquid_pa
     }
 
-    /// Volume that the membrane displaces, m^3: zero but for rounding.
+    /// Net volume displaced by the membrane, m^3: zero except for rounding.
     pub fn volume_m3(&self) -> f64 {
         self.shares_m2.iter().zip(&self.deflection_m).map(|(share, w)| share * w).sum()
     }
 
-    /// Volume that the membrane displaces downward, m^3: what flows elsewhere.
+    /// Volume displaced downward by the membrane, m^3, which flows elsewhere.
     pub fn displaced_m3(&self) -> f64 {
         self.shares_m2.iter().zip(&self.deflection_m).map(|(share, w)| share * w.max(0.0)).sum()
     }
@@ -196,7 +197,7 @@ impl Membrane {
     }
 }
 
-/// Numbers the nodes that are not held, those of the border being so unless the tank is open; and how many they are.
+/// Numbers the free nodes and counts them. Nodes on the border are fixed unless the tank is open.
 fn number_free_nodes(plan: &Mesh, is_open: bool) -> (Vec<Option<u32>>, usize) {
     let mut held = vec![false; plan.nodes().len()];
     let border = if is_open { Vec::new() } else { plan.boundary_faces() };
@@ -212,7 +213,7 @@ fn number_free_nodes(plan: &Mesh, is_open: bool) -> (Vec<Option<u32>>, usize) {
     (unknowns, free as usize)
 }
 
-/// Unknowns of a pair of a triangle's corners, where both are free.
+/// Unknowns of a pair of a triangle's corners, if both are free.
 fn free_pair(unknowns: &[Option<u32>], triangle: &[u32; 3], (a, b): (usize, usize)) -> Option<(u32, u32)> {
     unknowns[triangle[a] as usize].zip(unknowns[triangle[b] as usize])
 }

@@ -1,38 +1,38 @@
-//! The memory that solvers may use, in bytes: one limit for the process, which every solver asks before it begins.
+//! Memory limit of the solvers, in bytes: one limit for the process, which every solver checks before it starts.
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use thiserror::Error;
 
-/// Memory that may be used before anybody says otherwise: 8 GB.
+/// Default limit: 8 GB.
 const UNTOLD_BYTES: u64 = 8_000_000_000;
 
 static LIMIT: AtomicU64 = AtomicU64::new(UNTOLD_BYTES);
 
-/// Lets every solver of this process use so many bytes.
+/// Limits every solver of this process to this many bytes.
 pub fn set_limit(bytes: u64) {
     LIMIT.store(bytes.max(1), Ordering::Relaxed);
 }
 
-/// Bytes that a solver may use.
+/// The limit, bytes.
 pub fn limit() -> u64 {
     LIMIT.load(Ordering::Relaxed)
 }
 
-/// What a solver would need is more than may be used.
+/// A solver would need more memory than allowed.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what} needs about {}, more than the {} that may be used; allow more with --memory, or make it smaller", Bytes(*needed_bytes), Bytes(*limit_bytes))]
 pub struct OutOfMemory {
-    /// What is to be solved, with its size.
+    /// The problem to solve, with its size.
     pub what: String,
-    /// Bytes that it takes, about.
+    /// Approximate memory needed, bytes.
     pub needed_bytes: f64,
-    /// Bytes that may be used.
+    /// Limit, bytes.
     pub limit_bytes: f64,
 }
 
-/// Refuses what would need more bytes than may be used. `what` is asked for only then.
+/// Refuses a computation that needs more memory than allowed. `what` is called only in that case.
 ///
 /// # Errors
 /// [`OutOfMemory`].
@@ -44,7 +44,7 @@ pub fn check(needed_bytes: f64, what: impl FnOnce() -> String) -> Result<(), Out
     Err(OutOfMemory { what: what(), needed_bytes, limit_bytes })
 }
 
-/// Zeros in memory that the system may refuse: an error, not the end of the process.
+/// Allocates zeros. If the system refuses the memory, that is an error instead of the end of the process.
 ///
 /// # Errors
 /// [`OutOfMemory`].
@@ -58,7 +58,7 @@ pub fn zeros(count: usize, what: impl Fn() -> String) -> Result<Vec<f64>, OutOfM
     Ok(values)
 }
 
-/// Bytes for people.
+/// Bytes, for display.
 struct Bytes(f64);
 
 impl fmt::Display for Bytes {

@@ -1,5 +1,5 @@
-//! Meshes of skins and tanks: triangles (flat, or a curved surface in 3D) and tetrahedra, the electrodes that sit on
-//! them, and the pixel grid that images live on.
+//! Meshes of skins and tanks: triangles (flat, or a curved surface in 3D) and tetrahedra, the electrodes on them, and
+//! the pixel grid of images.
 
 mod core;
 mod import;

@@ -1,9 +1,9 @@
 //! Figures of merit of reconstructed images: similarity to a known truth ([`icc`], [`rie`], [`ssim`]), the GREIT
-//! figures of a single target ([`GreitFigures`]), and the place and width of a peak ([`peak_m`],
+//! figures of a single target ([`GreitFigures`]), and the position and width of a peak ([`peak_m`],
 //! [`centroid_above_m`], [`spread_width_m`]).
 //!
-//! Images are row-major with row 0 at the top, `NaN` outside the skin. A pixel that is not finite in either of two
-//! compared images takes no part.
+//! Images are row-major with row 0 at the top, `NaN` outside the skin. In comparisons, pixels that are not finite in
+//! both images are ignored.
 
 mod error;
 mod greit_figures;

@@ -1,6 +1,6 @@
-//! Sparse symmetric positive definite systems with one structure and many values: the symbolic factorisation is made
-//! once (by `faer`), each set of values costs a numeric one (multifrontal, sequential inside: parallelism belongs to
-//! the samples around it).
+//! Sparse symmetric positive definite systems with one structure and many sets of values. The symbolic factorisation
+//! is computed once (by `faer`); each set of values costs a numeric one (multifrontal, sequential inside: parallelism
+//! is over samples).
 
 mod dissection;
 mod lanes;
@@ -25,46 +25,46 @@ use thiserror::Error;
 
 use crate::memory::{self, OutOfMemory};
 
-/// Why a system could not be factored.
+/// Reasons why a system cannot be factored.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum SparseError {
     /// A pivot was zero, negative or NaN.
     #[error("the system is singular or not positive definite (pivot {pivot} of {size})")]
     NotPositiveDefinite {
-        /// Which pivot, in elimination order.
+        /// Index of the pivot, in elimination order.
         pivot: usize,
         /// Size of the system.
         size: usize,
     },
-    /// The factor would need more memory than may be used.
+    /// The factor would need more memory than allowed.
     #[error(transparent)]
     OutOfMemory(#[from] OutOfMemory),
-    /// The structure itself was refused.
+    /// The structure itself is invalid.
     #[error("the system's structure was refused: {reason}")]
     Structure {
-        /// Why.
+        /// The problem.
         reason: String,
     },
 }
 
-/// The fill-reducing order of elimination.
+/// Fill-reducing elimination order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ordering<'a> {
     /// Approximate minimum degree.
     MinimumDegree,
-    /// Nested dissection by coordinates: halve the widest extent, eliminate the separator last.
+    /// Nested dissection by coordinates: halve the largest extent, eliminate the separator last.
     Dissection(&'a [[f64; 3]]),
-    /// The same, but the listed unknowns come last of all, in their order: those whose columns of the inverse
-    /// [`SpdStructure::inverse_columns`] is to give.
+    /// The same, but with the listed unknowns last of all, in their order: those for which
+    /// [`SpdStructure::inverse_columns`] will return columns of the inverse.
     DissectionWithLast(&'a [[f64; 3]], &'a [u32]),
 }
 
-/// Supernodes are merged when together they have at most so many columns and less than this share of zeros: larger
-/// blocks than `faer`'s default, as fronts of a few columns cost more in moving than in computing.
+/// Supernodes are merged if together they have at most this many columns and less than this share of zeros. Larger
+/// blocks than `faer`'s default, since fronts with few columns spend more time on moving data than on arithmetic.
 const RELAXATION: [(usize, f64); 4] = [(16, 1.0), (48, 0.5), (96, 0.2), (usize::MAX, 0.1)];
 
-/// Bytes that a position takes while the structure is made: keys, their order, slots, and the same in `faer`.
+/// Bytes per position while the structure is built: keys, their order, slots, and the same in `faer`.
 const POSITION_BYTES: f64 = 40.0;
 
 /// The structure of a symmetric matrix and its symbolic Cholesky factorisation.
@@ -82,13 +82,13 @@ pub struct SpdFactor {
 }
 
 impl SpdStructure {
-    /// From the positions of the lower triangle, repetitions allowed; the upper positions are folded down. Every
-    /// diagonal position is added. The second value tells for each given position the slot of the values array that
-    /// it adds to.
+    /// Builds the structure from positions in the lower triangle, with repetitions allowed; upper positions are
+    /// mirrored down. Every diagonal position is added. The second value maps each given position to the slot of the
+    /// values array that it adds to.
     ///
     /// # Errors
-    /// Positions outside the matrix, a structure too large for 32-bit indices, a factor that needs more memory than may
-    /// be used ([`memory::limit`]).
+    /// Positions outside the matrix, a structure too large for 32-bit indices, or a factor that needs more memory
+    /// than allowed ([`memory::limit`]).
     pub fn new(size: usize, positions: &[(u32, u32)], ordering: Ordering<'_>) -> Result<(Self, Vec<u32>), SparseError> {
         let what = || format!("a system of {size} unknowns");
         memory::check(POSITION_BYTES * (positions.len() + size) as f64, what)?;
@@ -113,7 +113,7 @@ impl SpdStructure {
             .map(|position| {
                 let key = fold(position);
                 let (from, to) = (column_start[key.0 as usize] as usize, column_start[key.0 as usize + 1] as usize);
-                // The key is present: it was put there from the same list above.
+                // The key is present: it was inserted from the same list above.
                 (from + rows[from..to].partition_point(|&row| row < key.1)) as u32
             })
             .collect();
@@ -145,7 +145,7 @@ impl SpdStructure {
         Ok((Self { pattern, symbolic, fronts }, slots))
     }
 
-    /// Rows of the matrix.
+    /// Number of rows.
     pub fn size(&self) -> usize {
         self.pattern.nrows()
     }
@@ -155,7 +155,7 @@ impl SpdStructure {
         self.pattern.row_idx().len()
     }
 
-    /// Nonzeros of the factor: a measure of cost.
+    /// Number of nonzeros in the factor, a measure of cost.
     pub fn factor_len(&self) -> usize {
         self.symbolic.len_val()
     }
@@ -175,15 +175,15 @@ impl SpdStructure {
         }
     }
 
-    /// Adds one value to every diagonal entry.
+    /// Adds a value to every diagonal entry.
     pub fn add_to_diagonal(&self, values: &mut [f64], amount: f64) {
-        // The diagonal comes first in each column: the lower triangle is sorted by row.
+        // The diagonal comes first in each column, since the lower triangle is sorted by row.
         for &start in &self.pattern.col_ptr()[..self.size()] {
             values[start as usize] += amount;
         }
     }
 
-    /// Factors the matrix whose lower triangle holds `values`, in the slots that [`SpdStructure::new`] told.
+    /// Factors the matrix whose lower triangle is in `values`, in the slots assigned by [`SpdStructure::new`].
     ///
     /// # Errors
     /// [`SparseError::NotPositiveDefinite`], [`SparseError::OutOfMemory`].
@@ -194,7 +194,7 @@ impl SpdStructure {
         Ok(factor)
     }
 
-    /// As [`SpdStructure::factor`], into the memory of an earlier factor of the same structure.
+    /// As [`SpdStructure::factor`], but reuses the memory of an earlier factor of the same structure.
     ///
     /// # Errors
     /// [`SparseError::NotPositiveDefinite`].
@@ -219,13 +219,13 @@ impl SpdStructure {
         Ok(())
     }
 
-    /// Columns of the inverse that belong to the given unknowns (size x unknowns): the fields of unit sources there.
-    /// Quick where [`Ordering::DissectionWithLast`] put them last, correct for any.
+    /// Columns of the inverse for the given unknowns (size x unknowns): the fields of unit sources there. Fast if
+    /// [`Ordering::DissectionWithLast`] put them last, correct for any.
     pub fn inverse_columns(&self, factor: &SpdFactor, unknowns: &[usize]) -> Mat<f64> {
         self.inverse_part(factor, unknowns, Rows::All)
     }
 
-    /// The rows of [`SpdStructure::inverse_columns`] for the same unknowns (unknowns x unknowns), without the others.
+    /// Only the rows of [`SpdStructure::inverse_columns`] for the same unknowns (unknowns x unknowns).
     pub fn inverse_block(&self, factor: &SpdFactor, unknowns: &[usize]) -> Mat<f64> {
         self.inverse_part(factor, unknowns, Rows::Same)
     }
@@ -267,9 +267,9 @@ impl SpdStructure {
         result
     }
 
-    /// What is given of the inverse between these unknowns: its lower triangle in single precision, column by column
-    /// (n, n - 1, ... values), in an order of its own, which is returned first: numbers of the unknowns given. In the
-    /// order of elimination neither substitution looks at what comes before, and no part is made twice.
+    /// The inverse between these unknowns: its lower triangle in single precision, column by column (n, n - 1, ...
+    /// values). It has its own order, which is returned first, as indices into `unknowns`. In elimination order,
+    /// neither substitution looks at earlier unknowns, and no part is computed twice.
     pub fn inverse_triangle(&self, factor: &SpdFactor, unknowns: &[usize]) -> (Vec<usize>, Vec<f32>) {
         let count = unknowns.len();
         let mut order: Vec<usize> = (0..count).collect();
@@ -358,7 +358,7 @@ mod tests {
         for (at, &column) in order.iter().enumerate() {
             for &row in &order[at..] {
                 let (expected, got) = (columns[(unknowns[row], column)], f64::from(*left.next().unwrap()));
-                // Rounding of single precision.
+                // Single-precision rounding.
                 assert!((got / expected - 1.0).abs() < 1e-6, "{row} {column}: {got} {expected}");
             }
         }
@@ -389,7 +389,7 @@ mod tests {
                 let solution: Vec<f64> = (0..n * n).map(|i| x[(i, column)]).collect();
                 let mut back = vec![0.0; n * n];
                 structure.multiply(&values, &solution, &mut back);
-                // Residual relative to |A||x| (about 4e4 here): rounding only.
+                // Residual relative to |A||x| (about 4e4 here): only rounding.
                 assert!((0..n * n).all(|i| (back[i] - rhs[(i, column)]).abs() < 1e-8));
             }
         }
@@ -402,7 +402,7 @@ mod tests {
         let mut positions = edges.clone();
         positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
         positions.push((0, 0));
-        // More sources than are handled together, at the end of the elimination and scattered.
+        // More sources than are processed together, both at the end of the elimination and scattered.
         let sources: Vec<u32> = (0..20).map(|k| (k * 37 + 5) % (n * n) as u32).collect();
         for ordering in [
             Ordering::MinimumDegree,
@@ -422,7 +422,7 @@ mod tests {
             let columns = structure.inverse_columns(&factor, &unknowns);
             let block = structure.inverse_block(&factor, &unknowns);
             for column in 0..unknowns.len() {
-                // Values up to about 150 (the grid is grounded at a corner): rounding only.
+                // Values up to about 150 (the grid is grounded at a corner): only rounding.
                 assert!((0..n * n).all(|row| (columns[(row, column)] - expected[(row, column)]).abs() < 1e-9));
                 let same = |row: usize| (block[(row, column)] - expected[(unknowns[row], column)]).abs() < 1e-9;
                 assert!((0..unknowns.len()).all(same));

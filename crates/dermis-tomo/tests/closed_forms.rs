@@ -1,8 +1,8 @@
-//! The forward model against closed forms: point electrodes on the rim of a disc, homogeneous and with a concentric
-//! anomaly. A unit current at angle a raises the rim's potential at angle t by
-//! `1 / (pi s) sum_n (1/n) (1 - k rho^2n) / (1 + k rho^2n) cos n (t - a)`, with rho the anomaly's radius relative to
-//! the disc's and `k = (s1 - s) / (s1 + s)` (separation of variables; Isaacson, IEEE TMI 5, 1986, eq. 4.9 has the same
-//! factors).
+//! Compares the forward model with closed forms: point electrodes on the rim of a disc, homogeneous and with a
+//! concentric anomaly. A unit current at angle a raises the rim's potential at angle t by
+//! `1 / (pi s) sum_n (1/n) (1 - k rho^2n) / (1 + k rho^2n) cos n (t - a)`, where rho is the anomaly's radius relative
+//! to the disc's and `k = (s1 - s) / (s1 + s)` (separation of variables; Isaacson, IEEE TMI 5, 1986, eq. 4.9 has the
+//! same factors).
 
 use std::f64::consts::{PI, TAU};
 
@@ -14,8 +14,8 @@ const ANOMALY: f64 = 0.5;
 const SIGMA: f64 = 0.3;
 const SIGMA_INSIDE: f64 = 2.0;
 
-/// The disc's mesh, and the elements of the concentric anomaly: its rim is in the mesh because a pad was asked for
-/// there.
+/// The disc's mesh, and the elements of the concentric anomaly. A pad of its size puts the anomaly's rim into the
+/// mesh.
 fn disc(elements: usize) -> (ElectrodedMesh, Vec<u32>) {
     let outline = Outline::Disc { radius_m: RADIUS_M };
     let mut electrodes = outline.rim_points(16, 0.0, Direction::CounterClockwise);
@@ -43,7 +43,7 @@ fn protocol() -> Protocol {
 fn exact(protocol: &Protocol, contrast: f64) -> Vec<f64> {
     let series = |angle: f64| {
         if contrast == 0.0 {
-            // sum cos(n t) / n = -ln(2 sin(t / 2)), the limit of the series that converges slowly.
+            // sum cos(n t) / n = -ln(2 sin(t / 2)), the limit of the slowly converging series.
             return -(2.0 * (0.5 * angle).sin().abs()).ln() / (PI * SIGMA);
         }
         let plain = -(2.0 * (0.5 * angle).sin().abs()).ln();
@@ -72,7 +72,7 @@ fn relative_error(found: &[f64], expected: &[f64]) -> f64 {
     (difference / expected.iter().map(|v| v * v).sum::<f64>()).sqrt()
 }
 
-/// Errors of the voltages on ever finer meshes, and the orders of convergence between them.
+/// Errors of the voltages on successively finer meshes, and the orders of convergence between them.
 fn study(inside: f64) -> (Vec<f64>, Vec<f64>) {
     let protocol = protocol();
     let expected = exact(&protocol, (inside - SIGMA) / (inside + SIGMA));
@@ -94,7 +94,7 @@ fn study(inside: f64) -> (Vec<f64>, Vec<f64>) {
 fn voltages_of_a_homogeneous_disc_converge_with_order_two() {
     let (errors, orders) = study(SIGMA);
     println!("homogeneous disc: relative errors {errors:.6?}, orders {orders:.2?}");
-    // Linear elements converge with order 2 away from the point sources; graded meshes make single steps scatter.
+    // Linear elements converge with order 2 away from point sources; on graded meshes single steps scatter.
     let mean = orders.iter().sum::<f64>() / orders.len() as f64;
     assert!((1.7..2.4).contains(&mean), "{orders:?}");
     assert!(errors[3] < 5e-4, "{errors:?}");

@@ -1,6 +1,6 @@
-//! Touches on a measured skin located without a single label: 500 presses on the 16-electrode gelatin skin of
-//! DSHardman/HydrogelEIT (the set `hydrogel`), unsigned magnitudes in raw counts. Positions are used only to
-//! measure the errors.
+//! Locates touches on a measured skin without any labels: 500 presses on the 16-electrode gelatin skin of
+//! DSHardman/HydrogelEIT (the set `hydrogel`), unsigned magnitudes in raw counts. Positions are used only to measure
+//! the errors.
 
 use std::path::Path;
 
@@ -13,14 +13,14 @@ use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec};
 const RADIUS_M: f64 = 0.0855;
 const ELECTRODES: usize = 16;
 const TOUCH_SIGMA_M: f64 = 0.009;
-/// Nearer to the rim than this no touch is looked for.
+/// Minimum distance from the rim at which touches are searched.
 const RIM_M: f64 = 0.011;
 
 struct Data {
     before: Vec<Vec<f64>>,
     pressed: Vec<Vec<f64>>,
     positions_m: Vec<[f64; 2]>,
-    /// Source, sink, plus and minus electrode of each channel.
+    /// Source, sink, plus and minus electrodes of each channel.
     channels: Vec<[u32; 4]>,
 }
 
@@ -31,7 +31,7 @@ fn table(path: &Path, header: usize) -> Vec<Vec<f64>> {
 
 fn load() -> Option<Data> {
     let folder = dermis_testdata::set("hydrogel")?;
-    // The board names its lines by even numbers.
+    // The board numbers its lines with even numbers.
     let channel = |row: &Vec<f64>| [0, 1, 2, 3].map(|k| row[k] as u32 / 2);
     Some(Data {
         before: table(&folder.join("ohmc16_before.csv"), 0),
@@ -121,7 +121,7 @@ fn touches_are_located_after_calibration_on_drift_alone() {
     assert!(median <= 11.0 && p90 <= 21.0, "{median} {p90}");
 }
 
-/// Expected: 4.3 mm, p90 9.5 mm, and 5.2 mm, 10.2 mm the other way round.
+/// Expected: 4.3 mm, p90 9.5 mm; with the two halves swapped 5.2 mm, 10.2 mm.
 #[test]
 fn touches_are_located_after_calibration_on_other_touches() {
     let Some(data) = load() else { return };
@@ -132,7 +132,7 @@ fn touches_are_located_after_calibration_on_other_touches() {
         let (median, p90) = located(&calibration, &frames, &every_other(&data.positions_m, test));
         println!("halves {fit} -> {test}: median {median:.2} mm, p90 {p90:.2} mm, score {:.3}", calibration.score());
         assert!(median <= 7.0 && p90 <= 15.0, "{median} {p90}");
-        // The nominal circuit stays below 0.6.
+        // The nominal circuit scores below 0.6.
         assert!(calibration.score() > 0.8);
     }
 }
@@ -148,9 +148,9 @@ fn few_frames_suffice() {
     assert!(median <= 11.0 && p90 <= 21.0, "{median} {p90}");
 }
 
-/// Expected: 5.1 mm, p90 11.3 mm (even touches) and 5.5 mm, 12.3 mm (drift). Relative hyperparameters of 5 to 20 differ
-/// by less than 1 mm. The image of the linear operator, and the centroid of what is above half its peak and connected
-/// to it.
+/// Expected: 5.1 mm, p90 11.3 mm (even touches) and 5.5 mm, 12.3 mm (drift). Relative hyperparameters of 5 to 20
+/// differ by less than 1 mm. The position is the centroid of the linear operator's image over the connected region
+/// above half its peak.
 #[test]
 fn images_of_the_calibrated_operator_show_the_touches() {
     let Some(data) = load() else { return };

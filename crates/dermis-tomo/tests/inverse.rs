@@ -1,5 +1,4 @@
-//! Inverse operators against their own definitions, solved in the plainest way, and hyperparameter rules against what
-//! they promise.
+//! Compares inverse operators with their definitions, solved directly, and hyperparameter rules with their promises.
 
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::inverse::{
@@ -57,7 +56,7 @@ fn largest_difference(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 #[test]
 fn every_form_is_the_operator_of_the_definition() {
     let skin = skin();
-    // Fewer channels than unknowns, and more: another form of the operator.
+    // Fewer channels than unknowns, and more, which use different forms of the operator.
     let few = 15;
     let neighbours = skin.basis.neighbours.iter().filter(|pair| pair.iter().all(|k| (*k as usize) < few));
     let corner =
@@ -81,7 +80,7 @@ fn check_forms(j: &Mat<f64>, basis: &ImageBasis) {
         let system = &jw * j + faer::Scale(lambda * lambda) * &r;
         let plain = system.llt(Side::Lower).unwrap().solve(&jw);
         let error = largest_difference(&operator.matrix, &plain);
-        // The inverse of a Gaussian covariance is itself only good to its jitter of 1e-6.
+        // The inverse of a Gaussian covariance is itself only accurate to its jitter of 1e-6.
         let tolerance = if matches!(prior, Prior::Gaussian { .. } | Prior::GaussianNoser { .. }) { 1e-3 } else { 1e-8 };
         assert!(error < tolerance, "{prior:?}: {error:e}");
         let covariance = system.llt(Side::Lower).unwrap().solve(Mat::<f64>::identity(j.ncols(), j.ncols()));
@@ -119,7 +118,7 @@ fn filled_channels_give_the_image_without_them() {
     let weights: Vec<f64> = variances(j.nrows()).iter().map(|v| 1.0 / v).collect();
     for prior in [Prior::Noser { exponent: 0.5 }, Prior::Laplace] {
         let weighting = Weighting::Diagonal(weights.clone());
-        // The prior is the full set's in both cases: what is expected of an image does not change with the channels.
+        // The prior is that of the full set in both cases: the expected image does not change with the channels.
         let matrix = prior.matrix(j.as_ref(), &weighting, &skin.basis).unwrap();
         let operator = LinearProblem::new(j.as_ref(), weighting, matrix.clone()).unwrap().operator(0.02).unwrap();
         let fewer = Mat::from_fn(kept.len(), j.ncols(), |row, column| j[(kept[row], column)]);
@@ -148,7 +147,7 @@ fn live_images_are_the_operators_within_their_rounding() {
     live.apply(&frame.iter().map(|v| *v as f32).collect::<Vec<_>>(), &mut image);
     let expected = operator.apply(&frame).unwrap();
     let size = expected.iter().map(|v| v.abs()).fold(0.0, f64::max);
-    // Uniform rounding to 1/32767 of a row's largest entry, over a frame of 208 values of which most cancel.
+    // Uniform rounding to 1/32767 of a row's largest entry, in a sum over 208 values that mostly cancel.
     assert!(image.iter().zip(&expected).all(|(a, b)| (f64::from(*a) + 2.0 * b).abs() < 1e-4 * size));
 }
 
@@ -160,7 +159,7 @@ fn noisy_touch(skin: &Skin, noise: f64, seed: u64) -> (Vec<f64>, Vec<f64>) {
     let data = (0..skin.jacobian.rows)
         .map(|channel| {
             let clean: f64 = skin.jacobian.row(channel).iter().zip(&truth).map(|(j, x)| j * x).sum();
-            // Sum of twelve uniforms: normal enough, and needs no other crate.
+            // Sum of twelve uniforms: close enough to normal, without another crate.
             let normal: f64 = (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
             clean + noise * normal
         })
@@ -188,7 +187,7 @@ fn rules_for_the_hyperparameter_keep_their_promises() {
         let lambda = problem.choose(&rule, &frames).unwrap();
         let found = error(lambda);
         println!("{rule:?}: lambda {lambda:.3}, error {found:.3} where the best is {best:.3}");
-        // None of the rules knows the truth; within a quarter of the best error is what they are chosen for.
+        // None of the rules knows the truth; they are expected to come within a quarter of the best error.
         assert!(found < 1.25 * best, "{rule:?}: {found} against {best}");
     }
     let signal: Vec<f64> = noisy_touch(&skin, 0.0, 0).1;
@@ -222,7 +221,7 @@ fn greit_reaches_its_noise_figure_and_places_targets() {
     let above = || image.iter().zip(&skin.basis.positions).filter(|(value, _)| **value > 0.5 * peak);
     let weight: f64 = above().map(|(value, _)| value).sum();
     let centroid = |axis: usize| above().map(|(value, p)| value * p[axis]).sum::<f64>() / weight;
-    // The target's middle is at (40, -10) mm; eight electrodes resolve about a fifth of the diameter.
+    // The target's centre is at (40, -10) mm; eight electrodes resolve about a fifth of the diameter.
     let error = (centroid(0) - 0.04).hypot(centroid(1) + 0.01);
     assert!(error < 0.02, "{error} at ({}, {})", centroid(0), centroid(1));
 }

@@ -1,5 +1,6 @@
-//! Voltages, Jacobians, images and the Laplace prior against EIDORS values (`tests/data/oracle/eit`). Tolerances are
-//! theirs: an independent dense implementation reproduced the voltages to 4e-13, Jacobians to 5e-13 and images to 3e-9.
+//! Compares voltages, Jacobians, images and the Laplace prior with EIDORS values (`tests/data/oracle/eit`). The
+//! tolerances come with the values: an independent dense implementation reproduced the voltages to 4e-13, Jacobians
+//! to 5e-13 and images to 3e-9.
 
 use std::collections::BTreeMap;
 
@@ -121,7 +122,7 @@ fn the_laplace_prior_equals_eidors() {
             let cells: Vec<f64> = line.split(',').map(|cell| cell.trim().parse().unwrap()).collect();
             ((cells[0] as u32, cells[1] as u32), cells[2])
         };
-        // Ours holds the lower triangle. All entries are small whole numbers: equal to the last bit.
+        // Ours holds only the lower triangle. All entries are small integers, so they match exactly.
         let expected: BTreeMap<(u32, u32), f64> = text.lines().map(entry).filter(|((i, j), _)| i >= j).collect();
         assert_eq!(found, expected, "{path:?}");
     }

@@ -1,4 +1,4 @@
-//! One 64 x 64 image to contacts, and contacts to touches.
+//! Times finding the contacts in one 64 x 64 image, and tracking contacts as touches.
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use dermis_touch::{Contact, ContactFinder, ContactParams, GridGeometry, PixelNoise, Tracker, TrackerParams};

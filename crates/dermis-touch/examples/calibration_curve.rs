@@ -1,11 +1,12 @@
-//! How a calibration improves with pokes, on measured pokes:
+//! Shows how a calibration improves with the number of pokes, on measured pokes:
 //!
 //! `cargo run -p dermis-touch --release --example calibration_curve -- DIR [SISTER_DIR] [POKES]...`
 //!
-//! DIR holds `positions.csv` (x_m, y_m, depth_m) and `differences.csv`, or files that end in `positions.csv`,
-//! `before.csv` and `pressed.csv`. The last fifth, or the last 500, of some random orders is held out: 16 of ten pokes,
-//! fewer of more. With a second folder of the same form, a calibration of it on all its pokes is the prior of the first
-//! lines. Numbers choose how many pokes are fitted to; more than 2,000 are tried on one order.
+//! DIR holds `positions.csv` (x_m, y_m, depth_m) and `differences.csv`, or files whose names end in `positions.csv`,
+//! `before.csv` and `pressed.csv`. Each random order holds out its last fifth, at most 500 pokes. There are 16 orders
+//! for 10 pokes and fewer for more. With a second folder of the same form, a calibration on the first 2,000 pokes
+//! there (in random order) is the prior of the first lines. The numbers say how many pokes to fit; more than 2,000
+//! are tried in one order only.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -76,7 +77,7 @@ impl Pokes {
         Ok(examples)
     }
 
-    /// Positions over the square that the pokes span, with a margin of an eighth, 45 a side.
+    /// Positions on a 45 x 45 grid over the square that the pokes span, with a margin of an eighth.
     fn map(&self) -> Result<SignatureMap, LocatorError> {
         let side = 45;
         let reach = 1.125 * self.positions_m.iter().flatten().fold(0.0_f64, |most, v| most.max(v.abs()));
@@ -86,7 +87,7 @@ impl Pokes {
     }
 }
 
-/// A random order, the same at every run.
+/// A random order, the same in every run.
 fn shuffled(count: usize, seed: u64) -> Vec<usize> {
     let mut state = 0x9e37_79b9_7f4a_7c15 ^ (seed + 1).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let mut order: Vec<usize> = (0..count).collect();
@@ -196,7 +197,7 @@ fn note(report: &FusedReport) -> String {
     text
 }
 
-/// How many random orders so many pokes are tried in.
+/// Number of random orders to try for this number of pokes.
 fn orders(pokes: usize) -> u64 {
     match pokes {
         ..=10 => 16,

@@ -1,31 +1,31 @@
 //! The cheapest one-to-one assignment of rows to columns, by shortest augmenting paths with potentials.
 //!
-//! The method of Kuhn and Munkres in the form of Jonker and Volgenant (Computing 38 (1987) 325), O(rows^2 columns).
-//! Every row may also stay alone at a given cost, so infeasible pairs need no finite stand-in beyond that cost.
+//! The method of Kuhn and Munkres in the form of Jonker and Volgenant (Computing 38 (1987) 325), O(rows^2 columns). A
+//! row may also stay unassigned at a given cost, so infeasible pairs need no finite stand-in beyond that cost.
 
 /// Cost of a pair that must not be formed.
 pub(crate) const FORBIDDEN: f64 = f64::INFINITY;
 
-/// Scratch of the solver.
+/// Working memory of the solver.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Assignment {
     row_potential: Vec<f64>,
     column_potential: Vec<f64>,
-    /// Row (from 1) that holds each column (from 1), 0 = free. Column 0 is the row being placed.
+    /// Row (counted from 1) that holds each column (counted from 1); 0 = free. Column 0 holds the row being placed.
     holder: Vec<usize>,
     came_from: Vec<usize>,
     shortest: Vec<f64>,
     visited: Vec<bool>,
-    /// Column of each row, or none.
+    /// Column of each row, or `None`.
     result: Vec<Option<usize>>,
 }
 
 impl Assignment {
-    /// Assigns each of `rows` to one of `columns` or to nobody, at the least total cost.
+    /// Assigns each of `rows` to one of `columns`, or to none, at the least total cost.
     ///
-    /// `cost` gives the cost of a pair, [`FORBIDDEN`] or any value at or above `alone` for pairs that must not be;
-    /// `alone` is the cost of a row without partner, finite and not negative. Of equal solutions the same one is found
-    /// every time.
+    /// `cost` gives the cost of a pair. Return [`FORBIDDEN`], or any value at or above `alone`, for pairs that must
+    /// not be formed. `alone` is the cost of leaving a row unassigned, finite and not negative. Ties are broken the
+    /// same way every time.
     pub(crate) fn solve(
         &mut self,
         rows: usize,
@@ -33,8 +33,8 @@ impl Assignment {
         alone: f64,
         cost: impl Fn(usize, usize) -> f64,
     ) -> &[Option<usize>] {
-        // Each row has one column of its own, at the cost of staying alone; all other pairs cost no more than
-        // `barred`, which no optimal solution ever pays, since its own column is always free to the row.
+        // Every row also gets a private column that costs `alone`. All other forbidden pairs cost `barred`, which no
+        // optimal solution pays because the private column is always free.
         let total = columns + rows;
         let barred = (alone + 1.0) * (rows as f64 + 1.0) * 4.0;
         let price = |row: usize, column: usize| {
@@ -156,7 +156,7 @@ mod tests {
             let mut used = std::collections::HashSet::new();
             prop_assert!(result.iter().flatten().all(|column| used.insert(*column)));
             let best = cheapest_by_trying_all(&cost, 16.0, 0, 0);
-            // Sums of at most five numbers of order 10.
+            // Rounding in sums of at most five numbers of order 10.
             prop_assert!((total(&cost, 16.0, &result) - best).abs() < 1e-9);
         }
     }

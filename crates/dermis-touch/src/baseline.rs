@@ -1,12 +1,13 @@
-//! The baseline that difference data are taken against: compensated = raw - baseline, channel by channel.
+//! The baseline that difference data refer to: compensated = raw - baseline, per channel.
 //!
-//! It is set at the start from the median of the first frames, later by an explicit tare or by the caller, and may
-//! follow slow drift as an exponential mean, b += (1 - exp(-dt/tau)) (raw - b), but only while nothing touches the
-//! skin: under contact it stands still, so that a held touch keeps its value however long it is held. Where touch and
-//! damage may come on as slowly as drift, only the part of the change that is alike everywhere is followed, b += (1 -
-//! exp(-dt/tau)) a b with a the least-squares share of (raw - b) along b: a sheet that grows warmer under a constant
-//! current changes all its voltages by the same share, a touch or a cut does not. Every baseline that was in use is
-//! kept with its time and reason, and can be taken up again.
+//! The baseline starts as a robust mean of the first frames. Later an explicit tare or the caller can replace it. It
+//! may follow slow drift as an exponential mean, `b += (1 - exp(-dt/tau)) (raw - b)`, but only while nothing touches
+//! the skin. Under contact it is frozen, so a held touch keeps its value for any length of time.
+//!
+//! If touch and damage may develop as slowly as drift, only the uniform part of the change is followed:
+//! `b += (1 - exp(-dt/tau)) a b`, where a is the least-squares share of (raw - b) along b. Warming a sheet under
+//! constant current changes all its voltages by the same share; a touch or a cut does not. Every baseline that was in
+//! use is kept with its time and reason, and can be restored.
 
 mod statistics;
 mod types;
@@ -18,18 +19,17 @@ pub use types::{
 use crate::error::{TouchError, require, require_length};
 use statistics::robust_mean_and_std;
 
-/// A change counts as alike everywhere where its uniform part has this share of its energy.
+/// Minimum share of a change's energy in its uniform part for the change to count as uniform.
 const UNIFORM_SHARE: f64 = 0.9;
-/// Or where what is left without it is below so many standard deviations of the noise (root mean square).
+/// A change also counts as uniform if its remainder is below this many standard deviations of the noise (RMS).
 const UNIFORM_REST: f64 = 3.0;
-/// What drifted while the baseline stood still under a touch is caught up after it: for this long, at this time constant,
-/// seconds.
+/// For this long after a touch, the baseline catches up fast on the drift it missed, seconds.
 const CATCH_UP_S: f64 = 2.0;
 const CATCH_UP_TIME_CONSTANT_S: f64 = 0.5;
-/// Values of so many baselines are kept; of older ones only the first.
+/// Number of baselines whose values are kept, in addition to the first.
 const MOST_KEPT: usize = 64;
 
-/// A tare under way.
+/// A tare in progress.
 #[derive(Debug, Clone)]
 struct Tare {
     want: usize,
@@ -40,10 +40,10 @@ struct Tare {
 
 /// Raw values, baseline and compensated values of one stream of frames.
 ///
-/// Each frame goes through [`Baseline::observe`], which compensates it by the baseline as it stood, and, once the
-/// caller has judged the load, through [`Baseline::learn`]. A NaN value belongs to its channel alone: it is compensated
-/// to NaN and moves no baseline. A channel without any value during start-up or tare has the baseline NaN until the
-/// next tare.
+/// Each frame goes through [`Baseline::observe`], which compensates it with the current baseline. Once the caller has
+/// judged the load, it goes through [`Baseline::learn`]. NaN affects only its own channel: the compensated value is
+/// NaN and the baseline stays. A channel without any value during start-up or tare has a NaN baseline until the next
+/// tare.
 #[derive(Debug, Clone)]
 pub struct Baseline {
     params: BaselineParams,
@@ -51,7 +51,7 @@ pub struct Baseline {
     baseline: Vec<f64>,
     compensated: Vec<f64>,
     noise_std: Vec<f64>,
-    /// Start-up frames, frame by frame.
+    /// Start-up frames, one after another.
     startup: Vec<f64>,
     started: bool,
     sorted: Vec<f64>,
@@ -59,9 +59,9 @@ pub struct Baseline {
     tare_sum: Vec<f64>,
     tare_count: Vec<u32>,
     records: Vec<ReferenceRecord>,
-    /// Values of each record; empty where they are no longer kept.
+    /// Values of each record; empty once they have been dropped.
     kept: Vec<Vec<f64>>,
-    /// Product of the shares that uniform drift was followed by.
+    /// Product of all uniform drift factors since the start.
     drift_factor: f64,
     drift_held: bool,
     follows_rest: bool,
@@ -73,7 +73,7 @@ pub struct Baseline {
 }
 
 impl Baseline {
-    /// A baseline for frames of `channels` values, to be learnt from the first frames.
+    /// A baseline for frames of `channels` values, learned from the first frames.
     ///
     /// # Errors
     /// [`TouchError::Parameter`] when a parameter is out of range.
@@ -111,71 +111,70 @@ impl Baseline {
         self.raw.len()
     }
 
-    /// The last frame as it came. NaN before the first.
+    /// The last frame as received. NaN before the first.
     #[must_use]
     pub fn raw(&self) -> &[f64] {
         &self.raw
     }
 
-    /// The baseline. NaN before it is there.
+    /// The baseline. NaN until start-up is over.
     #[must_use]
     pub fn baseline(&self) -> &[f64] {
         &self.baseline
     }
 
-    /// Raw less baseline for the last frame, with the baseline as it stood when the frame came. NaN before it was
-    /// there.
+    /// Last frame minus the baseline that was current when it arrived. NaN until start-up is over.
     #[must_use]
     pub fn compensated(&self) -> &[f64] {
         &self.compensated
     }
 
-    /// Standard deviation of each channel during start-up, from the median absolute deviation (times 1.4826, which
-    /// makes it that of a Gaussian). NaN before start-up is over and for channels without values; 0 for constant
-    /// channels.
+    /// Standard deviation of each channel during start-up: 1.4826 times the median absolute deviation, the factor for
+    /// a Gaussian. NaN during start-up and for channels without values; 0 for constant channels.
     #[must_use]
     pub fn noise_std(&self) -> &[f64] {
         &self.noise_std
     }
 
-    /// Every baseline set so far, oldest first.
+    /// All baselines since the start, oldest first.
     #[must_use]
     pub fn records(&self) -> &[ReferenceRecord] {
         &self.records
     }
 
-    /// The values of a baseline that was in use, as they were set, by its place in [`Baseline::records`]; none where
-    /// there is no such record, or where its values are no longer kept (the first and the last 64 are).
+    /// The values of a past baseline as they were set, by its index in [`Baseline::records`]. `None` if there is no
+    /// such record or its values are no longer kept (only the first and the last 64 are).
     #[must_use]
     pub fn kept(&self, record: usize) -> Option<&[f64]> {
         self.kept.get(record).map(Vec::as_slice).filter(|values| !values.is_empty())
     }
 
-    /// By what factor uniform drift has changed the baseline since the start, tares left aside: a baseline of then,
-    /// times the ratio of the factors of now and then, is what it would be now.
+    /// Factor by which uniform drift has changed the baseline since the start, ignoring tares. To bring an old
+    /// baseline up to date, multiply it by today's factor over the factor at that time.
     #[must_use]
     pub fn drift_factor(&self) -> f64 {
         self.drift_factor
     }
 
-    /// Holds drift compensation still, or lets it go on, whatever the load: something is suspected that is no drift.
+    /// Suspends or resumes drift compensation regardless of load. Suspend it while something other than drift is
+    /// suspected.
     pub fn hold_drift(&mut self, held: bool) {
         self.drift_held = held;
     }
 
-    /// Lets uniform compensation follow all other changes too, as exponential compensation does, or no longer: while a
-    /// sheet heals, it changes here and there.
+    /// Makes uniform compensation follow non-uniform changes too, as exponential compensation does, or stops it doing
+    /// so. A healing sheet changes locally.
     pub fn follow_rest(&mut self, follows: bool) {
         self.follows_rest = follows;
     }
 
-    /// Lets exponential compensation catch up fast after a touch, or not: only where what is left of a frame without
-    /// touches is known to be none.
+    /// Enables or disables fast catch-up of exponential compensation after a touch. Enable it only if residuals in
+    /// frames without touches are known to be drift.
     pub fn catch_up(&mut self, catches_up: bool) {
         self.catches_up = catches_up;
     }
 
-    /// How far the baseline is.
+    /// Progress of start-up or tare.
     #[must_use]
     pub fn state(&self) -> BaselineState {
         match &self.tare {
@@ -188,13 +187,13 @@ impl Baseline {
         }
     }
 
-    /// The drift compensation in force.
+    /// The current drift compensation.
     #[must_use]
     pub fn drift(&self) -> DriftCompensation {
         self.params.drift
     }
 
-    /// Switches drift compensation on, off or to another time constant. The baseline itself stays.
+    /// Switches drift compensation on or off, or changes its time constant. Keeps the baseline.
     ///
     /// # Errors
     /// [`TouchError::Parameter`] when a time is out of range.
@@ -204,10 +203,10 @@ impl Baseline {
         Ok(())
     }
 
-    /// Takes in one frame and compensates it. `time_ns` must not run backwards.
+    /// Takes one frame and compensates it. `time_ns` must not run backwards.
     ///
     /// # Errors
-    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; nothing has then changed.
+    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; the state is then unchanged.
     pub fn observe(&mut self, time_ns: u64, raw: &[f64]) -> Result<BaselineState, TouchError> {
         require_length("frame", self.channels(), raw.len())?;
         if let Some(previous_ns) = self.time_ns.filter(|previous| time_ns < *previous) {
@@ -223,9 +222,9 @@ impl Baseline {
         Ok(self.state())
     }
 
-    /// Learns from the frame observed last, given whether the skin is touched in it: start-up, tare or drift.
+    /// Learns from the last observed frame, given whether the skin is touched in it: start-up, tare or drift.
     ///
-    /// Before start-up is over the load is ignored, since there is no image to judge it from. Call it once a frame.
+    /// Load is ignored during start-up, since there is no image to judge it from. Call this once per frame.
     pub fn learn(&mut self, load: Load) -> BaselineChange {
         let Some(time_ns) = self.time_ns else { return BaselineChange::None };
         let elapsed_s = self.learned_time_ns.map_or(0.0, |before| time_ns.saturating_sub(before) as f64 * 1e-9);
@@ -241,7 +240,7 @@ impl Baseline {
         change
     }
 
-    /// Begins a tare: the mean of the next `frames` frames becomes the baseline. One already under way is replaced.
+    /// Starts a tare: the mean of the next `frames` frames becomes the baseline. Replaces a tare in progress.
     ///
     /// # Errors
     /// [`TouchError::TareUnderLoad`] while touched, unless forced; [`TouchError::Parameter`] for 0 frames.
@@ -256,8 +255,8 @@ impl Baseline {
         Ok(())
     }
 
-    /// Sets the baseline to given values (a recorded reference frame, say), and ends start-up. NaN leaves a channel
-    /// out.
+    /// Sets the baseline to given values, such as a recorded reference frame, and ends start-up. NaN disables a
+    /// channel.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -270,10 +269,10 @@ impl Baseline {
         Ok(())
     }
 
-    /// Goes on with a baseline that was in use before and the noise measured with it, and ends start-up.
+    /// Restores an earlier baseline and the noise measured with it, and ends start-up.
     ///
     /// # Errors
-    /// [`TouchError::Length`]; nothing has then changed.
+    /// [`TouchError::Length`]; the state is then unchanged.
     pub fn restore(&mut self, record: ReferenceRecord, values: &[f64], noise_std: &[f64]) -> Result<(), TouchError> {
         require_length("baseline", self.channels(), values.len())?;
         require_length("noise of the baseline", self.channels(), noise_std.len())?;
@@ -286,8 +285,7 @@ impl Baseline {
         Ok(())
     }
 
-    /// Takes a mean of frames at rest, made by the caller, as the baseline that includes a damage. A tare under way
-    /// goes on.
+    /// Adopts the caller's mean of frames at rest as a baseline that includes damage. Does not interrupt a tare.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -298,10 +296,10 @@ impl Baseline {
         Ok(())
     }
 
-    /// Takes up a baseline that was in use before, by its place in [`Baseline::records`], as it was then.
+    /// Switches back to an earlier baseline, by its index in [`Baseline::records`].
     ///
     /// # Errors
-    /// [`TouchError::Parameter`] where its values are not kept.
+    /// [`TouchError::Parameter`] if its values are no longer kept.
     pub fn reuse(&mut self, time_ns: u64, record: usize, reason: &str) -> Result<(), TouchError> {
         let values = self.kept(record).map(<[f64]>::to_vec);
         let kept = "the number of a baseline whose values are kept";
@@ -309,23 +307,23 @@ impl Baseline {
         self.set_baseline(time_ns, &values, reason)
     }
 
-    /// Moves the baseline of one channel, which was left out for a while, to a value at which it agrees with the
-    /// others; no record is made, and a value that is not finite changes nothing.
+    /// Moves the baseline of one channel, which was excluded for a while, to a value that agrees with the others.
+    /// Makes no record. A non-finite value changes nothing.
     pub fn move_channel(&mut self, channel: usize, value: f64) {
         if let Some(baseline) = self.baseline.get_mut(channel).filter(|_| value.is_finite()) {
             *baseline = value;
         }
     }
 
-    /// Moves the baseline by changes of the channels that are no touch; no record is made. Changes that are not finite
-    /// move nothing.
+    /// Shifts the baseline by changes that are not touch, one per channel. Makes no record. Non-finite changes are
+    /// ignored.
     pub fn shift(&mut self, changes: impl Iterator<Item = f64>) {
         for (baseline, change) in self.baseline.iter_mut().zip(changes).filter(|(_, change)| change.is_finite()) {
             *baseline += change;
         }
     }
 
-    /// Forgets a start-up baseline that is of no use, and its record: start-up begins anew with the next frame.
+    /// Discards an unusable start-up baseline and its record, and restarts start-up with the next frame.
     pub fn start_over(&mut self) {
         if self.records.last().is_some_and(|record| record.origin == ReferenceOrigin::Startup) {
             self.records.pop();
@@ -344,7 +342,7 @@ impl Baseline {
     fn keep(&mut self, record: ReferenceRecord) {
         self.records.push(record);
         self.kept.push(self.baseline.clone());
-        // The first stays: it is what the skin was when it was new.
+        // Never drop the first: it describes the skin when it was new.
         if self.kept.len() > MOST_KEPT + 1 {
             let oldest = self.kept.len() - MOST_KEPT - 1;
             self.kept[oldest.max(1)] = Vec::new();
@@ -352,7 +350,7 @@ impl Baseline {
     }
 
     fn learn_startup(&mut self, time_ns: u64) -> BaselineChange {
-        // A tare asked for before start-up is over is start-up.
+        // A tare requested during start-up is satisfied by start-up itself.
         self.tare = None;
         self.startup.extend_from_slice(&self.raw);
         if self.startup.len() < self.params.startup_frames * self.channels() {
@@ -402,7 +400,7 @@ impl Baseline {
             | DriftCompensation::Uniform { time_constant_s, settle_s } => (time_constant_s, settle_s),
         };
         if load == Load::Touched {
-            // Casting saturates.
+            // The cast saturates.
             self.frozen_until_ns = time_ns.saturating_add((settle_s * 1e9) as u64);
             return;
         }
@@ -431,7 +429,7 @@ impl Baseline {
         }
     }
 
-    /// By which share the last frame is off the baseline as a whole, where it is so alike everywhere.
+    /// Share by which the last frame differs from the baseline, if the difference is uniform.
     fn uniform_share(&self) -> Option<f64> {
         let (mut cross, mut square, mut change, mut noise, mut count) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for ((raw, baseline), sigma) in self.raw.iter().zip(&self.baseline).zip(&self.noise_std) {

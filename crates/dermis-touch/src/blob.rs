@@ -1,4 +1,4 @@
-//! The image objects that touches ride on: one filtered contact each, carrying one touch or, while merged, several.
+//! Image objects that carry touches: one filtered contact each, with one touch or, while merged, several.
 
 use crate::contact::{Contact, ContactSign};
 use crate::kalman::{Kalman, Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
@@ -8,56 +8,56 @@ use crate::tracker_params::TrackerParams;
 /// A contact followed over time.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Blob {
-    /// Never used twice.
+    /// Identity, never reused.
     pub key: u64,
     pub filter: Kalman,
     pub stage: Stage,
     pub sign: ContactSign,
-    /// Frames since the last contact, 0 = measured in this frame.
+    /// Frames since the last contact; 0 = measured in this frame.
     pub missed: u32,
-    /// The frames that it was measured in: bit k for the one k frames ago, 0 for this one.
+    /// Frames in which it was measured: bit k is set for the frame k frames ago, bit 0 for the current one.
     pub seen: u64,
-    /// Frames since the first contact, the first included.
+    /// Frames since the first contact, counting that one.
     pub age: u32,
     pub first_time_ns: u64,
     /// The last contact.
     pub contact: Contact,
-    /// State predicted for this frame, before its contact was taken in.
+    /// Position and velocity predicted for this frame, before its contact was used.
     pub predicted: (Vec2, Vec2),
 }
 
-/// Whether a blob carries touches yet.
+/// Stage in the life of a blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Stage {
-    /// Seen in so many strong contacts, without identity.
+    /// Seen in this many strong contacts; no identity yet.
     Tentative { strong_frames: u32 },
-    /// Carries one touch or more.
+    /// Carries at least one touch.
     Confirmed,
 }
 
-/// An identity and the blob that it rides on.
+/// An identity and the blob that carries it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rider {
     pub touch: Touch,
     pub blob: u64,
     pub merge: Option<Merge>,
-    /// When the amplitude was last filtered; none before the first frame.
+    /// Time when the amplitude was last filtered; `None` before the first frame.
     pub filtered_time_ns: Option<u64>,
 }
 
-/// What a rider remembers from before it merged, relative to the mean of those it merged with.
+/// State of a rider before it merged, relative to the mean of the riders it merged with.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Merge {
     pub since_ns: u64,
     pub frames: u32,
-    /// Frames in a row in which the contact was that of one touch.
+    /// Consecutive frames in which the contact looked like a single touch.
     pub single_frames: u32,
     pub offset: Vec2,
     pub velocity: Vec2,
 }
 
 impl Merge {
-    /// One more frame; `blob` is the contact that it shares, where that was seen.
+    /// Counts one more frame. `blob` is the shared contact.
     pub(crate) fn count(&mut self, blob: Option<&Blob>) {
         self.frames += 1;
         match blob.filter(|blob| blob.missed == 0) {
@@ -71,8 +71,8 @@ impl Merge {
         self.frames > params.max_merged_frames || self.single_frames > params.max_merged_single_frames
     }
 
-    /// Where the rider should be from the middle of its group: on at constant velocity while that is remembered,
-    /// afterwards where it last was alone.
+    /// Expected offset of the rider from the centre of its group. Extrapolates at constant velocity for `memory_s`,
+    /// then returns to the offset at which the rider was last seen alone.
     pub(crate) fn offset_at(&self, time_ns: u64, memory_s: f64) -> Vec2 {
         let elapsed = seconds_between(self.since_ns, time_ns);
         if elapsed <= memory_s { add(self.offset, scale(self.velocity, elapsed)) } else { self.offset }
@@ -120,10 +120,10 @@ impl Blob {
         self.seen |= 1;
     }
 
-    /// Squared gate distance of a contact, or nothing when it is out of the question.
+    /// Squared gate distance of a contact, or `None` if it is out of the question.
     ///
-    /// The gate is widened by half the contact's radius: an image places a contact only so well, and touches that merge
-    /// or part jump by about that much.
+    /// The gate is widened by half the contact's radius: an image cannot locate a contact more accurately than that,
+    /// and touches that merge or separate jump by about as much.
     pub(crate) fn gate(&self, contact: &Contact, params: &TrackerParams) -> Option<f64> {
         let position = params.position.of(contact);
         if contact.sign != self.sign || norm(sub(position, self.filter.position)) > params.gate_max_m {
@@ -134,12 +134,12 @@ impl Blob {
     }
 }
 
-/// A contact's covariance with the floor that keeps it positive definite.
+/// Covariance of a contact, with the floor that keeps it positive definite.
 fn measured_variance(contact: &Contact, params: &TrackerParams) -> Mat2 {
     plus_diagonal(contact.covariance_m2, params.position_floor_m * params.position_floor_m)
 }
 
-/// Puts the riders of blob `from` onto blob `onto`, which is measured in this frame, and notes where all of them stood.
+/// Moves the riders of blob `from` to blob `onto`, which is measured in this frame, and records where each one was.
 pub(crate) fn merge_blobs(riders: &mut [Rider], from: &Blob, onto: &mut Blob, time_ns: u64, params: &TrackerParams) {
     let memory = params.velocity_memory_s;
     let (mut position_sum, mut velocity_sum, mut count) = ([0.0; 2], [0.0; 2], 0.0);
@@ -151,7 +151,7 @@ pub(crate) fn merge_blobs(riders: &mut [Rider], from: &Blob, onto: &mut Blob, ti
         };
         let offset = rider.merge.map_or([0.0; 2], |merge| merge.offset_at(time_ns, memory));
         let drift = rider.merge.map_or([0.0; 2], |merge| merge.velocity_at(time_ns, memory));
-        // Absolute here; made relative to the mean below, once that is known.
+        // Absolute here; made relative to the mean below.
         let merge = Merge {
             since_ns: time_ns,
             frames: 0,
@@ -177,7 +177,7 @@ pub(crate) fn merge_blobs(riders: &mut [Rider], from: &Blob, onto: &mut Blob, ti
     onto.filter = Kalman::new(params.position.of(&onto.contact), variance, velocity, params.initial_speed_m_per_s);
 }
 
-/// After riders left a blob: one that is alone is no longer merged.
+/// Cleans up after riders left a blob: a rider left alone is no longer merged.
 pub(crate) fn settle_riders(riders: &mut [Rider], blob: u64) {
     if riders.iter().filter(|rider| rider.blob == blob).count() == 1 {
         for rider in riders.iter_mut().filter(|rider| rider.blob == blob) {

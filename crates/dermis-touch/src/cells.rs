@@ -1,6 +1,5 @@
-//! What an image is: values on cells. A cell has a place, neighbours and an area. A flat grid of pixels is one kind of
-//! cells, the elements of a surface mesh are another. What knows of rows and columns stands in this module, and nowhere
-//! else in the crate.
+//! The cells of an image. Each cell has a position, neighbours and an area. A flat grid of pixels is one kind of
+//! cells; the elements of a surface mesh are another. Only this module knows about rows and columns.
 
 mod grid;
 mod lattice;
@@ -13,13 +12,13 @@ pub use surface::SurfaceCells;
 use crate::error::TouchError;
 use std::sync::Arc;
 
-/// The cells that the values of an image belong to, one value a cell.
+/// The cells of an image, one value each.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum ImageCells {
-    /// Square pixels in rows: the image is row-major, row 0 at the top. Its lists are computed, not stored.
+    /// Square pixels in a row-major image with row 0 at the top. Neighbours are computed, not stored.
     Grid(GridGeometry),
-    /// Cells of any shape, from lists that clones share.
+    /// Cells of any shape, described by lists that clones share.
     Surface(Arc<SurfaceCells>),
 }
 
@@ -33,13 +32,13 @@ impl ImageCells {
         }
     }
 
-    /// True where there are no cells.
+    /// True if there are no cells.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The grid, where the cells are one.
+    /// The grid, or `None` for a surface.
     #[must_use]
     pub fn as_grid(&self) -> Option<&GridGeometry> {
         match self {
@@ -48,7 +47,7 @@ impl ImageCells {
         }
     }
 
-    /// Place of a cell, metres: the middle of a pixel, the centroid of a mesh's element.
+    /// Position of a cell, metres: the centre of a pixel, or the centroid of a mesh element.
     #[must_use]
     pub fn place_m(&self, cell: usize) -> [f64; 2] {
         match self {
@@ -66,7 +65,7 @@ impl ImageCells {
         }
     }
 
-    /// Side of a square as large as the mean cell, metres: the pixel of a grid.
+    /// Side of a square with the mean cell's area, metres. On a grid this is the pixel size.
     #[must_use]
     pub fn cell_size_m(&self) -> f64 {
         match self {
@@ -84,8 +83,8 @@ impl ImageCells {
         }
     }
 
-    /// The cell that holds a point. On a surface, the cell whose place is nearest, if that is within twice the side of
-    /// a square of its area.
+    /// The cell that contains a point. On a surface, the cell with the nearest position, if the point is within twice
+    /// the side of a square of the cell's area.
     #[must_use]
     pub fn cell_at(&self, position_m: [f64; 2]) -> Option<usize> {
         match self {
@@ -94,7 +93,7 @@ impl ImageCells {
         }
     }
 
-    /// Tells `visit` the neighbours of a cell: on a grid those that share an edge or a corner, row by row.
+    /// Calls `visit` with each neighbour of a cell. On a grid these share an edge or a corner, row by row.
     pub fn for_each_neighbour(&self, cell: usize, visit: impl FnMut(usize)) {
         match self {
             Self::Grid(grid) => grid.neighbours(cell).for_each(visit),
@@ -102,7 +101,7 @@ impl ImageCells {
         }
     }
 
-    /// Tells `visit` the neighbours of a cell that share an edge with it: on a grid left, right, above and below.
+    /// Calls `visit` with each neighbour that shares an edge with the cell. On a grid: left, right, above, below.
     pub fn for_each_edge_neighbour(&self, cell: usize, visit: impl FnMut(usize)) {
         match self {
             Self::Grid(grid) => grid.edge_neighbours(cell).for_each(visit),
@@ -110,7 +109,7 @@ impl ImageCells {
         }
     }
 
-    /// Checks a grid's sizes. Surface cells were checked when they were made.
+    /// Checks the dimensions of a grid. Surface cells were checked when they were built.
     ///
     /// # Errors
     /// [`TouchError::Parameter`] naming the field.

@@ -1,10 +1,10 @@
-//! A contact: one place where the skin is touched in one image, with the rules by which contacts are found.
+//! A contact, one place where the skin is touched in one image, and the parameters for finding contacts.
 //!
-//! A contact's position is the centroid of the cells above 50 % of its peak within its basin; its covariance is the
-//! noise of those cells carried through the centroid to first order: with weights w_i = v_i - peak/2 at r_i, W = sum
-//! w_i, c = sum w_i r_i / W and the level peak/2 held, dc/dv_i = (r_i - c) / W, hence C = sum_ij (r_i - c)(r_j - c)'
-//! sigma_i sigma_j rho_ij / W^2 with rho_ij = exp(-|r_i - r_j|^2 / (2 l^2)). Where cells differ in area, every cell
-//! counts by its area.
+//! A contact's position is the centroid of the cells above 50 % of its peak within its basin. Its covariance
+//! propagates the noise of those cells through the centroid to first order. With weights w_i = v_i - peak/2 at r_i, W
+//! = sum w_i, c = sum w_i r_i / W and the level peak/2 held fixed, dc/dv_i = (r_i - c) / W. Hence C = sum_ij (r_i -
+//! c)(r_j - c)' sigma_i sigma_j rho_ij / W^2 with rho_ij = exp(-|r_i - r_j|^2 / (2 l^2)). If cells differ in area,
+//! each is weighted by its area.
 
 use crate::error::{TouchError, require, require_length};
 use crate::force::ForceReading;
@@ -12,7 +12,7 @@ use crate::hypotheses::PlaceHypothesis;
 use crate::touch_load::TouchLoad;
 use serde::{Deserialize, Serialize};
 
-/// Whether a contact rises above the background or sinks below it.
+/// Side of the background that a contact is on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContactSign {
@@ -33,11 +33,11 @@ impl ContactSign {
     }
 }
 
-/// Which signs are looked for.
+/// Signs to search for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContactSigns {
-    /// Only values above zero, as on a skin, where pressing is positive.
+    /// Only values above zero: on a skin, pressing is positive.
     #[default]
     Positive,
     /// Only values below zero.
@@ -56,39 +56,38 @@ impl ContactSigns {
     }
 }
 
-/// How cells above half the peak weigh in the centroid.
+/// Weights of the cells above half the peak in the centroid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CentroidWeight {
-    /// All alike: the centroid of the region, as the self-healing skin's paper measures it. Cells that noise lifts over
-    /// half height, or sinks below it, enter and leave with a step; [`Contact::covariance_m2`] leaves that out and is
-    /// only a lower bound, several times too small in each axis for white noise.
+    /// Equal weights: the centroid of the region, as measured in the paper on the self-healing skin. Cells jump in or
+    /// out when noise moves them across half height. [`Contact::covariance_m2`] ignores that and is only a lower
+    /// bound, several times too small along each axis for white noise.
     Uniform,
-    /// By their value. The same holds for its covariance.
+    /// Weighted by value. The covariance has the same limitation.
     Value,
-    /// By their value less half the peak: cells enter and leave without a step, so a moving touch moves smoothly, and
-    /// the covariance is right to first order.
+    /// Weighted by value minus half the peak. Cells enter and leave smoothly, so a moving touch moves smoothly, and
+    /// the covariance is correct to first order.
     #[default]
     Excess,
 }
 
-/// Whether a contact is clear enough to begin a touch.
+/// Thresholds that a contact exceeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContactStrength {
-    /// Above the thresholds that begin a touch.
+    /// Above the thresholds for beginning a touch.
     Strong,
-    /// Only above the thresholds that hold one that has begun.
+    /// Only above the thresholds for holding an existing touch.
     Weak,
 }
 
-/// The standard deviation of the image's noise, in image units.
+/// Standard deviation of the image noise, in image units.
 #[derive(Debug, Clone, Copy)]
 pub enum PixelNoise<'a> {
-    /// The same for every cell; finite, not negative. 0 means no noise: every threshold in sigma is then met.
+    /// The same for every cell; finite, not negative. 0 means no noise, which meets every threshold in sigma.
     Uniform(f32),
-    /// One value a cell, in the order of the image. Cells whose value is not finite, or negative, are left out as if
-    /// they lay outside the skin.
+    /// One value per cell, in image order. Cells with a non-finite or negative value are treated as outside the skin.
     PerPixel(&'a [f32]),
 }
 
@@ -109,7 +108,7 @@ impl PixelNoise<'_> {
         }
     }
 
-    /// One value a cell, where that is so.
+    /// One value per cell, or `None` if uniform.
     pub(crate) fn per_pixel(&self) -> Option<&[f32]> {
         match self {
             Self::Uniform(_) => None,
@@ -122,29 +121,28 @@ impl PixelNoise<'_> {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ContactParams {
-    /// A touch begins where the peak reaches this many sigma. At least `k_off`.
+    /// A touch begins if its peak reaches this many sigma. At least `k_off`.
     pub k_on: f64,
-    /// A touch that has begun is held while its peak reaches this many sigma. Above 0.
+    /// An existing touch is held while its peak reaches this many sigma. Above 0.
     pub k_off: f64,
-    /// A touch begins where the peak reaches this part of the image's strongest peak; below stand the side lobes of the
-    /// reconstruction. From `relative_off` to 1.
+    /// A touch begins if its peak reaches this share of the image's strongest peak. Weaker peaks are side lobes of
+    /// the reconstruction. From `relative_off` to 1.
     pub relative_on: f64,
-    /// A touch that has begun is held while its peak reaches this part of the strongest. From 0 to 1.
+    /// An existing touch is held while its peak reaches this share of the strongest. From 0 to 1.
     pub relative_off: f64,
-    /// No contact has a smaller peak than this, image units. At least 0.
+    /// Minimum peak of a contact, image units. At least 0.
     pub min_amplitude: f64,
-    /// Two peaks are one when the saddle between them is above this part of the lower peak. From 0.5 to 1.
+    /// Merge two peaks if the saddle between them is above this share of the lower peak. From 0.5 to 1.
     pub saddle_ratio: f64,
-    /// Two peaks are one when the lower rises less than this many sigma above the saddle. At least 0.
+    /// Merge two peaks if the lower one rises less than this many sigma above the saddle. At least 0.
     pub min_prominence_sigma: f64,
-    /// Two peaks nearer than this, in metres, are one. At least 0; 0 switches the rule off.
+    /// Merge two peaks closer than this, metres. At least 0; 0 switches the rule off.
     pub min_separation_m: f64,
-    /// Length over which the image's noise is correlated (rho = exp(-d^2 / (2 l^2))), metres. At least 0; 0 is white
-    /// noise.
+    /// Correlation length l of the image noise (rho = exp(-d^2 / (2 l^2))), metres. At least 0; 0 is white noise.
     pub correlation_length_m: f64,
-    /// At most so many contacts, the strongest of each sign. At least 1.
+    /// Maximum number of contacts; the strongest of each sign are kept. At least 1.
     pub max_contacts: usize,
-    /// Signs looked for.
+    /// Signs to search for.
     pub signs: ContactSigns,
     /// Weights of the centroid.
     pub centroid: CentroidWeight,
@@ -196,48 +194,48 @@ impl ContactParams {
 /// One place where the skin is touched, in one image. Positions are in the skin's frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
-    /// The peak, refined below a cell by a quadratic through its neighbours; at the skin's border, where a neighbour is
-    /// missing, the pixel's centre in that direction (on a surface, the cell's place).
+    /// The peak, refined to sub-cell accuracy by a quadratic through the neighbours. At the skin's border, where a
+    /// neighbour is missing, the pixel centre in that direction (on a surface, the cell's position).
     pub peak_m: [f64; 2],
     /// The image's value at `peak_m`, signed, image units. Never 0.
     pub peak_value: f64,
     /// Centroid of the cells above half the peak within the contact's basin.
     pub centroid_m: [f64; 2],
-    /// Area of those cells, m^2. At least one cell's.
+    /// Area of those cells, m^2. At least one cell.
     pub area_m2: f64,
     /// |`peak_value`|, image units. Above 0.
     pub amplitude: f64,
-    /// Sum of |value| over those cells times their areas, image units times m^2; over `area_m2` it is the mean.
+    /// Sum of |value| times area over those cells, image units times m^2. Divided by `area_m2` it is the mean.
     pub volume: f64,
-    /// Covariance of `centroid_m`, rows and columns x, y, m^2. Zero when the noise is zero, and for a contact of one
+    /// Covariance of `centroid_m`, rows and columns x, y, m^2. Zero if the noise is zero, and for a contact of one
     /// cell, whose centroid cannot move.
     pub covariance_m2: [[f64; 2]; 2],
-    /// The peak cell's |value| over its noise. Infinite when the noise is zero.
+    /// |value| of the peak cell over its noise. Infinite if the noise is zero.
     pub significance: f64,
-    /// Above or below the background.
+    /// Sign of the contact.
     pub sign: ContactSign,
-    /// Whether it may begin a touch or only hold one.
+    /// Strength: it may begin a touch, or only hold one.
     pub strength: ContactStrength,
-    /// Normal force, where a calibration has read one; the finder has none.
+    /// Normal force, if a calibration has estimated one; the finder sets `None`.
     pub force: Option<ForceReading>,
-    /// Radius of the spot that a forward model fitted, metres, where position and covariance are that fit's; the finder
-    /// has none.
+    /// Radius of the spot fitted by a forward model, metres, if position and covariance come from that fit; the
+    /// finder sets `None`.
     pub radius_m: Option<f64>,
-    /// Variance of each coordinate of `centroid_m` by what the model has wrong, m^2, beside `covariance_m2`; the finder
-    /// knows of none.
+    /// Variance of each coordinate of `centroid_m` due to model error, m^2, in addition to `covariance_m2`; the
+    /// finder sets 0.
     pub model_variance_m2: f64,
-    /// How deep or hard it is pressed, where a calibration by pokes has read that; the finder has none.
+    /// Depth or force of the press, if a calibration by pokes has estimated it; the finder sets `None`.
     pub load: Option<TouchLoad>,
-    /// Where else it may be, where a calibration cannot tell; the finder has none.
+    /// Another possible position, if a calibration cannot decide; the finder sets `None`.
     pub other_place: Option<PlaceHypothesis>,
-    /// A fit has found that one touch makes it, and no more.
+    /// True if a fit found that exactly one touch explains it.
     #[serde(default)]
     pub is_single: bool,
 }
 
 impl Contact {
-    /// A strong contact of one value (image units, not 0) all over an area (m^2) about a place, in an image without
-    /// noise; nothing is fitted to it, and no calibration has read it.
+    /// A strong contact with one value (image units, not 0) over an area (m^2) around a position, in an image without
+    /// noise. No fit or calibration has been applied.
     pub fn even(position_m: [f64; 2], value: f64, area_m2: f64) -> Self {
         Self {
             peak_m: position_m,
@@ -266,7 +264,7 @@ impl Contact {
         }
     }
 
-    /// One of several touches that the image shows as this contact: at a place of its own, with a share of the
+    /// One of several touches that the image shows as this contact, at its own position and with a share of the
     /// strength.
     #[must_use]
     pub fn share_at(&self, position_m: [f64; 2], share: f64) -> Self {
@@ -281,7 +279,7 @@ impl Contact {
         }
     }
 
-    /// Radius of the disc of the contact's area, metres.
+    /// Radius of a disc with the contact's area, metres.
     #[must_use]
     pub fn radius_m(&self) -> f64 {
         (self.area_m2 / std::f64::consts::PI).sqrt()

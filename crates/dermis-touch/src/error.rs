@@ -1,57 +1,57 @@
-//! What can go wrong between an image and a touch, with the value that was wrong and what was expected.
+//! Errors between an image and a touch, with the offending value and what was expected.
 
-/// The one error type of this crate.
+/// The only error type of this crate.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TouchError {
-    /// A buffer has another length than the geometry or the channel count asks for.
+    /// A buffer's length does not match the geometry or the channel count.
     #[error("{what}: expected {expected} values, got {got}")]
     Length {
-        /// Which buffer.
+        /// Name of the buffer.
         what: &'static str,
-        /// Its right length.
+        /// Expected length.
         expected: usize,
-        /// Its length as given.
+        /// Actual length.
         got: usize,
     },
-    /// A parameter lies outside its range.
+    /// A parameter is outside its range.
     #[error("{name} = {value}: expected {expected}")]
     Parameter {
-        /// The parameter's name, as in the struct that holds it.
+        /// Name of the parameter, as in its struct.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// The range in words.
+        /// Description of the range.
         expected: &'static str,
     },
     /// A value that must be finite is NaN or infinite.
     #[error("{what}, index {index}: expected a finite number, got {value}")]
     NonFinite {
-        /// Which buffer.
+        /// Name of the buffer.
         what: &'static str,
-        /// Index into it.
+        /// Index of the value.
         index: usize,
-        /// The value found.
+        /// The value.
         value: f64,
     },
-    /// A frame's time lies before the time of the frame already processed.
+    /// A frame is older than one already processed.
     #[error("time {time_ns} ns lies before the previous frame's {previous_ns} ns: times must not decrease")]
     TimeReversed {
-        /// The time given.
+        /// The frame's time.
         time_ns: u64,
-        /// The latest time processed before.
+        /// The latest time processed.
         previous_ns: u64,
     },
-    /// A tare was asked for while the skin is touched, without force.
+    /// A tare was requested, without force, while the skin is touched.
     #[error("tare refused: the skin is under load (release it, or force the tare)")]
     TareUnderLoad,
     /// Too few frames for a statistic.
     #[error("{what}: expected at least {expected} frames, got {got}")]
     TooFewFrames {
-        /// Which statistic.
+        /// Name of the statistic.
         what: &'static str,
-        /// The smallest count that makes sense.
+        /// Minimum count.
         expected: usize,
-        /// The count given.
+        /// Actual count.
         got: usize,
     },
     /// A covariance matrix cannot be inverted.
@@ -68,19 +68,19 @@ pub enum TouchError {
     /// A calibration belongs to another skin.
     #[error("calibration of skin {got:?} refused: expected one of {expected:?}")]
     OtherSkin {
-        /// The skin that it is wanted for.
+        /// The skin it should be for.
         expected: String,
-        /// The skin that it was made on.
+        /// The skin it was made for.
         got: String,
     },
 }
 
-/// Checks one parameter; `expected` says the range in words.
+/// Checks a parameter; `expected` describes the range.
 pub(crate) fn require(ok: bool, name: &'static str, value: f64, expected: &'static str) -> Result<(), TouchError> {
     if ok { Ok(()) } else { Err(TouchError::Parameter { name, value, expected }) }
 }
 
-/// Checks one buffer's length.
+/// Checks the length of a buffer.
 pub(crate) fn require_length(what: &'static str, expected: usize, got: usize) -> Result<(), TouchError> {
     if expected == got { Ok(()) } else { Err(TouchError::Length { what, expected, got }) }
 }

@@ -1,4 +1,5 @@
-//! From one image to its contacts: peaks above the noise, split by their saddles, each measured above half its height.
+//! Finds the contacts in an image: peaks above the noise, split at their saddles, each measured above half its
+//! height.
 
 use crate::cells::{Bounds, GridLattice, ImageCells, Lattice, SurfaceLattice};
 use crate::contact::{CentroidWeight, Contact, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise};
@@ -7,14 +8,14 @@ use crate::moments::CorrelatedSum;
 use crate::watershed::{MergeRule, Watershed, largest_of, largest_with_noise};
 use std::sync::Arc;
 
-/// Finds the contacts of images on one set of cells, in memory of its own.
+/// Finds the contacts of images on one set of cells. Owns its working memory.
 #[derive(Debug, Clone)]
 pub struct ContactFinder {
     cells: ImageCells,
     finder: Finder,
 }
 
-/// The finder, compiled for each kind of cells.
+/// The finder, compiled separately for each kind of cells.
 #[derive(Debug, Clone)]
 enum Finder {
     Grid(FinderOn<GridLattice>),
@@ -54,9 +55,9 @@ impl ContactFinder {
         }
     }
 
-    /// Replaces `contacts` by the contacts of one image, from the largest amplitude down.
+    /// Replaces `contacts` by the contacts of one image, largest amplitude first.
     ///
-    /// Cells whose value is not finite lie outside the skin. The order and the values depend on nothing but the input.
+    /// Cells with a non-finite value are outside the skin. Order and values depend only on the input.
     ///
     /// # Errors
     /// [`TouchError::Length`] when image or noise do not fit the cells, [`TouchError::Parameter`] for a negative or
@@ -78,7 +79,7 @@ impl ContactFinder {
     }
 }
 
-/// What is summed over a contact's cells; lengths and areas in the lattice's units.
+/// Sums over a contact's cells; lengths and areas in the lattice's units.
 #[derive(Debug, Clone, Copy)]
 struct Region {
     basin: u32,
@@ -88,7 +89,7 @@ struct Region {
     area: f64,
     value: f64,
     weight: f64,
-    /// Sums of weight times coordinates from the peak.
+    /// Sums of weight times coordinates relative to the peak.
     moment: [f64; 2],
     bounds: Bounds,
 }
@@ -100,14 +101,14 @@ impl Region {
     }
 }
 
-/// The finder on one kind of cells.
+/// The finder for one kind of cells.
 #[derive(Debug, Clone)]
 struct FinderOn<L> {
     params: ContactParams,
     watershed: Watershed<L>,
     correlated: CorrelatedSum,
     regions: Vec<Region>,
-    /// Slot in `regions` of every basin, `NO_REGION` for those below the threshold.
+    /// Index into `regions` of every basin, `NO_REGION` for those below the threshold.
     region_of_basin: Vec<u32>,
 }
 
@@ -127,7 +128,7 @@ impl<L: Lattice> FinderOn<L> {
 
     fn find(&mut self, image: &[f32], noise: PixelNoise<'_>, contacts: &mut Vec<Contact>) {
         let (strongest, least_noise) = self.strongest(image, noise);
-        // Nothing below half of the smallest peak that can count is ever looked at.
+        // Values below half of the lowest acceptable peak are never examined.
         let lowest_peak = (self.params.relative_off as f32 * strongest)
             .max(self.params.k_off as f32 * least_noise)
             .max(self.params.min_amplitude as f32)
@@ -139,7 +140,7 @@ impl<L: Lattice> FinderOn<L> {
         contacts.truncate(self.params.max_contacts);
     }
 
-    /// The largest |value| of the signs looked for among usable cells, and their smallest noise.
+    /// Largest |value| among usable cells, for the signs searched, and the smallest noise of these cells.
     fn strongest(&self, image: &[f32], noise: PixelNoise<'_>) -> (f32, f32) {
         match self.params.signs {
             ContactSigns::Positive => largest_size(image, noise, |value| value),
@@ -173,7 +174,7 @@ impl<L: Lattice> FinderOn<L> {
         }
     }
 
-    /// Keeps the standing peaks that reach the thresholds, and joins those that stand too near.
+    /// Keeps the peaks that reach the thresholds, and merges those that are too close together.
     fn choose_regions(&mut self, noise: PixelNoise<'_>, strongest: f32) {
         self.regions.clear();
         let least = (self.params.relative_off as f32 * strongest).max(self.params.min_amplitude as f32);
@@ -285,7 +286,7 @@ impl<L: Lattice> FinderOn<L> {
     }
 }
 
-/// The largest size of a usable cell, and the smallest noise of one (0 when none is usable).
+/// Largest |value| of a usable cell, and the smallest noise of one (0 if none is usable).
 fn largest_size(image: &[f32], noise: PixelNoise<'_>, size: impl Fn(f32) -> f32) -> (f32, f32) {
     match noise {
         PixelNoise::Uniform(sigma) => (largest_of(image, size), sigma),

@@ -1,45 +1,45 @@
-//! Where a touch may be, when presses at two places far apart explain a frame about equally well.
+//! Alternative positions of a touch, for frames that presses at two distant places explain about equally well.
 //!
-//! Probabilities over places are cut into modes by a watershed from their peaks; modes whose saddle is more than half
-//! as high as the lower peak, that lie nearer than a separation, or that overlap, are one. The odds between the two
-//! heaviest modes are followed over the frames of a press: their logarithm is averaged, over all frames of the press
-//! first and over the last half second later. Averaged, not added: what a model has wrong at a place is wrong in every
-//! frame of a press.
+//! A watershed from the peaks splits probabilities over places into modes. Modes are merged if their saddle is more
+//! than half as high as the lower peak, if they are closer than a separation, or if they overlap. The odds between
+//! the two heaviest modes are tracked over a press. Their logarithm is averaged, first over all frames so far and
+//! later over the last half second. It is averaged rather than added, since the model's error at a place repeats in
+//! every frame of a press.
 
 use serde::{Deserialize, Serialize};
 
 use crate::typical::spacing;
 
-/// Places less likely than this part of the likeliest belong to no mode.
+/// Places less probable than this share of the peak belong to no mode.
 const LEAST_LIKELY: f64 = 1e-3;
-/// Peaks are one where the saddle between them is higher than this part of the lower.
+/// Merge peaks if the saddle between them is higher than this share of the lower peak.
 const SADDLE: f64 = 0.5;
-/// Neighbours of a place are no farther from it than so many spacings: on a lattice eight.
+/// Radius of the neighbourhood of a place, in spacings. On a lattice it holds eight neighbours.
 const NEIGHBOURHOOD: f64 = 1.6;
-/// Modes nearer than this times the sum of their root mean square radii overlap: they are one.
+/// Merge modes closer than this times the sum of their RMS radii: they overlap.
 const RESOLVED: f64 = 1.0;
-/// A frame's second mode counts from this probability, against the first, ...
+/// Minimum probability, relative to the first mode, for a frame's second mode to count.
 const LEAST_PROBABILITY: f64 = 0.05;
-/// ... and is told from this one, after the frames before it.
+/// Minimum probability, over the frames of the press, for the second place to be reported.
 const TOLD_PROBABILITY: f64 = 0.1;
-/// The touch goes over to the other place when that has become so probable.
+/// The touch moves to the other place when the probability of that place exceeds this.
 const SWITCH_PROBABILITY: f64 = 0.65;
-/// Odds are averaged over so long, seconds.
+/// Averaging time of the odds, seconds.
 const MEMORY_S: f64 = 0.5;
 
-/// A place where a touch may be.
+/// A possible position of a touch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlaceHypothesis {
     /// Position, metres.
     pub position_m: [f64; 2],
-    /// Its covariance if the touch is here, m^2.
+    /// Covariance of the position if the touch is here, m^2.
     pub covariance_m2: [[f64; 2]; 2],
-    /// Probability that the touch is here rather than at the other place, 0 to 1.
+    /// Probability, 0 to 1, that the touch is here rather than at the other place.
     pub probability: f64,
 }
 
-/// The modes of probabilities over fixed places.
+/// Finds the modes of probabilities over fixed places.
 #[derive(Debug, Clone)]
 pub struct PlaceModes {
     places_m: Vec<[f64; 2]>,
@@ -56,10 +56,10 @@ pub struct PlaceModes {
 
 const UNLABELLED: u32 = u32::MAX;
 
-/// Sums of a mode.
+/// Sums over a mode.
 #[derive(Debug, Clone, Copy)]
 struct Mode {
-    /// The mode that this one is part of, itself if none.
+    /// The mode that this one was merged into; itself if none.
     parent: u32,
     peak: u32,
     mass: f64,
@@ -72,7 +72,7 @@ impl Mode {
         self.first.map(|sum| sum / self.mass)
     }
 
-    /// Root mean square distance from the mean.
+    /// RMS distance from the mean.
     fn spread(&self) -> f64 {
         let mean = self.mean();
         let variance = |a: usize| (self.second[a][a] / self.mass - mean[a] * mean[a]).max(0.0);
@@ -91,12 +91,13 @@ impl Mode {
 }
 
 impl PlaceModes {
-    /// Of these places, metres, best on a lattice. Modes nearer than `separation_m` are one.
+    /// Prepares to find modes over these places, metres, ideally on a lattice. Modes closer than `separation_m` are
+    /// merged.
     pub fn new(places_m: &[[f64; 2]], separation_m: f64) -> Self {
         // A single place has no neighbour.
         let spacing_m = Some(spacing(places_m)).filter(|step| step.is_finite()).unwrap_or(0.0);
         let reach = NEIGHBOURHOOD * spacing_m;
-        // Sorted along x, so that each place meets those of a narrow strip only.
+        // Sort along x, so that each place is compared only with those of a narrow strip.
         let mut along: Vec<u32> = (0..places_m.len() as u32).collect();
         along.sort_by(|&a, &b| places_m[a as usize][0].total_cmp(&places_m[b as usize][0]));
         let mut lists: Vec<Vec<u32>> = vec![Vec::new(); places_m.len()];
@@ -128,8 +129,8 @@ impl PlaceModes {
         }
     }
 
-    /// The heaviest mode and the second, where there is one, with their shares of the whole. Nothing for probabilities
-    /// of another length, or without any place above zero.
+    /// The heaviest mode and the second, if any, with their shares of the total. `None` if the number of
+    /// probabilities does not match, or if none is above zero.
     pub fn find(&mut self, probability: &[f64]) -> Option<(PlaceHypothesis, Option<PlaceHypothesis>)> {
         if probability.len() != self.places_m.len() {
             return None;
@@ -162,7 +163,7 @@ impl PlaceModes {
         mode
     }
 
-    /// Gives a place to the mode of its likeliest neighbour; all that are likelier have been given to theirs.
+    /// Assigns a place to the highest mode among its neighbours. All more probable places have been assigned already.
     fn label(&mut self, place: u32, probability: &[f64]) {
         let range = self.starts[place as usize] as usize..self.starts[place as usize + 1] as usize;
         let height = |mode: &Mode| probability[mode.peak as usize];
@@ -191,7 +192,7 @@ impl PlaceModes {
         self.labels[place as usize] = own;
     }
 
-    /// Leaves the separate modes with their sums, the heaviest first.
+    /// Sums up the modes and merges those that are close, heaviest first.
     fn gather(&mut self, probability: &[f64]) {
         for &place in &self.likely {
             let root = self.root(self.labels[place as usize]);
@@ -239,50 +240,50 @@ impl PlaceModes {
     }
 }
 
-/// The two places of a touch, followed over the frames of a press.
+/// The two possible places of a touch, followed over the frames of a press.
 #[derive(Debug, Clone)]
 pub struct PlaceHypotheses {
     modes: PlaceModes,
     held: Option<Held>,
 }
 
-/// What the frames of a press have said.
+/// State of a press.
 #[derive(Debug, Clone, Copy)]
 struct Held {
-    /// The place at which the touch is told to be, and the other.
+    /// The reported place of the touch, and the other.
     places_m: [Option<[f64; 2]>; 2],
-    /// Logarithm of the first place's odds.
+    /// Log odds of the first place.
     log_odds: f64,
     frames: u32,
     time_ns: u64,
 }
 
-/// What a frame, with those before it, says about the place of its touch.
+/// The conclusion about the place of a touch after a frame and those before it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlacesTold {
-    /// Where the touch is taken to be.
+    /// The most plausible place of the touch.
     pub leading: PlaceHypothesis,
-    /// Where else it may be; none where that is improbable.
+    /// The alternative place; `None` if it is improbable.
     pub other: Option<PlaceHypothesis>,
 }
 
 impl PlaceHypotheses {
-    /// Over the modes of these places.
+    /// Starts without a press. `modes` finds the modes of each frame.
     pub fn new(modes: PlaceModes) -> Self {
         Self { modes, held: None }
     }
 
-    /// Whether places are too near each other to be two explanations.
+    /// True if two places are too close together to be separate explanations.
     pub fn are_one(&self, place_m: [f64; 2], other_m: [f64; 2]) -> bool {
         distance(place_m, other_m) < self.modes.separation_m
     }
 
-    /// The next frame has nothing to do with this one.
+    /// Forgets the current press: the next frame is unrelated.
     pub fn forget(&mut self) {
         self.held = None;
     }
 
-    /// Takes in the probabilities of all places in a frame. Nothing where [`PlaceModes::find`] finds nothing.
+    /// Takes the probabilities of all places in a frame. `None` if [`PlaceModes::find`] finds nothing.
     pub fn follow(&mut self, time_ns: u64, probability: &[f64]) -> Option<PlacesTold> {
         let (first, second) = self.modes.find(probability)?;
         let mut now = [Some(first), second];
@@ -308,7 +309,7 @@ impl PlaceHypotheses {
                 Held { log_odds, frames: held.frames.saturating_add(1), time_ns, ..held }
             }
         };
-        // A place that has no probability left in this frame is left at once.
+        // Leave a place at once if it has no probability left in this frame.
         let switch = (SWITCH_PROBABILITY / (1.0 - SWITCH_PROBABILITY)).ln();
         if now[0].is_none() || (now[1].is_some() && held.log_odds < -switch) {
             now.swap(0, 1);
@@ -327,8 +328,8 @@ impl PlaceHypotheses {
         Some(PlacesTold { leading, other })
     }
 
-    /// What is held of the press that this frame belongs to, and whether the frame's first mode is the held second
-    /// place. A frame with no mode at a held place begins a press.
+    /// The held state, if this frame belongs to the same press, and whether the frame's modes are in the opposite
+    /// order. A frame with no mode at a held place begins a new press.
     fn recalled(&self, now: &[Option<PlaceHypothesis>; 2]) -> (Option<Held>, bool) {
         let Some(held) = self.held else { return (None, false) };
         let is_at = |mode: usize, place: usize| match (now[mode], held.places_m[place]) {
@@ -361,7 +362,7 @@ mod tests {
         (-30..=30).flat_map(|row| (-30..=30).map(move |column| [at(column), at(row)])).collect()
     }
 
-    /// Bells of these weights and sigmas (metres), summing to 1 with the rest.
+    /// Gaussians with these weights and sigmas (metres), normalised to a sum of 1.
     fn bells(places: &[[f64; 2]], bells: &[([f64; 2], f64, f64)]) -> Vec<f64> {
         let value = |at: &[f64; 2]| {
             let bell = |(middle, weight, sigma): &([f64; 2], f64, f64)| {
@@ -388,8 +389,8 @@ mod tests {
         let (one, other) = ([0.021, 0.013], [-0.03, -0.011]);
         let (first, second) = modes.find(&bells(&places, &[(other, 0.3, 0.005), (one, 0.7, 0.004)])).unwrap();
         let second = second.unwrap();
-        // What lies below a thousandth of the higher peak belongs to neither: 0.4 % of the lower bell at its edge,
-        // which are 2.4 % of its variance.
+        // Values below a thousandth of the higher peak belong to neither mode. This cuts 0.4 % of the weight and
+        // 2.4 % of the variance off the lower Gaussian.
         assert!((first.probability - 0.7).abs() < 2e-3 && (second.probability - 0.3).abs() < 2e-3, "{first:?}");
         assert!(distance(first.position_m, one) < 1e-4 && distance(second.position_m, other) < 1e-4, "{second:?}");
         let expected = [0.004_f64, 0.005].map(|sigma| sigma.powi(2) + STEP_M.powi(2) / 12.0);
@@ -469,7 +470,7 @@ mod tests {
         let (places, mut hypotheses) = follower();
         for frame in 0..100_u64 {
             let x = 0.03 - 5e-4 * frame as f64;
-            // The mirror image of the touch at the middle is the touch itself.
+            // At the centre, the mirror image of the touch is the touch itself.
             let share = 0.5 + 0.25 * (frame as f64 * 7.77).sin();
             let drawn = bells(&places, &[([x, 0.02], share, 0.004), ([-x, -0.02], 1.0 - share, 0.004)]);
             let told = hypotheses.follow(frame * FRAME_NS, &drawn).unwrap();

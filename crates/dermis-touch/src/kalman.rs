@@ -1,8 +1,8 @@
-//! Position and velocity of one contact in the plane, filtered by a Kalman filter with nearly constant velocity.
+//! Kalman filter for the position and velocity of one contact in the plane, with a nearly constant velocity model.
 //!
-//! The acceleration is white noise of spectral density q: over dt the covariance grows by q [[dt^3/3, dt^2/2], [dt^2/2,
-//! dt]] in (position, velocity) of each axis (Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking
-//! and Navigation*, 2001, section 6.2.2).
+//! The acceleration is white noise of spectral density q. Over dt the covariance grows by q [[dt^3/3, dt^2/2],
+//! [dt^2/2, dt]] in (position, velocity) of each axis (Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
+//! Tracking and Navigation*, 2001, section 6.2.2).
 
 pub(crate) type Vec2 = [f64; 2];
 pub(crate) type Mat2 = [[f64; 2]; 2];
@@ -48,7 +48,7 @@ fn symmetric(a: Mat2) -> Mat2 {
     [[a[0][0], off], [off, a[1][1]]]
 }
 
-/// Inverse of a symmetric positive definite matrix; the caller adds a positive diagonal first.
+/// Inverse of a symmetric positive definite matrix. The caller adds a positive diagonal first.
 fn inverse(a: Mat2) -> Mat2 {
     let determinant = a[0][0] * a[1][1] - a[0][1] * a[1][0];
     [[a[1][1] / determinant, -a[0][1] / determinant], [-a[1][0] / determinant, a[0][0] / determinant]]
@@ -77,7 +77,7 @@ impl Kalman {
         }
     }
 
-    /// Moves on by `dt` seconds with acceleration density `q`, m^2/s^3.
+    /// Advances by `dt` seconds with acceleration density `q`, m^2/s^3.
     pub(crate) fn predict(&mut self, dt: f64, q: f64) {
         self.position = add(self.position, scale(self.velocity, dt));
         let both = combine(self.cross, transpose(self.cross), 1.0);
@@ -87,7 +87,7 @@ impl Kalman {
         self.velocity_variance = plus_diagonal(self.velocity_variance, q * dt);
     }
 
-    /// Takes in a measured position whose covariance is positive definite.
+    /// Updates with a measured position whose covariance is positive definite.
     pub(crate) fn update(&mut self, measured: Vec2, variance: Mat2) {
         let innovation = sub(measured, self.position);
         let weight = inverse(combine(self.position_variance, variance, 1.0));
@@ -122,7 +122,8 @@ mod tests {
             let t = 0.01 * f64::from(frame);
             filter.update([0.08 * t, -0.03 * t], variance);
         }
-        // Exact measurements of a constant velocity: only the start at rest is left, forgotten over 100 frames.
+        // With exact measurements of a constant velocity, the only error is the start at rest, forgotten over 100
+        // frames.
         assert!((filter.velocity[0] - 0.08).abs() < 1e-3 && (filter.velocity[1] + 0.03).abs() < 1e-3);
         assert!((filter.position[0] - 0.08).abs() < 1e-4);
         let p = filter.position_variance;

@@ -1,11 +1,11 @@
 //! From images over time to touches.
 //!
-//! This crate is pure: it turns images, one after another, into contacts ([`ContactFinder`]) and contacts into touches
-//! with stable identities ([`Tracker`]); it keeps the baseline that difference data are taken against ([`Baseline`])
-//! and the statistics of the noise ([`RunningStats`], [`Covariance`], [`snr_db`]). From series and experiments come the
-//! measures that laboratories report ([`measure`]), spectra ([`rhythm`]) and calibrated forces ([`force`]). It knows no
-//! forward model, no instrument and no clock: times are given by the caller, in nanoseconds on any monotonic axis. Any
-//! array of taxels can use it.
+//! This crate is pure. It turns images into contacts ([`ContactFinder`]) and contacts into touches with stable
+//! identities ([`Tracker`]). It keeps the baseline that difference data refer to ([`Baseline`]) and noise statistics
+//! ([`RunningStats`], [`Covariance`], [`snr_db`]). From series and experiments it computes the measures that
+//! laboratories report ([`measure`]), spectra ([`rhythm`]) and calibrated forces ([`force`]). It has no forward
+//! model, no instrument and no clock: the caller gives times, in nanoseconds on any monotonic axis. It works with any
+//! array of taxels.
 //!
 //! ```
 //! use dermis_touch::{ContactFinder, ContactParams, GridGeometry, PixelNoise, Tracker, TrackerParams};
@@ -32,16 +32,16 @@
 //! | | |
 //! |---|---|
 //! | [`ContactFinder`], [`Tracker`] | images to contacts, contacts to touches with identities |
-//! | [`Baseline`] | what differences are taken against: start, tare, drift |
-//! | [`PlaceHypotheses`] | two places that explain a frame about equally well, followed over a press |
-//! | [`health`], [`damage`] | channels and electrodes that fail; what is damage and no touch |
-//! | [`locator`], [`force`] | places and forces from calibrations, with their uncertainty |
-//! | [`measure`], [`rhythm`], [`RunningStats`] | what laboratories report; spectra; noise |
+//! | [`Baseline`] | the reference of difference data: start, tare, drift |
+//! | [`PlaceHypotheses`] | two positions that explain a frame about equally well, followed over a press |
+//! | [`health`], [`damage`] | faulty channels and electrodes; damage as opposed to touch |
+//! | [`locator`], [`force`] | positions and forces from calibrations, with their uncertainty |
+//! | [`measure`], [`rhythm`], [`RunningStats`] | the measures that laboratories report; spectra; noise |
 //!
-//! Conventions: x right, y up, metres; an image is `f32` values on cells ([`ImageCells`]), and NaN marks cells outside
-//! the skin. On a grid the image is row-major with row 0 at the top (+y), and a pixel's value stands at the pixel's
-//! centre ([`GridGeometry`]). Everything that runs once per frame
-//! works in memory that its owner keeps, and allocates nothing once that memory has grown to its working size.
+//! Conventions: x right, y up, metres. An image is `f32` values on cells ([`ImageCells`]), and NaN marks cells
+//! outside the skin. On a grid the image is row-major with row 0 at the top (+y), and a pixel's value is at the
+//! pixel's centre ([`GridGeometry`]). Everything that runs once per frame uses memory kept by its owner, and
+//! allocates nothing once that memory has reached its working size.
 
 mod assignment;
 mod baseline;

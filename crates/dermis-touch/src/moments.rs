@@ -1,25 +1,25 @@
 //! The variance of a weighted position under noise that is correlated from pixel to pixel.
 //!
-//! With noise of standard deviation sigma_i and correlation rho_ij = exp(-d_ij^2 / (2 l^2)), a sum q = sum_i g_i n_i
+//! For noise with standard deviation sigma_i and correlation rho_ij = exp(-d_ij^2 / (2 l^2)), a sum q = sum_i g_i n_i
 //! with vectors g_i has the covariance sum_ij g_i g_j' sigma_i sigma_j rho_ij. The Gaussian rho is separable, so the
-//! double sum is a convolution along rows, one along columns, and a dot product. Cells are first gathered into square
-//! blocks of at most half of l, over which rho is near 1, which bounds the kernel to 25 blocks. (On a surface a block
+//! double sum is a convolution along rows, one along columns, and a dot product. Cells are first combined into square
+//! blocks of at most half of l, over which rho is near 1; this bounds the kernel to 25 blocks. (On a surface a block
 //! is also at least half a cell.) White noise needs no blocks: only each cell's own term counts.
 
 use crate::cells::{Bounds, Lattice};
 
-/// Below this correlation length in cells the noise counts as white: rho at one cell is under 0.004.
+/// Below this correlation length in cells, treat the noise as white: rho at one cell is under 0.004.
 const WHITE_BELOW: f64 = 0.3;
-/// The kernel ends where rho falls below exp(-4.5) = 0.011.
+/// Cut off the kernel where rho drops below exp(-4.5) = 0.011, in correlation lengths.
 const KERNEL_REACH: f64 = 3.0;
 /// Largest block, in correlation lengths.
 const BLOCK: f64 = 0.5;
 
-/// Scratch for the double sum over one region. Lengths are in the lattice's units.
+/// Working memory for the double sum over one region. Lengths are in the lattice's units.
 #[derive(Debug, Clone)]
 pub(crate) struct CorrelatedSum {
     white: bool,
-    /// The sum of white noise: xx, xy, yy.
+    /// The sum for white noise: xx, xy, yy.
     own: [f64; 3],
     /// Side of a block.
     block: f64,
@@ -34,7 +34,7 @@ pub(crate) struct CorrelatedSum {
 }
 
 impl CorrelatedSum {
-    /// For cells of a lattice and a correlation length in its units.
+    /// A sum over cells of a lattice with this correlation length in its units.
     pub(crate) fn new(lattice: &impl Lattice, correlation: f64) -> Self {
         let [columns, rows] = lattice.extent();
         let white = correlation < WHITE_BELOW;
@@ -60,7 +60,7 @@ impl CorrelatedSum {
         }
     }
 
-    /// Empties the sum and sets the region that cells will be added in.
+    /// Clears the sum and sets the region to which cells will be added.
     pub(crate) fn start(&mut self, region: Bounds) {
         self.own = [0.0; 3];
         self.origin = region.first;
@@ -94,7 +94,7 @@ impl CorrelatedSum {
     /// The double sum as (xx, xy, yy).
     pub(crate) fn covariance(&mut self) -> (f64, f64, f64) {
         let [xx, xy, yy] = if self.white { self.own } else { self.correlated() };
-        // Cutting the kernel can leave a tiny negative eigenvalue.
+        // Truncating the kernel can leave a tiny negative eigenvalue.
         let (xx, yy) = (xx.max(0.0), yy.max(0.0));
         let bound = (xx * yy).sqrt();
         (xx, xy.clamp(-bound, bound), yy)

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Count, mean and variance of every channel of a stream, by Welford's recurrence (Technometrics 4 (1962) 419).
 ///
-/// Values that are not finite are left out of their channel, so channels may have different counts.
+/// Values that are not finite are ignored, so channels may have different counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunningStats {
     count: Vec<u64>,
@@ -17,7 +17,7 @@ pub struct RunningStats {
 }
 
 impl RunningStats {
-    /// For frames of `channels` values.
+    /// Statistics for frames of `channels` values.
     #[must_use]
     pub fn new(channels: usize) -> Self {
         Self { count: vec![0; channels], mean: vec![0.0; channels], squares: vec![0.0; channels] }
@@ -29,7 +29,7 @@ impl RunningStats {
         self.count.len()
     }
 
-    /// Takes in one frame.
+    /// Adds one frame.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -44,14 +44,14 @@ impl RunningStats {
         Ok(())
     }
 
-    /// Forgets every frame.
+    /// Resets all statistics.
     pub fn reset(&mut self) {
         self.count.fill(0);
         self.mean.fill(0.0);
         self.squares.fill(0.0);
     }
 
-    /// Finite values seen in a channel.
+    /// Number of finite values in a channel.
     #[must_use]
     pub fn count(&self, channel: usize) -> u64 {
         self.count[channel]
@@ -76,14 +76,14 @@ impl RunningStats {
     }
 }
 
-/// What is called the signal-to-noise ratio.
+/// Definition of a signal-to-noise ratio.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SnrDefinition {
-    /// 10 log10(mean V / std V), as the ionic-liquid skin's paper prints it: ten times the logarithm of an amplitude
-    /// ratio, half of [`SnrDefinition::Amplitude`].
+    /// 10 log10(mean V / std V), as printed in the paper on the ionic-liquid skin: ten times the logarithm of an
+    /// amplitude ratio, half of [`SnrDefinition::Amplitude`].
     IonicAsPrinted,
-    /// 10 log10(sum V^2 / sum (V - mean V)^2), equation 5 of the self-healing skin's paper: a ratio of energies.
+    /// 10 log10(sum V^2 / sum (V - mean V)^2), equation 5 of the paper on the self-healing skin: a ratio of energies.
     HealingEnergy,
     /// 20 log10(mean V / std V): the amplitude ratio in decibels.
     Amplitude,
@@ -103,9 +103,9 @@ impl SnrDefinition {
 
 /// The signal-to-noise ratio of one channel, dB.
 ///
-/// The mean enters by its size, since a channel's sign is a matter of wiring; std is [`RunningStats::std`] (divided by
-/// count - 1). Infinite without noise, minus infinity for a zero mean where the mean stands alone, NaN with fewer than
-/// two values or when signal and noise are both zero.
+/// It uses the absolute value of the mean, since a channel's sign depends on wiring; std is [`RunningStats::std`]
+/// (divided by count - 1). Infinite without noise, minus infinity for a zero mean in the two amplitude ratios, NaN
+/// with fewer than two values or if signal and noise are both zero.
 #[must_use]
 pub fn snr_db(definition: SnrDefinition, stats: &RunningStats, channel: usize) -> f64 {
     if stats.count(channel) < 2 {
@@ -123,20 +123,20 @@ pub fn snr_db(definition: SnrDefinition, stats: &RunningStats, channel: usize) -
     }
 }
 
-/// A signal-to-noise ratio over all channels, dB. NaN when no channel has one that is finite.
+/// A signal-to-noise ratio over all channels, dB. NaN if no channel has a finite one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SnrSummary {
-    /// Which ratio.
+    /// Definition of the ratio.
     pub definition: SnrDefinition,
-    /// Mean of the channels' decibels, as the papers average.
+    /// Mean of the channels' decibels, as in the papers.
     pub mean_db: f64,
-    /// Smallest.
+    /// Smallest ratio.
     pub min_db: f64,
-    /// Largest.
+    /// Largest ratio.
     pub max_db: f64,
-    /// Channels that it is taken over.
+    /// Number of channels averaged.
     pub channels: usize,
-    /// Channels left out because their ratio is not finite.
+    /// Number of channels ignored because their ratio is not finite.
     pub left_out: usize,
 }
 
@@ -154,45 +154,45 @@ pub fn average_snr_db(definition: SnrDefinition, stats: &RunningStats) -> SnrSum
     SnrSummary { definition, mean_db: sum / channels as f64, min_db: min, max_db: max, channels, left_out }
 }
 
-/// What a sample covariance is drawn towards.
+/// Target towards which a sample covariance is shrunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ShrinkageTarget {
-    /// The identity times the mean variance, as Ledoit and Wolf wrote it: for channels of like noise.
+    /// The identity times the mean variance, as in Ledoit and Wolf: for channels of similar noise.
     ScaledIdentity,
     /// The diagonal of the channels' own variances: the same method on channels scaled to unit variance, then scaled
-    /// back. For instruments, whose channels differ by orders of magnitude.
+    /// back. For instruments whose channels differ by orders of magnitude.
     #[default]
     Diagonal,
 }
 
 /// A covariance of channels, well conditioned by shrinkage: S* = (1 - shrinkage) S + shrinkage T.
 ///
-/// The shrinkage is the one of least expected squared error, estimated as by O. Ledoit and M. Wolf, *A well-conditioned
+/// The shrinkage minimises the expected squared error, estimated as in O. Ledoit and M. Wolf, *A well-conditioned
 /// estimator for large-dimensional covariance matrices*, J. Multivariate Analysis 88 (2004) 365, lemmas 3.2 to 3.5.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     /// Number of channels n.
     pub channels: usize,
-    /// Number of frames it comes from.
+    /// Number of frames it is estimated from.
     pub frames: usize,
     /// Mean of every channel.
     pub mean: Vec<f64>,
-    /// n x n, row-major, symmetric, channel units squared; the sample part is divided by the number of frames, as in
-    /// the source.
+    /// n x n, row-major, symmetric, channel units squared. The sample part is divided by the number of frames, as in
+    /// the paper.
     pub matrix: Vec<f64>,
-    /// Weight of the target, from 0 (enough frames: the sample's own covariance) to 1 (the target).
+    /// Weight of the target, from 0 (the sample covariance, with enough frames) to 1 (the target).
     pub shrinkage: f64,
 }
 
 impl Covariance {
-    /// From `frames`, one after another, each of `channels` values.
+    /// Estimates the covariance from `frames`, one after another, each of `channels` values, of an untouched skin.
     ///
-    /// Memory and time go as `channels` squared; the frames are those of an untouched skin.
+    /// Memory and time are proportional to `channels` squared.
     ///
     /// # Errors
-    /// [`TouchError::Length`] when the values do not fill whole frames, [`TouchError::TooFewFrames`] below 2 frames,
-    /// [`TouchError::NonFinite`] with the index of the value: leave such channels out before.
+    /// [`TouchError::Length`] if the values do not fill whole frames, [`TouchError::TooFewFrames`] below 2 frames,
+    /// [`TouchError::NonFinite`] with the index of the value: exclude such channels beforehand.
     pub fn ledoit_wolf(frames: &[f64], channels: usize, target: ShrinkageTarget) -> Result<Self, TouchError> {
         let count = frames.len().checked_div(channels).unwrap_or(0);
         require_length("frames", count * channels, frames.len())?;
@@ -224,7 +224,7 @@ impl Covariance {
     /// The weights W = covariance^-1, n x n, row-major, by Cholesky factorisation of the correlation matrix.
     ///
     /// # Errors
-    /// [`TouchError::SingularCovariance`], as for channels that never change.
+    /// [`TouchError::SingularCovariance`], for example if a channel never changes.
     pub fn inverse(&self) -> Result<Vec<f64>, TouchError> {
         let n = self.channels;
         let smallest = (0..n).map(|channel| self.variance(channel)).fold(f64::INFINITY, f64::min);
@@ -245,8 +245,8 @@ impl Covariance {
     }
 }
 
-/// Turns values (channels x frames) into deviations, of unit variance where the target asks for it; returns the factors
-/// that undo the scaling.
+/// Turns values (channels x frames) into deviations from the mean, scaled to unit variance if the target requires it.
+/// Returns the factors that undo the scaling.
 fn centre_and_scale(values: &mut Mat<f64>, mean: &[f64], target: ShrinkageTarget) -> Vec<f64> {
     let frames = values.ncols() as f64;
     let mut scale = vec![1.0; mean.len()];
@@ -269,10 +269,10 @@ fn centre_and_scale(values: &mut Mat<f64>, mean: &[f64], target: ShrinkageTarget
     scale
 }
 
-/// The shrunk covariance of deviations (channels x frames) and its shrinkage.
+/// The shrunk covariance of deviations (channels x frames), and the shrinkage.
 ///
-/// With <A, B> = tr(A B') / n: m = <S, I>, d^2 = |S - m I|^2, b^2 = min(d^2, (1/k^2) sum_f |x_f x_f' - S|^2), shrinkage
-/// b^2 / d^2. The sum is (sum_f |x_f|^4) / n - k |S|^2, since the x_f x_f' average to S.
+/// With <A, B> = tr(A B') / n: m = <S, I>, d^2 = |S - m I|^2, b^2 = min(d^2, (1/k^2) sum_f |x_f x_f' - S|^2),
+/// shrinkage b^2 / d^2. The sum is (sum_f |x_f|^4) / n - k |S|^2, since the x_f x_f' average to S.
 fn shrink(deviations: &Mat<f64>) -> (Mat<f64>, f64) {
     let (channels, frames) = (deviations.nrows() as f64, deviations.ncols() as f64);
     let mut sample = deviations * deviations.transpose() * faer::Scale(1.0 / frames);
@@ -282,7 +282,7 @@ fn shrink(deviations: &Mat<f64>) -> (Mat<f64>, f64) {
     let dispersion = norm_squared - mean_variance * mean_variance;
     let fourth: f64 = (0..deviations.ncols()).map(|frame| deviations.col(frame).squared_norm_l2().powi(2)).sum();
     let error = ((fourth / channels - frames * norm_squared) / (frames * frames)).max(0.0);
-    // A sample that is its target needs none.
+    // If the sample equals its target, no dispersion is left to divide by.
     let shrinkage = if dispersion > f64::EPSILON * norm_squared { (error / dispersion).min(1.0) } else { 1.0 };
     for column in 0..n {
         for row in 0..n {

@@ -1,4 +1,4 @@
-//! A touch in one frame, and what happened to it.
+//! A touch in one frame, and its events.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use crate::force::ForceReading;
 use crate::hypotheses::PlaceHypothesis;
 use crate::touch_load::TouchLoad;
 
-/// Where a touch is in its life.
+/// Phase of a touch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TouchPhase {
@@ -19,36 +19,36 @@ pub enum TouchPhase {
     End,
 }
 
-/// What a touch's values in this frame rest on.
+/// Source of a touch's values in this frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Observation {
-    /// A contact of its own.
+    /// Its own contact.
     Measured,
-    /// A contact shared with other touches: position, amplitude and area are the contact's, not the touch's share of
+    /// A contact shared with other touches. Position, amplitude and area are the contact's, not the touch's share of
     /// it.
     Merged,
-    /// Nothing: position, amplitude and area are those last seen.
+    /// Not seen. Position, amplitude and area are the last ones measured.
     Missed,
 }
 
 /// One touch in one frame. Positions are in the skin's frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Touch {
-    /// Identity, from 1 up, in the order of beginning.
+    /// Identity, counting up from 1 in order of beginning.
     pub id: u64,
     /// Begin, move or end.
     pub phase: TouchPhase,
-    /// What the values rest on.
+    /// Source of the values.
     pub observation: Observation,
-    /// Above or below the background.
+    /// Sign of the contact.
     pub sign: ContactSign,
     /// Position as measured in the contact.
     pub position_m: [f64; 2],
-    /// Covariance of `position_m`, m^2: from the image's noise (the contact's) and, on the diagonal, from what the
-    /// model has wrong, where that is known. Zero without either.
+    /// Covariance of `position_m`, m^2: from the image's noise (the contact's) plus, on the diagonal, from model
+    /// error if that is known. Zero without either.
     pub covariance_m2: [[f64; 2]; 2],
-    /// Position after the Kalman filter; predicted where nothing was seen.
+    /// Position after the Kalman filter; predicted if the touch was not seen.
     pub filtered_position_m: [f64; 2],
     /// Velocity after the Kalman filter, m/s. Zero in the frame of the first contact.
     pub velocity_m_per_s: [f64; 2],
@@ -56,20 +56,20 @@ pub struct Touch {
     pub amplitude: f64,
     /// The contact's area, m^2.
     pub area_m2: f64,
-    /// The contact's force, where a calibration has read one.
+    /// The contact's force, if a calibration has estimated one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<ForceReading>,
-    /// The contact's fitted radius, metres, where a forward model placed it.
+    /// The contact's fitted radius, metres, if a forward model located it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_m: Option<f64>,
-    /// The contact's depth or force, where a calibration by pokes has read one.
+    /// The contact's depth or force, if a calibration by pokes has estimated one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub load: Option<TouchLoad>,
-    /// Where else the touch may be, with the probability that it is there instead: where presses at two places far
-    /// apart would read about the same. `position_m` is the more probable place.
+    /// Another possible position, with the probability that the touch is there instead. Given if presses at two
+    /// distant positions would read about the same. `position_m` is the more probable one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub other_place: Option<PlaceHypothesis>,
-    /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
+    /// Frames since its first contact, including that one. A touch therefore begins at `min_age_frames` or later.
     pub age_frames: u32,
     /// Time of its first contact, nanoseconds.
     pub begin_time_ns: u64,
@@ -77,20 +77,20 @@ pub struct Touch {
     pub time_ns: u64,
 }
 
-/// What happened to a touch in a frame.
+/// An event in the life of a touch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TouchEvent {
-    /// It is there for the first time.
+    /// It begins.
     Begin(Touch),
     /// It is still there, whether it moved or not.
     Move(Touch),
-    /// It has gone; its position is the last one seen.
+    /// It has ended; its position is the last one seen.
     End(Touch),
 }
 
 impl TouchEvent {
-    /// The touch that the event is about.
+    /// The touch concerned.
     #[must_use]
     pub fn touch(&self) -> &Touch {
         match self {

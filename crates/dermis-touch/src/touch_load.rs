@@ -1,8 +1,8 @@
-//! How hard a touch is, as a calibration by pokes of known depth or force reads it.
+//! The load of a touch, as estimated by a calibration with pokes of known depth or force.
 
 use serde::{Deserialize, Serialize};
 
-/// What the load of pokes was measured as.
+/// Quantity in which the load of pokes was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LoadQuantity {
@@ -18,7 +18,7 @@ pub enum LoadQuantity {
 pub struct TouchLoad {
     /// Depth or force.
     pub quantity: LoadQuantity,
-    /// Metres or newtons.
+    /// Value in metres or newtons.
     pub value: f64,
     /// Standard deviation of `value`, in its unit.
     pub sigma: f64,

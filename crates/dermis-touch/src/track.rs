@@ -1,9 +1,8 @@
-//! From the contacts of successive images to touches with identities that stay.
+//! Tracks the contacts of successive images as touches with stable identities.
 //!
-//! Every touch is followed by a Kalman filter with nearly constant velocity; contacts are given to touches by the
-//! assignment of least total Mahalanobis distance, within a gate. Touches whose contacts melt into one are kept as
-//! merged and take their identities up again when the contact parts. Identities count up from 1 and are never used
-//! twice.
+//! Every touch has a Kalman filter with nearly constant velocity. Contacts are assigned to touches by the least total
+//! Mahalanobis distance, within a gate. Touches whose contacts merge into one are kept as merged, and resume their
+//! identities when the contact splits. Identities count up from 1 and are never reused.
 
 use crate::assignment::{Assignment, FORBIDDEN};
 use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settle_riders};
@@ -13,11 +12,11 @@ use crate::kalman::{Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
 use crate::touch::{Observation, Touch, TouchEvent, TouchPhase};
 use crate::tracker_params::TrackerParams;
 
-/// The contact of two touches that have merged makes the way from one's place to the other's longer by this factor at
-/// most, and by its own radius.
+/// Maximum detour via a merged contact: the path from one touch's expected position over the contact to the other's
+/// may be this many times the direct distance, plus the contact's radius.
 const DETOUR: f64 = 1.2;
 
-/// Follows contacts over frames.
+/// Tracks contacts over frames.
 #[derive(Debug, Clone)]
 pub struct Tracker {
     params: TrackerParams,
@@ -28,7 +27,7 @@ pub struct Tracker {
     next_id: u64,
     next_key: u64,
     assignment: Assignment,
-    /// Contacts that no blob has yet.
+    /// Contacts not assigned to a blob yet.
     free: Vec<usize>,
     taken: Vec<bool>,
     rows: Vec<usize>,
@@ -62,7 +61,7 @@ impl Tracker {
         })
     }
 
-    /// The rules.
+    /// The parameters.
     #[must_use]
     pub fn params(&self) -> &TrackerParams {
         &self.params
@@ -74,19 +73,19 @@ impl Tracker {
         &self.touches
     }
 
-    /// True when anything is followed, tentative contacts included: the time to freeze a baseline.
+    /// True if anything is being tracked, including tentative contacts. Freeze the baseline while this is true.
     #[must_use]
     pub fn is_following(&self) -> bool {
         !self.blobs.is_empty()
     }
 
-    /// Takes in one frame's contacts and replaces `events` by one event for every touch, by id.
+    /// Takes one frame's contacts and replaces `events` by one event for every touch, by id.
     ///
-    /// `time_ns` is on any axis that does not run backwards; a caller without times gives frame number times frame
-    /// period. Memory is allocated only when more contacts come than ever before.
+    /// `time_ns` is on any axis that does not run backwards. Without times, use frame number times frame period.
+    /// Memory is allocated only when there are more contacts than ever before.
     ///
     /// # Errors
-    /// [`TouchError::TimeReversed`]; [`TouchError::NonFinite`] for a contact whose followed position, covariance or
+    /// [`TouchError::TimeReversed`]; [`TouchError::NonFinite`] for a contact whose tracked position, covariance or
     /// area is not finite. The tracker is then unchanged and `events` empty.
     pub fn update(
         &mut self,
@@ -114,7 +113,8 @@ impl Tracker {
         Ok(())
     }
 
-    /// Ends every touch now, as when a source stops, and replaces `events` by those endings. Identities go on counting.
+    /// Ends every touch now, as when a source stops, and replaces `events` by these endings. Identities keep
+    /// counting.
     pub fn end_all(&mut self, time_ns: u64, events: &mut Vec<TouchEvent>) {
         events.clear();
         for rider in &mut self.riders {
@@ -150,7 +150,7 @@ impl Tracker {
         Ok(())
     }
 
-    /// Gives free contacts to the confirmed blobs, or to the tentative ones.
+    /// Assigns free contacts to the confirmed blobs, or to the tentative ones.
     fn match_stage(&mut self, contacts: &[Contact], confirmed: bool) {
         self.rows.clear();
         let stage = |blob: &Blob| (blob.stage == Stage::Confirmed) == confirmed && blob.missed > 0;
@@ -175,7 +175,7 @@ impl Tracker {
         self.free.retain(|&index| !taken[index]);
     }
 
-    /// Gives the contacts into which a merged contact has parted back to the touches that rode on it.
+    /// When a merged contact has split, assigns its parts to the touches that rode on it.
     fn part_merged(&mut self, contacts: &[Contact], time_ns: u64) {
         for index in 0..self.blobs.len() {
             let blob = self.blobs[index];
@@ -187,7 +187,8 @@ impl Tracker {
             }
             self.collect_candidates(&blob, contacts, time_ns);
             if self.candidates.len() < 2 {
-                // A blob that was itself not seen, and one contact: that is the blob, outside its gate.
+                // One contact and a blob that was not seen: they belong together, although the contact is outside the
+                // gate.
                 if blob.missed > 0 && self.candidates.len() == 1 {
                     self.blobs[index].measure(&self.candidates[0], &self.params);
                     let column = self.columns[0];
@@ -199,7 +200,7 @@ impl Tracker {
         }
     }
 
-    /// The blob's own contact, if seen, and the free ones within its members' reach.
+    /// Collects the blob's own contact, if seen, and the free ones within its members' reach.
     fn collect_candidates(&mut self, blob: &Blob, contacts: &[Contact], time_ns: u64) {
         self.candidates.clear();
         self.columns.clear();
@@ -224,7 +225,7 @@ impl Tracker {
         }
     }
 
-    /// Assigns the members of blob `index` to the candidates by their remembered offsets from the group's middle.
+    /// Assigns the members of blob `index` to the candidates by their remembered offsets from the group's centre.
     fn reassign_members(&mut self, index: usize, time_ns: u64) {
         let (params, candidates, members, riders) = (&self.params, &self.candidates, &self.members, &self.riders);
         let sum = candidates.iter().fold([0.0; 2], |sum, contact| add(sum, params.position.of(contact)));
@@ -236,7 +237,7 @@ impl Tracker {
             let away = sub(sub(params.position.of(&candidates[column]), middle), offset(members[row]));
             away[0] * away[0] + away[1] * away[1]
         };
-        // Farther than any pair: everyone who can have a contact gets one.
+        // Costs more than any set of pairs, so that every member that can have a contact gets one.
         let largest = (0..members.len())
             .flat_map(|row| (0..candidates.len()).map(move |column| (row, column)))
             .fold(0.0f64, |largest, (row, column)| largest.max(distance(row, column)));
@@ -247,10 +248,10 @@ impl Tracker {
         self.move_members(index, time_ns);
     }
 
-    /// Gives every assigned member a blob of its own; the rest ride with the nearest.
+    /// Gives every assigned member its own blob; the rest ride with the nearest.
     fn move_members(&mut self, index: usize, time_ns: u64) {
         let old = self.blobs[index];
-        // Copies: the loops below change what they are read from.
+        // Copied, because the loops below change the originals.
         for row in 0..self.members.len() {
             let column = self.rows[row];
             if column == usize::MAX {
@@ -274,7 +275,7 @@ impl Tracker {
         // The old blob has no riders now; `publish` removes it.
     }
 
-    /// Members without a contact of their own go on merged, with the assigned contact nearest to where they should be.
+    /// Members without their own contact stay merged, on the assigned contact nearest to their expected position.
     fn seat_leftover(&mut self, old: &Blob, time_ns: u64) {
         for row in 0..self.members.len() {
             if self.rows[row] != usize::MAX {
@@ -297,7 +298,7 @@ impl Tracker {
         }
     }
 
-    /// The blob nearest to `position` among those that members of the parted group have just been given.
+    /// The blob nearest to `position` among those just assigned to members of the split group.
     fn nearest_new_blob(&self, position: Vec2) -> Option<usize> {
         let given = |blob: &Blob| {
             self.members
@@ -309,9 +310,9 @@ impl Tracker {
         (0..self.blobs.len()).filter(|&i| given(&self.blobs[i])).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
     }
 
-    /// A touch that lost its contact where another has one is taken to have merged with that one, if both were seen in
-    /// one frame of the last 64, and the contact is where that of both would be: contacts that come in turns, or jump
-    /// elsewhere, are of presses one after the other.
+    /// Merges a touch that lost its contact with a nearby touch that has one. Both must have been seen together in
+    /// one of the last 64 frames, and the contact must be where a merged contact would be. Contacts that alternate,
+    /// or jump elsewhere, are successive presses.
     fn merge_vanished(&mut self, time_ns: u64) {
         for index in 0..self.blobs.len() {
             let from = self.blobs[index];
@@ -378,7 +379,7 @@ impl Tracker {
         }
     }
 
-    /// Writes the touches and events of this frame and forgets those that ended.
+    /// Writes the touches and events of this frame and removes the touches that ended.
     fn publish(&mut self, time_ns: u64, events: &mut Vec<TouchEvent>) {
         self.expire_merges();
         for rider in &mut self.riders {
@@ -397,7 +398,7 @@ impl Tracker {
         self.touches.extend(self.riders.iter().map(|rider| rider.touch));
     }
 
-    /// Ends merged touches whose time is up, but the one of them that began first.
+    /// Ends merged touches that have exceeded their time, except the oldest of each group.
     fn expire_merges(&mut self) {
         for index in 0..self.riders.len() {
             let key = self.riders[index].blob;
@@ -405,7 +406,7 @@ impl Tracker {
             let Some(merge) = self.riders[index].merge.as_mut() else { continue };
             merge.count(blob);
             let expired = merge.is_over(&self.params);
-            // Riders stand by id: an earlier one of the same blob began earlier.
+            // Riders are sorted by id, so an earlier one of the same blob began earlier.
             if expired && self.riders[..index].iter().any(|rider| rider.blob == key) {
                 self.riders[index].touch.phase = TouchPhase::End;
                 // No blob has this key.
@@ -421,9 +422,8 @@ impl Tracker {
     }
 }
 
-/// Whether the contact of `host` in this frame may be that of both, `from` having none: it lies about between the
-/// places where the two should be. Of contacts that have been there without `from` for a frame or more, that is
-/// decided.
+/// True if the contact of `host` in this frame may belong to both, `from` having none: it is roughly between their
+/// expected positions. A host seen without `from` in the previous frame is no candidate any more.
 fn may_be_of_both(host: &Blob, from: &Blob, params: &TrackerParams) -> bool {
     let was_there_alone = from.missed > 1 && host.seen & 2 != 0;
     let (at, own, other) = (params.position.of(&host.contact), host.predicted.0, from.predicted.0);
@@ -431,7 +431,7 @@ fn may_be_of_both(host: &Blob, from: &Blob, params: &TrackerParams) -> bool {
     !was_there_alone && way <= DETOUR * norm(sub(own, other)) + host.contact.radius_m()
 }
 
-/// Of noise and of what the model has wrong.
+/// Covariance from noise and model error.
 fn whole_covariance_m2(contact: &Contact) -> Mat2 {
     plus_diagonal(contact.covariance_m2, contact.model_variance_m2)
 }
@@ -458,7 +458,7 @@ fn first_touch(id: u64, blob: &Blob) -> Touch {
     }
 }
 
-/// Brings a rider's touch up to this frame.
+/// Updates a rider's touch for this frame.
 fn refresh(rider: &mut Rider, blob: Option<&Blob>, time_ns: u64, params: &TrackerParams) {
     let touch = &mut rider.touch;
     touch.age_frames = touch.age_frames.saturating_add(1);

@@ -1,11 +1,11 @@
-//! The rules by which contacts become touches.
+//! Parameters for tracking contacts as touches.
 
 use serde::{Deserialize, Serialize};
 
 use crate::contact::Contact;
 use crate::error::{TouchError, require};
 
-/// Which position of a contact is followed.
+/// Which position of a contact is tracked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionSource {
@@ -17,7 +17,7 @@ pub enum PositionSource {
 }
 
 impl PositionSource {
-    /// The position of `contact` that this names, metres.
+    /// This position of `contact`, metres.
     #[must_use]
     pub fn of(self, contact: &Contact) -> [f64; 2] {
         match self {
@@ -27,44 +27,44 @@ impl PositionSource {
     }
 }
 
-/// Rules of a [`Tracker`](crate::Tracker). Frames are those given to [`Tracker::update`](crate::Tracker::update);
-/// speeds and times are in seconds of its times.
+/// Parameters of a [`Tracker`](crate::Tracker). Frames are those given to
+/// [`Tracker::update`](crate::Tracker::update); speeds and times are in seconds of its time axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackerParams {
-    /// A touch begins with its so-many-th strong contact in a row. At least 1.
+    /// Number of strong contacts with which a touch begins. At least 1.
     pub min_age_frames: u32,
-    /// A touch ends when it was not seen for more than so many frames. 0 ends it with the first frame without it.
+    /// Maximum number of frames a touch may be missed before it ends. 0 ends it with the first frame without it.
     pub max_missed_frames: u32,
-    /// Touches stay merged for at most so many frames; then only the one that began first goes on.
+    /// Maximum number of frames that touches stay merged; then only the oldest continues.
     pub max_merged_frames: u32,
-    /// And for at most so many frames in a row in which their contact is known to be that of one touch.
+    /// Maximum number of consecutive frames that touches stay merged while their contact is known to be a single
+    /// touch.
     pub max_merged_single_frames: u32,
     /// Gate on the Mahalanobis distance of a contact from a touch's prediction. Above 0.
     pub gate_sigma: f64,
-    /// Gate on their distance in metres. Above 0.
+    /// Gate on the distance of a contact from a touch's prediction, metres. Above 0.
     pub gate_max_m: f64,
-    /// A vanished touch is merged when a seen contact lies within so many of that contact's radii. At least 0; 0 never
-    /// merges.
+    /// A vanished touch may merge with a visible contact within this many of that contact's radii. At least 0; 0
+    /// never merges.
     pub merge_radii: f64,
-    /// Standard deviation added to every measured position, metres: the error that noise does not explain. Above 0.
+    /// Standard deviation added to every measured position, metres, for errors other than noise. Above 0.
     pub position_floor_m: f64,
-    /// Spectral density of a touch's acceleration, m^2/s^3: (change of speed)^2 over the time that it takes. At least
-    /// 0.
+    /// Spectral density of a touch's acceleration, m^2/s^3: (change of speed)^2 over the time it takes. At least 0.
     pub acceleration_density_m2_per_s3: f64,
     /// Standard deviation of a new touch's speed, m/s. At least 0.
     pub initial_speed_m_per_s: f64,
-    /// For so long after merging, touches are expected to have gone on at their velocity; later, to come out where they
-    /// went in. Seconds, at least 0.
+    /// For this long after merging, touches are expected to continue at their velocity; later, to reappear where they
+    /// merged. Seconds, at least 0.
     pub velocity_memory_s: f64,
-    /// Time constant of a first-order filter on the amplitude, seconds; none leaves it unfiltered. Above 0.
+    /// Time constant of a first-order filter on the amplitude, seconds, above 0; `None` leaves it unfiltered.
     pub amplitude_time_constant_s: Option<f64>,
-    /// Which position is followed.
+    /// Which position is tracked.
     pub position: PositionSource,
 }
 
 impl Default for TrackerParams {
-    /// For a skin of the size of a hand at 10 to 1,000 frames a second.
+    /// Suits a skin the size of a hand at 10 to 1,000 frames a second.
     fn default() -> Self {
         Self {
             min_age_frames: 2,

@@ -1,6 +1,6 @@
-//! Middle values.
+//! Medians and spacings.
 
-/// The middle of some values, between the two in the middle of an even number; NaN of none.
+/// Median; the mean of the two middle values for an even number, NaN for none.
 pub(crate) fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -11,7 +11,7 @@ pub(crate) fn median(values: &[f64]) -> f64 {
     }
 }
 
-/// Median distance from a place to its nearest neighbour, over 200 of them at most: the step of a lattice.
+/// Median distance from a position to its nearest neighbour, over at most 200 of them: the step of a lattice.
 pub(crate) fn spacing(places_m: &[[f64; 2]]) -> f64 {
     let sampled = places_m.len().min(200);
     let nearest = |s: usize| {

@@ -1,18 +1,18 @@
 //! Splits an image into the basins of its peaks by flooding from the top.
 //!
-//! Cells are visited from the highest down (ties by index, so the result is deterministic); a cell without flooded
-//! neighbours opens a basin, others join the basin of their highest neighbour. Where two basins first meet stands their
-//! saddle: the lower one is absorbed when its prominence over the saddle is too small. This is the watershed by
-//! immersion of Vincent and Soille, IEEE PAMI 13 (1991) 583, run downwards and with merging by persistence.
+//! Cells are visited from the highest down (ties by index, so the result is deterministic). A cell without flooded
+//! neighbours starts a basin; others join the basin of their highest neighbour. The saddle of two basins is where
+//! they first meet: the lower one is absorbed if its prominence over the saddle is too small. This is the watershed
+//! by immersion of Vincent and Soille, IEEE PAMI 13 (1991) 583, run downwards and with merging by persistence.
 
 use crate::cells::{Bounds, Lattice};
 
-/// When two basins that meet are one peak.
+/// When two basins that meet are a single peak.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct MergeRule {
-    /// One peak when saddle > this part of the lower peak.
+    /// Merge if the saddle is above this share of the lower peak.
     pub saddle_ratio: f32,
-    /// One peak when the lower peak rises less than this many sigma above the saddle.
+    /// Merge if the lower peak rises less than this many sigma above the saddle.
     pub min_prominence_sigma: f32,
 }
 
@@ -24,16 +24,16 @@ struct Basin {
     slot: u32,
     /// Index of the basin that absorbed this one, or its own.
     parent: u32,
-    /// Prominence that the peak must have to stand alone, image units.
+    /// Prominence that the peak needs to remain separate, image units.
     min_prominence: f32,
 }
 
-/// The flooded image, with the memory it is flooded in. Values and labels stand in the slots of a lattice; the values
-/// of slots without a cell are NaN.
+/// The flooded image with its working memory. Values and labels are stored in the slots of a lattice; the values of
+/// slots without a cell are NaN.
 #[derive(Debug, Clone)]
 pub(crate) struct Watershed<L> {
     lattice: L,
-    /// Oriented so that contacts are positive; NaN outside.
+    /// Signed so that contacts are positive; NaN outside.
     values: Vec<f32>,
     /// Basin index + 1; 0 = not flooded.
     labels: Vec<u32>,
@@ -59,8 +59,8 @@ impl<L: Lattice> Watershed<L> {
         &self.lattice
     }
 
-    /// Copies an image in: values times `factor`, NaN where they are not finite or their noise is not usable, and
-    /// returns the largest value (0 when none is positive).
+    /// Loads an image: values times `factor`, NaN if they are not finite or their noise is not usable. Returns the
+    /// largest value (0 if none is positive).
     pub(crate) fn load(&mut self, image: &[f32], sigma: Option<&[f32]>, factor: f32) -> f32 {
         for (slots, cells) in self.lattice.pieces() {
             let target = &mut self.values[slots];
@@ -77,7 +77,7 @@ impl<L: Lattice> Watershed<L> {
         largest_of(&self.values, |value| value)
     }
 
-    /// Floods every cell at or above `floor` (which must be positive); `sigma` gives the noise of a cell.
+    /// Floods every cell at or above `floor` (which must be positive). `sigma` gives the noise of a cell.
     pub(crate) fn flood(&mut self, floor: f32, rule: MergeRule, sigma: impl Fn(usize) -> f32) {
         self.sort_cells(floor);
         self.labels.fill(0);
@@ -97,7 +97,7 @@ impl<L: Lattice> Watershed<L> {
             for slot in slots {
                 let value = self.values[slot];
                 if value >= floor {
-                    // Positive floats sort as their bit patterns do.
+                    // Positive floats sort like their bit patterns.
                     self.order.push((u64::from(!value.to_bits()) << 32) | slot as u64);
                 }
             }
@@ -105,7 +105,7 @@ impl<L: Lattice> Watershed<L> {
         self.order.sort_unstable();
     }
 
-    /// Standing peaks from the highest down: (basin, value, slot).
+    /// Remaining peaks from the highest down: (basin, value, slot).
     pub(crate) fn peaks(&self) -> impl Iterator<Item = (u32, f32, usize)> + '_ {
         self.basins
             .iter()
@@ -114,7 +114,7 @@ impl<L: Lattice> Watershed<L> {
             .map(|(index, basin)| (index as u32, basin.peak, basin.slot as usize))
     }
 
-    /// Lets one standing basin absorb another.
+    /// Merges one remaining basin into another.
     pub(crate) fn absorb(&mut self, basin: u32, into: u32) {
         self.basins[basin as usize].parent = into;
     }
@@ -124,14 +124,14 @@ impl<L: Lattice> Watershed<L> {
         self.order.len()
     }
 
-    /// The `position`-th flooded cell from the highest down: (slot, value, standing basin).
+    /// The flooded cell at index `position`, from the highest down: (slot, value, remaining basin).
     pub(crate) fn flooded_cell(&mut self, position: usize) -> (usize, f32, u32) {
         let slot = unpack_slot(self.order[position]);
         let basin = root(&mut self.basins, self.labels[slot] - 1);
         (slot, self.values[slot], basin)
     }
 
-    /// Slots with their standing basins of the flooded cells within bounds, as far as their value is at least `least`.
+    /// Visits the flooded cells within bounds whose value is at least `least`, with slot and remaining basin.
     pub(crate) fn for_each_within(&mut self, bounds: Bounds, least: f32, mut visit: impl FnMut(&L, usize, u32)) {
         let Self { lattice, values, labels, basins, .. } = self;
         lattice.slots_within(bounds).for_each(|slot| {
@@ -157,7 +157,7 @@ struct Flood<'a, F> {
 }
 
 impl<F: Fn(usize) -> f32> Flood<'_, F> {
-    /// Floods one cell; `roots` has room for one number a neighbour.
+    /// Floods one cell; `roots` has room for one number per neighbour.
     #[inline]
     fn take<L: Lattice>(&mut self, lattice: &L, slot: usize, roots: &mut [u32]) {
         let value = self.values[slot];
@@ -169,7 +169,7 @@ impl<F: Fn(usize) -> f32> Flood<'_, F> {
             if label == 0 {
                 continue;
             }
-            // Most neighbours carry one label: look its basin up once.
+            // Most neighbours have the same label: look its basin up once.
             if label != last.0 {
                 last = (label, root(self.basins, label - 1));
                 if !roots[..count].contains(&last.1) {
@@ -190,7 +190,7 @@ impl<F: Fn(usize) -> f32> Flood<'_, F> {
         }
         self.labels[slot] = highest.1 + 1;
         if count > 1 {
-            // Basins are numbered in the order of their peaks: the lowest number is the highest peak.
+            // Basins are numbered in the order of their peaks, so the lowest number is the highest peak.
             roots[..count].sort_unstable();
             self.absorb_at_saddle(&roots[..count], value);
         }
@@ -206,7 +206,7 @@ impl<F: Fn(usize) -> f32> Flood<'_, F> {
     }
 }
 
-/// The basin that finally holds `basin`.
+/// The remaining basin that `basin` was merged into.
 fn root(basins: &mut [Basin], mut basin: u32) -> u32 {
     while basins[basin as usize].parent != basin {
         let parent = basins[basin as usize].parent;
@@ -216,10 +216,11 @@ fn root(basins: &mut [Basin], mut basin: u32) -> u32 {
     basin
 }
 
-/// Values compared side by side: comparisons lane by lane become vector instructions, one running extreme does not.
+/// Number of values compared in parallel. Lane-by-lane comparisons become vector instructions; a single running
+/// extreme does not.
 const LANES: usize = 16;
 
-/// The largest finite `size(value)`, or 0 when none is positive. Comparisons leave NaN out by themselves.
+/// The largest finite `size(value)`, or 0 if none is positive. The comparisons skip NaN.
 pub(crate) fn largest_of(values: &[f32], size: impl Fn(f32) -> f32) -> f32 {
     let mut most = [0.0_f32; LANES];
     let mut raise = |lane: usize, value: f32| {
@@ -236,7 +237,8 @@ pub(crate) fn largest_of(values: &[f32], size: impl Fn(f32) -> f32) -> f32 {
     most.into_iter().fold(0.0, f32::max)
 }
 
-/// The same over cells of which the noise is usable, and the smallest usable noise (infinite when there is none).
+/// Like `largest_of`, over cells with usable noise. Also returns the smallest usable noise (infinite if there is
+/// none).
 pub(crate) fn largest_with_noise(values: &[f32], sigma: &[f32], size: impl Fn(f32) -> f32) -> (f32, f32) {
     let (mut most, mut least) = ([0.0_f32; LANES], [f32::INFINITY; LANES]);
     let mut take = |lane: usize, value: f32, sigma: f32| {
@@ -288,7 +290,7 @@ mod tests {
 
     #[test]
     fn rows_do_not_wrap() {
-        // The last pixel of one row and the first of the next are no neighbours.
+        // The last pixel of one row and the first of the next are not neighbours.
         let image = [0.0, 0.0, 0.0, 1.0, 0.9, 0.0, 0.0, 0.0];
         assert_eq!(flooded(4, &image, 0.75), [(1.0, 3), (0.9, 4)]);
     }

@@ -12,7 +12,7 @@ use dermis_touch::{
 #[test]
 fn images_become_touches_without_allocating() {
     let geometry = square();
-    // Touches that come, cross, merge, part and go, with noise.
+    // Touches that appear, cross, merge, separate and disappear, with noise.
     let images: Vec<Vec<f32>> = (0..100)
         .map(|frame| {
             let t = f64::from(frame);
@@ -61,7 +61,7 @@ fn frames_are_compensated_without_allocating() {
             baseline.learn(Load::Free);
             stats.push(&raw).unwrap();
         });
-        // The record of the start-up baseline, in frame 31, is the one thing kept.
+        // Recording the start-up baseline, in frame 31, is the only allocation.
         assert!(info.count_total == 0 || frame == 31, "frame {frame}: {} allocations", info.count_total);
     }
 }

@@ -1,4 +1,4 @@
-//! The baseline starts robustly, is tared on request, follows drift, and never eats a held touch.
+//! The baseline starts robustly, can be tared, follows drift, and never absorbs a held touch.
 
 mod common;
 
@@ -43,8 +43,8 @@ fn startup_shrugs_off_outliers_and_measures_the_noise() {
         assert_eq!(change == BaselineChange::Started, frame == 199);
     }
     assert_eq!(baseline.state(), BaselineState::Ready);
-    // The mean of 170 values has a standard error of 0.008; a touch in 15 % of the frames widens the deviation by a
-    // fifth.
+    // The mean of 170 values has a standard error of 0.008. A touch in 15 % of the frames increases the deviation by
+    // a fifth.
     assert!((baseline.baseline()[0] - 10.0).abs() < 0.03, "{}", baseline.baseline()[0]);
     assert!((0.08..0.15).contains(&baseline.noise_std()[0]), "{}", baseline.noise_std()[0]);
     assert!(baseline.baseline()[1].is_nan() && baseline.noise_std()[1].is_nan());
@@ -59,7 +59,7 @@ fn a_ten_minute_press_keeps_its_value() {
     assert_eq!(baseline.compensated(), [0.5, 0.0]);
     assert_eq!(baseline.baseline(), [1.0, 2.0]);
     assert_eq!(baseline.raw(), [1.5, 2.0]);
-    // Two seconds more after release, while the material settles.
+    // Frozen for two more seconds after release, while the material settles.
     run(&mut baseline, 601..602, |_| [1.2, 2.0], Load::Free);
     assert_eq!(baseline.baseline(), [1.0, 2.0]);
     run(&mut baseline, 602..610, |_| [1.2, 2.0], Load::Free);
@@ -70,7 +70,7 @@ fn a_ten_minute_press_keeps_its_value() {
 fn drift_is_followed_with_the_stated_time_constant() {
     let mut baseline = ready();
     run(&mut baseline, 1..61, |_| [2.0, 2.0], Load::Free);
-    // A step of 1 has faded to 1/e after 60 s, exactly for an exponential mean.
+    // A step of 1 has decayed to 1/e after 60 s, exactly for an exponential mean.
     assert!((baseline.baseline()[0] - (2.0 - (-1.0f64).exp())).abs() < 1e-12);
     let before = baseline.baseline()[0];
     baseline.set_drift(DriftCompensation::Off).unwrap();
@@ -145,12 +145,12 @@ fn bad_input_is_named() {
     assert!(Baseline::new(2, params(0)).is_err());
 }
 
-/// A baseline of four channels in use, with uniform compensation of 10 s.
+/// A ready baseline of four channels, with uniform compensation of 10 s.
 fn uniform() -> Baseline {
     let drift = DriftCompensation::Uniform { time_constant_s: 10.0, settle_s: 0.0 };
     let mut baseline = Baseline::new(4, BaselineParams { startup_frames: 8, drift }).unwrap();
     for frame in 0..8_u64 {
-        // Noise of one part in a thousand, so that the noise is known.
+        // Noise of one part in a thousand, so that the noise is measured.
         let wobble = if frame % 2 == 0 { 1e-3 } else { -1e-3 };
         let values = REST.map(|rest| rest + wobble);
         baseline.observe(frame * 100_000_000, &values).unwrap();
@@ -171,14 +171,14 @@ fn uniform_compensation_follows_what_is_alike_everywhere_and_nothing_else() {
         }
         baseline
     };
-    // 2 % everywhere: within 100 s, ten time constants, all but e^-10 of it.
+    // 2 % everywhere: 100 s, ten time constants, leave e^-10 of it.
     let warm = follow(REST.map(|rest| 1.02 * rest));
     assert!(warm.baseline().iter().zip(REST).all(|(b, rest)| (b / rest - 1.02).abs() < 2e-3), "{:?}", warm.baseline());
     assert!((warm.drift_factor() - 1.02).abs() < 2e-3, "{}", warm.drift_factor());
     // One channel: a touch, however slow.
     let touched = follow([1.0, -2.0, 0.5, 3.3]);
     assert!((touched.compensated()[3] - 0.3).abs() < 2e-3 && touched.drift_factor() == 1.0, "{touched:?}");
-    // Held, nothing is followed; with the rest, everything.
+    // With drift held, nothing is followed; with `follow_rest`, everything.
     let mut held = uniform();
     held.hold_drift(true);
     let mut healing = uniform();

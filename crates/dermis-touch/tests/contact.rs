@@ -1,4 +1,4 @@
-//! What the contact finder measures, splits and ignores.
+//! Measurements of the contact finder, and what it splits and ignores.
 
 mod common;
 
@@ -25,15 +25,15 @@ fn a_bell_is_measured() {
     let contacts = find(&paint(&square(), &[bell(12.3, -20.7, 8.0, 2.0)]), 0.01);
     assert_eq!(contacts.len(), 1);
     let touch = contacts[0];
-    // A quadratic through pixels of a quarter sigma misses a Gaussian's peak by under a hundredth of a pixel; the
-    // centroid of a pixelated half-height region by under a tenth.
+    // A quadratic through pixels of a quarter sigma misses a Gaussian's peak by less than a hundredth of a pixel, and
+    // the centroid of a pixelated half-height region by less than a tenth.
     assert!(distance_mm(touch.peak_m, [0.0123, -0.0207]) < 0.02, "{:?}", touch.peak_m);
     assert!(distance_mm(touch.centroid_m, [0.0123, -0.0207]) < 0.2, "{:?}", touch.centroid_m);
     assert!((touch.peak_value - 2.0).abs() < 1e-3);
     // The region above one half of exp(-r^2 / (2 s^2)) is a disc of area 2 ln 2 pi s^2, counted in pixels of 4 mm^2.
     let area = 2.0 * std::f64::consts::LN_2 * std::f64::consts::PI * 64e-6;
     assert!((touch.area_m2 / area - 1.0).abs() < 0.05, "{}", touch.area_m2 / area);
-    // Half of a Gaussian's volume 2 pi s^2 h lies above half its height.
+    // Half of a Gaussian's volume 2 pi s^2 h is above half its height.
     let volume = std::f64::consts::PI * 64e-6 * 2.0;
     assert!((touch.volume / volume - 1.0).abs() < 0.05, "{}", touch.volume / volume);
     assert_eq!(touch.strength, ContactStrength::Strong);
@@ -103,7 +103,7 @@ fn the_border_cuts_a_touch_without_harm() {
     let contacts = find(&image, 0.01);
     assert_eq!(contacts.len(), 1);
     let touch = contacts[0];
-    // The peak is 2 mm from the border: within a pixel of it; the centroid is pulled inwards by what is missing.
+    // The peak is 2 mm from the border and found to within a pixel. The missing part pulls the centroid inwards.
     assert!(distance_mm(touch.peak_m, [0.058, 0.0]) < 2.0);
     assert!(touch.centroid_m[0] < 0.058 && touch.centroid_m[0] > 0.048);
     assert!(touch.centroid_m[1].abs() < 1e-4);
@@ -133,7 +133,7 @@ fn noisy_pixels_are_judged_by_their_own_noise() {
     assert!(contacts[0].centroid_m[0] < 0.0);
 }
 
-/// Scatter of the centroid over noisy images against the covariance that the finder gives.
+/// Ratio of the centroid's scatter over noisy images to the standard deviation that the finder states.
 fn scatter_over_predicted(correlation_pixels: f64, centroid: CentroidWeight) -> f64 {
     let geometry = square();
     let clean = paint(&geometry, &[bell(3.1, -4.3, 8.0, 1.0)]);
@@ -184,7 +184,7 @@ fn the_covariance_is_the_scatter() {
         let ratio = scatter_over_predicted(correlation, CentroidWeight::Excess);
         assert!((0.88..1.12).contains(&ratio), "correlation {correlation} px: scatter over predicted is {ratio}");
     }
-    // Pixels crossing half height are left out of the bound for the other weights.
+    // For the other weights the covariance ignores pixels that cross half height, and is only a lower bound.
     assert!(scatter_over_predicted(0.0, CentroidWeight::Value) > 1.0);
 }
 
@@ -193,7 +193,7 @@ fn noise_alone_begins_nothing() {
     let mut noise = Noise::new(3);
     for _ in 0..50 {
         let image: Vec<f32> = (0..64 * 64).map(|_| noise.normal() as f32).collect();
-        // 200,000 Gaussian draws pass 5 sigma with probability 0.06; this seed has none.
+        // 200,000 Gaussian draws exceed 5 sigma with probability 0.06; this seed has none.
         assert!(find(&image, 1.0).iter().all(|contact| contact.strength == ContactStrength::Weak));
     }
 }
@@ -250,7 +250,7 @@ proptest! {
     fn moving_by_a_pixel_moves_the_contact_by_a_pixel(x in -20.0..20.0f64, y in -20.0..20.0f64) {
         let at = |x: f64, y: f64| find(&paint(&square(), &[bell(x, y, 7.0, 1.0)]), 0.01)[0];
         let (here, there) = (at(x, y), at(x + 2.0, y - 2.0));
-        // Single-precision images.
+        // Rounding of single-precision images.
         prop_assert!((there.centroid_m[0] - here.centroid_m[0] - 0.002).abs() < 1e-6);
         prop_assert!((there.centroid_m[1] - here.centroid_m[1] + 0.002).abs() < 1e-6);
         prop_assert_eq!(here.area_m2, there.area_m2);

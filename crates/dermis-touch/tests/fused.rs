@@ -1,11 +1,11 @@
-//! The locator of two experts on a made-up skin: smooth signatures that no model knows, noise, and a nuisance that
-//! changes from touch to touch.
+//! The fused locator on a synthetic skin: smooth signatures unknown to any model, noise, and a nuisance that changes
+//! from touch to touch.
 
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, LocatorError, SessionDrift, SignatureMap};
 
 const CHANNELS: usize = 24;
 
-/// Numbers from 0 to 1, the same at every run.
+/// Numbers from 0 to 1, the same in every run.
 struct Random(u64);
 
 impl Random {
@@ -21,7 +21,7 @@ impl Random {
     }
 }
 
-/// What a touch of unit load reads, channel by channel.
+/// Reading of a touch of unit load in channel `k`.
 fn signature(p: [f64; 2], k: usize) -> f64 {
     let angle = std::f64::consts::TAU * k as f64 / CHANNELS as f64;
     let electrode = [0.06 * angle.cos(), 0.06 * angle.sin()];
@@ -57,7 +57,7 @@ impl Pokes {
         Examples::new(CHANNELS, self.frames.clone(), self.positions_m.clone()).expect("valid pokes")
     }
 
-    /// Median distance and shares within a sigma on these pokes.
+    /// Median distance, and shares within one sigma, on these pokes.
     fn test(&self, locator: &FusedLocator) -> (f64, [f64; 2]) {
         let mut scratch = locator.scratch();
         let (mut errors, mut within) = (Vec::new(), [0.0; 2]);
@@ -162,7 +162,7 @@ fn many_pokes_are_fitted_by_landmarks() {
     }
 }
 
-/// One poke more than are solved exactly must not make places worse, nor sigma dishonest. The median of 300 errors
+/// One poke more than can be solved exactly must not make positions worse or sigma wrong. The median of 300 errors
 /// scatters by some 6 %, hence the tolerance.
 #[test]
 fn a_few_pokes_more_than_are_solved_exactly_do_no_harm() {
@@ -264,7 +264,8 @@ fn drift_is_told_from_its_absence() {
     assert!(drifts.z > 3.0 && drifts.ratio > 1.2, "{drifts:?}");
 }
 
-/// Many channels and few pokes: directions made for the pokes must not take the noise of another frame for a place.
+/// With many channels and few pokes, directions made for the pokes must not mistake the noise of another frame for a
+/// position.
 #[test]
 fn few_pokes_of_many_noisy_channels_foretell_the_error_on_others() {
     const MANY: usize = 600;
@@ -279,7 +280,7 @@ fn few_pokes_of_many_noisy_channels_foretell_the_error_on_others() {
         }
         (frames, places)
     };
-    // The physics knows the signatures but for a tenth.
+    // The physics knows the signatures except for a tenth.
     let known =
         map().into_iter().flat_map(|p| (0..MANY).map(move |k| signature(p, k) * (1.0 + 0.1 * (k as f64).sin())));
     let physics = SignatureMap::new(MANY, map(), known.collect()).expect("a map");
@@ -301,18 +302,19 @@ fn few_pokes_of_many_noisy_channels_foretell_the_error_on_others() {
     assert!(tenth_m < 5e-3, "every tenth press is off by {tenth_m} m");
 }
 
-/// Electrodes round the rim of a skin that looks the same from each, and what is measured from each.
+/// A skin whose electrodes are around the rim and that looks the same from each: number of drives, and of channels
+/// measured per drive.
 const DRIVES: usize = 12;
 const KINDS: usize = 6;
 
-/// A skin with its electrodes numbered one way round or the other, and a look of its own.
+/// A skin with its electrodes numbered in either direction and an individual appearance.
 struct Ring {
     sense: f64,
     look: f64,
 }
 
 impl Ring {
-    /// What a touch reads, drive by drive: channel after channel at the same distance from its drive.
+    /// Reading of a touch, drive by drive: a channel of the same kind is at the same distance from its drive.
     fn frame(&self, p: [f64; 2]) -> Vec<f64> {
         let value = |k: usize| {
             let (drive, kind) = ((k / KINDS) as f64, (k % KINDS) as f64);
@@ -337,8 +339,8 @@ impl Ring {
     }
 }
 
-/// A sister whose map is of no use, because it looks different and is numbered the other way round, shows that the skin
-/// looks the same from each of its electrodes: ten pokes are then worth many more.
+/// The sister's map is useless, because it looks different and is numbered in the opposite direction. But it shows
+/// that the skin looks the same from each of its electrodes, which makes ten pokes worth many more.
 #[test]
 fn ten_pokes_are_turned_as_a_sister_shows() {
     let channels = DRIVES * KINDS;

@@ -1,5 +1,5 @@
-//! The calibrated locator on a made-up skin: a disc whose true signatures differ from the physics by channel gains and
-//! by a distortion of position, poked at random, with noise.
+//! The calibrated locator on a synthetic skin: a disc whose true signatures differ from the physics by channel gains
+//! and by a distortion of position, poked at random, with noise.
 
 use dermis_touch::locator::{
     Examples, Hyperparameters, Located, Locator, LocatorError, LocatorOptions, Selection, SignatureMap,
@@ -7,7 +7,7 @@ use dermis_touch::locator::{
 
 const RADIUS_M: f64 = 0.08;
 const ELECTRODES: usize = 8;
-/// Noise of a channel over the root mean square of a frame of load 1.
+/// Noise of a channel over the RMS of a frame of load 1.
 const NOISE: f64 = 0.03;
 
 /// Uniform numbers in [0, 1) from a linear congruential generator.
@@ -53,7 +53,7 @@ fn physics(p: [f64; 2]) -> Vec<f64> {
     frame
 }
 
-/// What the made-up skin measures: gains between 0.6 and 1.4 and a squeezed, shifted position.
+/// Measurements of the synthetic skin: gains between 0.6 and 1.4 and a squeezed, shifted position.
 fn truth(p: [f64; 2], load: f64) -> Vec<f64> {
     let warped = [0.93 * p[0] + 0.004, 0.95 * p[1] - 0.003];
     let gain = |k: usize| 1.0 + 0.4 * (1.7 * k as f64).sin();
@@ -133,7 +133,7 @@ fn sigma_is_honest_and_the_load_is_found() {
         within[1] += f64::from((found.y_m - at[1]).abs() <= found.sigma_y_m) / 400.0;
         load_errors.push((found.load.expect("loads were given").value / load - 1.0).abs());
     }
-    // The binomial error of a fraction of 0.68 among 400 is 0.023; the factor itself rests on 120 examples (0.04).
+    // The binomial error of a share of 0.68 among 400 is 0.023; the factor itself is based on 120 examples (0.04).
     assert!(within.iter().all(|w| (0.56..=0.80).contains(w)), "one sigma covers {within:?}");
     let error = median_error_mm(&locator, &test);
     assert!(error < 3.0, "median error {error} mm on a map of 4 mm spacing");
@@ -295,7 +295,7 @@ fn a_stored_locator_answers_alike() {
     let back: Locator = serde_json::from_str(&text).expect("read back");
     for frame in &test.frames {
         let (a, b) = (locator.predict(frame).expect("located"), back.predict(frame).expect("located"));
-        // Decimal text may move the last bit of a stored number.
+        // Decimal text may change the last bit of a stored number.
         assert!((a.x_m - b.x_m).abs() < 1e-9 && (a.sigma_y_m - b.sigma_y_m).abs() < 1e-9, "{a:?} against {b:?}");
     }
 }

@@ -1,5 +1,6 @@
-//! The calibrated locator on a measured skin: 500 pokes of a round hydrogel skin with 16 electrodes. The physics is the
-//! closed form for point electrodes on a homogeneous disc, computed here, so that this test needs no forward model.
+//! The calibrated locator on a measured skin: 500 pokes of a round hydrogel skin with 16 electrodes. The physics is
+//! the closed form for point electrodes on a homogeneous disc, computed here, so that this test needs no forward
+//! model.
 
 use std::path::Path;
 
@@ -44,8 +45,8 @@ fn load() -> Option<Pokes> {
     })
 }
 
-/// On a disc, a point electrode at e on the rim gives the potential -ln|p - e| / (pi sigma); a small touch at p changes
-/// the measurement by -grad u_drive . grad u_measure, here relative to the measurement itself.
+/// On a disc, a point electrode at e on the rim gives the potential -ln|p - e| / (pi sigma). A small touch at p
+/// changes the measurement by -grad u_drive . grad u_measure, here relative to the measurement itself.
 fn point_electrode_signatures(lookup: &[Vec<f64>]) -> SignatureMap {
     let electrode = |index: f64| {
         let angle = std::f64::consts::TAU * index / 32.0 + 22.5_f64.to_radians();
@@ -243,8 +244,8 @@ fn sigma_grows_where_nothing_was_poked() {
     let ratio = Errors::quantile(&sigma_unpoked, 0.5) / Errors::quantile(&sigma_poked, 0.5);
     println!("sigma there over sigma among pokes: {ratio:.1}");
     assert!(ratio > 2.0, "sigma grows only {ratio} times");
-    // The sectors that calibrate this sigma reach the middle of the skin, where nothing is far: it errs on the wide
-    // side.
+    // The sectors that calibrate this sigma extend to the middle of the skin, where nothing is far, so sigma is too
+    // wide rather than too narrow.
     for coverage in unpoked.coverage() {
         assert!(coverage > 0.60, "one sigma covers {coverage}");
     }

@@ -12,7 +12,7 @@ fn the_three_ratios_differ_as_their_formulas_do() {
     for value in [9.0, 11.0, 9.0, 11.0] {
         stats.push(&[value, -value]).unwrap();
     }
-    // mean 10, squared deviations 4 in all, so std = sqrt(4/3); sum of squares 404.
+    // mean 10, squared deviations sum to 4, so std = sqrt(4/3); sum of squares 404.
     let ratio = 10.0 / (4.0f64 / 3.0).sqrt();
     for channel in 0..2 {
         let db = |definition| snr_db(definition, &stats, channel);
@@ -102,7 +102,7 @@ fn shrinkage_comes_nearer_to_the_truth_than_the_sample() {
     for seed in 0..10 {
         let covariance =
             Covariance::ledoit_wolf(&frames(15, channels, seed), channels, ShrinkageTarget::Diagonal).unwrap();
-        // Dividing by 1 - shrinkage undoes it off the diagonal.
+        // Dividing by 1 - shrinkage undoes the shrinkage off the diagonal.
         assert!(error(&covariance, 1.0) < error(&covariance, 1.0 - covariance.shrinkage), "seed {seed}");
     }
 }
@@ -111,11 +111,11 @@ fn shrinkage_comes_nearer_to_the_truth_than_the_sample() {
 fn agrees_with_the_definition_on_a_small_example() {
     // Three frames of two channels about the mean (0, 0): x = (1, 0), (-1, 1), (0, -1).
     let frames = [1.0, 0.0, -1.0, 1.0, 0.0, -1.0];
-    // S = [[2, -1], [-1, 2]] / 3; m = 2/3; d^2 = (1/2)(2/9) = 1/9. The x x' - S have squared Frobenius norms
-    // (1/9)(1 + 1 + 1 + 4), (1/9)(1 + 4 + 4 + 1), (1/9)(4 + 1 + 1 + 1): 24/9 in all; b^2 = (24/9) / 2 / 9 = 4/27 > d^2.
+    // S = [[2, -1], [-1, 2]] / 3; m = 2/3; d^2 = (1/2)(2/9) = 1/9. The x x' - S have squared Frobenius norms (1/9)(1
+    // + 1 + 1 + 4), (1/9)(1 + 4 + 4 + 1), (1/9)(4 + 1 + 1 + 1), 24/9 in total; b^2 = (24/9) / 2 / 9 = 4/27 > d^2.
     let covariance = Covariance::ledoit_wolf(&frames, 2, ShrinkageTarget::ScaledIdentity).unwrap();
     assert_eq!(covariance.shrinkage, 1.0);
-    // By hand, exact but for rounding.
+    // Calculated by hand; exact except for rounding.
     for (value, expected) in covariance.matrix.iter().zip([2.0 / 3.0, 0.0, 0.0, 2.0 / 3.0]) {
         assert!((value - expected).abs() < 1e-15);
     }

@@ -6,11 +6,12 @@ use common::{Bell, Noise, bell, distance_mm, square};
 use dermis_touch::damage::{Damage, DamageFrame, DamageMonitor, DamageParams};
 use dermis_touch::{Contact, ContactFinder, ContactParams, ImageCells, PixelNoise, SurfaceCells};
 
-/// Side of the mesh's cells before nodes are moved, metres; triangles are about as large as the grid's pixels of 2 mm.
+/// Side of the mesh's cells before nodes are moved, metres. The triangles are about as large as the grid's 2 mm
+/// pixels.
 const PITCH_M: f64 = 2.7e-3;
 
-/// A square of 128 mm in triangles: nodes of a grid, each moved by up to a quarter of its pitch, and diagonals by
-/// chance.
+/// A square of 128 mm divided into triangles: grid nodes, each moved by up to a quarter of the pitch, and random
+/// diagonals.
 fn mesh() -> SurfaceCells {
     let count = (0.128 / PITCH_M) as u32;
     let mut noise = Noise::new(11);
@@ -30,7 +31,7 @@ fn mesh() -> SurfaceCells {
             triangles.extend(halves);
         }
     }
-    // Cells in no order at all: nothing may depend on it.
+    // Shuffle the cells: results must not depend on their order.
     for last in (1..triangles.len()).rev() {
         triangles.swap(last, (noise.uniform() * last as f64) as usize);
     }
@@ -66,7 +67,7 @@ fn one_bump_lies_at_the_same_place_on_a_grid_and_on_a_mesh() {
         assert_eq!((grid.len(), surface.len()), (1, 1));
         let (grid, surface) = (grid[0], surface[0]);
         let truth = [x * 1e-3, y * 1e-3];
-        // Cells are 2 mm: a tenth of a cell for the centroid, a quarter for the top of the irregular neighbourhood.
+        // Cells are 2 mm: a tenth of a cell for the centroid, a quarter for the peak of the irregular neighbourhood.
         assert!(distance_mm(surface.centroid_m, truth) < 0.2, "{:?} {truth:?}", surface.centroid_m);
         assert!(distance_mm(surface.centroid_m, grid.centroid_m) < 0.2);
         assert!(distance_mm(surface.peak_m, truth) < 0.5, "{:?} {truth:?}", surface.peak_m);
@@ -74,7 +75,7 @@ fn one_bump_lies_at_the_same_place_on_a_grid_and_on_a_mesh() {
         assert!((surface.area_m2 / grid.area_m2 - 1.0).abs() < 0.05, "{} {}", surface.area_m2, grid.area_m2);
         assert!((surface.volume / grid.volume - 1.0).abs() < 0.05);
         for k in 0..2 {
-            // Blocks of both kinds are good to 10 %.
+            // Blocks of both kinds are accurate to 10 %.
             let ratio = surface.covariance_m2[k][k] / grid.covariance_m2[k][k];
             assert!((ratio - 1.0).abs() < 0.2, "axis {k}: {ratio}");
         }
@@ -126,7 +127,7 @@ fn nearness_is_measured_in_metres() {
     assert_eq!((grid.len(), surface.len()), (1, 1));
 }
 
-/// What a monitor makes of a dip that stays.
+/// The damage that a monitor finds for a permanent dip.
 fn damage_on(cells: ImageCells) -> Damage {
     let image = sampled(&cells, &[bell(20.0, -15.0, 6.0, -0.3)]);
     let mut monitor = DamageMonitor::new(cells, DamageParams::default()).unwrap();

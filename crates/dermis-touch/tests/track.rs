@@ -59,7 +59,7 @@ fn a_touch_begins_moves_and_ends() {
     }
     assert_eq!(count(&step(&mut tracker, 6, &[])), (0, 0, 1));
     assert!(tracker.touches().is_empty() && !tracker.is_following());
-    // A later touch in the same place is another one.
+    // A later touch in the same place is a new one.
     step(&mut tracker, 7, &[(2.0, 0.0)]);
     assert_eq!(step(&mut tracker, 8, &[(2.0, 0.0)])[0].touch().id, 2);
 }
@@ -88,7 +88,7 @@ fn velocity_is_found() {
 #[test]
 fn crossing_paths_keep_their_identities() {
     let mut tracker = tracker();
-    // Two touches cross at right angles through the same point, one a little ahead: never one contact.
+    // Two touches cross at right angles through the same point, one slightly ahead, so their contacts never merge.
     for frame in 0..80 {
         let t = frame as f64;
         step(&mut tracker, frame, &[(-40.0 + t, 0.0), (0.0, -52.0 + t)]);
@@ -102,8 +102,8 @@ fn crossing_paths_keep_their_identities() {
 /// A touch's (x, y) in mm at a frame.
 type Path = fn(f64) -> (f64, f64);
 
-/// Runs touches through images and the finder; returns the ids nearest to the paths at the end and the number of
-/// begins.
+/// Runs touches through images and the finder. Returns the ids nearest to the paths at the end, the number of begins,
+/// and whether any touches merged.
 fn through_images(paths: &[Path], frames: u64, noise_sigma: f64) -> (Vec<u64>, usize, bool) {
     let geometry = square();
     let mut finder = ContactFinder::new(geometry, ContactParams::default()).unwrap();
@@ -123,12 +123,12 @@ fn through_images(paths: &[Path], frames: u64, noise_sigma: f64) -> (Vec<u64>, u
 
 #[test]
 fn touches_that_cross_while_merged_go_on_their_way() {
-    // Head on, with 4 mm between their lines: one contact while they pass.
+    // Head on, with 4 mm between their paths: a single contact while they pass.
     let paths: [Path; 2] = [|t| (-40.0 + t, 2.0), |t| (40.0 - t, -2.0)];
     let (ids, begins, merged) = through_images(&paths, 80, 0.02);
     assert!(merged, "the touches never merged: the test shows nothing");
     assert_eq!(begins, 2);
-    // The finder lists the larger first, so either may have become number 1; at the start each was on its own side.
+    // The finder lists the larger first, so either may have become number 1. At the start they are far apart.
     let (start, _, _) = through_images(&paths, 4, 0.02);
     assert_eq!(ids, start);
 }
@@ -179,12 +179,12 @@ fn a_merge_in_a_contact_that_is_known_to_be_of_one_touch_ends_soon() {
     }
     let mut touches = Vec::new();
     for frame in 10..30 {
-        // In one frame of ten it is not known.
+        // In one frame of ten it is not known whether the contact is single.
         let contact = Contact { is_single: frame % 10 != 5, ..contact(0.0, 0.0, ContactStrength::Strong) };
         feed(&mut tracker, frame, &[contact]);
         touches.push(tracker.touches().len());
     }
-    // Told in frames 16 to 22, the seventh in a row; those before the gap were five.
+    // Known to be single in frames 16 to 22, the seventh in a row; before the gap there were only five.
     assert_eq!(touches.iter().position(|count| *count == 1), Some(12), "{touches:?}");
 }
 
@@ -208,8 +208,8 @@ fn a_merge_that_never_parts_ends_the_younger_touch() {
 
 #[test]
 fn presses_one_after_the_other_never_merge() {
-    // A frame each, in turns at two places too far apart for one touch to have moved, and too near for both to be
-    // whole.
+    // The contact alternates every frame between two places, too far apart for one touch to have moved and too close
+    // together for both contacts to be complete.
     let mut tracker =
         Tracker::new(TrackerParams { min_age_frames: 1, gate_max_m: 0.004, ..Default::default() }).unwrap();
     for frame in 0..40 {
@@ -217,7 +217,7 @@ fn presses_one_after_the_other_never_merge() {
         let seen = |touch: &&Touch| touch.observation != Observation::Missed;
         assert_eq!(tracker.touches().iter().filter(seen).count(), 1, "frame {frame}: {:?}", tracker.touches());
     }
-    // Seen together once, they may melt into one.
+    // Once seen together, they may merge.
     step(&mut tracker, 40, &[(0.0, 0.0), (6.0, 0.0)]);
     step(&mut tracker, 41, &[(0.0, 0.0)]);
     assert_eq!(tracker.touches().iter().filter(|touch| touch.observation == Observation::Merged).count(), 2);
@@ -229,7 +229,8 @@ fn a_contact_that_jumps_beside_two_touches_is_one_of_them_alone() {
     for frame in 0..10 {
         step(&mut tracker, frame, &[(-3.0, 0.0), (3.0, 0.0)]);
     }
-    // Between them it would be both; here one has gone on, or is pressed anew, and the other has been let go.
+    // A merged contact would be between them. Here one touch has moved or was pressed again, and the other was
+    // released.
     for frame in 10..40 {
         step(&mut tracker, frame, &[(3.0, 10.0)]);
         let merged = tracker.touches().iter().any(|touch| touch.observation == Observation::Merged);
@@ -270,7 +271,7 @@ fn a_lost_frame_costs_nothing() {
     let mut tracker = tracker();
     let mut begins = 0;
     for frame in 0..60u64 {
-        // 2 mm a frame; frame 20 never comes, frame 40 comes empty.
+        // 2 mm per frame; frame 20 is missing, frame 40 is empty.
         let places = [(-55.0 + 2.0 * frame as f64, 0.0)];
         let events = match frame {
             20 => continue,
@@ -305,7 +306,7 @@ fn the_amplitude_filter_has_its_time_constant() {
     for frame in 2..12 {
         feed(&mut tracker, frame, &[seen]);
     }
-    // 10 frames are one time constant: the step from 1 to 2 has come to 1 - 1/e, exactly for a sampled step.
+    // 10 frames are one time constant: the step from 1 to 2 has reached 1 - 1/e, exactly for a sampled step.
     assert!((tracker.touches()[0].amplitude - (2.0 - (-1.0f64).exp())).abs() < 1e-12);
 }
 
@@ -318,7 +319,7 @@ fn ending_all_ends_all() {
     tracker.end_all(2 * FRAME_NS, &mut events);
     assert_eq!(count(&events), (0, 0, 2));
     assert!(tracker.touches().is_empty());
-    // A new recording may start at time 0; identities go on.
+    // A new recording may start at time 0; identities continue.
     step(&mut tracker, 0, &[(0.0, 0.0)]);
     assert_eq!(step(&mut tracker, 1, &[(0.0, 0.0)])[0].touch().id, 3);
 }
@@ -354,7 +355,7 @@ proptest! {
         let (mut begins, mut ends, mut last_id) = (0, 0, 0);
         let mut alive = std::collections::BTreeSet::new();
         for (frame, places) in frames.iter().enumerate() {
-            // Pulled together, so that they meet, merge and part often.
+            // Scaled towards the centre, so that they meet, merge and separate often.
             let contacts: Vec<_> = places
                 .iter()
                 .map(|&(x, y, strong)| {

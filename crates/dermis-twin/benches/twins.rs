@@ -1,4 +1,5 @@
-//! A frame of every twin with two touches that move, so that each frame is solved anew, and the time to make each twin.
+//! One frame of every twin with two moving touches, so that each frame needs a new solution, and the time to build
+//! each twin.
 
 #[path = "../tests/published/mod.rs"]
 mod published;
@@ -8,7 +9,7 @@ use dermis_twin::{Frontend, Twin, TwinError};
 use published::{healing_twin, ionic_disc, ionic_square, ionic_twin, piezo_disc, piezo_square, piezo_twin};
 use std::hint::black_box;
 
-/// One frame with touches that run round a circle of this radius, in every frame elsewhere.
+/// One frame with touches that move around a circle of this radius, so that every frame differs.
 fn frame<F: Frontend>(
     group: &mut BenchmarkGroup<'_, WallTime>,
     name: &str,

@@ -1,4 +1,4 @@
-//! Prints what a frame of the healing square costs, and how large its signals are:
+//! Prints the time per frame of the healing square and the size of its signals:
 //! `cargo run --release -p dermis-twin --example frame_rate`.
 
 #[path = "../tests/published/mod.rs"]
@@ -19,7 +19,7 @@ fn main() -> Result<(), TwinError> {
     println!("prepared {elements} elements in {:.0} ms", 1e3 * start.elapsed().as_secs_f64());
     let mut frame = Vec::new();
     let (mut pressed, mut quickest, mut total) = (0_u32, f64::INFINITY, 0.0);
-    // From 2 s on, each frame differs from the last: a new solution each time.
+    // From 2 s on, each frame differs from the last and needs a new solution.
     for step in 0..=200 {
         let start = Instant::now();
         twin.step(2.0 + 0.04 * f64::from(step), &mut frame)?;

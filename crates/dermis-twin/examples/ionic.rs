@@ -1,5 +1,5 @@
-//! Prints what the liquid skins' twins do: depth under weights, voltages and their changes, the cost of a frame, and
-//! where the depth-averaged fields differ from those in three dimensions:
+//! Prints results of the liquid skins' twins: depth under weights, voltages and their changes, the time per frame,
+//! and where depth-averaged fields differ from three-dimensional ones:
 //! `cargo run --release -p dermis-twin --example ionic`.
 
 #[path = "../tests/published/mod.rs"]
@@ -22,7 +22,7 @@ fn main() -> Result<(), TwinError> {
     heights()
 }
 
-/// Signal of a touch in three dimensions with small electrodes low, half way up and high on the wall.
+/// Signal of a touch in three dimensions, with small electrodes low, half way up and high on the wall.
 fn heights() -> Result<(), TwinError> {
     for radius_mm in [0.0, 30.0, 60.0, 75.0] {
         print!("electrodes of 3 mm, touch of 0.255 N at {radius_mm} mm, signal:");
@@ -129,8 +129,8 @@ fn compare() -> Result<(), TwinError> {
     Ok(())
 }
 
-/// Ratio of solid to flat by regression, what it leaves, and the same by distance of the measuring from the driving
-/// pair.
+/// Ratio of the 3D to the 2D solution by regression, its residual, and the same by distance between the measuring and
+/// the driving pair.
 fn distances(what: &str, skin: &LiquidSkin, flat: &[f64], solid: &[f64]) {
     let gain = |pairs: &[(f64, f64)]| {
         pairs.iter().map(|(a, b)| a * b).sum::<f64>() / pairs.iter().map(|(a, _)| a * a).sum::<f64>()

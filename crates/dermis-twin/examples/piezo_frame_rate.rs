@@ -1,4 +1,4 @@
-//! Prints what a frame of the piezoresistive skins costs with two moving touches, and how large its signals are:
+//! Prints the time per frame of the piezoresistive skins with two moving touches, and the size of their signals:
 //! `cargo run --release -p dermis-twin --example piezo_frame_rate`.
 
 #[path = "../tests/published/mod.rs"]

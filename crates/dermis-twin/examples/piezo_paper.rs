@@ -1,5 +1,6 @@
-//! Replays paper P's limit of detection and discernible distance on the twins of the square and the disc, after fitting
-//! one parameter on the square's limit of detection: `cargo run --release -p dermis-twin --example piezo_paper`.
+//! Reproduces paper P's limit of detection and discernible distance on the twins of the square and the disc, after
+//! fitting one parameter to the square's limit of detection:
+//! `cargo run --release -p dermis-twin --example piezo_paper`.
 
 #[path = "../tests/published/mod.rs"]
 mod published;

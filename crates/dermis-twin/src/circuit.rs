@@ -1,8 +1,7 @@
-//! A skin behind a readout circuit that loads it and reads a mixture of lines
-//! ([`dermis_tomo::eit::ReadoutCircuit`]).
+//! A skin behind a readout circuit that loads it and reads a mixture of lines ([`dermis_tomo::eit::ReadoutCircuit`]).
 //!
-//! What is behind the circuit is solved for the transfer impedances between its electrodes: one ampere into each
-//! electrode and out of the last, all potentials against the last. The circuit's readings follow from these alone.
+//! The skin is solved for the transfer impedances between its electrodes: one ampere into each electrode and out of
+//! the last, with all potentials relative to the last. The circuit's readings follow from these alone.
 
 use std::any::Any;
 
@@ -16,7 +15,7 @@ use crate::instrument::Instrument;
 use crate::mechanics::Indenter;
 use crate::twin::{Frontend, Preparation};
 
-/// The patterns whose voltages are the transfer impedances of a skin, row by row.
+/// A protocol whose voltages are the transfer impedances of a skin, row by row.
 ///
 /// # Errors
 /// Fewer than two electrodes.
@@ -29,16 +28,16 @@ pub(crate) fn impedance_protocol(electrodes: usize) -> Result<Protocol, TwinErro
     Ok(Protocol::from_patterns(electrodes, stimulations, channels)?)
 }
 
-/// A skin made with [`impedance_protocol`], read by a circuit.
+/// A skin built with [`impedance_protocol`], read through a circuit.
 #[derive(Debug)]
 pub(crate) struct BehindCircuit {
     skin: Box<dyn Frontend>,
     circuit: ReadoutCircuit,
     protocol: Protocol,
-    /// What the circuit's admittances are relative to, siemens.
+    /// Reference of the circuit's relative admittances, siemens.
     sheet_s: f64,
     impedances: Vec<f64>,
-    /// The impedances that `voltages_v` belongs to; empty before there are any.
+    /// The impedances to which `voltages_v` belongs; empty at first.
     solved: Vec<f64>,
     voltages_v: Vec<f64>,
 }
@@ -96,7 +95,7 @@ impl Frontend for BehindCircuit {
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
         self.skin.voltages(indenters, dt_s, &mut self.impedances)?;
-        // A skin that is left alone, or held still, costs nothing.
+        // A skin that is idle or held still costs nothing.
         if self.impedances != self.solved {
             let last = self.protocol.electrode_count() - 1;
             let impedance = Mat::from_fn(last + 1, last + 1, |row, column| {

@@ -1,10 +1,9 @@
-//! Coils under a membrane of conducting elements on sponge or springs. A force moves the elements beneath it toward the
-//! coils; eddy currents in them change the mutual inductance of every pair of coils, `V_mn = j w (M_mn + dM_mn) I`, of
-//! which the instrument reads the magnitude behind its rectifier.
+//! Coils under a membrane of conducting elements on sponge or springs. A force moves the elements under it towards
+//! the coils. Eddy currents in them change the mutual inductance of every pair of coils,
+//! `V_mn = j w (M_mn + dM_mn) I`; the instrument reads the magnitude behind its rectifier.
 //!
-//! Elements answer as multipoles to degree 3 and excite each other; their resting heights scatter by a manufacturing
-//! tolerance that whoever reconstructs does not know. An element is for the fields a sphere, or whatever body is given
-//! ([`Conductor`]).
+//! Elements respond as multipoles up to degree 3 and excite each other. Their resting heights vary by a manufacturing
+//! tolerance unknown to the reconstruction. For the fields, an element is a sphere or a given body ([`Conductor`]).
 
 use std::sync::{Mutex, PoisonError};
 
@@ -20,26 +19,26 @@ use crate::instrument::Instrument;
 use crate::mechanics::{Indenter, Memory, PressureState, SpringGrid, Springs};
 use crate::twin::Frontend;
 
-/// What an element is for the fields.
+/// Model of an element for the fields.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Conductor {
-    /// A sphere, as of the volume of a cylinder.
+    /// A sphere, for example with the volume of a cylinder.
     Sphere(Sphere),
-    /// Any body whose answer is known at the drive frequency, as a cylinder from edge elements.
+    /// Any body with a known response at the drive frequency, for example a cylinder from edge elements.
     Body(Polarizability),
 }
 
-/// A ball of metal that lies near the coils and does not move. Elements and ball do not excite each other.
+/// A metal ball near the coils that does not move. Elements and ball do not excite each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearbyMetal {
     /// The ball.
     pub sphere: Sphere,
-    /// Its middle, metres.
+    /// Centre, metres.
     pub centre_m: [f64; 3],
 }
 
 impl NearbyMetal {
-    /// What it does to every pair of coils, henries.
+    /// Change of the inductance of every pair of coils, henries.
     fn changes_h(&self, coils: &CoilArray, frequency_hz: f64) -> Result<Vec<Complex>, TwinError> {
         let body = Polarizability::sphere(&self.sphere, frequency_hz)?;
         for coil in coils.coils() {
@@ -57,48 +56,48 @@ impl NearbyMetal {
     }
 }
 
-/// What a skin of elements over coils is. SI units.
+/// Description of a skin with elements over coils. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ElementOptions {
     /// Outline of the whole skin.
     pub outline: Outline,
-    /// The coils; with a plate of metal beneath them where there is one ([`CoilArray::with_shield`]).
+    /// The coils, with a metal plate under them if there is one ([`CoilArray::with_shield`]).
     pub coils: CoilArray,
-    /// Middles of the elements, metres, in any order; 1 to 1024 of them.
+    /// Centres of the elements, metres, in any order; 1 to 1024 elements.
     pub places_m: Vec<[f64; 2]>,
-    /// Width and height of the cell around each element, metres: what presses on it presses the element. Elements one
+    /// Width and height of the cell around each element, metres; pressure on a cell presses its element. Elements one
     /// cell apart, within a tenth of a cell, are neighbours.
     pub cell_m: [f64; 2],
-    /// Height of the elements' middles over the coils' at rest, metres.
+    /// Height of the elements' centres above the coils' centres at rest, metres.
     pub rest_m: f64,
     /// Standard deviation of that height between elements, metres.
     pub tolerance_m: f64,
-    /// What the elements are.
+    /// Model of the elements.
     pub element: Conductor,
-    /// What they stand on.
+    /// Springs under the elements.
     pub springs: Springs,
-    /// Viscoelastic memory, where wanted: a thin loop of hysteresis.
+    /// Viscoelastic memory, if any: a narrow hysteresis loop.
     pub memory: Option<Memory>,
-    /// How elements excite each other; `None`: not at all.
+    /// Coupling between elements; `None` for no coupling.
     pub coupling: Option<Coupling>,
-    /// Current in the driven coil, amperes, amplitude.
+    /// Current amplitude in the driven coil, amperes.
     pub current_a: f64,
     /// Drive frequency, hertz.
     pub frequency_hz: f64,
-    /// Metal elsewhere that does not move.
+    /// Metal nearby that does not move.
     pub nearby: Option<NearbyMetal>,
     /// Seed of the tolerances.
     pub seed: u64,
 }
 
-/// Elements that moved by less are still, metres: 1e-6 of a reading's change by a press.
+/// Movement below which an element counts as still, metres: 1e-6 of the reading's change due to a press.
 const STILL_M: f64 = 1e-9;
 
 impl ElementOptions {
     /// The element as a body at the drive frequency.
     ///
     /// # Errors
-    /// A sphere or a frequency that makes no sense.
+    /// An invalid sphere or frequency.
     pub fn body(&self) -> Result<Polarizability, TwinError> {
         Ok(match &self.element {
             Conductor::Sphere(sphere) => Polarizability::sphere(sphere, self.frequency_hz)?,
@@ -106,7 +105,7 @@ impl ElementOptions {
         })
     }
 
-    /// Lowest and highest middle of an element that tables must hold, metres.
+    /// Minimum and maximum height of an element's centre that the tables must cover, metres.
     fn range_m(&self) -> [f64; 2] {
         let slack = 5.0 * self.tolerance_m + 0.1e-3;
         [self.rest_m - self.springs.limit_m - slack, self.rest_m + slack]
@@ -123,7 +122,7 @@ impl ElementOptions {
     }
 }
 
-/// The skin itself; see the module.
+/// The skin; see the module.
 #[derive(Clone, Debug)]
 pub struct ElementSkin {
     grid: SpringGrid,
@@ -143,10 +142,10 @@ pub struct ElementSkin {
 }
 
 impl ElementSkin {
-    /// Tabulates the coils' fields over the elements' travel: a second or so.
+    /// Tabulates the coils' fields over the elements' travel; takes about a second.
     ///
     /// # Errors
-    /// Parameters that make no sense, elements that would reach into coils or each other.
+    /// Invalid parameters, or elements that would reach into coils or each other.
     pub fn new(options: ElementOptions) -> Result<Self, TwinError> {
         options.check()?;
         let (body, range_m) = (options.body()?, options.range_m());
@@ -183,17 +182,17 @@ impl ElementSkin {
         })
     }
 
-    /// Where the elements are, metres, in their order.
+    /// Positions of the elements, metres, in their order.
     pub fn places_m(&self) -> &[[f64; 2]] {
         self.grid.places_m()
     }
 
-    /// Heights of the elements' middles after the last frame, metres.
+    /// Heights of the elements' centres after the last frame, metres.
     pub fn heights_m(&self) -> &[f64] {
         &self.heights_m
     }
 
-    /// How far each element is pressed in after the last frame, metres.
+    /// Travel of each element after the last frame, metres.
     pub fn travel_m(&self) -> &[f64] {
         &self.travel_m
     }
@@ -203,10 +202,10 @@ impl ElementSkin {
         self.bodies.pairs()
     }
 
-    /// Magnitudes with the elements pressed in by this much, metres, whatever presses them.
+    /// Magnitudes for given travels of the elements, metres, whatever caused them.
     ///
     /// # Errors
-    /// Another number of elements or channels, travel beyond the springs' limit.
+    /// The wrong number of elements or channels, or travel beyond the springs' limit.
     pub fn read_at(&mut self, travel_m: &[f64], voltages_v: &mut [f64]) -> Result<(), TwinError> {
         if travel_m.len() != self.rest_m.len() {
             let (value, expected) = (travel_m.len() as f64, "one for each element");
@@ -220,7 +219,7 @@ impl ElementSkin {
         for ((height, rest), travel) in self.heights_m.iter_mut().zip(&self.rest_m).zip(&self.travel_m) {
             *height = rest - travel;
         }
-        // A skin that is left alone, or held still, costs nothing.
+        // A skin that is idle or held still costs nothing.
         let moved = |(now, solved): (&f64, &f64)| (now - solved).abs() > STILL_M;
         if self.solved_m.is_empty() || self.heights_m.iter().zip(&self.solved_m).any(moved) {
             self.bodies.changes(&self.heights_m, &mut self.changes_h)?;
@@ -233,13 +232,13 @@ impl ElementSkin {
     }
 }
 
-/// Tables that were made last, the newest first, with what they were made from.
+/// The last tables made, newest first, with their inputs.
 type MadeTables = (CoilArray, Vec<[f64; 2]>, [f64; 2], f64, CoilTables);
 static LAST_TABLES: Mutex<Vec<MadeTables>> = Mutex::new(Vec::new());
-/// So many are kept: what a skin and a few that differ from it in other things than their coils need.
+/// Number of tables kept: enough for a skin and a few variants with the same coils.
 const MOST_TABLES: usize = 4;
 
-/// As [`CoilTables::new`]; the same tables are not made anew for every skin that differs in other things.
+/// As [`CoilTables::new`], but reuses tables for skins that differ in other respects.
 fn tables_of(
     coils: &CoilArray,
     places_m: &[[f64; 2]],

@@ -1,4 +1,4 @@
-//! What can go wrong with a twin, with the value, the field and what was expected.
+//! Errors of a twin, with the value, the field and what was expected.
 
 use dermis_mit::MitError;
 use dermis_tomo::eit::{EitError, ProtocolError};
@@ -6,80 +6,80 @@ use dermis_tomo::mesh::MeshError;
 use dermis_tomo::sparse::SparseError;
 use thiserror::Error;
 
-/// Why a twin could not be made, commanded or stepped.
+/// Reasons why a twin cannot be built, commanded or stepped.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TwinError {
-    /// A skin file that its twin cannot be made from.
+    /// A skin file from which no twin can be built.
     #[error(transparent)]
     Skin(#[from] Box<dermis_skin::Error>),
-    /// Something that a skin of this kind needs.
+    /// A missing key that a skin of this kind needs.
     #[error("{field} is left out; expected it in {of}")]
     Missing {
         /// The key.
         field: &'static str,
-        /// What needs it.
+        /// The kind of skin that needs it.
         of: &'static str,
     },
-    /// A parameter that makes no sense.
+    /// An invalid parameter.
     #[error("{field}: {value} refused; expected {expected}")]
     Value {
-        /// Which parameter, with its unit.
+        /// Name of the parameter, with its unit.
         field: &'static str,
         /// Its value.
         value: f64,
-        /// What was expected.
+        /// Expected values.
         expected: &'static str,
     },
-    /// A place that is not on the skin.
+    /// A position that is not on the skin.
     #[error("{what} at ({x_m}, {y_m}) m refused; expected {expected}")]
     Place {
-        /// What is there.
+        /// The item at that position.
         what: &'static str,
         /// Position to the right of the origin.
         x_m: f64,
         /// Position above the origin.
         y_m: f64,
-        /// Where it may be.
+        /// Permitted positions.
         expected: &'static str,
     },
-    /// Another number of something than of electrodes, elements and so on.
+    /// A count that does not match the electrodes, elements and so on.
     #[error("{field}: {got} refused; expected {expected}")]
     Count {
-        /// What is counted.
+        /// The items counted.
         field: &'static str,
-        /// How many there are.
+        /// Actual count.
         got: usize,
-        /// How many were expected, and why.
+        /// Expected count, and the reason.
         expected: String,
     },
-    /// A pointer that presses nothing was moved.
+    /// A pointer was moved that presses nothing.
     #[error("pointer {pointer} moved, but it presses nothing; expected a press before it")]
     Pointer {
         /// The pointer named.
         pointer: u64,
     },
-    /// A skin was to be cut, heated or renewed that cannot be.
+    /// A treatment that this skin does not support.
     #[error(
         "this skin's twin cannot be treated so; expected a sheet or a sandwich to cut, warm or renew, and a sandwich \
          that heals to lay a heat pad on"
     )]
     NotTreatable,
-    /// An event of a script does not fit those before it.
+    /// An event of a script that does not fit the earlier ones.
     #[error("script event {event}: {reason}")]
     Event {
         /// Index of the event in the list, zero-based.
         event: usize,
-        /// What is wrong, with the value.
+        /// The problem, with the value.
         reason: String,
     },
-    /// A script is not the TOML that was expected.
+    /// A script that is not valid TOML of the expected form.
     #[error("script: {0}")]
     Script(#[from] toml::de::Error),
     /// Geometry that cannot be meshed.
     #[error("twin's mesh: {0}")]
     Mesh(#[from] MeshError),
-    /// Currents or measurements that make no protocol.
+    /// Currents or measurements that form no valid protocol.
     #[error("twin's protocol: {0}")]
     Protocol(#[from] ProtocolError),
     /// The field equations could not be solved.
@@ -88,12 +88,12 @@ pub enum TwinError {
     /// The forward model refused the body or its conductivity.
     #[error("twin's forward model: {0}")]
     Forward(#[from] EitError),
-    /// Coils or conducting bodies that make no sense.
+    /// Invalid coils or conducting bodies.
     #[error("twin's coils and bodies: {0}")]
     Magnetic(#[from] MitError),
 }
 
-/// Refuses a value that is not finite or not within `least..=most`.
+/// Refuses a value that is not finite or not in `least..=most`.
 pub(crate) fn check(
     field: &'static str,
     value: f64,

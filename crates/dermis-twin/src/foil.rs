@@ -1,8 +1,8 @@
-//! A thin foil of metal on sponge over coils, which a touch does not deform as locally as it moves separate elements.
-//! Eddy currents are those of a thin sheet ([`dermis_mit::sheet`]) that is dented: with w its way down,
-//! `T lap w - k w = -p` of a foil under tension T on sponge of stiffness k, the rims free, and the sponge closing as
-//! springs do. Each new dent is a sheet of its own to be solved: half a second, so this is for experiments rather than
-//! for live twins.
+//! A thin metal foil on sponge over coils; a touch deforms it less locally than it moves separate elements. Eddy
+//! currents are those of a thin sheet ([`dermis_mit::sheet`]) with a dent. Its deflection w solves
+//! `T lap w - k w = -p` for a foil under tension T on sponge of stiffness k, with free rims; the sponge stiffens like
+//! the springs do. Each new dent is a new sheet to solve: half a second, so this is for experiments rather than live
+//! twins.
 
 use dermis_mit::edge::Source;
 use dermis_mit::sheet::{Sheet, SheetMaterial, SheetMesh};
@@ -13,35 +13,35 @@ use crate::error::{TwinError, check, check_positive};
 use crate::mechanics::{Cover, Indenter};
 use crate::twin::Frontend;
 
-/// Smoothing of the pressure, of the order of the distance of vertices.
+/// Smoothing of the pressure, of the order of the vertex spacing.
 const COVER: Cover = Cover { smoothing_m: 4e-3 };
-/// Over-relaxation of the dent's equation.
+/// Over-relaxation factor for the dent's equation.
 const RELAXATION: f64 = 1.7;
-/// Changes below which a dent is found, metres.
+/// The dent has converged if no vertex changes by more than this, metres.
 const SETTLED_M: f64 = 1e-10;
-/// Most sweeps.
+/// Maximum number of sweeps.
 const MOST_SWEEPS: usize = 20_000;
 
-/// What a foil over coils is. SI units.
+/// Description of a foil over coils. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoilOptions {
     /// The coils.
     pub coils: CoilArray,
     /// Side of the square foil, metres.
     pub side_m: f64,
-    /// Cells along a side, two triangles each.
+    /// Number of cells along a side, two triangles each.
     pub cells: usize,
     /// Thickness and conductivity.
     pub material: SheetMaterial,
-    /// Height over the coils at rest, metres.
+    /// Height above the coils at rest, metres.
     pub rest_m: f64,
     /// T: tension, newtons per metre.
     pub tension_n_per_m: f64,
-    /// k: pressure of the sponge for a metre of way.
+    /// k: pressure of the sponge per metre of deflection.
     pub stiffness_pa_per_m: f64,
-    /// Way that no pressure exceeds, metres.
+    /// Maximum deflection under any pressure, metres.
     pub limit_m: f64,
-    /// Current in the driven coil, amperes, amplitude.
+    /// Current amplitude in the driven coil, amperes.
     pub current_a: f64,
     /// Drive frequency.
     pub frequency_hz: f64,
@@ -68,7 +68,7 @@ pub struct FoilSkin {
     /// Vertices of the dent's grid, row by row.
     places_m: Vec<[f64; 2]>,
     pressure_pa: Vec<f64>,
-    /// Way down of each vertex, metres.
+    /// Deflection of each vertex, metres.
     way_m: Vec<f64>,
     solved_m: Vec<f64>,
     changes_h: Vec<Complex>,
@@ -78,7 +78,7 @@ impl FoilSkin {
     /// A foil at rest.
     ///
     /// # Errors
-    /// Parameters that make no sense.
+    /// Invalid parameters.
     pub fn new(options: FoilOptions) -> Result<Self, TwinError> {
         options.check()?;
         let nodes = options.cells + 1;
@@ -97,7 +97,7 @@ impl FoilSkin {
         })
     }
 
-    /// How far down the foil is at a place after the last frame, metres: at the nearest vertex.
+    /// Deflection of the foil at the nearest vertex after the last frame, metres.
     pub fn way_m(&self, place_m: [f64; 2]) -> f64 {
         self.way_m[self.nearest(place_m)]
     }
@@ -108,7 +108,7 @@ impl FoilSkin {
         index(place_m[1]) * (cells + 1) + index(place_m[0])
     }
 
-    /// `T lap w - k w = -p` by successive over-relaxation, then the sponge's closing.
+    /// Solves `T lap w - k w = -p` by successive over-relaxation, then applies the stiffening of the sponge.
     fn dent(&mut self) {
         let (nodes, step) = (self.options.cells + 1, self.options.side_m / self.options.cells as f64);
         let tension = self.options.tension_n_per_m / (step * step);
@@ -117,7 +117,7 @@ impl FoilSkin {
             let mut moved: f64 = 0.0;
             for k in 0..way.len() {
                 let (column, row) = (k % nodes, k / nodes);
-                // Beyond a free rim lies the mirror image.
+                // A free rim mirrors the interior.
                 let beside = |inside: bool, at: usize, mirror: usize| if inside { at } else { mirror };
                 let around = way[beside(column > 0, k.wrapping_sub(1), k + 1)]
                     + way[beside(column + 1 < nodes, k + 1, k.wrapping_sub(1))]
@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_dent_carries_the_force_and_spreads_over_the_root_of_tension_over_stiffness() {
-        // A limit out of reach leaves the linear equation; the height has to be above it.
+        // An unreachable limit keeps the equation linear; the height must be above it.
         let options = FoilOptions {
             coils: CoilArray::of_coils(
                 [0.0, 0.5].map(|x| Coil::solenoid([x, 0.0, 0.0], 0.034, 0.0005, 6, 6).unwrap()).to_vec(),
@@ -206,7 +206,7 @@ mod tests {
         press.add_pressure(COVER, &foil.places_m, &mut foil.pressure_pa);
         foil.dent();
         let cell = (options.side_m / options.cells as f64).powi(2);
-        // Free rims carry nothing, so the sponge carries all: k times the volume of the dent is the force on it.
+        // Free rims carry nothing, so the sponge carries everything: k times the volume of the dent is its force.
         let nodes = options.cells + 1;
         let share = |k: usize| {
             let half = |at: usize| if at == 0 || at + 1 == nodes { 0.5 } else { 1.0 };
@@ -215,14 +215,14 @@ mod tests {
         let sum = |values: &[f64]| values.iter().enumerate().map(|(k, v)| share(k) * v * cell).sum::<f64>();
         let (carried, pressed) = (options.stiffness_pa_per_m * sum(&foil.way_m), sum(&foil.pressure_pa));
         assert!((carried / pressed - 1.0).abs() < 1e-3, "{carried} {pressed}");
-        // Far from the press w falls as K0(r/l), l = 17.3 mm: from 30 to 45 mm by 0.348 (K0(2.598)/K0(1.732) =
-        // 0.0553/0.1588).
+        // Far from the press w decays as K0(r/l) with l = 17.3 mm: from 30 to 45 mm by 0.348
+        // (K0(2.598)/K0(1.732) = 0.0553/0.1588).
         let step = options.side_m / options.cells as f64;
         let fall = foil.way_m([6.0 * step, 0.0]) / foil.way_m([4.0 * step, 0.0]);
         let k0 = |x: f64| (std::f64::consts::FRAC_PI_2 / x).sqrt() * (-x).exp() * (1.0 - 0.125 / x + 0.0703 / (x * x));
         let length = (options.tension_n_per_m / options.stiffness_pa_per_m).sqrt();
         let expected = k0(6.0 * step / length) / k0(4.0 * step / length);
-        // The grid of 5.8 mm and the rim at 70 mm.
+        // Errors of the 5.8 mm grid and of the rim at 70 mm.
         assert!((fall / expected - 1.0).abs() < 0.05, "{fall} {expected}");
     }
 }

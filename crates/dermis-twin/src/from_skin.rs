@@ -1,7 +1,7 @@
-//! The twin of a skin, from its file alone: geometry, layer, instrument and what may press on it.
+//! Builds the twin of a skin from its file alone: geometry, layer, instrument and presses.
 //!
-//! The twin's mesh follows from size and layer, and differs from the reconstruction's: elements of a share of the side
-//! (see [`MeshSizes`]), finer at electrodes. `[twin]` in the file sets any of it.
+//! The twin's mesh depends on size and layer, and differs from the reconstruction's mesh: the element size is a share
+//! of the side (see [`MeshSizes`]), smaller at electrodes. `[twin]` in the file can override all of it.
 
 mod electronics;
 mod history;
@@ -31,17 +31,17 @@ pub use history::{timed_faults, timed_treatments, treatment_of};
 pub use press::{PressRange, demonstration, press_range, usual_travel_share};
 
 const MM: f64 = 1e-3;
-/// Seed where the file gives none.
+/// Default seed.
 const SEED: u64 = 1;
 
-/// Seed of a twin's noise and tolerances: that of the file, else 1.
+/// Seed of a twin's noise and tolerances: from the file, otherwise 1.
 pub fn seed_of(skin: &Skin) -> u64 {
     skin.twin.seed.unwrap_or(SEED)
 }
 
-/// Highest degree to which elements excite each other, and sweeps over them.
+/// Maximum degree of the coupling between elements, and number of sweeps.
 const COUPLING: (usize, usize) = (3, 2);
-/// Elements farther apart than so many cells do not excite each other: diagonal neighbours do.
+/// Maximum distance between coupled elements, in cells; includes diagonal neighbours.
 const REACH_CELLS: f64 = 1.5;
 /// R, J/(mol K).
 const GAS_CONSTANT: f64 = 8.314;
@@ -49,29 +49,29 @@ const GAS_CONSTANT: f64 = 8.314;
 /// A twin of any skin.
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
 
-/// A twin with what goes with it.
+/// A twin with its presses and demonstration.
 #[derive(Debug)]
 pub struct TwinKit {
     /// The twin, at rest.
     pub twin: AnyTwin,
-    /// What people may press with.
+    /// Range of presses available to users.
     pub press: PressRange,
-    /// What touches it by itself when nobody does.
+    /// Touches that the twin plays by itself while idle.
     pub demo: Script,
 }
 
 impl AnyTwin {
-    /// The twin of a skin, with the faults and treatments that its file asks for.
+    /// The twin of a skin, with the faults and treatments in its file.
     ///
     /// # Errors
-    /// Geometry that cannot be meshed, a combination that is not physics.
+    /// Geometry that cannot be meshed, or a physically impossible combination.
     pub fn from_skin(skin: &Skin) -> Result<Self, TwinError> {
         Ok(TwinKit::of(skin)?.twin)
     }
 }
 
 impl TwinKit {
-    /// The twin of a skin, what people may press it with, and its demonstration.
+    /// The twin of a skin, the range of presses, and its demonstration.
     ///
     /// # Errors
     /// As [`Twin::from_skin`].
@@ -79,13 +79,13 @@ impl TwinKit {
         Self::built(skin, &AsBuilt::nominal(skin))
     }
 
-    /// The same of a skin as a workshop built it.
+    /// The same for a skin as actually built.
     ///
     /// # Errors
     /// As [`Twin::from_skin`].
     pub fn built(skin: &Skin, built: &AsBuilt) -> Result<Self, TwinError> {
         let side_m = skin.outline().area_m2().sqrt();
-        // Equilateral triangles of the edge length.
+        // Number of equilateral triangles with this edge length.
         let triangles = 2.3 * (side_m / MeshSizes::of(skin).element_m).powi(2);
         Budget::of_twin(skin, triangles).check(skin, "its twin")?;
         let mut frontend = frontend_of(skin, built)?;
@@ -100,20 +100,20 @@ impl TwinKit {
     }
 }
 
-/// What a skin reads at rest and under the press that it is made for: about, by a twin of large elements.
+/// Approximate readings of a skin at rest and under its typical press, from a twin with large elements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TypicalPress {
-    /// Voltages at rest, one a channel.
+    /// Voltages at rest, one per channel.
     pub rest_v: Vec<f64>,
-    /// The same under the press at which sliders begin ([`PressRange`]), in the middle of the skin.
+    /// Voltages under the initial press of the sliders ([`PressRange`]) in the middle of the skin.
     pub pressed_v: Vec<f64>,
 }
 
-/// Elements of the twin that tells a typical press are so many times as long as those of the twin itself.
+/// Element size of the twin used for a typical press, relative to the actual twin.
 const COARSER: f64 = 2.5;
 
 impl TypicalPress {
-    /// Of a skin; `None` where its middle is no place to press.
+    /// The typical press of a skin; `None` if its middle cannot be pressed.
     ///
     /// # Errors
     /// As [`Twin::from_skin`].
@@ -135,19 +135,19 @@ impl TypicalPress {
     }
 }
 
-/// What a workshop makes of a skin's geometry. Materials and instrument are the skin file's.
+/// Geometry of a skin as actually built. Materials and instrument come from the skin file.
 #[derive(Clone, Debug)]
 pub struct AsBuilt {
-    /// Electrodes where they really are, in order; none of skins of coils.
+    /// Actual electrode positions, in order; empty for skins with coils.
     pub electrodes: Vec<ElectrodeShape>,
-    /// A factor on the contact impedance of each electrode.
+    /// Factor on the contact impedance of each electrode.
     pub contact_factors: Vec<f64>,
-    /// Sheet conductance relative to the file's, over the skin.
+    /// Sheet conductance over the skin, relative to the file's.
     pub conductance: ConductanceMap,
 }
 
 impl AsBuilt {
-    /// As the file says.
+    /// Exactly as in the file.
     pub fn nominal(skin: &Skin) -> Self {
         let of_coils = skin.frontend.coils.is_some();
         let electrodes = if of_coils { Vec::new() } else { skin.electrode_shapes() };
@@ -159,14 +159,15 @@ impl AsBuilt {
 /// Edge lengths of a twin's elements, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeshSizes {
-    /// Everywhere: the square root of the area over 60 (sandwich), 50 (sheet), 45 (patches), 35 (liquid).
+    /// Default edge length: the square root of the area divided by 60 (sandwich), 50 (sheet), 45 (patches), 35
+    /// (liquid).
     pub element_m: f64,
-    /// At electrodes: a sixth of the narrowest, a quarter of small round pads; no more than elsewhere.
+    /// Edge length at electrodes: a sixth of the narrowest, or a quarter of small round pads; at most the default.
     pub electrode_m: f64,
 }
 
 impl MeshSizes {
-    /// Of a skin.
+    /// The sizes for a skin.
     pub fn of(skin: &Skin) -> Self {
         let parts = match skin.frontend.layer {
             Layer::Sandwich(_) => 60.0,
@@ -183,13 +184,13 @@ impl MeshSizes {
             ElectrodeShape::Point { .. } | ElectrodeShape::RimPoint { .. } => f64::INFINITY,
         };
         let narrowest_m = skin.electrode_shapes().iter().map(width).fold(f64::INFINITY, f64::min);
-        // Far smaller elements than the skin's would only cost time.
+        // Elements much smaller than the skin's would only cost time.
         let natural_m = narrowest_m.max(side_m / 1000.0).min(element_m);
         Self { element_m, electrode_m: skin.twin.electrode_element_mm.map_or(natural_m, |mm| (mm * MM).min(element_m)) }
     }
 }
 
-/// What the layers with electrodes have in common.
+/// Properties common to all layers with electrodes.
 struct Sheetlike {
     outline: Outline,
     electrodes: Vec<ElectrodeShape>,
@@ -218,10 +219,10 @@ impl Sheetlike {
     }
 }
 
-/// Options of the patches of a skin, as its file says.
+/// Options of a skin of patches, from its file.
 ///
 /// # Errors
-/// A skin of another layer, patterns that need other electrodes.
+/// A skin with another layer, or patterns that need other electrodes.
 pub fn patched_options(skin: &Skin) -> Result<PatchedOptions, TwinError> {
     let Layer::Patches(layer) = &skin.frontend.layer else {
         return Err(TwinError::Missing { field: "frontend.layer of kind \"patches\"", of: "a skin of patches" });
@@ -231,7 +232,7 @@ pub fn patched_options(skin: &Skin) -> Result<PatchedOptions, TwinError> {
 
 fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
     let behind = read_frontend_of(skin, built)?;
-    // What is still to be found is none of the twin's.
+    // A circuit that is still to be identified is not part of the twin.
     Ok(match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
         Some(circuit) => {
             let (protocol, sheet_s) = (skin.protocol()?, skin.sheet_conductance_s());
@@ -241,7 +242,7 @@ fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinEr
     })
 }
 
-/// The skin as its protocol reads it, or, behind a circuit, its transfer impedances.
+/// The skin as its protocol reads it; or, behind a circuit, its transfer impedances.
 fn read_frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
     Ok(match &skin.frontend.layer {
         Layer::Sheet(layer) => Box::new(SheetSkin::new(sheet_options(layer, Sheetlike::of(skin, built)?))?),
@@ -349,7 +350,7 @@ fn liquid_options(skin: &Skin, layer: &LiquidLayer, sheet: Sheetlike) -> LiquidO
         )
     };
     let height_m = layer.electrode_height_mm.map_or(depth_m, |mm| mm * MM);
-    // What the file gives is specific; the sheet's unit on the rim is over the height.
+    // The file gives specific impedances; on the rim the sheet divides them by the height.
     let back = |(shape, z): (&ElectrodeShape, &f64)| if rim(shape) { z * height_m } else { *z };
     let factors = sheet.electrodes.iter().zip(&sheet.contact_impedances_ohm_m2).map(back);
     let impedances: Vec<f64> = if factors.clone().all(|z| (z / specific - 1.0).abs() < 1e-12) {
@@ -381,7 +382,7 @@ fn liquid_options(skin: &Skin, layer: &LiquidLayer, sheet: Sheetlike) -> LiquidO
 /// Options of the elements of a skin over coils.
 ///
 /// # Errors
-/// A skin without elements, coils that make no sense, a body that cannot be computed.
+/// A skin without elements, invalid coils, or a body that cannot be computed.
 pub fn element_options(skin: &Skin) -> Result<ElementOptions, TwinError> {
     let missing = |field: &'static str| TwinError::Missing { field, of: "a skin of elements over coils" };
     let Layer::Elements(layer) = &skin.frontend.layer else {

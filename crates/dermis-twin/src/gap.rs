@@ -1,9 +1,9 @@
-//! The gap of skins whose layers touch where pressed: what presses, its memory, and the contact that follows.
+//! The gap of skins whose layers touch under pressure: the load, its memory, and the resulting contact.
 
 use crate::error::TwinError;
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
 
-/// Contact conductance at a set of places, with the contact that was solved last.
+/// Contact conductance at a set of places, and the contact of the last solution.
 #[derive(Clone, Debug)]
 pub(crate) struct Gap {
     cover: Cover,
@@ -17,10 +17,10 @@ pub(crate) struct Gap {
 }
 
 impl Gap {
-    /// An open gap at this many places.
+    /// An open gap with `places` places.
     ///
     /// # Errors
-    /// Parameters that make no sense.
+    /// Invalid parameters.
     pub fn new(cover: Cover, contact: ContactLaw, memory: Option<Memory>, places: usize) -> Result<Self, TwinError> {
         cover.check()?;
         contact.check()?;
@@ -33,7 +33,7 @@ impl Gap {
         Ok(gap)
     }
 
-    /// Opens it and forgets what pressed, at this many places.
+    /// Opens the gap and forgets past loads, for `places` places.
     pub fn reset(&mut self, places: usize) {
         self.state = PressureState::new(self.memory, places);
         for values in [&mut self.pressure_pa, &mut self.contact_s_per_m2, &mut self.solved_s_per_m2] {
@@ -53,7 +53,7 @@ impl Gap {
         Ok(())
     }
 
-    /// Presses for `dt_s` at these places; true where the fields must be solved anew.
+    /// Presses at these places for `dt_s`; returns true if the fields must be solved again.
     pub fn press(&mut self, indenters: &[Indenter], places_m: &[[f64; 2]], dt_s: f64) -> bool {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
@@ -63,7 +63,7 @@ impl Gap {
         for (g, pressure) in self.contact_s_per_m2.iter_mut().zip(&self.pressure_pa) {
             *g = self.contact.conductance_s_per_m2(*pressure);
         }
-        // A skin that is left alone, or held still, costs nothing.
+        // A skin that is idle or held still costs nothing.
         !self.solved || self.contact_s_per_m2 != self.solved_s_per_m2
     }
 
@@ -72,13 +72,13 @@ impl Gap {
         &self.contact_s_per_m2
     }
 
-    /// Says that the fields belong to the contact as it is.
+    /// Records that the fields belong to the current contact.
     pub fn mark_solved(&mut self) {
         self.solved_s_per_m2.copy_from_slice(&self.contact_s_per_m2);
         self.solved = true;
     }
 
-    /// Says that the fields belong to another sheet.
+    /// Records that the fields belong to another sheet.
     pub fn mark_stale(&mut self) {
         self.solved = false;
     }

@@ -1,13 +1,13 @@
-//! What happens to a self-healing sheet in the course of its life: blades cut it, a heat pad closes cuts and raises the
-//! conductivity about them, which falls back later, and the room warms it as a whole.
+//! Life of a self-healing sheet: blades cut it, heat pads close cuts and raise the conductivity around them, which
+//! partly decays later, and room temperature changes the whole sheet.
 //!
-//! A point at temperature `T` heals at the rate `r(T) = exp(-(E/R) (1/T - 1/T_h)) / t_h`: at `T_h` entirely within
-//! `t_h`. Its dose `q`, the integral of `r` held at 1, is the share of the cut's faces that is joined again. A cut of
-//! width `w` conducts `d = (1 - q) d_open + q d_healed` of the sheet, with `1/d_healed = 1 + l/w` and `l` the length of
-//! intact sheet that a healed scar is worth. Heat raises the conductivity to `1 + q_h p` (`q_h`: dose of that heating);
-//! afterwards it is `1 + q_h (k + (p - k) exp(-t / tau))`.
+//! A point at temperature `T` heals at the rate `r(T) = exp(-(E/R) (1/T - 1/T_h)) / t_h`: fully within `t_h` at
+//! `T_h`. Its dose `q`, the integral of `r` limited to 1, is the share of the cut's faces that has rejoined. A cut of
+//! width `w` has the relative conductance `d = (1 - q) d_open + q d_healed`, with `1/d_healed = 1 + l/w` and `l` the
+//! length of intact sheet with the same resistance as a healed scar. Heat raises the conductivity to `1 + q_h p`
+//! (`q_h`: dose of that heating); afterwards it is `1 + q_h (k + (p - k) exp(-t / tau))`.
 //!
-//! The constants of a material are its [`HealingLaw`].
+//! The constants of a material are in its [`HealingLaw`].
 
 use serde::{Deserialize, Serialize};
 
@@ -15,35 +15,35 @@ use crate::error::{TwinError, check, check_positive};
 use crate::physics::Cut;
 
 const ZERO_C_IN_K: f64 = 273.15;
-/// Cuts heal in pieces of this length at most, each by its own temperature.
+/// Maximum length of the pieces of a cut, each of which heals at its own temperature.
 const PIECE_M: f64 = 1e-3;
 
-/// Most cuts that one sheet can have.
+/// Maximum number of cuts in a sheet.
 pub const MOST_CUTS: usize = 32;
-/// Most heat pads whose effects one sheet can bear.
+/// Maximum number of heat pads whose effects a sheet keeps track of.
 pub const MOST_PADS: usize = 24;
 
-/// How a material heals; see the module.
+/// Healing of a material; see the module.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HealingLaw {
-    /// T_h: temperature that heals a cut entirely, degrees Celsius.
+    /// T_h: temperature at which a cut heals fully, degrees Celsius.
     pub temperature_c: f64,
-    /// t_h: the time that it takes, seconds.
+    /// t_h: time to heal fully at that temperature, seconds.
     pub duration_s: f64,
-    /// Temperature of the room, degrees Celsius.
+    /// Room temperature, degrees Celsius.
     pub room_c: f64,
     /// E/R: activation energy over the gas constant, kelvin.
     pub activation_k: f64,
     /// p: relative rise of the conductivity at the end of a full heating.
     pub peak_rise: f64,
-    /// k: what stays of it; no more than `peak_rise`.
+    /// k: part of the rise that remains; at most `peak_rise`.
     pub lasting_rise: f64,
-    /// tau: time constant of what passes, seconds.
+    /// tau: time constant with which the rest decays, seconds.
     pub relaxation_s: f64,
-    /// l: length of intact sheet that a healed scar is worth, metres.
+    /// l: length of intact sheet with the same resistance as a healed scar, metres.
     pub scar_m: f64,
-    /// Distance across a heat pad's rim over which warmth falls from all to nothing, metres.
+    /// Distance across the rim of a heat pad over which the heating falls from full to none, metres.
     pub pad_rim_m: f64,
 }
 
@@ -51,7 +51,7 @@ impl HealingLaw {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// Temperatures that make no sense, times and lengths that are not positive, rises below zero or out of order.
+    /// Invalid temperatures, times or lengths that are not positive, or rises that are negative or out of order.
     pub fn check(&self) -> Result<(), TwinError> {
         check("healing room_c", self.room_c, -50.0, 100.0, "-50 to 100 degrees Celsius")?;
         check("healing temperature_c", self.temperature_c, self.room_c, 500.0, "room_c to 500 degrees Celsius")?;
@@ -64,13 +64,13 @@ impl HealingLaw {
         check_positive("healing pad_rim_m", self.pad_rim_m)
     }
 
-    /// How much of a pad's warmth a point has: 1 under it, 0 beside it, between at its rim.
+    /// Relative heating of a point by a pad: 1 under it, 0 next to it, in between at its rim.
     fn nearness(&self, heating: &Heating, point: [f64; 2]) -> f64 {
         let distance = (point[0] - heating.centre_m[0]).hypot(point[1] - heating.centre_m[1]);
         (0.5 + (heating.radius_m - distance) / self.pad_rim_m).clamp(0.0, 1.0)
     }
 
-    /// Rate of the dose at a point that has so much of a pad's warmth, 1/s.
+    /// Dose rate at a point with relative heating `x` by a pad, 1/s.
     fn rate_of(&self, heating: &Heating, x: f64) -> f64 {
         let kelvin = |celsius: f64| celsius + ZERO_C_IN_K;
         let temperature = kelvin(self.room_c + (heating.temperature_c - self.room_c) * x * x * (3.0 - 2.0 * x));
@@ -78,17 +78,17 @@ impl HealingLaw {
     }
 }
 
-/// A heat pad laid on the skin for a time.
+/// A heat pad laid on the skin for some time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Heating {
-    /// Middle of the pad, metres.
+    /// Centre of the pad, metres.
     pub centre_m: [f64; 2],
-    /// Its radius, metres.
+    /// Radius of the pad, metres.
     pub radius_m: f64,
-    /// Its temperature, degrees Celsius.
+    /// Temperature of the pad, degrees Celsius.
     pub temperature_c: f64,
-    /// How long it stays, seconds.
+    /// Duration of the heating, seconds.
     pub duration_s: f64,
 }
 
@@ -96,7 +96,7 @@ impl Heating {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// A pad without place or size, a temperature outside 0 to 150 C, a time that is not positive and finite.
+    /// A pad without position or size, a temperature outside 0 to 150 C, or a time that is not positive and finite.
     pub fn check(&self) -> Result<(), TwinError> {
         for value in self.centre_m {
             check("heat pad's centre, m", value, -1e3, 1e3, "a position in metres")?;
@@ -107,19 +107,20 @@ impl Heating {
     }
 }
 
-/// Something done to a sheet.
+/// A treatment of a sheet.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Treatment {
-    /// A blade cuts it.
+    /// A cut with a blade.
     Cut(Cut),
-    /// A heat pad is laid on it.
+    /// A heat pad laid on the sheet.
     Heat(Heating),
-    /// Cuts, heat and their aftermath go this many times as fast as the frames from now on; touches do not.
+    /// Speeds up cuts, heat and their aftermath by this factor relative to the frames from now on; touches are
+    /// unaffected.
     TimeLapse(f64),
-    /// Its conductivity as a whole rises by this share a second from now on (the room grows warmer); 0 holds it.
+    /// Relative rise of the whole sheet's conductivity per second from now on (the room warms up); 0 holds it.
     Warm(f64),
-    /// A new sheet is put in.
+    /// Replaces the sheet with a new one.
     Renew,
 }
 
@@ -127,7 +128,7 @@ impl Treatment {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// As [`Cut::check`] and [`Heating::check`]; factors and rates out of range.
+    /// As [`Cut::check`] and [`Heating::check`]; also fails for factors and rates out of range.
     pub fn check(&self) -> Result<(), TwinError> {
         match self {
             Self::Cut(cut) => cut.check(),
@@ -139,20 +140,20 @@ impl Treatment {
     }
 }
 
-/// A cut with what has become of it.
+/// A cut with its healing state.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wound {
-    /// As it was cut.
+    /// The original cut.
     pub cut: Cut,
-    /// Share of its faces that is joined again, 0 to 1.
+    /// Share of its faces that has rejoined, 0 to 1.
     pub healed: f64,
 }
 
 #[derive(Clone, Debug)]
 struct Laceration {
     cut: Cut,
-    /// One value for each of its pieces.
+    /// One dose per piece.
     doses: Vec<f64>,
 }
 
@@ -162,7 +163,7 @@ struct Pad {
     age_s: f64,
 }
 
-/// The rates of the dose that one pad brings, 1/s. Most points are beside it or under it, where they are the same.
+/// Dose rates due to one pad, 1/s. Most points are either next to it or under it, where the rate is constant.
 struct Rates<'a> {
     law: &'a HealingLaw,
     heating: &'a Heating,
@@ -184,12 +185,12 @@ impl<'a> Rates<'a> {
     }
 }
 
-/// What one pad does to the conductivity now.
+/// Current effect of one pad on the conductivity.
 struct Warmth<'a> {
     rates: Rates<'a>,
-    /// For how long it has heated, seconds.
+    /// Elapsed heating time, seconds.
     heated_s: f64,
-    /// Rise of a full dose that passes, as far as it has not.
+    /// Remaining part of the decaying rise for a full dose.
     passing: f64,
 }
 
@@ -205,7 +206,7 @@ impl<'a> Warmth<'a> {
     }
 }
 
-/// The state of one sheet.
+/// State of one sheet.
 #[derive(Clone, Debug)]
 pub struct Wear {
     law: Option<HealingLaw>,
@@ -217,16 +218,15 @@ pub struct Wear {
 }
 
 impl Wear {
-    /// A new sheet that heals so; `None`: it can be cut, warmed and renewed, but not healed.
+    /// A new sheet that heals by this law. With `None` it can be cut, warmed and renewed, but does not heal.
     pub fn new(law: Option<HealingLaw>) -> Self {
         Self { law, cuts: Vec::new(), pads: Vec::new(), time_lapse: 1.0, warming_per_s: 0.0, warmth: 1.0 }
     }
 
-    /// Does something to the sheet. A blade that follows a cut once more opens it again; the sheet has one cut there.
+    /// Applies a treatment. A blade that follows an existing cut reopens it instead of adding a second one.
     ///
     /// # Errors
-    /// Numbers that make no sense; heat on a sheet that does not heal; more than [`MOST_CUTS`] cuts or [`MOST_PADS`]
-    /// pads.
+    /// Invalid numbers, heat on a sheet that does not heal, or more than [`MOST_CUTS`] cuts or [`MOST_PADS`] pads.
     pub fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
         treatment.check()?;
         let most = |field, most: usize, got: usize| {
@@ -245,8 +245,8 @@ impl Wear {
             }
             Treatment::Heat(_) if self.law.is_none() => return Err(TwinError::NotTreatable),
             Treatment::Heat(heating) => {
-                // A pad laid twice at one moment is one pad; one whose passing warmth is gone leaves the same behind as
-                // the next at its place.
+                // A pad laid twice at the same moment counts once. A pad whose decaying part is gone leaves the same
+                // effect as the next one in its place.
                 let relaxation_s = self.law.map_or(0.0, |law| law.relaxation_s);
                 let is_over = |pad: &Pad| pad.age_s > pad.heating.duration_s + 20.0 * relaxation_s;
                 self.pads.retain(|pad| pad.heating != heating || !(pad.age_s == 0.0 || is_over(pad)));
@@ -260,10 +260,10 @@ impl Wear {
         Ok(())
     }
 
-    /// Lets `dt_s` of the frames' time pass; true where the sheet has changed.
+    /// Advances the frames' time by `dt_s`; returns true if the sheet has changed.
     pub fn advance(&mut self, dt_s: f64) -> bool {
         let before = self.warmth;
-        // Nothing grows without end.
+        // Limits the drift.
         self.warmth = (self.warmth * (1.0 + self.warming_per_s * dt_s)).clamp(0.1, 10.0);
         let passed = dt_s * self.time_lapse;
         let mut changed = self.warmth != before;
@@ -276,7 +276,7 @@ impl Wear {
             pad.age_s += passed;
             let rates = Rates::of(&pad.heating, &law);
             changed |= heated > 0.0 || pad.age_s < pad.heating.duration_s + 20.0 * law.relaxation_s;
-            // Nothing heals under a pad that has been taken away.
+            // Nothing heals under a pad that has been removed.
             let wounds = if heated > 0.0 { self.cuts.as_mut_slice() } else { &mut [] };
             for Laceration { cut, doses } in wounds {
                 let count = doses.len();
@@ -289,12 +289,12 @@ impl Wear {
         changed
     }
 
-    /// Conductivity at a point as a share of the new sheet's, cuts left aside.
+    /// Conductivity at a point relative to a new sheet, ignoring cuts.
     pub fn share_at(&self, point: [f64; 2]) -> f64 {
         self.share()(point)
     }
 
-    /// The same for many points: what is the same everywhere is worked out once.
+    /// The same for many points; common terms are computed once.
     pub fn share(&self) -> impl Fn([f64; 2]) -> f64 + '_ {
         let warmths: Vec<Warmth> =
             self.law.iter().flat_map(|law| self.pads.iter().map(|pad| Warmth::of(pad, law))).collect();
@@ -303,14 +303,14 @@ impl Wear {
             for warmth in &warmths {
                 let dose = (warmth.rates.at(point) * warmth.heated_s).min(1.0);
                 passing += dose * warmth.passing;
-                // What is healed through cannot gain the same again.
+                // The lasting rise does not add up over several heatings.
                 lasting = lasting.max(dose * warmth.rates.law.lasting_rise);
             }
             self.warmth * (1.0 + passing + lasting)
         }
     }
 
-    /// The cuts as they conduct now, each in equal pieces from end to end.
+    /// The cuts with their current conductance, each in equal pieces from end to end.
     pub fn cuts(&self) -> impl Iterator<Item = Vec<Cut>> + '_ {
         self.cuts.iter().map(|Laceration { cut, doses }| {
             let count = doses.len() as f64;
@@ -325,7 +325,7 @@ impl Wear {
         })
     }
 
-    /// The cuts as they were made, and how far they have healed.
+    /// The original cuts and their healing state.
     pub fn wounds(&self) -> impl Iterator<Item = Wound> + '_ {
         self.cuts.iter().map(|Laceration { cut, doses }| {
             let healed = doses.iter().sum::<f64>() / doses.len() as f64;
@@ -334,12 +334,12 @@ impl Wear {
     }
 }
 
-/// A treatment and when it is given.
+/// A treatment and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimedTreatment {
     /// Seconds after the first frame.
     pub at_s: f64,
-    /// What is done.
+    /// The treatment.
     pub treatment: Treatment,
 }

@@ -1,11 +1,11 @@
-//! Digital twins of tactile skins: what presses on them ([`scene`]), how that deforms or closes their layers
-//! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
-//! electronics make of it ([`instrument`]). [`Twin`] joins the four.
+//! Digital twins of tactile skins: the loads on them ([`scene`]), the resulting deformation or contact of their
+//! layers ([`mechanics`]), the fields ([`physics`], with finite elements from `dermis-tomo`), and the readings of the
+//! electronics ([`instrument`]). [`Twin`] joins the four.
 //!
-//! What a skin is made of decides its physics: a bare conductor ([`SheetSkin`]), a sheet under a continuous shortcut
-//! layer ([`Sandwich`]) or under separate patches ([`PatchedSkin`]), a liquid ([`LiquidSkin`]), or conducting elements
-//! over coils ([`ElementSkin`], and a foil over coils, [`FoilSkin`]). Each is made from options that carry everything
-//! that it is.
+//! The material of a skin decides its physics: a bare conductor ([`SheetSkin`]), a sheet under a continuous shortcut
+//! layer ([`Sandwich`]) or under separate patches ([`PatchedSkin`]), a liquid ([`LiquidSkin`]), or conducting
+//! elements over coils ([`ElementSkin`], and a foil over coils, [`FoilSkin`]). Each is built from options that
+//! describe it completely.
 //!
 //! SI units throughout; frame of a flat skin: x right, y up. Pure apart from seeded random numbers: no clocks, files or
 //! devices.

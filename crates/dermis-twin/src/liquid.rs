@@ -1,5 +1,5 @@
-//! A liquid skin: conducting liquid in a shallow tray, closed and full under a stretched membrane, or open. Pressing
-//! dents the surface, the liquid beneath gets shallower there and deeper elsewhere, and the voltages follow from the
+//! A liquid skin: conducting liquid in a shallow tray, enclosed and full under a stretched membrane, or open.
+//! Pressing dents the surface, so the liquid gets shallower there and deeper elsewhere. The voltages depend on the
 //! depth alone.
 
 use dermis_tomo::eit::Protocol;
@@ -15,36 +15,35 @@ use crate::physics::{ConductanceMap, LiquidElectrodes, LiquidFields, LiquidSpec}
 use crate::twin::Frontend;
 use crate::wiring::check_electrodes;
 
-/// Share of the depth that always stays liquid: a membrane that touches the bottom is clipped to this film.
+/// Minimum depth, as a share of the depth at rest: a membrane that touches the bottom is clipped to this film.
 const LEAST_FILM: f64 = 0.02;
-/// Loads that differ by less than this in all, newtons, are the same: a tenth of a milligram.
+/// Loads whose total difference is below this are considered equal, newtons: a tenth of a milligram.
 const SAME_LOAD_N: f64 = 1e-6;
 
-/// How fields are solved.
+/// Method for solving the fields.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum LiquidSolver {
-    /// In the plane, with the depth as a sheet's conductance: fast.
+    /// In the plane, with depth as the conductance of a sheet: fast.
     DepthAveraged,
-    /// On tetrahedra, with the electrodes as small as they are: a second or two a frame, to check the other. All
+    /// On tetrahedra, with electrodes of their true size: a second or two per frame, to check the other method. All
     /// electrodes must be stretches of the rim.
     Solid {
-        /// About how many layers of elements.
+        /// Approximate number of element layers.
         layers: usize,
     },
 }
 
-/// What a liquid skin is. SI units.
+/// Description of a liquid skin. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiquidOptions {
     /// Outline of the liquid.
     pub outline: Outline,
-    /// Electrodes, in order: stretches of the rim on the wall; pads on the bottom where fields are averaged over the
-    /// depth.
+    /// Electrodes, in order: stretches of the rim on the wall, or pads on the bottom if fields are depth-averaged.
     pub electrodes: Vec<ElectrodeShape>,
-    /// Height of the electrodes on the wall, metres, no more than the depth.
+    /// Height of the electrodes on the wall, metres, at most the depth.
     pub electrode_height_m: f64,
-    /// Their middle above the bottom, metres. Averaged over the depth it makes no difference.
+    /// Height of their centres above the bottom, metres. Makes no difference in depth-averaged fields.
     pub electrode_middle_m: f64,
     /// Specific contact impedance of each electrode, or one value for all, ohm.m^2.
     pub contact_impedances_ohm_m2: Vec<f64>,
@@ -54,19 +53,19 @@ pub struct LiquidOptions {
     pub depth_m: f64,
     /// Conductivity of the liquid, S/m.
     pub conductivity_s_per_m: f64,
-    /// A factor on the sheet conductance over the skin, as of a layer that is not even.
+    /// A factor on the sheet conductance over the skin, for an uneven layer.
     pub conductance: ConductanceMap,
     /// Density of the liquid, kg/m^3.
     pub density_kg_per_m3: f64,
-    /// Tension of the membrane, newtons per metre; 0 is an open tank, which needs gravity that points into the skin.
+    /// Tension of the membrane, newtons per metre. 0 is an open tank, which needs gravity pointing into the skin.
     pub tension_n_per_m: f64,
     /// Gravity in the skin's frame (z out of the skin), m/s^2.
     pub gravity_m_per_s2: [f64; 3],
-    /// How pressure spreads on its way through the membrane.
+    /// Spreading of pressure on its way through the membrane.
     pub cover: Cover,
-    /// Viscoelastic memory of the membrane, where wanted.
+    /// Viscoelastic memory of the membrane, if any.
     pub memory: Option<Memory>,
-    /// How fields are solved.
+    /// Method for solving the fields.
     pub solver: LiquidSolver,
     /// Edge length of the triangles, metres. It should differ from a reconstruction's.
     pub element_size_m: f64,
@@ -93,7 +92,7 @@ impl LiquidOptions {
     }
 }
 
-/// The liquid skin itself; see the module.
+/// The liquid skin; see the module.
 #[derive(Debug)]
 pub struct LiquidSkin {
     outline: Outline,
@@ -103,7 +102,7 @@ pub struct LiquidSkin {
     fields: LiquidFields,
     memory: PressureState,
     load_n: Vec<f64>,
-    /// The load that `voltages_v` belongs to, once there are any.
+    /// The load to which `voltages_v` belongs, once solved.
     solved_n: Vec<f64>,
     solved: bool,
     depth_at_m: Vec<f64>,
@@ -116,8 +115,8 @@ impl LiquidSkin {
     /// Meshes the tray, factors its membrane and prepares its fields.
     ///
     /// # Errors
-    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made, a membrane
-    /// too slack to hang from, an open tank that gravity does not hold.
+    /// Invalid parameters, electrodes that do not fit the protocol, a mesh that cannot be built, a membrane too slack
+    /// to hang from, or an open tank that gravity does not hold.
     pub fn new(options: LiquidOptions) -> Result<Self, TwinError> {
         options.cover.check()?;
         options.memory.as_ref().map_or(Ok(()), Memory::check)?;
@@ -157,7 +156,7 @@ impl LiquidSkin {
         })
     }
 
-    /// The membrane, or the open surface, as the last frame left it.
+    /// The membrane, or the open surface, after the last frame.
     pub fn membrane(&self) -> &Membrane {
         &self.membrane
     }
@@ -172,13 +171,13 @@ impl LiquidSkin {
         &self.depth_at_m
     }
 
-    /// Nodes at which the membrane touched the bottom in the last frame. There the model ends: the depth is clipped to
-    /// a film of 2 % of the tray's, the bottom bears no load, and liquid is not conserved.
+    /// Number of nodes where the membrane touched the bottom in the last frame. The model is not valid there: the
+    /// depth is clipped to a film of 2 % of the tray's, the bottom carries no load, and liquid is not conserved.
     pub fn bottomed_nodes(&self) -> usize {
         self.bottomed_nodes
     }
 
-    /// Frames so far in which the membrane touched the bottom anywhere.
+    /// Number of frames in which the membrane touched the bottom anywhere.
     pub fn bottomed_frames(&self) -> u64 {
         self.bottomed_frames
     }
@@ -230,7 +229,7 @@ impl Frontend for LiquidSkin {
             self.membrane.add_load(indenter, self.cover, &mut self.load_n);
         }
         self.memory.apply(dt_s, &mut self.load_n);
-        // A skin that is left alone, or held still, costs nothing.
+        // A skin that is idle or held still costs nothing.
         let change: f64 = self.load_n.iter().zip(&self.solved_n).map(|(load, solved)| (load - solved).abs()).sum();
         if !self.solved || change > SAME_LOAD_N {
             self.solve()?;

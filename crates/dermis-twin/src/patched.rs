@@ -1,8 +1,8 @@
-//! A sheet with electrodes under separate shortcut patches with a gap between: pressing brings patches into contact
-//! with the sheet and raises its local conductivity. Unlike a continuous layer, patches do not join touches that are
-//! far from each other.
+//! A sheet with electrodes under separate shortcut patches with a gap between them. Pressing brings patches into
+//! contact with the sheet and raises its local conductivity. Unlike a continuous layer, patches do not connect
+//! distant touches.
 //!
-//! A sheet that is bent without stretching reads as it does laid flat, so that places are always those of the flat
+//! A sheet bent without stretching gives the same readings as when laid flat, so positions always refer to the flat
 //! sheet.
 
 use dermis_tomo::eit::Protocol;
@@ -16,10 +16,11 @@ use crate::physics::{ConductanceMap, ContactCell, PatchLayout, PatchedSheet};
 use crate::twin::Frontend;
 use crate::wiring::{check_electrodes, superpose};
 
-/// Most contact cells. Each acts on each: 8000 of them are a matrix of 512 MB, and twice that while all touch.
+/// Maximum number of contact cells. Each interacts with each: 8000 cells make a matrix of 512 MB, and twice that
+/// while all are in contact.
 const MOST_CELLS: f64 = 8000.0;
 
-/// What a skin of sheet and patches is. SI units.
+/// Description of a skin of sheet and patches. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatchedOptions {
     /// Outline of the sheet, laid flat.
@@ -32,19 +33,19 @@ pub struct PatchedOptions {
     pub protocol: Protocol,
     /// Sheet conductance of the sheet, siemens: conductivity times thickness.
     pub sheet_s: f64,
-    /// A factor on the sheet conductance over the skin, as of a layer that is not even.
+    /// A factor on the sheet conductance over the skin, for an uneven layer.
     pub conductance: ConductanceMap,
     /// Edge length of the triangles, metres. It should differ from a reconstruction's.
     pub element_size_m: f64,
     /// Edge length at electrodes, metres.
     pub electrode_element_size_m: f64,
-    /// The patches, with at most 8000 contact cells on the sheet: these take `8 cells^2` bytes, 512 MB.
+    /// The patches, with at most 8000 contact cells on the sheet; the cells need `8 cells^2` bytes, 512 MB.
     pub patches: PatchLayout,
-    /// How pressure spreads on its way to the gap.
+    /// Spreading of pressure on its way to the gap.
     pub cover: Cover,
-    /// Contact of sheet and patches.
+    /// Contact between sheet and patches.
     pub contact: ContactLaw,
-    /// Viscoelastic memory of the cover, where wanted.
+    /// Viscoelastic memory of the cover, if any.
     pub memory: Option<Memory>,
 }
 
@@ -64,7 +65,7 @@ impl PatchedOptions {
     }
 }
 
-/// The skin itself; see the module.
+/// The skin; see the module.
 #[derive(Clone, Debug)]
 pub struct PatchedSkin {
     outline: Outline,
@@ -80,7 +81,7 @@ impl PatchedSkin {
     /// Meshes the skin and solves the sheet without contact.
     ///
     /// # Errors
-    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made.
+    /// Invalid parameters, electrodes that do not fit the protocol, or a mesh that cannot be built.
     pub fn new(options: PatchedOptions) -> Result<Self, TwinError> {
         options.check()?;
         let mut gap = Gap::new(options.cover, options.contact, options.memory, 0)?;
@@ -101,7 +102,7 @@ impl PatchedSkin {
         })
     }
 
-    /// Its mesh with electrodes, flat.
+    /// Its flat mesh with electrodes.
     pub fn body(&self) -> &ElectrodedMesh {
         &self.body
     }
@@ -116,7 +117,7 @@ impl PatchedSkin {
         &self.sheet
     }
 
-    /// Cells of contact, in the order of [`PatchedSkin::contact_s_per_m2`].
+    /// Contact cells, in the order of [`PatchedSkin::contact_s_per_m2`].
     pub fn cells(&self) -> &[ContactCell] {
         self.sheet.cells()
     }
@@ -126,7 +127,7 @@ impl PatchedSkin {
         self.gap.contact_s_per_m2()
     }
 
-    /// Replaces the contact law, as when fitting it.
+    /// Replaces the contact law, for instance to fit it.
     ///
     /// # Errors
     /// As [`ContactLaw::check`].

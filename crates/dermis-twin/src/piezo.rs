@@ -1,8 +1,8 @@
 //! The two published experiments on the piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics
-//! 17, 2024), on any pair of patched skins: the limit of detection (P1: a 22 mm indenter in the middle under growing
-//! weights, change of the frame's V_rms against 3.3 standard deviations of V_rms at rest) and the discernible distance
-//! (P2: Pearson correlation of difference frames under 10 g, one shifted). One parameter is fitted, on P1 of the
-//! square.
+//! 17, 2024), for any pair of patched skins. P1 is the limit of detection: a 22 mm indenter in the middle under
+//! increasing weights, with the change of the frame's V_rms compared to 3.3 standard deviations of V_rms at rest. P2
+//! is the discernible distance: Pearson correlation of difference frames under 10 g, one of them shifted. One
+//! parameter is fitted, to P1 of the square.
 
 use serde::Serialize;
 
@@ -12,32 +12,32 @@ use crate::mechanics::{ContactLaw, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Sh
 use crate::patched::{PatchedOptions, PatchedSkin};
 use crate::twin::Frontend;
 
-/// Limit of detection of the square and of the disc, as published, pascals.
+/// Published limits of detection of the square and the disc, pascals.
 pub const PUBLISHED_LIMITS_PA: [f64; 2] = [83.0, 119.0];
-/// Distances at correlations of 0.9 and 0.5 on the square and on the disc, as published, metres.
+/// Published distances at correlations of 0.9 and 0.5 on the square and the disc, metres.
 pub const PUBLISHED_DISTANCES_M: [[f64; 2]; 2] = [[2.51e-3, 16.92e-3], [3.42e-3, 15.53e-3]];
 
 /// Radius of the paper's indenter, 380.13 mm^2.
 const INDENTER_RADIUS_M: f64 = 11e-3;
-/// Its weights.
+/// Weights in the paper.
 const MASSES_G: [f64; 9] = [1.8, 2.8, 3.8, 6.8, 8.8, 11.8, 16.8, 21.8, 31.8];
-/// The weight that is shifted.
+/// The shifted weight.
 const SHIFTED_G: f64 = 10.0;
-/// Frames at rest.
+/// Number of frames at rest.
 const REST_FRAMES: u64 = 30;
-/// Standard deviations that count as detected.
+/// Number of standard deviations that count as detected.
 const DETECTED: f64 = 3.3;
 
 /// One weight of P1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ForcePoint {
-    /// The weight.
+    /// Mass of the weight.
     pub mass_g: f64,
-    /// Its force.
+    /// Force of the weight.
     pub force_n: f64,
     /// Mean pressure under the indenter.
     pub pressure_pa: f64,
-    /// How far V_rms of one noisy frame lies from its mean at rest, volts, in each repeat.
+    /// Change of V_rms of one noisy frame from its mean at rest, volts, in each repeat.
     pub change_v: [f64; 5],
 }
 
@@ -50,25 +50,25 @@ pub struct DetectionCurve {
     pub noise_v: f64,
     /// The weights.
     pub points: Vec<ForcePoint>,
-    /// Pressure at which V_rms without noise has changed by 3.3 `noise_v`, pascals; infinite where it never does.
+    /// Pressure at which the noise-free V_rms has changed by 3.3 `noise_v`, pascals; infinite if it never does.
     pub limit_pa: f64,
 }
 
 /// One shift of P2.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ShiftPoint {
-    /// Along x, from the middle of the skin.
+    /// Shift along x from the middle of the skin.
     pub shift_m: f64,
-    /// Pearson correlation of the difference frames, mean of five repeats.
+    /// Pearson correlation of the difference frames, averaged over five repeats.
     pub correlation: f64,
 }
 
 /// P2 on one skin.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CorrelationCurve {
-    /// The shifts, in steps of 0.5 mm to 40 mm.
+    /// The shifts, in steps of 0.5 mm up to 40 mm.
     pub points: Vec<ShiftPoint>,
-    /// Smallest shift at which the correlation is down to 0.9, metres; infinite where it never is.
+    /// Smallest shift at which the correlation has dropped to 0.9, metres; infinite if it never does.
     pub distance_09_m: f64,
     /// The same for 0.5.
     pub distance_05_m: f64,
@@ -93,7 +93,7 @@ pub struct PaperP {
 }
 
 impl PaperP {
-    /// The square and the disc with one instrument; both have the square's contact law, and the noise this seed.
+    /// The square and the disc with one instrument. Both use the square's contact law, and `seed` for the noise.
     ///
     /// # Errors
     /// As [`PatchedSkin::new`].
@@ -108,20 +108,21 @@ impl PaperP {
         Ok(Self { skins, contact, instrument, seed })
     }
 
-    /// The contact law in use.
+    /// The current contact law.
     pub fn contact(&self) -> &ContactLaw {
         &self.contact
     }
 
-    /// Fits the contact's reference pressure so that the square's limit of detection is the published one, and gives it
-    /// (pascals). Nothing else is fitted: one number fixes one parameter. All else about both skins is then predicted.
+    /// Fits the contact's reference pressure to the published limit of detection of the square and returns it
+    /// (pascals). Nothing else is fitted: one number determines one parameter, and everything else about both skins
+    /// is a prediction.
     ///
     /// # Errors
-    /// A skin that cannot be solved; no reference pressure between 1 Pa and 1 GPa, as where the gap closes above the
+    /// A skin that cannot be solved, or no solution between 1 Pa and 1 GPa, for instance if the gap closes above the
     /// limit.
     pub fn fit(&mut self) -> Result<f64, TwinError> {
         let (mut low, mut high) = (0.0_f64, 9.0_f64);
-        // The contact weakens, and the limit grows, with the reference pressure.
+        // A higher reference pressure weakens the contact and raises the limit.
         for _ in 0..30 {
             let middle = 0.5 * (low + high);
             self.set_reference(10_f64.powf(middle))?;
@@ -174,7 +175,7 @@ impl PaperP {
         Ok(DetectionCurve { rest_v, noise_v, points, limit_pa })
     }
 
-    /// Pressure that changes V_rms without noise by `threshold_v`, by bisection over its logarithm.
+    /// Pressure that changes the noise-free V_rms by `threshold_v`, by bisection on its logarithm.
     fn limit(&mut self, skin: usize, rest_v: f64, threshold_v: f64) -> Result<f64, TwinError> {
         let area = Shape::Disc { radius_m: INDENTER_RADIUS_M }.area_m2();
         let (mut low, mut high) = (0.0_f64, 5.0_f64);
@@ -258,7 +259,7 @@ fn pearson(a: &[f64], b: &[f64]) -> f64 {
     ab / (aa * bb).sqrt()
 }
 
-/// First shift at which the curve comes down to a level, linear between its points.
+/// First shift at which the curve drops to a level, linear between its points.
 fn crossing(points: &[ShiftPoint], level: f64) -> f64 {
     if points.first().is_some_and(|point| point.correlation <= level) {
         return 0.0;
@@ -278,7 +279,7 @@ mod tests {
     fn correlation_is_pearsons() {
         let a = [1.0, 2.0, 4.0, 3.0];
         assert!((pearson(&a, &a.map(|v| 5.0 - 2.0 * v)) + 1.0).abs() < 1e-15);
-        // By hand: means 2.5 and 2, sums of products 2, 5 and 2.
+        // Computed by hand: means 2.5 and 2, sums of products 2, 5 and 2.
         assert!((pearson(&a, &[1.0, 2.0, 2.0, 3.0]) - 2.0 / 10_f64.sqrt()).abs() < 1e-15);
     }
 

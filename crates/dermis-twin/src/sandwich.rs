@@ -1,6 +1,6 @@
-//! A sandwich: a conductive sheet with electrodes under a gap and a continuous shortcut layer that floats. Pressing
-//! closes the gap, current takes the shortcut and the local equivalent conductivity rises; a cut of the sheet lowers
-//! it. Both follow from the two-sheet fields alone ([`crate::physics::TwoSheets`]).
+//! A sandwich: a conductive sheet with electrodes under a gap and a continuous floating shortcut layer. Pressing
+//! closes the gap, so current takes the shortcut and the local equivalent conductivity rises; a cut of the sheet
+//! lowers it. Both follow from the two-sheet fields alone ([`crate::physics::TwoSheets`]).
 
 use std::any::Any;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +17,7 @@ use crate::physics::{ConductanceMap, Cut, Shortcut, TwoSheets};
 use crate::twin::{Frontend, Preparation};
 use crate::wiring::{check_electrodes, superpose};
 
-/// What a sandwich is. SI units.
+/// Description of a sandwich. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SandwichOptions {
     /// Outline of the skin.
@@ -30,7 +30,7 @@ pub struct SandwichOptions {
     pub protocol: Protocol,
     /// Sheet conductance of the sensing sheet, siemens: conductivity times thickness.
     pub sheet_s: f64,
-    /// A factor on the sheet conductance over the skin, as of a layer that is not even.
+    /// A factor on the sheet conductance over the skin, for an uneven layer.
     pub conductance: ConductanceMap,
     /// Sheet conductance of the shortcut layer, siemens; at least 100 times `sheet_s`.
     pub shortcut_s: f64,
@@ -38,13 +38,13 @@ pub struct SandwichOptions {
     pub element_size_m: f64,
     /// Edge length at electrodes, metres.
     pub electrode_element_size_m: f64,
-    /// How pressure spreads on its way to the gap.
+    /// Spreading of pressure on its way to the gap.
     pub cover: Cover,
-    /// Contact of sheet and shortcut layer.
+    /// Contact between sheet and shortcut layer.
     pub contact: ContactLaw,
-    /// Viscoelastic memory of the cover, where wanted.
+    /// Viscoelastic memory of the cover, if any.
     pub memory: Option<Memory>,
-    /// How the sheet heals under heat; `None`: it can be cut, but not healed.
+    /// Healing of the sheet under heat; with `None` it can be cut but does not heal.
     pub healing: Option<HealingLaw>,
 }
 
@@ -63,20 +63,19 @@ impl SandwichOptions {
     }
 }
 
-/// How the cuts are in the mesh.
+/// Representation of the cuts in the mesh.
 #[derive(Debug, Default)]
 struct Slits {
     /// Both ends of every cut, metres.
     ends_m: Vec<[[f64; 2]; 2]>,
-    /// Whether the mesh is slit there; else the elements that the cut crosses are blocked whole.
+    /// True if the mesh is slit along each cut; otherwise the elements that it crosses are blocked.
     is_slit: Vec<bool>,
-    /// The cut that each edge of the slits belongs to.
+    /// Index of the cut for each edge of the slits.
     cut_of_edge: Vec<usize>,
 }
 
-/// The sandwich itself; see the module. The sheet is slit where it is cut, and joined again across the slit as it
-/// heals. A cut that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it
-/// crosses.
+/// The sandwich; see the module. The sheet is slit where it is cut, and rejoined across the slit as it heals. A cut
+/// that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it crosses.
 #[derive(Debug)]
 pub struct Sandwich {
     spec: SheetSpec,
@@ -86,9 +85,9 @@ pub struct Sandwich {
     sheets: TwoSheets,
     sheet_s: f64,
     conductance: ConductanceMap,
-    /// Cuts set from outside.
+    /// Cuts set by the caller.
     cuts: Vec<Cut>,
-    /// Cuts and heat of its own life.
+    /// Cuts and heat from treatments.
     wear: Wear,
     slits: Slits,
     gap: Gap,
@@ -99,7 +98,7 @@ impl Sandwich {
     /// Meshes the skin and prepares its fields.
     ///
     /// # Errors
-    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made.
+    /// Invalid parameters, electrodes that do not fit the protocol, or a mesh that cannot be built.
     pub fn new(options: SandwichOptions) -> Result<Self, TwinError> {
         options.check()?;
         let mut gap = Gap::new(options.cover, options.contact, options.memory, 0)?;
@@ -149,7 +148,7 @@ impl Sandwich {
         &self.cuts
     }
 
-    /// Replaces the cuts; none heals the skin without a scar.
+    /// Replaces the cuts; an empty list restores the skin without a scar.
     ///
     /// # Errors
     /// As [`Cut::check`].
@@ -159,7 +158,7 @@ impl Sandwich {
         self.renew_sheet()
     }
 
-    /// What has become of the sheet by [`Frontend::treat`].
+    /// State of the sheet after [`Frontend::treat`].
     pub fn wear(&self) -> &Wear {
         &self.wear
     }
@@ -177,7 +176,7 @@ impl Sandwich {
         Ok(())
     }
 
-    /// Each cut in equal pieces that conduct differently.
+    /// Each cut, in equal pieces with different conductances.
     fn pieces(&self, wear: &Wear) -> Vec<Vec<Cut>> {
         wear.cuts().chain(self.cuts.iter().map(|cut| vec![*cut])).collect()
     }
@@ -202,7 +201,7 @@ impl Sandwich {
         self.gap.contact_s_per_m2()
     }
 
-    /// Treats the sheet as was tried.
+    /// Applies the treatments that were tried.
     fn take_over(&mut self, tried: Tried) -> Vec<TwinError> {
         let (before, mut refused) = (self.wear.clone(), tried.refused);
         let treated = tried.done.iter().try_for_each(|treatment| self.wear.treat(treatment));
@@ -212,7 +211,7 @@ impl Sandwich {
         if let Err(error) = treated.and_then(|()| self.renew_sheet()) {
             self.wear = before;
             refused.push(error);
-            // The sheet as it was could be made before.
+            // The previous sheet could be built before.
             refused.extend(self.renew_sheet().err());
         }
         refused
@@ -226,7 +225,7 @@ impl Sandwich {
     }
 }
 
-/// What a sheet is made from, whatever is cut into it.
+/// Data from which a sheet is built, independent of its cuts.
 struct Plan {
     spec: SheetSpec,
     contact_impedances: Vec<f64>,
@@ -236,7 +235,7 @@ struct Plan {
 }
 
 impl Plan {
-    /// Gives a slit sheet the conductances that wear and cuts leave it.
+    /// Sets the conductances of a slit sheet according to wear and cuts.
     fn conduct(&self, sheets: &mut TwoSheets, wear: &Wear, cuts: &[Vec<Cut>], slits: &Slits) {
         let (sheet_s, map, share) = (self.sheet_s, &self.conductance, wear.share());
         let inset_m = 0.5 * self.spec.element_size_m;
@@ -254,7 +253,7 @@ impl Plan {
         });
     }
 
-    /// The sheet with these cuts and wear, provided that its fields can be solved while nothing presses.
+    /// The sheet with these cuts and wear, if its fields can be solved with no load.
     fn tried(&self, wear: &Wear, fixed: &[Cut]) -> Result<SlitSheets, TwinError> {
         let cuts: Vec<Vec<Cut>> = wear.cuts().chain(fixed.iter().map(|cut| vec![*cut])).collect();
         let mut slit = SlitSheets::build(self, cuts.iter().map(|pieces| whole(pieces)).collect())?;
@@ -265,7 +264,7 @@ impl Plan {
     }
 }
 
-/// The skin meshed with slits along cuts, as many as can be slit.
+/// The skin, meshed with slits along as many cuts as possible.
 struct SlitSheets {
     body: ElectrodedMesh,
     sheets: TwoSheets,
@@ -282,17 +281,17 @@ impl SlitSheets {
     }
 }
 
-/// Treatments that were tried on a copy of the sheet.
+/// Treatments tried on a copy of the sheet.
 struct Tried {
-    /// Those that the sheet bears.
+    /// Treatments that the sheet accepts.
     done: Vec<Treatment>,
     refused: Vec<TwinError>,
-    /// The sheet with them; none where it has the same cuts as before.
+    /// The resulting sheet; `None` if its cuts have not changed.
     sheet: Option<SlitSheets>,
 }
 
 impl Tried {
-    /// All at once, and one after the other where that does not work.
+    /// Tries all treatments at once, or one by one if that fails.
     fn of(treatments: &[Treatment], plan: &Plan, wear: &Wear, fixed: &[Cut], stop: &AtomicBool) -> Self {
         let outline = plan.spec.outline.clone();
         let treat = |wear: &mut Wear, treatment: &Treatment| {
@@ -347,7 +346,7 @@ fn whole(pieces: &[Cut]) -> [[f64; 2]; 2] {
     [pieces[0].from_m, pieces[pieces.len() - 1].to_m]
 }
 
-/// A cut in pieces, shorter by this at both ends ([`Cut::shortened`]).
+/// A cut in pieces, shortened by this length at both ends ([`Cut::shortened`]).
 fn drawn_in(pieces: &[Cut], by_m: f64) -> Vec<Cut> {
     let [from_m, to_m] = whole(pieces);
     let cut = Cut { from_m, to_m, ..pieces[0] }.shortened(by_m);
@@ -360,7 +359,7 @@ fn drawn_in(pieces: &[Cut], by_m: f64) -> Vec<Cut> {
     pieces.iter().enumerate().map(piece).collect()
 }
 
-/// The same cut in fewer pieces: neighbours that conduct alike are one. Every element looks at every piece.
+/// The same cut with neighbouring pieces of equal conductance merged, since every element looks at every piece.
 fn joined(pieces: Vec<Cut>) -> Vec<Cut> {
     let mut joined: Vec<Cut> = Vec::with_capacity(pieces.len());
     for piece in pieces {

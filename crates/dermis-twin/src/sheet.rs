@@ -1,18 +1,18 @@
-//! A bare conductor that pressure changes: gel, carbon-filled silicone, hydrogel, fabric, with electrodes and nothing
-//! above it.
+//! A bare conductor whose conductance depends on pressure: gel, carbon-filled silicone, hydrogel, fabric, with
+//! electrodes and nothing above it.
 //!
-//! Under a pressure p the local sheet conductance is multiplied by `exp(a p - k e)`, held between 1/50 and 50:
-//! - `e = p / E` is the compressive strain of a layer that is so thin and so well held that it cannot spread sideways,
-//!   with E its modulus in compression;
-//! - k, the gauge factor, is the relative loss of conductance per compressive strain. It is positive where thinning a
-//!   layer takes conductor away (a gel of constant conductivity has k near 1) and negative where compression packs a
+//! Under a pressure p the local sheet conductance is multiplied by `exp(a p - k e)`, limited to between 1/50 and 50:
+//! - `e = p / E` is the compressive strain of a layer that is too thin and too well held to spread sideways, with E
+//!   its compressive modulus;
+//! - k, the gauge factor, is the relative loss of conductance per compressive strain. It is positive if thinning a
+//!   layer removes conductor (a gel of constant conductivity has k near 1) and negative if compression packs a
 //!   filler;
-//! - a, the pressure coefficient, is what pressure does by itself, as in fabrics whose fibres touch more. It is
-//!   positive where pressing makes the layer conduct better.
+//! - a, the pressure coefficient, is the direct effect of pressure, as in fabrics whose fibres touch more. It is
+//!   positive if pressing makes the layer conduct better.
 //!
-//! The exponential is the law `ds/s = (a - k/E) dp` in full: for small pressures the change is in proportion to p, and
-//! the conductance never falls to nothing. The pressure of each element is that at its centroid, smoothed by the cover
-//! and with its memory.
+//! The exponential is the full form of the law `ds/s = (a - k/E) dp`: for small pressures the change is proportional
+//! to p, and the conductance never reaches zero. The pressure of each element is taken at its centroid, smoothed by
+//! the cover and including its memory.
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
@@ -25,10 +25,10 @@ use crate::physics::{ConductanceMap, Cut, damaged_conductance};
 use crate::twin::Frontend;
 use crate::wiring::check_electrodes;
 
-/// Factors of the conductance that no pressure exceeds.
+/// Limits of the conductance factor under any pressure.
 const FACTORS: [f64; 2] = [0.02, 50.0];
 
-/// What a bare sheet is. SI units.
+/// Description of a bare sheet. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SheetOptions {
     /// Outline of the skin.
@@ -41,17 +41,17 @@ pub struct SheetOptions {
     pub protocol: Protocol,
     /// Sheet conductance at rest, siemens: conductivity times thickness.
     pub sheet_s: f64,
-    /// A factor on the sheet conductance over the skin, as of a layer that is not even.
+    /// A factor on the sheet conductance over the skin, for an uneven layer.
     pub conductance: ConductanceMap,
     /// a: relative rise of the conductance per pascal, 1/Pa; see the module.
     pub pressure_coefficient_per_pa: f64,
     /// k: relative loss of conductance per compressive strain; see the module.
     pub gauge_factor: f64,
-    /// E: modulus in compression, pascals.
+    /// E: compressive modulus, pascals.
     pub modulus_pa: f64,
-    /// How pressure spreads on its way to the sheet.
+    /// Spreading of pressure on its way to the sheet.
     pub cover: Cover,
-    /// Viscoelastic memory of sheet and cover, where wanted.
+    /// Viscoelastic memory of sheet and cover, if any.
     pub memory: Option<Memory>,
     /// Edge length of the triangles, metres. It should differ from a reconstruction's.
     pub element_size_m: f64,
@@ -76,8 +76,8 @@ impl SheetOptions {
     }
 }
 
-/// The sheet itself; see the module. Cuts block the elements that they cross whole ([`damaged_conductance`]). Nothing
-/// heals it.
+/// The sheet; see the module. Cuts block the elements that they cross as a whole ([`damaged_conductance`]). It does
+/// not heal.
 #[derive(Debug)]
 pub struct SheetSkin {
     outline: Outline,
@@ -88,7 +88,7 @@ pub struct SheetSkin {
     per_pa: f64,
     sheet_s: f64,
     conductance: ConductanceMap,
-    /// By this cuts are drawn in at both ends.
+    /// Length by which cuts are shortened at both ends.
     inset_m: f64,
     wear: Wear,
     triangles_m: Vec<[[f64; 2]; 3]>,
@@ -97,7 +97,7 @@ pub struct SheetSkin {
     /// Sheet conductance of each element without pressure, siemens.
     rest_s: Vec<f64>,
     conductance_s: Vec<f64>,
-    /// The conductance that `voltages_v` belongs to; empty before there is one.
+    /// The conductance to which `voltages_v` belongs; empty at first.
     solved_s: Vec<f64>,
     voltages_v: Vec<f64>,
 }
@@ -106,7 +106,7 @@ impl SheetSkin {
     /// Meshes the sheet.
     ///
     /// # Errors
-    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made.
+    /// Invalid parameters, electrodes that do not fit the protocol, or a mesh that cannot be built.
     pub fn new(options: SheetOptions) -> Result<Self, TwinError> {
         options.check()?;
         let mut spec = SheetSpec::new(options.outline, options.electrodes, options.element_size_m);
@@ -203,7 +203,7 @@ impl Frontend for SheetSkin {
         for ((now, rest), pressure) in self.conductance_s.iter_mut().zip(&self.rest_s).zip(&self.pressure_pa) {
             *now = rest * (self.per_pa * pressure).clamp(least, most).exp();
         }
-        // A skin that is left alone, or held still, costs nothing.
+        // A skin that is idle or held still costs nothing.
         if self.conductance_s != self.solved_s {
             self.voltages_v = self.model.voltages(&self.conductance_s)?;
             self.solved_s.clone_from(&self.conductance_s);

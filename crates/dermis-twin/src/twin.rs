@@ -1,4 +1,4 @@
-//! A twin: scene, frontend and instrument stepped together, one frame a step.
+//! A twin: scene, frontend and instrument stepped together, one frame per step.
 
 use std::any::Any;
 use std::sync::atomic::AtomicBool;
@@ -12,20 +12,20 @@ use crate::instrument::{FaultSchedule, FrameFate, Instrument, InstrumentOptions,
 use crate::mechanics::{Indenter, check_on_skin};
 use crate::scene::{Pointer, Scene, SceneOptions, Script};
 
-/// Work of a treatment that may be done in another thread, see [`Frontend::preparation`]; it breaks off between two
-/// trials once the flag is set.
+/// Work for a treatment that can run in another thread, see [`Frontend::preparation`]. It stops between two trials
+/// once the flag is set.
 pub type Preparation = Box<dyn FnOnce(&AtomicBool) -> Box<dyn Any + Send> + Send>;
 
-/// The physical part of a skin: from what presses on it to true voltages.
+/// The physical part of a skin: from loads to true voltages.
 pub trait Frontend: std::fmt::Debug + Send {
-    /// Channels of a frame.
+    /// Number of channels in a frame.
     fn channel_count(&self) -> usize;
 
-    /// Outline of the skin, laid flat.
+    /// Outline of the skin laid flat.
     fn extent(&self) -> Outline;
 
-    /// Refuses an indenter that this skin cannot bear. [`Frontend::voltages`] takes any and drops what hangs over the
-    /// rim.
+    /// Refuses an indenter that this skin cannot carry. [`Frontend::voltages`] accepts any indenter and ignores what
+    /// hangs over the rim.
     ///
     /// # Errors
     /// As [`check_on_skin`].
@@ -33,45 +33,47 @@ pub trait Frontend: std::fmt::Debug + Send {
         check_on_skin(&self.extent(), indenter)
     }
 
-    /// What of the last frame lies outside the model's validity, said for people; `None` where nothing does.
+    /// Message about the part of the last frame outside the model's validity, for display; `None` if there is nothing
+    /// to report.
     fn outside_validity(&self) -> Option<String> {
         None
     }
 
-    /// Cuts, heats or renews its sheet.
+    /// Cuts, heats or renews the sheet.
     ///
     /// # Errors
-    /// A skin whose sheet knows nothing of that; numbers that make no sense.
+    /// A skin whose sheet does not support it, or invalid numbers.
     fn treat(&mut self, _treatment: &Treatment) -> Result<(), TwinError> {
         Err(TwinError::NotTreatable)
     }
 
-    /// What several treatments given at once take to prepare, to be done in another thread while frames go on; `None`
-    /// where [`Frontend::treat`] takes no time to speak of. What it makes goes to [`Frontend::adopt`].
+    /// Preparation for several simultaneous treatments, to run in another thread while frames continue. `None` if
+    /// [`Frontend::treat`] is fast anyway. Pass its result to [`Frontend::adopt`].
     fn preparation(&self, _treatments: &[Treatment]) -> Option<Preparation> {
         None
     }
 
-    /// Treats the sheet as was prepared; what of it was refused, and why. The skin stays as it is where all was.
+    /// Applies prepared treatments. Returns the reasons for those refused; if all were refused, the skin is
+    /// unchanged.
     fn adopt(&mut self, _prepared: Box<dyn Any + Send>) -> Vec<TwinError> {
         Vec::new()
     }
 
-    /// The cuts it has, and how far they have healed.
+    /// Its cuts and their healing state.
     fn wounds(&self) -> Vec<Wound> {
         Vec::new()
     }
 
-    /// Tells an instrument which electrodes or coils its channels use, which some of its faults need to know.
+    /// Sets the electrodes or coils used by an instrument's channels, which some of its faults need.
     ///
     /// # Errors
-    /// An instrument with another number of channels.
+    /// An instrument with a different number of channels.
     fn wired(&self, instrument: Instrument) -> Result<Instrument, TwinError> {
         Ok(instrument)
     }
 
-    /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the last
-    /// call.
+    /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the
+    /// previous call.
     ///
     /// # Errors
     /// Fields that cannot be solved.
@@ -120,14 +122,14 @@ impl<F: Frontend + ?Sized> Frontend for Box<F> {
     }
 }
 
-/// What stands around a skin in its twin.
+/// Environment of a skin in its twin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TwinOptions {
     /// Noise, drift, converter.
     pub instrument: InstrumentOptions,
-    /// Fading, and how script and people share the skin.
+    /// Fading, and how script and user share the skin.
     pub scene: SceneOptions,
-    /// What touches it by itself.
+    /// Touches that the twin makes by itself.
     pub script: Option<Script>,
     /// Seed of the instrument's noise.
     pub seed: u64,
@@ -141,36 +143,36 @@ impl Default for TwinOptions {
     }
 }
 
-/// One touch as it really is.
+/// True state of one touch.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TouchTruth {
-    /// Who makes it.
+    /// Source of the touch.
     pub pointer: Pointer,
     /// Position to the right of the centroid.
     pub x_m: f64,
     /// Position above the centroid.
     pub y_m: f64,
-    /// Radius of the indenter, or of the disc of its area.
+    /// Radius of the indenter, or of a disc of equal area.
     pub radius_m: f64,
-    /// Mean pressure under it now, fading included.
+    /// Current mean pressure under it, including fading.
     pub pressure_pa: f64,
 }
 
-/// What was true when a frame was taken.
+/// True state at the time of a frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Truth {
-    /// Number that the device gives the frame, from 0: a dropped frame takes its number with it, a duplicated one has
-    /// that of the frame before.
+    /// Frame number assigned by the device, from 0. A dropped frame uses up its number; a duplicated one has the
+    /// number of the previous frame.
     pub sequence: u64,
-    /// What becomes of the frame. Whoever passes frames on leaves dropped ones out.
+    /// Fate of the frame. Callers that forward frames must skip dropped ones.
     pub fate: FrameFate,
     /// Time of the frame on the twin's clock.
     pub device_time_s: f64,
-    /// The touches, in order of pointer.
+    /// The touches, ordered by pointer.
     pub touches: Vec<TouchTruth>,
 }
 
-/// A skin, what happens to it, and what reads it.
+/// A skin with its scene and its instrument.
 #[derive(Debug)]
 pub struct Twin<F> {
     frontend: F,
@@ -183,16 +185,16 @@ pub struct Twin<F> {
     /// Time since the first frame, seconds.
     running_s: f64,
     faults: FaultSchedule,
-    /// What is still to be done to the sheet, the last first.
+    /// Pending treatments of the sheet, last one first.
     treatments: Vec<TimedTreatment>,
     last_time_s: Option<f64>,
 }
 
 impl<F: Frontend> Twin<F> {
-    /// The twin of a skin: its instrument knows the skin's electrodes or coils, its scene the skin's outline.
+    /// The twin of a skin. Its instrument knows the skin's electrodes or coils, its scene the skin's outline.
     ///
     /// # Errors
-    /// Options that make no sense, a script that presses off the skin.
+    /// Invalid options, or a script that presses off the skin.
     pub fn of(frontend: F, options: &TwinOptions) -> Result<Self, TwinError> {
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
         let instrument = frontend.wired(instrument)?;
@@ -200,7 +202,7 @@ impl<F: Frontend> Twin<F> {
         Ok(Self::new(frontend, instrument, scene))
     }
 
-    /// From its parts. The instrument must read as many channels as the frontend has.
+    /// Builds a twin from its parts. The instrument must have as many channels as the frontend.
     pub fn new(frontend: F, instrument: Instrument, scene: Scene) -> Self {
         Self {
             frontend,
@@ -217,7 +219,7 @@ impl<F: Frontend> Twin<F> {
         }
     }
 
-    /// The same twin with its frontend behind a pointer, so that twins of all skins have one type.
+    /// The same twin with its frontend boxed, so that twins of all skins have one type.
     pub fn boxed(self) -> Twin<Box<dyn Frontend>>
     where
         F: 'static,
@@ -237,17 +239,17 @@ impl<F: Frontend> Twin<F> {
         }
     }
 
-    /// Its parts, to press and read them without a scene.
+    /// Its parts, for pressing and reading without a scene.
     pub fn into_parts(self) -> (F, Instrument, Scene) {
         (self.frontend, self.instrument, self.scene)
     }
 
-    /// Takes the frame at `time_s` (seconds on any clock; a time before the last counts as the same) and says what is
-    /// true then. `frame` is resized to the channels, volts; its memory is reused.
+    /// Takes the frame at `time_s` (seconds on any clock; a time before the last one counts as the same) and returns
+    /// the true state. `frame` is resized to the number of channels, volts; its memory is reused.
     ///
     /// # Errors
-    /// A time that is not finite; an indenter off the skin or larger than it; fields that cannot be solved. `frame`
-    /// then holds nothing of use.
+    /// A time that is not finite, an indenter off the skin or larger than it, or fields that cannot be solved. The
+    /// contents of `frame` are then meaningless.
     pub fn step(&mut self, time_s: f64, frame: &mut Vec<f64>) -> Result<&Truth, TwinError> {
         check("time_s", time_s, f64::MIN, f64::MAX, "finite")?;
         let now = self.last_time_s.map_or(time_s, |last| last.max(time_s));
@@ -284,7 +286,7 @@ impl<F: Frontend> Twin<F> {
         Ok(&self.truth)
     }
 
-    /// Numbers the frame just read. A copy has the number of the frame that it is of, the last delivered.
+    /// Numbers the frame just read. A copy has the number of its original, the last delivered frame.
     fn number(&mut self) {
         self.truth.fate = self.instrument.frame_fate();
         self.truth.sequence = match self.truth.fate {
@@ -297,11 +299,11 @@ impl<F: Frontend> Twin<F> {
         }
     }
 
-    /// Replaces the faults of its instrument, each acting in its time; those whose time has come act from the next
-    /// frame on. An empty list makes it sound again.
+    /// Replaces the instrument's faults, each with its times; active ones apply from the next frame on. An empty list
+    /// repairs the instrument.
     ///
     /// # Errors
-    /// Faults of electrodes or channels that do not exist, probabilities outside 0 to 1, times out of order.
+    /// Faults of electrodes or channels that do not exist, probabilities outside 0 to 1, or times out of order.
     pub fn set_faults(&mut self, faults: Vec<TimedFault>) -> Result<(), TwinError> {
         faults.iter().try_for_each(TimedFault::check)?;
         let all: Vec<_> = faults.iter().map(|timed| timed.fault).collect();
@@ -311,28 +313,28 @@ impl<F: Frontend> Twin<F> {
         Ok(())
     }
 
-    /// Does these things to its sheet, each in its time, in place of what was still to be done.
+    /// Schedules treatments of the sheet, replacing those still pending.
     ///
     /// # Errors
-    /// Times below zero, numbers that make no sense. A skin that knows nothing of treatments says so at their time.
+    /// Negative times or invalid numbers. A skin that does not support treatments reports it at their time.
     pub fn set_treatments(&mut self, mut treatments: Vec<TimedTreatment>) -> Result<(), TwinError> {
         for timed in &treatments {
             check("treatment at_s", timed.at_s, 0.0, f64::MAX, "zero or more, finite")?;
             timed.treatment.check()?;
         }
-        // Of those given at one time, the first of the list comes first.
+        // Treatments at the same time keep the order of the list.
         treatments.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         treatments.reverse();
         self.treatments = treatments;
         Ok(())
     }
 
-    /// What presses on it.
+    /// The loads on it.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// What presses on it, to press.
+    /// The loads on it, for pressing.
     pub fn scene_mut(&mut self) -> &mut Scene {
         &mut self.scene
     }
@@ -342,12 +344,12 @@ impl<F: Frontend> Twin<F> {
         &self.frontend
     }
 
-    /// The skin, to damage or heal.
+    /// The skin, for damaging or healing it.
     pub fn frontend_mut(&mut self) -> &mut F {
         &mut self.frontend
     }
 
-    /// What reads it.
+    /// The instrument.
     pub fn instrument(&self) -> &Instrument {
         &self.instrument
     }

@@ -1,13 +1,13 @@
-//! What skins with electrodes have in common: electrodes, contact impedances and protocol that must fit each other, and
-//! voltages from transfer impedances.
+//! Common parts of skins with electrodes: consistency of electrodes, contact impedances and protocol, and voltages
+//! from transfer impedances.
 
 use dermis_tomo::eit::Protocol;
 use faer::MatRef;
 
 use crate::error::{TwinError, check_positive};
 
-/// Refuses another number of electrodes than the protocol's, and contact impedances that are not one for all electrodes
-/// or one each, positive and finite; `field` is what these are called.
+/// Refuses a number of electrodes that differs from the protocol's, and contact impedances that are not one for all
+/// or one each, positive and finite. `field` is the name of the contact impedances.
 pub(crate) fn check_electrodes(
     electrodes: usize,
     field: &'static str,
@@ -26,7 +26,7 @@ pub(crate) fn check_electrodes(
 }
 
 /// Voltages of the protocol's channels by superposition of the electrodes' unit currents. `impedance` holds the
-/// potential of the row's electrode for 1 A into the column's, ohm.
+/// potential of the row's electrode for 1 A into the column's electrode, ohm.
 pub(crate) fn superpose(protocol: &Protocol, impedance: MatRef<'_, f64>, voltages_v: &mut [f64]) {
     for (voltage, channel) in voltages_v.iter_mut().zip(protocol.measurements()) {
         let stimulation = &protocol.stimulations()[channel.stimulation as usize];

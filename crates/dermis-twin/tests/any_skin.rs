@@ -1,4 +1,4 @@
-//! Skins that nobody has published: each kind on an outline of its own, with electrodes, elements and coils of its own.
+//! Unpublished skins: each kind on its own outline, with its own electrodes, elements and coils.
 
 use std::f64::consts::TAU;
 
@@ -36,7 +36,7 @@ fn minus(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
-/// Size of the change of a frame under a press, as a share of the frame at rest; and the skin is as before after it.
+/// Change of a frame under a press, relative to the frame at rest; also checks that the skin recovers completely.
 fn change(skin: &mut impl Frontend, indenters: &[Indenter]) -> f64 {
     let rest = read(skin, &[]);
     let pressed = read(skin, indenters);
@@ -44,7 +44,7 @@ fn change(skin: &mut impl Frontend, indenters: &[Indenter]) -> f64 {
     norm(&minus(&pressed, &rest)) / norm(&rest)
 }
 
-/// Largest difference of channels that swap the driven and the measured pair, as a share of the largest voltage.
+/// Largest difference of channels with driven and measured pairs swapped, relative to the largest voltage.
 fn asymmetry(protocol: &Protocol, frame: &[f64]) -> f64 {
     // Up to a common sign and scale.
     let key = |pattern: &Pattern| -> Vec<(u32, i32)> {
@@ -104,7 +104,8 @@ fn a_strip_of_gel_obeys_its_law() {
     assert!(change(&mut skin, &[disc(40.0, 10.0, 20e3)]) > 1e-3);
     let pressed = read(&mut skin, &[disc(40.0, 10.0, 20e3), disc(-30.0, -5.0, 10e3)]);
     assert!(asymmetry(skin.stimulation(), &pressed) < 1e-12);
-    // All of it under one pressure: every reading less the contacts' share grows as the sheet's resistance.
+    // With the whole skin under one pressure, every reading minus the contacts' share grows like the sheet's
+    // resistance.
     let all = |pressure_pa: f64| {
         let shape = Shape::Rectangle { width_m: 0.3, height_m: 0.3, angle_rad: 0.0 };
         Indenter { centre_m: [0.0; 2], shape, load: Load::PressurePa(pressure_pa) }
@@ -113,7 +114,7 @@ fn a_strip_of_gel_obeys_its_law() {
         read(&mut skin, &[all(pressure_pa)]);
         assert!(skin.conductance_s().iter().all(|s| (s / (1e-3 * factor) - 1.0).abs() < 1e-9), "{pressure_pa}");
     }
-    // Small presses add; and a coefficient of a fabric raises what thinning lowers.
+    // Small presses add up, and a fabric's coefficient raises what thinning lowers.
     let rest = read(&mut skin, &[]);
     let (one, other) = (disc(40.0, 10.0, 5.0), disc(-50.0, -10.0, 5.0));
     let [first, second, both] =
@@ -214,7 +215,7 @@ fn a_patched_skin_may_be_a_ring() {
     let (one, other) = (disc(52.0, 0.0, 10e3), disc(-52.0, 5.0, 10e3));
     let [first, second, both] =
         [vec![one], vec![other], vec![one, other]].map(|presses| minus(&read(&mut skin, &presses), &rest));
-    // Far touches on separate patches nearly add.
+    // Distant touches on separate patches almost add up.
     let sum: Vec<f64> = first.iter().zip(&second).map(|(a, b)| a + b).collect();
     assert!(norm(&minus(&both, &sum)) < 0.03 * norm(&sum), "{}", norm(&minus(&both, &sum)) / norm(&sum));
     let pressed = read(&mut skin, &[one, other]);
@@ -261,7 +262,7 @@ fn a_liquid_may_be_an_ellipse_open_or_closed_with_pads_on_its_bottom() {
     let (flat, deep) = (change(&mut closed, &press), change(&mut solid, &press));
     assert!((deep / flat - 1.0).abs() < 0.1, "{flat} {deep}");
     assert!(refusal(closed, 0.08, 0.04).starts_with("indenter at (0.08, 0.04) m refused"));
-    // An open tank: the surface lies lower by p / (rho g), up to what the rest rises.
+    // In an open tank the surface is lower by p / (rho g), minus the rise of the rest.
     let open = LiquidOptions { tension_n_per_m: 0.0, ..ellipse() };
     let mut tank = LiquidSkin::new(open.clone()).unwrap();
     assert!(change(&mut tank, &[disc(30.0, 10.0, 20.0)]) > 1e-4);
@@ -274,7 +275,7 @@ fn a_liquid_may_be_an_ellipse_open_or_closed_with_pads_on_its_bottom() {
     let hanging = LiquidOptions { gravity_m_per_s2: [0.0, -9.81, 0.0], ..open };
     let error = LiquidSkin::new(hanging).unwrap_err().to_string();
     assert!(error.starts_with("gravity_m_per_s2 along z: 0 refused"), "{error}");
-    // Pads on the bottom know no wall.
+    // Pads on the bottom do not depend on the wall.
     let pads = loop_of(12, [0.07, 0.045]);
     let pad = |place: &[f64; 2]| ElectrodeShape::PadCircle { centre_m: *place, radius_m: 2e-3 };
     let bottom = LiquidOptions { electrodes: pads.iter().map(pad).collect(), electrode_height_m: 0.0, ..ellipse() };
@@ -313,12 +314,12 @@ fn elements_may_be_six_by_eight_over_three_by_four_coils() {
     assert!(change(&mut skin, &[press]) > 1e-5);
     read(&mut skin, &[press]);
     let travel = skin.travel_m().to_vec();
-    // Beside it along x and y, each by one cell; not diagonally.
+    // Next to it along x and y, by one cell; not diagonally.
     for near in [14, 19, 21, 26] {
         assert!(travel[near] > 1e-5 && travel[near] < 0.1 * travel[20], "{near}: {travel:?}");
         assert!(travel[near] > 5.0 * travel[13]);
     }
-    // The same elements in another order are the same skin but for their tolerances.
+    // The same elements in another order are the same skin, except for their tolerances.
     let mut even = ElementSkin::new(ElementOptions { tolerance_m: 0.0, ..options.clone() }).unwrap();
     let places_m = options.places_m.iter().rev().copied().collect();
     let reversed = ElementOptions { tolerance_m: 0.0, places_m, ..options.clone() };

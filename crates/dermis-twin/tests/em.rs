@@ -1,5 +1,5 @@
-//! Elements over coils as a whole, on the published EM-skins: what a press does to which pairs of coils, symmetry,
-//! heights recovered by a coarser model, and what is refused.
+//! Elements over coils as a whole, on the published EM-skins: effect of a press on the pairs of coils, symmetry,
+//! heights recovered with a coarser model, and refusals.
 
 mod published;
 
@@ -38,11 +38,11 @@ fn readings_change_ever_less_as_the_sponge_stiffens_and_element_by_element() {
     };
     let curve: Vec<f64> = (0..14).map(|k| size(f64::from(k), &mut skin)).collect();
     assert!(curve[0] == 0.0 && curve.windows(2).all(|w| w[1] > w[0]), "{curve:?}");
-    // The field grows toward the coils, the sponge saturates: of 13 N the last one adds less than a fifth of the
+    // The field grows towards the coils and the sponge saturates: the last of 13 N adds less than a fifth of the
     // second.
     assert!(curve[13] - curve[12] < 0.2 * (curve[2] - curve[1]), "{curve:?}");
     assert!(skin.travel_m()[6] < 0.011 && skin.travel_m()[6] > 0.010, "{:?}", skin.travel_m()[6]);
-    // Neighbours in sponge are dragged along a little; the far corner stays.
+    // Neighbours on sponge are dragged along slightly; the far corner stays.
     assert!(skin.travel_m()[7] > 0.1e-3 && skin.travel_m()[7] < 0.1 * skin.travel_m()[6] && skin.travel_m()[24] < 1e-5);
 }
 
@@ -51,20 +51,20 @@ fn a_press_changes_most_the_pair_of_coils_around_it_and_mirrors() {
     let mut skin = even(em_8());
     let places = skin.places_m().to_vec();
     let strongest = |change: &[f64]| (0..28).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs())).unwrap();
-    // Element 22 of 25 (from 0) lies at (0, 40 mm), over coil 7 of 8 at (0, 45 mm): most in pairs of that coil (6 from
-    // 0).
+    // Element 22 of 25 (from 0) is at (0, 40 mm), above coil 7 of 8 at (0, 45 mm): it mostly affects pairs of that
+    // coil (index 6).
     let over = change(&mut skin, &[press(places[22], 2.0)]);
     assert!(skin.pairs()[strongest(&over)].contains(&6), "{:?}", skin.pairs()[strongest(&over)]);
-    // At (-20, -40) mm, between coils 1 and 2 at (-45, -45) and (0, -45): that pair.
+    // At (-20, -40) mm, between coils 1 and 2 at (-45, -45) and (0, -45), it affects that pair.
     let between = change(&mut skin, &[press(places[1], 2.0)]);
     assert_eq!(skin.pairs()[strongest(&between)], [0, 1]);
-    // Mirrored about x = 0 elements 1 and 3 change places, coils as this says, and readings with them.
+    // Mirroring about x = 0 swaps elements 1 and 3, the coils as given here, and the readings accordingly.
     let mirrored = change(&mut skin, &[press(places[3], 2.0)]);
     let mirror = [2, 1, 0, 4, 3, 7, 6, 5];
     for (k, [m, n]) in skin.pairs().iter().enumerate() {
         let (m, n) = (mirror[*m].min(mirror[*n]), mirror[*m].max(mirror[*n]));
         let other = skin.pairs().iter().position(|pair| *pair == [m, n]).unwrap();
-        // Expansions by quadrature: 1e-8 of fields that are 1e4 times these changes.
+        // Expansions by quadrature are accurate to 1e-8 of fields that are 1e4 times these changes.
         assert!((between[k] - mirrored[other]).abs() < 1e-8, "{k}: {} {}", between[k], mirrored[other]);
     }
 }
@@ -98,11 +98,11 @@ fn hysteresis_is_thin_and_readings_are_noisy_as_published() {
         scatter.extend(rest.iter().zip(&truth).map(|(v, t)| (v / t - 1.0).powi(2)));
     }
     let snr_db = -10.0 * (scatter.iter().sum::<f64>() / scatter.len() as f64).log10();
-    // 11,200 readings give it to 0.06 dB; the converter's rounding adds 0.1.
+    // The ratio of 11,200 readings is known to 0.06 dB; the converter's rounding adds 0.1 dB.
     assert!((snr_db - 83.0).abs() < 0.4, "{snr_db}");
 }
 
-/// A coarser model than the twin's: degree 2, neighbours as dipoles in one sweep, even heights.
+/// A coarser model than the twin's: degree 2, neighbours as dipoles in one sweep, uniform heights.
 fn model(options: &ElementOptions) -> LiftOff {
     let skin = even(options.clone());
     let coils = options.coils.clone();
@@ -116,10 +116,10 @@ fn model(options: &ElementOptions) -> LiftOff {
     LiftOff::new(bodies, coils.mutuals_h(), vec![options.rest_m; count], limit).unwrap()
 }
 
-/// Frames averaged: a second of them.
+/// Number of frames averaged: one second.
 const FRAMES: usize = 10;
 
-/// Travels found from a second of noisy readings, and the true ones.
+/// Travels found from one second of noisy readings, and the true ones.
 fn recover(
     skin: &mut ElementSkin,
     instrument: &mut Instrument,
@@ -141,7 +141,7 @@ fn recover(
     for _ in 0..FRAMES {
         read(skin, instrument, &indenters).iter().zip(&mut now).for_each(|(v, sum)| *sum += v / FRAMES as f64);
     }
-    // Relative changes times the model's own readings: gains of the channels cancel.
+    // Relative changes times the model's own readings, so that the channels' gains cancel.
     let share = instrument.options().noise.proportional / (FRAMES as f64).sqrt();
     let differences: Vec<f64> =
         now.iter().zip(&rest).zip(heights.rest_h()).map(|((now, rest), model)| (now / rest - 1.0) * model).collect();
@@ -174,7 +174,7 @@ fn heights_of_one_to_four_elements_by_a_coarser_model() {
             fit.steps,
             pressed.iter().map(|(k, _)| 1e3 * fit.deviation_m[*k]).collect::<Vec<_>>()
         );
-        // Two deviations of the worst determined element; noise of another second moves it.
+        // Two standard deviations of the least well determined element; they vary with the noise.
         assert!(worst < 0.35, "{pressed:?}: {errors:.2?} mm");
     }
 }

@@ -1,4 +1,4 @@
-//! Faults of the instrument, through the twins of all skins: which channels they change, and how frames are numbered.
+//! Faults of the instrument, through the twins of all skins: the channels they affect, and the numbering of frames.
 
 mod published;
 
@@ -12,7 +12,7 @@ use published::{em_8, healing_square, healing_twin_options, ionic_disc, piezo_sq
 
 type Any = Twin<Box<dyn Frontend>>;
 
-/// The three kinds of skin with an ideal instrument, on meshes that are quick, with their protocols.
+/// The three kinds of skin with an ideal instrument, on small meshes, with their protocols.
 fn skins() -> Vec<(&'static str, Any, Protocol)> {
     let ideal = TwinOptions::default();
     let square = SandwichOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..healing_square() };
@@ -105,7 +105,7 @@ fn dropped_frames_leave_gaps_and_copies_repeat_numbers() {
             FrameFate::Duplicated => assert_eq!(Some(&(sequence, frame.clone())), last.as_ref()),
         }
         if fate == FrameFate::Delivered {
-            // Noise tells frames apart.
+            // Noise makes every frame different.
             assert!(last.as_ref().is_none_or(|(_, before)| *before != frame));
             last = Some((sequence, frame.clone()));
         }
@@ -143,7 +143,7 @@ fn a_noisy_channel_has_the_noise_asked_for_and_no_other_changes() {
         assert!((0..sound.len()).all(|c| c == 9 || read[c] == sound[c]));
         sum += (read[9] - sound[9]).powi(2);
     }
-    // 400 values give a deviation within 3.5 % (one standard error).
+    // With 400 values the standard deviation is known to 3.5 % (one standard error).
     let deviation_v = (sum / f64::from(count)).sqrt();
     assert!((deviation_v / 2e-3 - 1.0).abs() < 0.15, "{deviation_v}");
     assert!(twin.set_faults(vec![Fault::DeadCoil { coil: 0 }.into()]).is_err(), "electrodes are no coils");

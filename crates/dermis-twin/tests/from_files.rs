@@ -1,4 +1,4 @@
-//! The files of the built-in skins give the twins of the published skins, number by number.
+//! The files of the built-in skins must give the twins of the published skins, number by number.
 
 mod published;
 
@@ -15,12 +15,12 @@ fn open(name: &str) -> Skin {
     Skin::open(name).unwrap()
 }
 
-/// Two numbers that differ by rounding only.
+/// True if two numbers differ only by rounding.
 fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
 }
 
-/// The converter's range and gain are one number at the skin; the rest is the same to the bit or to rounding.
+/// The converter's range and gain combine into one number at the skin; the rest is identical up to rounding.
 fn same_instrument(file: InstrumentOptions, published: InstrumentOptions) {
     let at_skin =
         |options: InstrumentOptions| options.converter.map(|Converter { bits, range_v, gain }| (bits, range_v / gain));
@@ -39,7 +39,7 @@ fn same_instrument(file: InstrumentOptions, published: InstrumentOptions) {
     }
 }
 
-/// Readings at rest and pressed, and a second later.
+/// Readings at rest, pressed, and one second later.
 fn frames(frontend: &mut dyn Frontend, press: Indenter) -> Vec<f64> {
     let mut all = Vec::new();
     for (indenters, dt_s) in [(&[][..], 0.0), (&[press][..], 0.1), (&[press][..], 1.0)] {
@@ -67,13 +67,13 @@ fn elements_over_coils() {
     ] {
         let skin = open(name);
         let made = element_options(&skin).unwrap();
-        // Cylinders in the file, balls of their volume in the published options.
+        // Cylinders in the file; balls of equal volume in the published options.
         let radius_m = skin.element().unwrap().shape.volume_radius_m();
         assert!(same(radius_m, options.body().unwrap().radius_m), "{name}: {radius_m}");
         for (a, b) in made.places_m.iter().zip(&options.places_m) {
             assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-15, "{name}: {a:?} {b:?}");
         }
-        // Neighbours along sides and diagonals excite each other, those two cells apart do not.
+        // Neighbours along sides and diagonals excite each other; elements two cells apart do not.
         for coupling in [made.coupling, options.coupling] {
             let cells = coupling.unwrap().reach_m / made.cell_m[0];
             assert!((2_f64.sqrt()..2.0).contains(&cells), "{name}: {cells}");

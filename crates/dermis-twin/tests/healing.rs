@@ -6,7 +6,8 @@ use dermis_twin::physics::Cut;
 use dermis_twin::{Heating, Treatment, TwinError, Wear};
 use published::healing_law;
 
-/// Resistance of a bar of 100 x 10 mm that had `new_ohm`, with a cut across its middle or not, after what was done.
+/// Resistance of a 100 x 10 mm bar that had `new_ohm` when new, after treatments, with or without a cut across its
+/// middle.
 fn bar_ohm(wear: &Wear, new_ohm: f64) -> f64 {
     let per_m = new_ohm / 0.1 / wear.share_at([0.0; 2]);
     let scars: f64 = wear.cuts().flatten().take(1).map(|cut| cut.width_m * (1.0 / cut.residual - 1.0)).sum();
@@ -27,7 +28,7 @@ fn healed_for(hours: f64, cut: bool) -> Wear {
 
 #[test]
 fn bars_end_at_the_published_resistances() {
-    // 48 h after the heating the relaxation has 1.8 % of its way to go: 0.26 x 0.018 = 0.5 % of the resistance.
+    // 48 h after the heating, 1.8 % of the relaxation remains: 0.26 x 0.018 = 0.5 % of the resistance.
     let (intact, cut) = (healed_for(50.0, false), healed_for(50.0, true));
     assert!((bar_ohm(&intact, 2010.0) - 1920.0).abs() < 0.006 * 1920.0, "{}", bar_ohm(&intact, 2010.0));
     assert!((bar_ohm(&cut, 2070.0) - 2150.0).abs() < 0.006 * 2150.0, "{}", bar_ohm(&cut, 2070.0));
@@ -70,7 +71,7 @@ fn time_lapse_hurries_healing_and_nothing_else() {
     }
     wear.treat(&Treatment::Heat(published::heating([0.0; 2], 0.03))).unwrap();
     assert!(wear.advance(1.0));
-    // Half of the heating in a second; the room warms at its own pace.
+    // Half of the heating in one second; the room warms up at its own rate.
     assert!((wear.share_at([0.0; 2]) - 1.001 * (1.0 + 0.5 * healing_law().peak_rise)).abs() < 1e-9);
     wear.treat(&Treatment::Renew).unwrap();
     assert!(!wear.advance(1.0) && wear.share_at([0.0; 2]) == 1.0);

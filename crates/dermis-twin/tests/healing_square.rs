@@ -1,5 +1,5 @@
-//! The sandwich as a whole, on the published self-healing square: what the fields do when pressed and cut, checked
-//! against a single sheet, against all unknowns at once, against finer meshes, and against the published
+//! The sandwich as a whole, on the published self-healing square: response of the fields to presses and cuts,
+//! compared with a single sheet, with a solution of all unknowns at once, with finer meshes, and with the published
 //! signal-to-noise ratio.
 
 mod published;
@@ -11,7 +11,7 @@ use dermis_twin::physics::{Cut, Shortcut, TwoSheets, direct_impedance};
 use dermis_twin::{Frontend, Sandwich, SandwichOptions, Twin, TwinOptions};
 use published::{healing_instrument, healing_square, healing_twin};
 
-/// A mesh of about 1,600 triangles: enough for behaviour, quick to test.
+/// A mesh of about 1,600 triangles: enough for the behaviour, and fast.
 fn coarse() -> SandwichOptions {
     SandwichOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..healing_square() }
 }
@@ -31,7 +31,8 @@ fn relative_difference(a: &[f64], b: &[f64]) -> f64 {
     norm(&mut a.iter().zip(b).map(|(x, y)| x - y)) / norm(&mut b.iter().copied())
 }
 
-/// Power that the drives spend, i.e. sum of I' Z I over the stimulations: falls when any conductance rises (Rayleigh).
+/// Power spent by the drives, i.e. the sum of I' Z I over the stimulations; falls if any conductance rises
+/// (Rayleigh).
 fn spent_power(skin: &mut Sandwich, indenters: &[Indenter]) -> Vec<f64> {
     voltages(skin, indenters);
     let contact = skin.contact_s_per_m2().to_vec();
@@ -56,7 +57,7 @@ fn unpressed_skin_is_a_single_sheet() {
     let expected = model.solve(&sheet).unwrap().voltages();
     let got = voltages(&mut skin, &[]);
     assert_eq!(got.len(), 208);
-    // The same equations by other code: rounding only.
+    // The same equations in other code: only rounding differs.
     assert!(relative_difference(&got, &expected) < 1e-8);
 }
 
@@ -80,7 +81,7 @@ fn expansion_in_the_copper_is_second_order_and_exact_for_foil() {
     };
     let (coarse_equal, coarse_sheet) = errors(100.0);
     let (fine_equal, fine_sheet) = errors(1000.0);
-    // One potential for all the copper: an error in proportion to s_s/s_c. With its loss: in proportion to the square.
+    // One potential for all the copper: an error proportional to s_s/s_c. With its loss: proportional to the square.
     assert!(
         coarse_equal > 1e-4 && (8.0..12.0).contains(&(coarse_equal / fine_equal)),
         "{coarse_equal:e} {fine_equal:e}"
@@ -89,7 +90,7 @@ fn expansion_in_the_copper_is_second_order_and_exact_for_foil() {
         coarse_sheet < 1e-4 && (60.0..140.0).contains(&(coarse_sheet / fine_sheet)),
         "{coarse_sheet:e} {fine_sheet:e}"
     );
-    // Foil: what is left (9e-9 here) is the rounding of the direct solution, whose pivots span s_c/s_s = 4e5.
+    // For foil, the remainder (9e-9 here) is rounding of the direct solution, whose pivots span s_c/s_s = 4e5.
     let (foil_equal, foil_sheet) = errors(coarse().shortcut_s / sheet);
     assert!(foil_equal < 1e-5 && foil_sheet < 1e-7, "{foil_equal:e} {foil_sheet:e}");
     println!(
@@ -99,7 +100,7 @@ fn expansion_in_the_copper_is_second_order_and_exact_for_foil() {
 
 #[test]
 fn a_turned_press_gives_the_turned_frame() {
-    // Numbering begins at a corner, so that a quarter turn of the square shifts electrodes by four. The mesh is not
+    // Numbering starts at a corner, so a quarter turn of the square shifts electrodes by four. The mesh is not
     // symmetric: the difference is its discretisation, 0.2 % of the change at this size would be coarse already.
     let mut skin = Sandwich::new(coarse()).unwrap();
     let rest = voltages(&mut skin, &[]);
@@ -122,7 +123,7 @@ fn a_turned_press_gives_the_turned_frame() {
         expected.push(first[channel] - rest[channel]);
         change.push(turned[partner] - rest[partner]);
     }
-    // Two meshings of one problem with 4 mm triangles under a 20 mm press.
+    // Two meshes of the same problem, with 4 mm triangles under a 20 mm press.
     let difference = relative_difference(&change, &expected);
     assert!(difference < 0.05, "{difference}");
 }
@@ -139,7 +140,7 @@ fn pressing_raises_and_cutting_lowers_conductance() {
     let damaged = spent_power(&mut skin, &[]);
     assert!(damaged.iter().zip(&rest).all(|(d, r)| d >= r), "a cut raises every drive's power");
     assert!(damaged.iter().zip(&rest).any(|(d, r)| *d > 1.003 * r), "and some clearly");
-    // Paper H: pressing on the cut reads as compression, because the copper bridges it.
+    // Paper H: pressing on the cut reads as compression, because the copper bridges the cut.
     let bridged = spent_power(&mut skin, &[press(10.0, 10.0)]);
     assert!(bridged.iter().sum::<f64>() < rest.iter().sum::<f64>());
     skin.set_cuts(Vec::new()).unwrap();
@@ -169,7 +170,7 @@ fn two_touches_interact_through_the_copper() {
     let changes = [vec![left], vec![right], vec![left, right]]
         .map(|touches| voltages(&mut skin, &touches).iter().zip(&rest).map(|(v, v0)| v - v0).collect::<Vec<_>>());
     let sum: Vec<f64> = changes[0].iter().zip(&changes[1]).map(|(a, b)| a + b).collect();
-    // Current leaves through one touch and comes back through the other: far from the sum of both alone.
+    // Current leaves through one touch and returns through the other: far from the sum of the two alone.
     let together = relative_difference(&changes[2], &sum);
     assert!(together > 0.2, "{together}");
 }
@@ -187,7 +188,7 @@ fn finer_meshes_change_little() {
     let default = healing_square();
     let (rest, change) = at(default.element_size_m, default.electrode_element_size_m);
     let (fine_rest, fine_change) = at(default.element_size_m / 1.6, default.electrode_element_size_m / 1.6);
-    // The default mesh is within 0.5 % at rest and 2.5 % of a press's change of one with 2.6 times the triangles.
+    // The default mesh is within 0.5 % at rest and 2.5 % of a press's change of a mesh with 2.6 times the triangles.
     let (at_rest, of_change) = (relative_difference(&rest, &fine_rest), relative_difference(&change, &fine_change));
     println!("default against finer: {at_rest:e} at rest, {of_change:e} of the change");
     assert!(at_rest < 5e-3 && of_change < 2.5e-2, "{at_rest:e} {of_change:e}");
@@ -204,7 +205,7 @@ fn signal_to_noise_is_that_of_the_paper() {
     }
     let snr: Vec<f64> = readings.iter().map(|channel| snr_db(channel)).collect();
     let average = snr.iter().sum::<f64>() / 208.0;
-    // Eq. 5 over 500 frames; the noise was fitted to the two ends that the paper gives, the average was not fitted.
+    // Eq. 5 over 500 frames; the noise was fitted to the two extremes in the paper, not to the average.
     assert!((average - 56.8).abs() < 0.5, "{average}");
     let largest = readings.iter().map(|channel| channel[0].abs()).fold(0.0, f64::max);
     // The paper's largest channel is 87.9 mV.

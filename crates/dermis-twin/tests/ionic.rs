@@ -1,5 +1,4 @@
-//! Liquid skins, on the published ionic ones: dents, voltages and their changes against what physics and the paper ask
-//! of them.
+//! Liquid skins, on the published ionic ones: dents, voltages and their changes, compared with physics and the paper.
 
 mod published;
 
@@ -37,7 +36,7 @@ fn relative_difference(a: &[f64], b: &[f64]) -> f64 {
     norm(&difference) / norm(b)
 }
 
-/// Root mean square of the relative change of a frame.
+/// RMS relative change of a frame.
 fn signal(frame: &[f64], rest: &[f64]) -> f64 {
     let ratios: Vec<f64> = frame.iter().zip(rest).map(|(v, v0)| v / v0 - 1.0).collect();
     norm(&ratios) / (ratios.len() as f64).sqrt()
@@ -54,7 +53,8 @@ fn the_papers_heaviest_stack_stays_off_the_bottom_and_reads_nearly_in_proportion
         let deepest = skin.membrane().deflection_m().iter().copied().fold(0.0, f64::max);
         println!("{radius_mm} mm: 9 weights dent {:.2} mm, {:.3} times 9 of one", 1e3 * deepest, nine / one / 9.0);
         assert!(deepest < 0.5 * 10.25e-3 && skin.bottomed_nodes() == 0, "{deepest}");
-        // The paper's calibration lines are straight; a membrane of constant tension over a thinning film is not quite.
+        // The paper's calibration lines are straight; a membrane of constant tension over a thinning film deviates
+        // slightly.
         assert!((0.95..1.10).contains(&(nine / one / 9.0)), "{}", nine / one / 9.0);
     }
 }
@@ -65,7 +65,7 @@ fn sensitivity_at_mid_radius_is_near_that_at_the_edge_and_above_the_middles() {
     let rest = read(&mut skin, &[]);
     let [middle, mid, edge] = [0.0, 30.0, 60.0].map(|x| signal(&read(&mut skin, &[weights(x, 0.0, 1)]), &rest));
     println!("one weight: {middle:.5} {mid:.5} {edge:.5}");
-    // Paper I, Fig. 9: the mid-radius is about as sensitive as the edge (there: of the image's peak).
+    // Paper I, Fig. 9: mid-radius is about as sensitive as the edge (there: in the image's peak).
     assert!(mid > 1.3 * middle && (0.7..1.1).contains(&(mid / edge)), "{middle} {mid} {edge}");
 }
 
@@ -75,7 +75,7 @@ fn a_turned_press_gives_the_turned_frame() {
     let first = change(&mut skin, &[weights(50.0, 0.0, 4)]);
     let angle = -std::f64::consts::TAU / 4.0;
     let turned = change(&mut skin, &[weights(50.0 * angle.cos(), 50.0 * angle.sin(), 4)]);
-    // A quarter turn clockwise is four electrodes on: 13 channels a drive, in order of electrode number.
+    // A quarter turn clockwise shifts by four electrodes: 13 channels per drive, in order of electrode number.
     let protocol = skin.fields().protocol();
     let key = |channel: usize, shift: u32| {
         let of = |pattern: &dermis_tomo::eit::Pattern| {
@@ -86,7 +86,7 @@ fn a_turned_press_gives_the_turned_frame() {
     };
     let partner = |channel: usize| (0..208).find(|&other| key(other, 0) == key(channel, 4)).unwrap();
     let expected: Vec<f64> = (0..208).map(|channel| turned[partner(channel)]).collect();
-    // Two meshings of one problem with 4 mm triangles under a 20 mm disc.
+    // Two meshes of the same problem, with 4 mm triangles under a 20 mm disc.
     let difference = relative_difference(&first, &expected);
     assert!(difference < 0.02, "{difference}");
 }
@@ -117,7 +117,7 @@ fn fields_in_three_dimensions_agree_where_the_paper_presses() {
     let press = [weights(0.0, 0.0, 9), weights(60.0, 10.0, 4)];
     let of_touch = relative_difference(&change(&mut flat, &press), &change(&mut solid, &press));
     println!("plane against solid: {at_rest:e} at rest, {of_touch:e} of the change");
-    // Dents are wide against the depth, and four-electrode readings are blind to how current squeezes into a bolt.
+    // Dents are wide compared to the depth, and four-electrode readings do not see how current converges on a bolt.
     assert!(at_rest < 5e-3 && of_touch < 2e-2, "{at_rest:e} {of_touch:e}");
     assert!(of_touch > 1e-4, "the two are different models");
 }
@@ -136,7 +136,7 @@ fn small_electrodes_near_the_surface_see_a_touch_better() {
         let rest = read(&mut skin, &[]);
         signal(&read(&mut skin, &[weights(75.0, 0.0, 4)]), &rest)
     };
-    // Paper I, section 2, observed so; the field in three dimensions says by how little: 2.5 % on a fine mesh.
+    // Observed in section 2 of paper I; three-dimensional fields give the size of the effect: 2.5 % on a fine mesh.
     let gain = signal_at(0.84) / signal_at(0.16);
     println!("high over low electrodes: {gain:.4}");
     assert!((1.01..1.06).contains(&gain), "{gain}");
@@ -147,7 +147,8 @@ fn pressing_lowers_conductance() {
     let mut skin = LiquidSkin::new(prompt()).unwrap();
     let rest = read(&mut skin, &[]);
     let pressed = read(&mut skin, &[weights(0.0, 78.0, 4)]);
-    // Beside electrode 1, at the top: the channel that changes most has it or a neighbour, and its reading rises.
+    // Next to electrode 1, at the top: the channel that changes most includes it or a neighbour, and its reading
+    // rises.
     let near = (0..208).max_by(|&a, &b| (pressed[a] - rest[a]).abs().total_cmp(&(pressed[b] - rest[b]).abs())).unwrap();
     let protocol = skin.fields().protocol();
     let touched = |pattern: &dermis_tomo::eit::Pattern| pattern.entries().iter().any(|e| [0, 1, 15].contains(&e.0));
@@ -181,7 +182,7 @@ fn the_loop_of_nine_weights_up_and_down_is_thin() {
     let mean_gap = down.iter().rev().zip(&up).map(|(down, up)| down - up).sum::<f64>() / 9.0;
     let area = mean_gap / up[8];
     println!("loop of ten seconds a weight: {:.2} % of full scale", 1e2 * area);
-    // The paper: "very negligible"; its figure gives no number. Ascending lies below descending, by little.
+    // The paper says "very negligible" without a number. The ascending branch is slightly below the descending one.
     assert!(area > 1e-3 && area < 0.03, "{area}");
 }
 
@@ -194,7 +195,7 @@ fn memory_is_of_the_load_whatever_the_steps() {
         (0..steps).for_each(|_| skin.voltages(&[weights(20.0, 0.0, 4)], 3.0 / f64::from(steps), &mut frame).unwrap());
         frame
     };
-    // Loads are taken as new only when they differ by 1 uN, of 0.26 N.
+    // Loads are considered new only if they differ by 1 uN, out of 0.26 N.
     assert!(relative_difference(&after(48), &after(3)) < 1e-6);
 }
 
@@ -205,7 +206,7 @@ fn a_mirrored_skin_standing_is_mirrored() {
         LiquidSkin::new(options).unwrap().membrane().deflection_m().iter().copied().fold(0.0, f64::max)
     };
     let (down, up) = (standing([0.0, -9.81, 0.0]), standing([0.0, 9.81, 0.0]));
-    // Dents by 5 mm above and bulges by as much below; the mesh is not symmetric.
+    // Dents by 5 mm at the top and bulges by the same amount at the bottom; the mesh is not symmetric.
     assert!((down / up - 1.0).abs() < 0.01 && (4.5e-3..5.5e-3).contains(&down), "{down} {up}");
 }
 
@@ -227,7 +228,7 @@ fn noise_has_the_papers_figure_in_either_reading() {
             decibels_per_decade * (mean.abs() / variance.sqrt()).log10()
         };
         let average = readings.iter().map(ratio).sum::<f64>() / 208.0;
-        // Eq. 1 over 100 frames; the deviation of 100 readings is known to 7 %, the mean over channels much better.
+        // Eq. 1 over 100 frames. The deviation of 100 readings is known to 7 %, the mean over channels much better.
         assert!((average - 59.7).abs() < 0.2, "{average}");
     }
 }

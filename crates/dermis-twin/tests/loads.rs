@@ -1,4 +1,4 @@
-//! Loads in time on every twin (ramp, tap, sine, script, random), and loads that no skin can bear.
+//! Loads over time on every twin (ramp, tap, sine, script, random), and loads that no skin can carry.
 
 mod published;
 
@@ -12,7 +12,7 @@ use published::{healing_square, ionic_disc, piezo_disc};
 
 type Any = Twin<Box<dyn Frontend>>;
 
-/// A skin's twin with a script, and a pressure that it feels well.
+/// Builds a skin's twin with a script.
 type Make = fn(Option<Script>) -> Result<Any, TwinError>;
 
 fn healing(script: Option<Script>) -> Result<Any, TwinError> {
@@ -36,7 +36,7 @@ const SKINS: [(&str, Make, f64); 3] =
 const PLACE: Place = Place { x_m: 0.013, y_m: -0.008, radius_m: 0.01 };
 const RATE_HZ: f64 = 20.0;
 
-/// Pressure and size of the signal (norm of the change from the frame before the script) in each frame.
+/// Pressure and signal (norm of the change from the frame before the script) in each frame.
 fn run(make: Make, script: Script, frames: usize) -> Vec<(f64, f64)> {
     let (mut twin, mut frame) = (make(None).unwrap(), Vec::new());
     twin.step(0.0, &mut frame).unwrap();
@@ -56,7 +56,7 @@ fn run(make: Make, script: Script, frames: usize) -> Vec<(f64, f64)> {
 fn a_ramp_raises_the_signal_of_every_twin() {
     for (name, make, pressure) in SKINS {
         let seen = run(make, Script::ramp(PLACE, [0.0, pressure], 0.8, 0.2).unwrap(), 19);
-        // Frame k is at k / 20 s of the script; the fade of 80 ms is over after two.
+        // Frame k is at k / 20 s of the script; the fade of 80 ms ends after two frames.
         for (k, (now, _)) in seen.iter().enumerate().skip(2).take(13) {
             let exact = pressure * (k + 1) as f64 / RATE_HZ / 0.8;
             assert!((now / exact - 1.0).abs() < 1e-5, "{name} frame {k}: {now} Pa, {exact}");
@@ -73,14 +73,14 @@ fn taps_and_sines_come_through_every_twin() {
         let seen = run(make, Script::taps(PLACE, pressure, 2.0, 0.5, 3).unwrap(), 29);
         let most = seen.iter().map(|(_, change)| *change).fold(0.0, f64::max);
         let ups = seen.windows(2).filter(|pair| pair[0].1 < 0.5 * most && pair[1].1 >= 0.5 * most).count();
-        // The first tap begins before the first frame.
+        // The first tap starts before the first frame.
         assert_eq!(ups + usize::from(seen[0].1 >= 0.5 * most), 3, "{name}");
         let seen = run(make, Script::sine(PLACE, pressure, 0.5 * pressure, 2.0, 2.0).unwrap(), 39);
         for (k, (now, _)) in seen.iter().enumerate().skip(2) {
             let exact = pressure * (1.0 + 0.5 * (std::f64::consts::TAU * 2.0 * (k + 1) as f64 / RATE_HZ).sin());
             assert!((now / exact - 1.0).abs() < 2e-3, "{name} frame {k}: {now} {exact}");
         }
-        // Ten frames a period: the signal repeats, and is larger where the pressure is.
+        // Ten frames per period: the signal repeats, and is larger at higher pressure.
         let changes: Vec<f64> = seen.iter().map(|(_, change)| *change).collect();
         assert!((10..29).all(|k| (changes[k] / changes[k + 10] - 1.0).abs() < 1e-3), "{name}: {changes:?}");
         assert!(changes[12] > 1.05 * changes[17], "{name}: {changes:?}");
@@ -113,7 +113,7 @@ fn loads_that_no_skin_bears_are_refused_where_they_are_given() {
             let error = refused(Indenter { load, ..good });
             assert!(error.contains("refused; expected 0 to"), "{name}: {error}");
         }
-        // A force that is none of these, on a face of a micrometre.
+        // A large force that is otherwise valid, on a face of a micrometre.
         let needle = refused(Indenter { shape: Shape::Disc { radius_m: 1e-6 }, load: Load::ForceN(1e3), ..good });
         assert!(needle.starts_with("pressure_pa: 318"), "{name}: {needle}");
         twin.scene_mut().press_with(1, good).unwrap();
@@ -122,7 +122,7 @@ fn loads_that_no_skin_bears_are_refused_where_they_are_given() {
         let error = twin.scene_mut().set_script(Some(script.clone())).unwrap_err().to_string();
         assert!(error.starts_with("script event 0: ") && error.contains("0.3"), "{name}: {error}");
         assert!(make(Some(script)).is_err(), "{name}");
-        // What was refused changed nothing: the good press goes on.
+        // The refused presses changed nothing: the good press continues.
         let mut frame = Vec::new();
         assert_eq!(twin.step(0.0, &mut frame).unwrap().touches[0].x_m, 0.01, "{name}");
     }

@@ -1,5 +1,5 @@
-//! Patched skins as a whole, on the published piezoresistive ones: the low-rank update against a factor of all
-//! unknowns, reciprocity, what patches do and do not do to each other, and that bending changes next to nothing even by
+//! Patched skins as a whole, on the published piezoresistive ones: the low-rank update compared with a factorisation
+//! of all unknowns, reciprocity, interaction between patches, and the small effect of bending even when solved on
 //! chords.
 
 mod published;
@@ -13,7 +13,7 @@ use dermis_twin::{Frontend, PaperP, PatchedOptions, PatchedSkin};
 use faer::Mat;
 use published::{piezo_disc, piezo_instrument, piezo_square};
 
-/// A coarser mesh and 500 cells: enough for behaviour, quick to test.
+/// A coarser mesh and 500 cells: enough for the behaviour, and fast.
 fn coarse(options: PatchedOptions) -> PatchedOptions {
     let mut options = PatchedOptions { element_size_m: 6e-3, electrode_element_size_m: 2e-3, ..options };
     options.patches.pitch_m = 15e-3;
@@ -51,7 +51,7 @@ fn frames_have_4096_channels_and_only_the_sinks_read_nothing() {
         let frame = voltages(&mut skin, &[]);
         assert_eq!(frame.len(), 4096);
         assert_eq!(frame.iter().filter(|v| **v == 0.0).count(), 64);
-        // Grounded sink: nothing lies below it.
+        // With a grounded sink, nothing is below it.
         assert!(frame.iter().all(|v| *v >= 0.0));
     }
 }
@@ -63,7 +63,7 @@ fn unpressed_skin_is_a_single_sheet() {
     let model = ForwardModel::new(skin.body().clone(), skin.stimulation().clone()).unwrap();
     let sheet = vec![options.sheet_s; skin.body().mesh.element_count()];
     let expected = model.solve(&sheet).unwrap().voltages();
-    // The same equations by other code: rounding only.
+    // The same equations in other code: only rounding differs.
     assert!(relative_difference(&voltages(&mut skin, &[]), &expected) < 1e-9);
 }
 
@@ -81,7 +81,7 @@ fn the_update_is_the_factor_of_all_unknowns() {
     let update = sheet.impedance(&contact).unwrap();
     let difference: Mat<f64> = &exact - update;
     assert!(difference.norm_l2() < 1e-9 * exact.norm_l2(), "{:e}", difference.norm_l2() / exact.norm_l2());
-    // Without contact the impedances are others: the update is not idle.
+    // Without contact the impedances differ, so the update has an effect.
     let open = sheet.impedance(&vec![0.0; contact.len()]).unwrap().to_owned();
     assert!((&exact - &open).norm_l2() > 1e-3 * exact.norm_l2());
 }
@@ -133,11 +133,11 @@ fn far_touches_on_different_patches_add() {
     let second = change(&mut skin, &[other]);
     let both = change(&mut skin, &[one, other]);
     let sum: Vec<f64> = first.iter().zip(&second).map(|(a, b)| a + b).collect();
-    // Nothing joins the two but the sheet between: a dipole's field falls with the square of the distance, and that of
-    // the field it causes again. Under continuous copper the two would be shorted together.
+    // Only the sheet in between connects the two: the field of a dipole falls with the square of the distance, and so
+    // does the field that it causes in turn. Continuous copper would short the two together.
     let error = relative_difference(&both, &sum);
     assert!(error < 0.01, "{error}");
-    // Both touch the same patches: there they do not add.
+    // Both touch the same patches, where they do not add up.
     let near = press(-47.5, -52.5, 3e3);
     let beside = change(&mut skin, &[near]);
     let both = change(&mut skin, &[one, near]);
@@ -156,7 +156,7 @@ fn one_contact_of_a_floating_patch_carries_nothing() {
     contact[210] = 100.0;
     let single = sheet.impedance(&contact).unwrap().to_owned();
     assert!((&single - &open).norm_l2() < 1e-12 * open.norm_l2());
-    // A second contact of the same patch closes a way around the sheet.
+    // A second contact of the same patch closes a path around the sheet.
     let other = (0..contact.len()).find(|&k| k != 210 && sheet.cells()[k].patch == patch).unwrap();
     contact[other] = 100.0;
     let closed = sheet.impedance(&contact).unwrap().to_owned();
@@ -171,7 +171,7 @@ fn bending_changes_nothing() {
     let bent = surface.bend(flat.body()).unwrap();
     let (low, high) = bent.mesh.bounds();
     assert!(high[0] - low[0] < 0.14 && high[2] - low[2] > 0.02, "it is bent: {low:?} {high:?}");
-    // Laid flat again, lengths along the surface are the sheet's: rounding only.
+    // Laid flat again, lengths along the surface equal the sheet's up to rounding.
     voltages(&mut flat, &[press(40.0, 10.0, 5e3), press(-20.0, -33.0, 2e3)]);
     let contact = flat.contact_s_per_m2().to_vec();
     let mut unrolled =
@@ -181,7 +181,7 @@ fn bending_changes_nothing() {
     let expected = sheet.impedance(&contact).unwrap().to_owned();
     let difference = (&expected - unrolled.impedance(&contact).unwrap()).norm_l2() / expected.norm_l2();
     assert!(difference < 1e-12, "{difference:e}");
-    // The same mesh solved by the chords between its nodes: elements of 6 mm are narrower by (6/95)^2 / 24 = 1.7e-4.
+    // The same mesh solved on the chords between its nodes: elements of 6 mm are narrower by (6/95)^2 / 24 = 1.7e-4.
     let conductance = vec![options.sheet_s; bent.mesh.element_count()];
     let model = ForwardModel::new(bent, flat.stimulation().clone()).unwrap();
     let chords = model.solve(&conductance).unwrap().voltages();
@@ -216,12 +216,12 @@ fn one_limit_of_detection_fixes_one_parameter() {
     for facts in [square, disc] {
         let changes = |k: usize| facts.detection.points[k].change_v;
         assert!((facts.detection.points[0].pressure_pa - 46.44).abs() < 0.01);
-        // 31.8 g stands far above the noise, in each of the repeats.
+        // 31.8 g is far above the noise in each of the repeats.
         assert!(changes(8).iter().all(|change| *change > 10.0 * facts.detection.noise_v));
         assert!(facts.correlation.distance_09_m < facts.correlation.distance_05_m);
         assert!(facts.correlation.distance_05_m < 0.03);
     }
-    // A gap that closes only above the limit cannot be fitted, and says so.
+    // A gap that closes only above the limit cannot be fitted, which is reported.
     options.contact.threshold_pa = 200.0;
     assert!(of(&options).fit().unwrap_err().to_string().contains("fitted limit_pa"));
 }

@@ -1,4 +1,5 @@
-//! Frames of the twin through the pipeline into messages of the page, and what the page asks back.
+//! Runs frames of the twin through the pipeline, turns them into messages for the page, and handles the page's
+//! requests.
 
 use std::collections::VecDeque;
 
@@ -16,11 +17,11 @@ use dermis_twin::from_skin::treatment_of;
 
 use crate::pressed_twin::PressedTwin;
 
-/// Updates sent and not yet acknowledged.
+/// Maximum number of updates sent but not yet acknowledged.
 const WINDOW: u64 = 8;
-/// Messages that may wait for the page; a page that takes none gets no more.
+/// Maximum number of messages waiting for the page; further ones are dropped.
 const MOST_MESSAGES: usize = 256;
-/// A pause longer than so many frames is no time for the twin: nobody looked.
+/// Maximum time that the twin advances after a pause, frames; the page was not being viewed.
 const LONGEST_PAUSE: u64 = 4;
 const ALIVE_NS: u64 = 1_000_000_000;
 
@@ -29,11 +30,11 @@ const ALIVE_NS: u64 = 1_000_000_000;
 pub enum Message {
     /// JSON.
     Text(String),
-    /// An image, channels or noise.
+    /// Binary data: an image, channels or noise.
     Binary(Bytes),
 }
 
-/// The twin, the pipeline and the page's side of both.
+/// The twin, its pipeline and their connection to the page.
 #[derive(Debug)]
 pub struct Engine {
     twin: PressedTwin,
@@ -44,7 +45,7 @@ pub struct Engine {
     frame: Frame,
     outbox: VecDeque<Message>,
     period_ns: u64,
-    /// Time of the last frame on the twin's clock, and on the page's.
+    /// Time of the last frame on the twin's clock and on the page's clock.
     time_ns: u64,
     last_ns: Option<u64>,
     alive_ns: Option<u64>,
@@ -54,11 +55,11 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// The twin of a built-in skin, `frames_per_s` frames a second. The scene waits to be taken.
+    /// The twin of a built-in skin at `frames_per_s` frames per second. The scene message is queued.
     ///
     /// # Errors
-    /// A sentence that names what is wrong: a skin that is not built in or has no twin, a rate that is not above 0 and
-    /// at most 1000.
+    /// A sentence that names the problem: the skin is not built in or has no twin, or the rate is not above 0 and at
+    /// most 1000.
     pub fn new(skin: &str, frames_per_s: f64) -> Result<Self, String> {
         if !(frames_per_s > 0.0 && frames_per_s <= 1000.0) {
             return Err(format!("frames per second: {frames_per_s} refused; expected above 0, at most 1000"));
@@ -94,8 +95,8 @@ impl Engine {
         Ok(engine)
     }
 
-    /// Runs one frame and leaves its messages to be taken. `now_ns` is a clock that does not run back, nanoseconds. A
-    /// frame that cannot be run is said to the page.
+    /// Runs one frame and queues its messages. `now_ns` is a monotonic clock, nanoseconds. Failures are reported to
+    /// the page.
     pub fn step(&mut self, now_ns: u64) {
         if let Err(text) = self.run_frame(now_ns) {
             self.notice(Notice { level: Level::Error, text });
@@ -106,12 +107,12 @@ impl Engine {
         }
     }
 
-    /// Says that it lives, without a frame: for while nobody looks.
+    /// Sends a sign of life without running a frame, while the page is not being viewed.
     pub fn rest(&mut self) {
         self.send_alive();
     }
 
-    /// Takes what the page says: an acknowledgement or a request.
+    /// Handles a message from the page: an acknowledgement or a request.
     pub fn hear(&mut self, text: &str) {
         let (id, answer) = match protocol::parse(text) {
             Ok(Said::Acknowledge(sequence)) => {
@@ -129,7 +130,7 @@ impl Engine {
         self.send(Message::Text(protocol::answer(&Answer { id, ok, text })));
     }
 
-    /// The next message to the page.
+    /// Takes the next message to the page.
     pub fn take(&mut self) -> Option<Message> {
         self.outbox.pop_front()
     }
@@ -162,7 +163,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Sends what the feed has, if the page keeps up.
+    /// Sends the feed's contents, if the page keeps up.
     fn send_update(&mut self) {
         if self.sequence - self.acknowledged >= WINDOW {
             self.missed += 1;
@@ -175,7 +176,7 @@ impl Engine {
         self.send(Message::Text(state));
     }
 
-    /// What a request came to, in words where there are any.
+    /// Carries out a request and returns a message about it, if there is one.
     fn obey(&mut self, command: Command) -> Result<Option<String>, String> {
         match command {
             Command::Tare { force } => match self.pipeline.tare(force, "asked for in the page") {
@@ -206,7 +207,7 @@ impl Engine {
                 let text = if wanted { "the twin shows touches by itself" } else { "nothing but you presses the twin" };
                 Ok(Some(text.into()))
             }
-            // Every channel is sent; the page chooses among them.
+            // All channels are sent; the page selects among them.
             Command::ChooseChannels(_) => Ok(None),
         }
     }

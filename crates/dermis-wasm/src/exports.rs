@@ -1,8 +1,8 @@
 //! The functions of the module, called by `web/src/engine.ts`. Messages pass through two buffers in the module's
-//! memory: the page writes what it says into the one that `dermis_input` makes room in, and reads from the other what
-//! `dermis_next` has put there. A panic leaves its text there too, before the module traps.
+//! memory. The page writes into the buffer returned by `dermis_input` and reads from the buffer filled by
+//! `dermis_next`. A panic leaves its text in the latter before the module traps.
 
-// Names that JavaScript calls by, and one that it gives: nothing else here is unsafe, and no pointer is followed.
+// Exported names and one imported one: nothing else here is unsafe, and no pointer is dereferenced.
 #![allow(unsafe_code)]
 
 use std::cell::RefCell;
@@ -13,12 +13,12 @@ use dermis_live::instant::set_clock;
 
 use crate::engine::{Engine, Message};
 
-/// What `dermis_next` found.
+/// Results of `dermis_next`.
 const NOTHING: u32 = 0;
 const TEXT: u32 = 1;
 const BINARY: u32 = 2;
 
-/// The skin in the page.
+/// Skin shown in the page.
 const SKIN: &str = "ionic-disc";
 
 thread_local! {
@@ -28,7 +28,7 @@ thread_local! {
 }
 
 unsafe extern "C" {
-    /// Milliseconds since any moment, never less than before.
+    /// Milliseconds since an arbitrary origin, monotonic.
     safe fn dermis_now_ms() -> f64;
 }
 
@@ -48,7 +48,7 @@ fn with_engine(action: impl FnOnce(&mut Engine)) {
     ENGINE.with(|engine| engine.borrow_mut().as_mut().map(action));
 }
 
-/// Makes the twin and its pipeline; false where that failed, and why is in the output.
+/// Creates the twin and its pipeline. Returns false on failure, with the reason in the output.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_start(frames_per_s: f64) -> bool {
     panic::set_hook(Box::new(|info| put(info.to_string().into_bytes())));
@@ -71,13 +71,13 @@ pub extern "C" fn dermis_step() {
     with_engine(|engine| engine.step(now_ns()));
 }
 
-/// Says that it lives, without a frame.
+/// Sends a sign of life without running a frame.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_rest() {
     with_engine(Engine::rest);
 }
 
-/// Where the page writes what it says, so many bytes of UTF-8.
+/// Buffer for the page to write `bytes` bytes of UTF-8 into.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_input(bytes: usize) -> *mut u8 {
     INPUT.with(|input| {
@@ -88,14 +88,14 @@ pub extern "C" fn dermis_input(bytes: usize) -> *mut u8 {
     })
 }
 
-/// Takes what the page has written.
+/// Handles the message that the page has written.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_hear() {
     let text = INPUT.with(|input| String::from_utf8_lossy(&input.borrow()).into_owned());
     with_engine(|engine| engine.hear(&text));
 }
 
-/// Puts the next message into the output: 0 none, 1 text, 2 binary.
+/// Puts the next message into the output. Returns 0 for none, 1 for text, 2 for binary.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_next() -> u32 {
     let mut kind = NOTHING;
@@ -111,13 +111,13 @@ pub extern "C" fn dermis_next() -> u32 {
     kind
 }
 
-/// Where the output is.
+/// Address of the output.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_output() -> *const u8 {
     OUTPUT.with(|output| output.borrow().as_ptr())
 }
 
-/// How many bytes it has.
+/// Length of the output, bytes.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_output_bytes() -> usize {
     OUTPUT.with(|output| output.borrow().len())

@@ -1,6 +1,6 @@
-//! A skin's twin, its live pipeline and the messages of the live page in one piece without server, threads, files or
-//! clock: what runs inside the book's first page. `scripts/wasm-demo` builds it as a module of WebAssembly, whose
-//! functions are in `exports.rs`; `web/src/engine.ts` calls them in a worker and hands the messages to the same page
+//! A skin's twin, its live pipeline and the messages of the live page in one piece, without server, threads, files or
+//! clock. This runs inside the book's first page. `scripts/wasm-demo` builds it as a WebAssembly module with the
+//! functions in `exports.rs`; `web/src/engine.ts` calls them in a worker and passes the messages to the same page
 //! that `dermis run` serves.
 //!
 //! ```

@@ -1,6 +1,6 @@
-//! The skin in the page as the page sees it: the scene first, presses that are felt where they are made, refusals with
-//! their reason, and no more updates than are acknowledged. Messages are read by another reader than wrote them, by
-//! what the chapter on the protocol says.
+//! The skin in the page, from the page's side: the scene comes first, presses are felt at the right place, refusals
+//! state their reason, and no more updates are sent than are acknowledged. The messages are decoded independently of
+//! the code that wrote them, following the chapter on the protocol.
 
 use dermis_wasm::{Engine, Message};
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ struct Page {
     now_ns: u64,
 }
 
-/// What came of one frame.
+/// Messages received after one frame.
 #[derive(Default)]
 struct Heard {
     texts: Vec<Value>,
@@ -57,7 +57,7 @@ impl Page {
         heard
     }
 
-    /// Frames until the baseline stands and nothing is demonstrated.
+    /// Runs frames until the baseline is taken and no demonstration is running.
     fn ready(&mut self) {
         self.ask(json!({ "demonstrate": false }));
         for _ in 0..100 {
@@ -105,7 +105,8 @@ fn a_press_is_felt_where_it_is_made_follows_and_ends() {
         let on = touches.iter().filter(|touch| touch["phase"] != "end");
         let places: Vec<_> = on.map(|t| (t["x_mm"].as_f64().unwrap(), t["y_mm"].as_f64().unwrap())).collect();
         assert_eq!(places.len(), 1, "{places:?}");
-        // A seventh of the indenter's radius: what the twin's skin file states is 0.37 mm a coordinate beside noise.
+        // A seventh of the indenter's radius. The skin file states a model error of 0.37 mm per coordinate on top of
+        // noise.
         let off_mm = (places[0].0 - x_mm).hypot(places[0].1 - y_mm);
         assert!(off_mm < 3.0, "{kind} at ({x_mm}, {y_mm}) was felt at {places:?}");
     }

@@ -1,10 +1,10 @@
 //! Consistent overhead byte stuffing (Cheshire and Baker, IEEE/ACM Transactions on Networking 7, 1999): zeros are
-//! replaced by distances to the next zero, so that a zero on the line can only be the end of a packet.
+//! replaced with the distance to the next zero, so a zero on the line always marks the end of a packet.
 
-/// A group of this code holds 254 bytes and no zero after them.
+/// Code of a group with 254 bytes and no zero after them.
 const FULL: u8 = 0xff;
 
-/// Stuffs bytes as they come into a buffer, between two delimiters.
+/// Stuffs incoming bytes into a buffer, between two delimiters.
 pub(crate) struct Stuffer<'b> {
     out: &'b mut [u8],
     at: usize,
@@ -12,7 +12,7 @@ pub(crate) struct Stuffer<'b> {
     code: u8,
 }
 
-/// The buffer is full.
+/// Error: the buffer is full.
 pub(crate) struct Full;
 
 impl<'b> Stuffer<'b> {
@@ -37,14 +37,14 @@ impl<'b> Stuffer<'b> {
         Ok(())
     }
 
-    /// Closes the packet; its bytes with both delimiters.
+    /// Closes the packet; returns its bytes with both delimiters.
     pub(crate) fn finish(mut self) -> Result<&'b mut [u8], Full> {
         self.close();
         self.put(0)?;
         Ok(&mut self.out[..self.at])
     }
 
-    /// Leaves room for the next group's code.
+    /// Reserves a byte for the next group's code.
     fn open(&mut self) -> Result<(), Full> {
         self.code_at = self.at;
         self.code = 1;
@@ -62,7 +62,7 @@ impl<'b> Stuffer<'b> {
     }
 }
 
-/// Undoes the stuffing in place; the number of bytes that remain, or nothing if these bytes are no stuffing.
+/// Removes the stuffing in place. Returns the number of bytes left, or `None` if the bytes are not valid stuffing.
 pub(crate) fn unstuff(bytes: &mut [u8]) -> Option<usize> {
     let (mut read, mut written) = (0, 0);
     while read < bytes.len() {

@@ -1,59 +1,60 @@
-//! What a host may ask of a device, and the answer.
+//! Commands from a host to a device, and the replies.
 
 use crate::List;
 
-/// In a measurement of a protocol: no electrode but the instrument's reference.
+/// Special electrode number in a measurement: the instrument's reference instead of an electrode.
 pub const NO_ELECTRODE: u8 = 0xff;
 
 /// A command with the tag that its reply will carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Request<'a> {
-    /// Any number; the host counts.
+    /// Arbitrary number, chosen by the host, which counts up.
     pub tag: u16,
-    /// What to do.
+    /// The command.
     pub command: Command<'a>,
 }
 
-/// What to do.
+/// A command.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Command<'a> {
-    /// Code 0. Part of a list of measurements; the list counts once its last part has come.
+    /// Code 0. Part of a list of measurements; the list takes effect once its last part has arrived.
     Protocol {
         /// Index of the first measurement of this part.
         first: u16,
-        /// Measurements of the whole list.
+        /// Number of measurements in the whole list.
         total: u16,
-        /// Electrode where the current enters, where it leaves, where the voltage is taken, against which: from 0, or
-        /// [`NO_ELECTRODE`].
+        /// Per measurement: electrode where the current enters, electrode where it leaves, electrode where the
+        /// voltage is taken, and its reference electrode; counted from 0, or [`NO_ELECTRODE`].
         measurements: List<'a, [u8; 4]>,
     },
-    /// Code 1. One of the protocols that the device knows by name.
+    /// Code 1. One of the device's named protocols.
     ProtocolName(&'a str),
     /// Code 2. Amplitude of the drive current, amperes.
     Amplitude(f32),
     /// Code 3. Frequency of the drive, hertz.
     Frequency(f32),
-    /// Code 4. Gain by the device's own code; 255 leaves the choice to the device.
+    /// Code 4. Gain, as the device's own code; 255 lets the device choose.
     Gain(u8),
-    /// Code 5. Frames a second.
+    /// Code 5. Frames per second.
     Rate(f32),
-    /// Code 6. Let frames flow.
+    /// Code 6. Starts the stream of frames.
     Start,
-    /// Code 7. No more frames.
+    /// Code 7. Stops the stream of frames.
     Stop,
-    /// Code 8. One frame.
+    /// Code 8. Takes one frame.
     SingleShot,
-    /// Code 9. Test yourself; the reply holds what the device measured of itself.
+    /// Code 9. Runs a self-test; the reply holds the device's measurements.
     SelfTest,
-    /// Code 10. Measure contact impedances; the reply holds one magnitude an electrode, ohms, NaN where open.
+    /// Code 10. Measures contact impedances; the reply holds one magnitude per electrode, ohms, NaN for open
+    /// electrodes.
     ElectrodeImpedance,
 }
 
 impl Command<'_> {
-    /// Number of commands; codes are below.
+    /// Number of commands; all codes are below it.
     pub const COUNT: u8 = 11;
 
-    /// Its code on the line, and its bit in [`Describe::commands`](crate::Describe::commands).
+    /// The code on the line, which is also the bit in [`Describe::commands`](crate::Describe::commands).
     pub fn code(&self) -> u8 {
         match self {
             Self::Protocol { .. } => 0,
@@ -71,28 +72,28 @@ impl Command<'_> {
     }
 }
 
-/// How a command ended.
+/// Outcome of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReplyStatus {
     /// Code 0. Done.
     Done,
     /// Code 1. The device does not have this command.
     Unknown,
-    /// Code 2. A number or name that it cannot take.
+    /// Code 2. The device cannot accept this number or name.
     BadArgument,
-    /// Code 3. Not now.
+    /// Code 3. The device is busy.
     Busy,
-    /// Code 4. It tried and failed.
+    /// Code 4. The device tried and failed.
     Failed,
 }
 
 impl ReplyStatus {
-    /// Its code on the line.
+    /// The code on the line.
     pub fn code(self) -> u8 {
         self as u8
     }
 
-    /// By its code.
+    /// The status for a code.
     pub fn from_code(code: u8) -> Option<Self> {
         [Self::Done, Self::Unknown, Self::BadArgument, Self::Busy, Self::Failed]
             .into_iter()
@@ -100,15 +101,16 @@ impl ReplyStatus {
     }
 }
 
-/// The answer to a command.
+/// The reply to a command.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply<'a> {
     /// Tag of the command.
     pub tag: u16,
     /// Code of the command.
     pub command: u8,
-    /// How it ended.
+    /// Outcome.
     pub status: ReplyStatus,
-    /// What was set (amplitude, frequency, rate: one number, as near to what was asked as the device can), or measured.
+    /// The value that was set (amplitude, frequency or rate: one number, as close to the request as the device can
+    /// get), or the measured values.
     pub values: List<'a, f32>,
 }

@@ -1,41 +1,41 @@
-//! Bytes to messages, in whatever pieces the bytes come.
+//! Turns bytes into messages, in whatever pieces the bytes arrive.
 
 use crate::cobs::unstuff;
 use crate::message::Message;
 use crate::{WireError, parse};
 
-/// What a decoder has seen.
+/// Counters of a decoder.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DecoderCounters {
-    /// Messages handed out.
+    /// Messages returned.
     pub messages: u64,
-    /// Packets that were damaged, too long, or of an unknown version or kind.
+    /// Packets that were damaged, too long, or had an unknown version or kind.
     pub bad: u64,
 }
 
-/// Cuts a stream of bytes into packets and packets into messages.
+/// Splits a stream of bytes into packets and decodes them into messages.
 ///
-/// Memory is what the caller gave: an array in firmware, a vector on a host. It must hold a packet as stuffed
-/// ([`encoded_len`](crate::encoded_len)); a longer one is reported once and skipped. Whatever bytes come, every packet
-/// that is whole and stands between two delimiters is found: after garbage, the next delimiter starts afresh.
+/// The caller provides the memory: an array in firmware, a vector on a host. It must hold a stuffed packet
+/// ([`encoded_len`](crate::encoded_len)); a longer packet is reported once and skipped. Every intact packet between
+/// two delimiters is found, whatever else is in the stream: after garbage, the next delimiter starts over.
 #[derive(Debug, Clone)]
 pub struct Decoder<B> {
     buffer: B,
     held: usize,
-    /// The buffer's content has been handed out.
+    /// The buffered packet has been returned.
     done: bool,
     overflow: bool,
     counters: DecoderCounters,
 }
 
 impl<B: AsRef<[u8]> + AsMut<[u8]>> Decoder<B> {
-    /// A decoder that keeps packets in `buffer`.
+    /// A decoder that stores packets in `buffer`.
     pub fn new(buffer: B) -> Self {
         Self { buffer, held: 0, done: false, overflow: false, counters: DecoderCounters::default() }
     }
 
-    /// Takes bytes from the front of `bytes` up to the end of the next packet: its message, or what is wrong with it.
-    /// `None` when all bytes are taken and no packet has ended; call until then.
+    /// Consumes bytes from the front of `bytes` up to the end of the next packet and returns its message or error.
+    /// Returns `None` once all bytes are consumed without completing a packet; call it until then.
     pub fn feed(&mut self, bytes: &mut &[u8]) -> Option<Result<Message<'_>, WireError>> {
         if self.done {
             self.reset();
@@ -47,7 +47,7 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Decoder<B> {
             *bytes = rest;
             end?;
             *bytes = &rest[1..];
-            // Two delimiters in a row hold nothing between them.
+            // Two consecutive delimiters have nothing between them.
             if self.held > 0 || self.overflow {
                 break;
             }
@@ -55,19 +55,19 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Decoder<B> {
         Some(self.finish())
     }
 
-    /// True while part of a packet is held.
+    /// True while part of a packet is buffered.
     pub fn is_mid_packet(&self) -> bool {
         !self.done && (self.held > 0 || self.overflow)
     }
 
-    /// Forgets a packet of which only a part has come, as after a new connection.
+    /// Discards an incomplete packet, for instance after a new connection.
     pub fn reset(&mut self) {
         self.held = 0;
         self.done = false;
         self.overflow = false;
     }
 
-    /// What has been seen.
+    /// The counters.
     pub fn counters(&self) -> DecoderCounters {
         self.counters
     }

@@ -1,4 +1,4 @@
-//! Messages to bytes.
+//! Turns messages into bytes.
 
 use crate::cobs::{Full, Stuffer};
 use crate::list::{List, Numbers, Scalar};
@@ -6,12 +6,12 @@ use crate::message::{Describe, Frame, Hello, Kind, Message, Part};
 use crate::packet::{CRC, MOST_PACKET, MOST_TEXT, VERSION};
 use crate::{Command, Reply, Request, WireError};
 
-/// Writes a message into `out` with a delimiter before and after it; the bytes to send.
-/// [`encoded_len`](crate::encoded_len) says how much room a packet takes.
+/// Writes a message into `out`, with a delimiter before and after it, and returns the bytes to send.
+/// [`encoded_len`](crate::encoded_len) gives the room a packet needs.
 ///
 /// # Errors
-/// [`WireError::Long`] where `out` is too short or the packet longer than [`MOST_PACKET`]; [`WireError::Text`] and
-/// [`WireError::Count`] for fields that the format cannot hold.
+/// [`WireError::Long`] if `out` is too short or the packet is longer than [`MOST_PACKET`]; [`WireError::Text`] and
+/// [`WireError::Count`] for fields that do not fit the format.
 pub fn encode<'b>(message: &Message<'_>, out: &'b mut [u8]) -> Result<&'b mut [u8], WireError> {
     let mut writer = Writer::new(out)?;
     writer.bytes(&[VERSION, message.kind().code()])?;
@@ -33,7 +33,7 @@ struct Writer<'b> {
     limit: usize,
 }
 
-/// The table of the checksum lives in one place.
+/// Static, so that the checksum table exists only once.
 static CHECKSUM: crc::Crc<u32> = CRC;
 
 impl<'b> Writer<'b> {

@@ -1,9 +1,9 @@
-//! The bytes that an instrument and its host exchange: packets with a CRC-32, stuffed with COBS so that a zero byte
+//! The bytes exchanged by an instrument and its host: packets with a CRC-32, stuffed with COBS so that a zero byte
 //! marks their ends, carrying a handshake, commands and frames of readings. The chapter on the wire in the book
 //! specifies every byte, with test vectors.
 //!
-//! Nothing here opens a port, reads a clock or allocates: [`encode`] writes into a buffer of the caller's, [`Decoder`]
-//! takes bytes in whatever pieces they come. Firmware and host share it.
+//! Nothing here opens a port, reads a clock or allocates: [`encode`] writes into the caller's buffer, and [`Decoder`]
+//! accepts bytes in whatever pieces they arrive. Firmware and host share the code.
 //!
 //! ```
 //! use dermis_wire::{Decoder, Frame, List, Message, Numbers, Status, encode};

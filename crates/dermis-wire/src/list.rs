@@ -1,18 +1,18 @@
-//! Numbers as they lie on the line (little-endian) or in the sender's memory, behind one interface, so that neither
-//! side copies them before it must.
+//! Numbers as received (little-endian) or in the sender's memory, behind one interface, so that neither side copies
+//! them before it has to.
 
-/// A number with a fixed little-endian form.
+/// A number with a fixed little-endian encoding.
 pub trait Scalar: Copy + PartialEq {
     /// Bytes on the line.
     const BYTES: usize;
 
-    /// From exactly [`Scalar::BYTES`] bytes.
+    /// Decodes exactly [`Scalar::BYTES`] bytes.
     fn from_wire(bytes: &[u8]) -> Self;
 
-    /// Hands the bytes on the line to `put`.
+    /// Passes the encoded bytes to `put`.
     ///
     /// # Errors
-    /// Those of `put`.
+    /// Errors of `put`.
     fn to_wire<E>(self, put: impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E>;
 }
 
@@ -36,7 +36,7 @@ macro_rules! scalar {
 
 scalar!(i16, i32, f32, u32);
 
-/// Four electrodes of a measurement.
+/// The four electrodes of a measurement.
 impl Scalar for [u8; 4] {
     const BYTES: usize = 4;
 
@@ -58,12 +58,12 @@ pub struct List<'a, T>(Held<'a, T>);
 #[derive(Debug, Clone, Copy)]
 enum Held<'a, T> {
     Memory(&'a [T]),
-    /// A whole number of elements.
+    /// Always a whole number of elements.
     Wire(&'a [u8]),
 }
 
 impl<'a, T: Scalar> List<'a, T> {
-    /// As received; `bytes` is a whole number of elements.
+    /// A received list; `bytes` must be a whole number of elements.
     pub(crate) fn wire(bytes: &'a [u8]) -> Self {
         debug_assert!(bytes.len().is_multiple_of(T::BYTES));
         Self(Held::Wire(bytes))
@@ -77,7 +77,7 @@ impl<'a, T: Scalar> List<'a, T> {
         }
     }
 
-    /// True without elements.
+    /// True if empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -112,7 +112,7 @@ impl<T: Scalar> PartialEq for List<'_, T> {
     }
 }
 
-/// What one reading is made of.
+/// Type of one reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Element {
     /// 16-bit signed, code 0.
@@ -124,17 +124,17 @@ pub enum Element {
 }
 
 impl Element {
-    /// Its code on the line.
+    /// The code on the line.
     pub fn code(self) -> u8 {
         self as u8
     }
 
-    /// By its code.
+    /// The element for a code.
     pub fn from_code(code: u8) -> Option<Self> {
         [Self::I16, Self::I32, Self::F32].into_iter().find(|element| element.code() == code)
     }
 
-    /// Bytes of one reading.
+    /// Size of one reading, bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::I16 => 2,
@@ -150,12 +150,12 @@ pub enum Numbers<'a> {
     I16(List<'a, i16>),
     /// 32-bit counts.
     I32(List<'a, i32>),
-    /// Single precision; a NaN is a reading that is missing.
+    /// Single precision; NaN marks a missing reading.
     F32(List<'a, f32>),
 }
 
 impl<'a> Numbers<'a> {
-    /// As received; `bytes` is a whole number of elements.
+    /// Received readings; `bytes` must be a whole number of elements.
     pub(crate) fn wire(element: Element, bytes: &'a [u8]) -> Self {
         match element {
             Element::I16 => Self::I16(List::wire(bytes)),
@@ -164,7 +164,7 @@ impl<'a> Numbers<'a> {
         }
     }
 
-    /// What the readings are made of.
+    /// Type of the readings.
     pub fn element(&self) -> Element {
         match self {
             Self::I16(_) => Element::I16,
@@ -182,12 +182,12 @@ impl<'a> Numbers<'a> {
         }
     }
 
-    /// True without readings.
+    /// True if empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Readings times `scale` (volts for a count, as the frame states).
+    /// Readings times `scale` (volts per count, as stated in the frame).
     pub fn volts(&self, scale: f32) -> impl Iterator<Item = f64> + use<'a> {
         let scale = f64::from(scale);
         let none = (List::from(&[][..]), List::from(&[][..]), List::from(&[][..]));

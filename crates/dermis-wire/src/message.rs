@@ -1,26 +1,26 @@
-//! The messages of version 1 but for commands and replies. Offsets and codes are in the book's chapter on the wire.
+//! The messages of version 1 except commands and replies. The book's chapter on the wire lists offsets and codes.
 
 use crate::{Element, List, Numbers, Reply, Request};
 
 /// Kind of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Host to device: who are you?
+    /// Host to device: asks for a description.
     Hello,
-    /// Device to host: this is what I am.
+    /// Device to host: description and settings.
     Describe,
-    /// Host to device: do this.
+    /// Host to device: a command.
     Command,
-    /// Device to host: done, or why not.
+    /// Device to host: outcome of a command.
     Reply,
-    /// Device to host: readings.
+    /// Device to host: readings of a frame.
     Frame,
-    /// Device to host: some of a frame's readings.
+    /// Device to host: part of a frame's readings.
     Part,
 }
 
 impl Kind {
-    /// Its code on the line.
+    /// The code on the line.
     pub fn code(self) -> u8 {
         match self {
             Self::Describe => 0x01,
@@ -32,7 +32,7 @@ impl Kind {
         }
     }
 
-    /// By its code.
+    /// The kind for a code.
     pub fn from_code(code: u8) -> Option<Self> {
         [Self::Hello, Self::Describe, Self::Command, Self::Reply, Self::Frame, Self::Part]
             .into_iter()
@@ -43,17 +43,17 @@ impl Kind {
 /// A message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Message<'a> {
-    /// Who are you?
+    /// Asks for a description.
     Hello(Hello),
-    /// This is what I am.
+    /// Description and settings.
     Describe(Describe<'a>),
-    /// Do this.
+    /// A command.
     Command(Request<'a>),
-    /// Done, or why not.
+    /// Outcome of a command.
     Reply(Reply<'a>),
-    /// Readings.
+    /// Readings of a frame.
     Frame(Frame<'a>),
-    /// Some of a frame's readings.
+    /// Part of a frame's readings.
     Part(Part<'a>),
 }
 
@@ -71,59 +71,60 @@ impl Message<'_> {
     }
 }
 
-/// The host's first words; the device answers with [`Describe`].
+/// The host's first message; the device answers with [`Describe`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Hello {
-    /// Any number but 0; the answer carries it, so that an old answer is not taken for the new one.
+    /// Any number except 0. The answer repeats it, so an old answer is not mistaken for the new one.
     pub nonce: u32,
-    /// Lowest version that the host speaks.
+    /// Lowest version supported by the host.
     pub lowest_version: u8,
-    /// Highest version that the host speaks.
+    /// Highest version supported by the host.
     pub highest_version: u8,
 }
 
-/// What a device is and how it is set. Sent in answer to [`Hello`], when the device has started (unasked, so that the
-/// host learns of a reset), and before the first frame that is made otherwise than described last.
+/// Description and settings of a device. Sent in answer to [`Hello`], after a start of the device (unsolicited, so
+/// that the host notices a reset), and before the first frame with different settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Describe<'a> {
-    /// That of the hello; 0 where nobody asked.
+    /// Nonce of the hello; 0 if unsolicited.
     pub nonce: u32,
-    /// A number that differs with every start of the device (a count in flash, or random bits); 0 where it has none.
+    /// A number that changes with every start of the device (a count in flash, or random bits); 0 if the device has
+    /// none.
     pub boot: u32,
-    /// Electrodes that it drives and measures.
+    /// Number of electrodes.
     pub electrodes: u16,
-    /// Readings in each frame.
+    /// Number of readings in each frame.
     pub channels: u16,
-    /// What a reading is made of.
+    /// Type of the readings.
     pub element: Element,
-    /// Resolution of the converter in bits; 0 where it does not apply.
+    /// Resolution of the converter, bits; 0 if not applicable.
     pub adc_bits: u8,
-    /// What is special about the readings, and whether frames are flowing.
+    /// Properties of the readings, and whether frames are being sent.
     pub features: Features,
-    /// Commands that it obeys: bit n for [`Command::code`](crate::Command::code) n.
+    /// Supported commands: bit n for [`Command::code`](crate::Command::code) n.
     pub commands: u32,
-    /// Frames a second as set.
+    /// Current rate, frames per second.
     pub frames_per_s: f32,
-    /// Most frames a second with this protocol; 0 where unknown.
+    /// Maximum rate with this protocol, frames per second; 0 if unknown.
     pub most_frames_per_s: f32,
-    /// Amplitude of the drive current, amperes; 0 where unknown.
+    /// Amplitude of the drive current, amperes; 0 if unknown.
     pub amplitude_a: f32,
-    /// Frequency of the drive, hertz; 0 for direct current or unknown.
+    /// Frequency of the drive, hertz; 0 for direct current or if unknown.
     pub frequency_hz: f32,
     /// Make and model.
     pub device: &'a str,
     /// Serial number.
     pub serial: &'a str,
-    /// Version of its firmware.
+    /// Firmware version.
     pub firmware: &'a str,
-    /// Measurement protocol as set.
+    /// Current measurement protocol.
     pub protocol: &'a str,
-    /// Names of the protocols that it knows, separated by commas.
+    /// Names of the supported protocols, separated by commas.
     pub protocols: &'a str,
 }
 
 impl<'a> Describe<'a> {
-    /// Names of the protocols that it knows.
+    /// Names of the supported protocols.
     pub fn protocol_names(&self) -> impl Iterator<Item = &'a str> + use<'a> {
         self.protocols.split(',').map(str::trim).filter(|name| !name.is_empty())
     }
@@ -134,7 +135,7 @@ macro_rules! bits {
         $(#[$doc])*
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
         pub struct $name(
-            /// The bits as on the line; unknown ones are kept.
+            /// The bits as on the line, including unknown ones.
             pub $word,
         );
 
@@ -146,7 +147,7 @@ macro_rules! bits {
                 self.0 & other.0 == other.0
             }
 
-            /// With the bits of `other` set too.
+            /// Adds the bits of `other`.
             pub fn with(self, other: Self) -> Self {
                 Self(self.0 | other.0)
             }
@@ -155,36 +156,36 @@ macro_rules! bits {
 }
 
 bits! {
-    /// What is special about a device's readings.
+    /// Properties of a device's readings.
     Features(u8) {
-        /// Frames are flowing.
+        /// Frames are being sent.
         RUNNING = 0,
         /// Frames have an imaginary part.
         COMPLEX = 1,
         /// Readings are magnitudes without a sign.
         MAGNITUDE = 2,
-        /// Frames state a time for every channel.
+        /// Frames include a time for every channel.
         CHANNEL_TIMES = 3,
-        /// Frames come in parts, as [`Part`](crate::Part).
+        /// Frames are sent in parts, as [`Part`](crate::Part).
         PARTS = 4,
     }
 }
 
 bits! {
-    /// What happened while a frame was taken.
+    /// Events during a frame.
     Status(u16) {
-        /// A reading met the converter's limits.
+        /// A reading reached the converter's limits.
         SATURATED = 0,
-        /// The current source met its voltage limit.
+        /// The current source reached its voltage limit.
         COMPLIANCE = 1,
-        /// Frames before this one were skipped because the line or the device was too slow; the sequence number counts
-        /// them.
+        /// Frames before this one were skipped because the line or the device was too slow. The sequence number
+        /// includes them.
         OVERRUN = 2,
-        /// Taken in answer to a single shot.
+        /// Taken for a single-shot command.
         SINGLE = 3,
         /// Readings are a test pattern.
         TEST = 4,
-        /// The gain has changed since the frame before.
+        /// The gain has changed since the previous frame.
         GAIN_CHANGED = 5,
     }
 }
@@ -192,35 +193,34 @@ bits! {
 /// One frame of readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
-    /// Counts frames taken since the device started, wrapping; frames that were not sent count too.
+    /// Number of frames taken since the device started, including unsent ones; wraps around.
     pub sequence: u32,
-    /// The device's clock at the frame's first reading, nanoseconds since an origin of its choice.
+    /// The device's clock at the first reading of the frame, nanoseconds since an arbitrary origin.
     pub device_time_ns: u64,
-    /// What happened meanwhile.
+    /// Events during the frame.
     pub status: Status,
-    /// The device's code of the gain at which the frame was taken; information only, `scale` has it in it.
+    /// Gain of the frame, as the device's own code; for information only, since `scale` includes it.
     pub gain: u8,
-    /// Volts for one count; 1 where readings are volts.
+    /// Volts per count; 1 if readings are volts.
     pub scale: f32,
-    /// Readings in the protocol's order, the real part where there are two.
+    /// Readings in the protocol's order; the real part of complex readings.
     pub values: Numbers<'a>,
-    /// Imaginary parts: as many, of the same element.
+    /// Imaginary parts, with the same length and type as `values`.
     pub imaginary: Option<Numbers<'a>>,
-    /// Time of each reading after `device_time_ns`, nanoseconds: as many as readings.
+    /// Time of each reading after `device_time_ns`, nanoseconds; one per reading.
     pub channel_times_ns: Option<List<'a, u32>>,
 }
 
-/// Readings `first` and following of a frame that is sent in parts, by a device that does not hold a whole one.
+/// Part of the readings of a frame, starting at `first`, from a device that cannot hold a whole frame.
 ///
-/// Parts come in order, each beginning where the one before ended; one with `first` 0 begins a frame, and begins it
-/// anew where another of the same number was not finished. The frame is whole with the part that ends at `total`.
+/// Parts arrive in order, each starting where the previous one ended. A part with `first` 0 starts a frame, or
+/// restarts an unfinished frame with the same number. The frame is complete with the part that ends at `total`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Part<'a> {
     /// Index of the part's first reading in the frame.
     pub first: u16,
-    /// Readings of the whole frame.
+    /// Number of readings in the whole frame.
     pub total: u16,
-    /// The readings: number of the frame, time of the part's first reading, what happened during this part, gain and
-    /// scale of this part.
+    /// The readings. Number of the frame, time of the part's first reading, and events, gain and scale of this part.
     pub readings: Frame<'a>,
 }

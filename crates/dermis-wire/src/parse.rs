@@ -1,4 +1,4 @@
-//! Packets, unstuffed, to messages that borrow from them.
+//! Turns unstuffed packets into messages that borrow from them.
 
 use crate::list::{Element, List, Numbers, Scalar};
 use crate::message::{Describe, Features, Frame, Hello, Kind, Message, Part, Status};
@@ -7,7 +7,7 @@ use crate::{Command, Reply, ReplyStatus, Request, WireError};
 
 static CHECKSUM: crc::Crc<u32> = CRC;
 
-/// The message in a whole packet: version, kind, payload, checksum.
+/// Parses a whole packet: version, kind, payload, checksum.
 pub(crate) fn message(packet: &[u8]) -> Result<Message<'_>, WireError> {
     if packet.len() < FRAMING {
         return Err(WireError::Short { found: packet.len() });

@@ -1,5 +1,5 @@
-//! Bytes that nobody meant: whatever comes, the decoder does not panic, makes no message of what was not one, and finds
-//! every packet that stands whole between two delimiters.
+//! Random and damaged bytes. The decoder must not panic or invent messages, and must find every intact packet between
+//! two delimiters.
 
 use dermis_wire::{Decoder, Frame, Message, Numbers, Status, WireError, encode, encoded_len};
 use proptest::prelude::*;
@@ -19,7 +19,7 @@ fn frame_bytes(sequence: u32, readings: &[i16]) -> Vec<u8> {
     encode(&Message::Frame(frame), &mut buffer).unwrap().to_vec()
 }
 
-/// Frames of numbers that follow from the sequence number, so that a false one is recognised.
+/// Frames whose readings follow from the sequence number, so that false ones are recognised.
 fn stream(count: u32, channels: usize) -> Vec<Vec<u8>> {
     (0..count).map(|sequence| frame_bytes(sequence, &readings(sequence, channels))).collect()
 }
@@ -28,7 +28,8 @@ fn readings(sequence: u32, channels: usize) -> Vec<i16> {
     (0..channels as u32).map(|channel| (sequence.wrapping_mul(257).wrapping_add(channel) % 511) as i16 - 128).collect()
 }
 
-/// Feeds pieces; the sequence numbers of the frames found. A frame whose readings do not belong to its number fails.
+/// Feeds pieces and returns the sequence numbers of the frames found. Fails if a frame's readings do not match its
+/// number.
 fn found<'a>(pieces: impl Iterator<Item = &'a [u8]>, channels: usize) -> Vec<u32> {
     let mut decoder = Decoder::new(vec![0; 1024]);
     let mut sequences = Vec::new();
@@ -44,7 +45,7 @@ fn found<'a>(pieces: impl Iterator<Item = &'a [u8]>, channels: usize) -> Vec<u32
     sequences
 }
 
-/// A small generator for long runs, for which drawing every byte by proptest would be slow: xorshift of Marsaglia
+/// A small generator for long runs, where drawing every byte with proptest would be slow: Marsaglia's xorshift
 /// (2003).
 struct Bytes(u64);
 
@@ -57,7 +58,7 @@ impl Bytes {
     }
 }
 
-/// Decodes so many chunks of 4096 random bytes; the number of bad packets.
+/// Decodes `chunks` chunks of 4096 random bytes; returns the number of bad packets.
 fn decode_random(chunks: usize, seed: u64) -> u64 {
     let mut random = Bytes(seed);
     let mut decoder = Decoder::new([0; 512]);
@@ -74,8 +75,8 @@ fn decode_random(chunks: usize, seed: u64) -> u64 {
 
 #[test]
 fn sixteen_million_random_bytes_hold_no_message() {
-    // By chance one packet in 2^32 has the right checksum; a zero stands at every 256th place on average, so that these
-    // are 2^16 packets, and neighbouring zeros hold nothing.
+    // One packet in 2^32 has the right checksum by chance. One byte in 256 is a zero on average, which makes 2^16
+    // packets; adjacent zeros enclose nothing.
     let bad = decode_random(4096, 0x9e37_79b9_7f4a_7c15);
     assert!((64_000..66_500).contains(&bad), "{bad}");
 }
@@ -87,8 +88,7 @@ fn a_billion_random_bytes_hold_no_message() {
     assert!((3_900_000..4_100_000).contains(&bad), "{bad}");
 }
 
-/// A long stream of frames of which many are damaged: what is found is every frame that was left alone, as often as it
-/// came.
+/// Decodes a long stream of partly damaged frames. Every undamaged frame must be found, once per copy.
 fn decode_damaged(frames: u32, seed: u64) {
     let mut random = Bytes(seed);
     let mut below = |limit: usize| (random.next() >> 33) as usize % limit;
@@ -99,7 +99,7 @@ fn decode_damaged(frames: u32, seed: u64) {
         let (length, mut whole) = (bytes.len(), 1);
         match below(8) {
             0 => {
-                // Inside, so that the neighbours keep their delimiters.
+                // Not at the ends, so that the neighbours keep their delimiters.
                 bytes[1 + below(length - 2)] ^= 1 << below(8);
                 whole = 0;
             }
@@ -116,7 +116,7 @@ fn decode_damaged(frames: u32, seed: u64) {
                 bytes.splice(0..0, junk);
             }
             4 => {
-                // Two neighbouring pieces change places; where they are alike nothing has happened.
+                // Swaps two neighbouring pieces; if they are identical, the frame is undamaged.
                 let before = bytes.clone();
                 let (from, to) = (1 + below(length / 2 - 1), length / 2 + below(length / 2 - 1));
                 bytes[from..to].rotate_left((to - from) / 2);
@@ -128,7 +128,7 @@ fn decode_damaged(frames: u32, seed: u64) {
         let mut found = 0;
         let mut rest = line.as_slice();
         while !rest.is_empty() {
-            // Pieces of any size, as a port gives them.
+            // Pieces of any size, as a serial port delivers them.
             let (mut piece, after) = rest.split_at(rest.len().min(1 + below(200)));
             rest = after;
             while let Some(message) = decoder.feed(&mut piece) {
@@ -163,7 +163,7 @@ fn no_single_flipped_bit_passes_and_the_next_frame_does() {
         let mut damaged = good.clone();
         damaged[bit / 8] ^= 1 << (bit % 8);
         let sequences = found([damaged.as_slice(), next.as_slice()].into_iter(), 40);
-        // A delimiter before or after that is flipped harms the frame alone; its neighbour has its own.
+        // Flipping a delimiter affects at most this frame; its neighbour has its own delimiter.
         assert!(sequences == [6] || (sequences == [5, 6] && bit < 8), "bit {bit}: {sequences:?}");
     }
 }
@@ -273,7 +273,7 @@ proptest! {
     ) {
         let bytes = stream(8, 33).concat();
         let chunks: Vec<&[u8]> = bytes.chunks(size).collect();
-        // `found` compares every frame with what its number says.
+        // `found` checks every frame against its number.
         let sequences = found(order.iter().filter_map(|index| chunks.get(*index).copied()), 33);
         prop_assert!(sequences.iter().all(|sequence| *sequence < 8));
     }
@@ -308,7 +308,7 @@ proptest! {
     }
 }
 
-/// CRC-32 bit by bit, from its definition.
+/// CRC-32 computed bit by bit from its definition.
 fn crc32(bytes: &[u8]) -> u32 {
     let mut crc = u32::MAX;
     for byte in bytes {

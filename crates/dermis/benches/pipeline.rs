@@ -1,4 +1,4 @@
-//! Speed of the live pipeline: a frame of a touched skin to its image and touches.
+//! Speed of the live pipeline, from a frame of a touched skin to its image and touches.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dermis::Error;
@@ -12,10 +12,10 @@ use dermis_device::{Frame, HostStamp, Layout};
 
 /// Time between frames, nanoseconds.
 const STEP_NS: u64 = 50_000_000;
-/// Frames that are processed over and over.
+/// Frames in the repeated sequence.
 const LOOP: usize = 64;
 
-/// The pipeline of a skin after its baseline, and frames of its twin under two presses.
+/// A skin's pipeline after its baseline, and frames of its twin under two presses.
 fn pressed(name: &str, solve: Solve) -> Result<(Pipeline, Vec<Vec<f64>>), Error> {
     let mut skin = Skin::open(name)?;
     skin.imaging.solve = solve;
@@ -76,7 +76,7 @@ fn pipelines(c: &mut Criterion) {
     group.finish();
 }
 
-/// What the live watch does once for each new cut, on the thread of the stream.
+/// The work of the live watch for each new cut, on the stream's thread.
 fn fits_of_cuts(c: &mut Criterion) {
     let fit = || -> Result<_, Error> {
         let prepared = Prepared::new(Skin::open("healing-square")?)?;
@@ -91,7 +91,7 @@ fn fits_of_cuts(c: &mut Criterion) {
         Ok(made) => made,
         Err(error) => return eprintln!("the fit of a cut could not be set up: {error}"),
     };
-    // The image's middle is off by up to a centimetre.
+    // The centre found in the image is off by up to a centimetre.
     let start =
         DamageShape { centre_m: [0.026, -0.016], length_m: 0.03, width_m: 0.0, direction_rad: 0.0, deviations: None };
     c.bench_function("fit of a cut, healing-square", |b| {

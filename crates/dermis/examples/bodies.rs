@@ -1,5 +1,5 @@
-//! Makes `crates/dermis-mit/bodies.json`, the answers of the built-in skins' elements, by edge elements:
-//! `cargo run --release -p dermis --example bodies > crates/dermis-mit/bodies.json`. Times go to standard error.
+//! Makes `crates/dermis-mit/bodies.json`, the responses of the built-in skins' elements, with edge elements: `cargo
+//! run --release -p dermis --example bodies > crates/dermis-mit/bodies.json`. Times go to standard error.
 
 use std::time::Instant;
 

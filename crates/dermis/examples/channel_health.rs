@@ -1,5 +1,6 @@
-//! The figures of the book's chapter on channel health, measured on the twins: false alarms, frames until a fault is
-//! recognised, time to go on without what is lost, places of touches with electrodes lost, and the bounds of these.
+//! Measures the figures of the book's chapter on channel health on the twins: false alarms, frames until a fault is
+//! detected, time to go on without the lost channels, positions of touches with electrodes lost, and their
+//! theoretical bounds.
 //!
 //! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [twins] [frames]`
 
@@ -21,7 +22,7 @@ use dermis_touch::health::Health;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
 
-/// The skins whose false alarms are counted.
+/// Skins whose false alarms are counted.
 const SKINS: [&str; 9] = [
     "healing-square",
     "piezo-square",
@@ -55,7 +56,7 @@ impl Line {
         Ok(Self { twin, pipeline, frame: Frame::default(), values: Vec::new(), ticks: 0, frame_s })
     }
 
-    /// One frame; seconds that the pipeline took.
+    /// Processes one frame; returns the seconds that the pipeline took.
     fn step(&mut self) -> Outcome<f64> {
         let time_s = self.ticks as f64 * self.frame_s;
         self.twin.step(time_s, &mut self.values)?;
@@ -77,7 +78,7 @@ fn with_faults(name: &str, faults: &str) -> Outcome<Skin> {
     Ok(Skin::parse(&text.replacen("[twin]\n", &format!("[twin]\nseed = 5\nfaults = [{faults}]\n"), 1), "an example")?)
 }
 
-/// Touches of one to three indenters, held and let go, over the skin's own range of pressure.
+/// Touches of one to three indenters, held and released, over the skin's own range of pressure.
 fn random_touches(name: &str, seed: u64, line: &Line) -> Outcome<RandomTouches> {
     let range = TwinKit::of(&Skin::open(name)?)?.press;
     let half = line.pipeline.prepared().half_width_m();
@@ -89,7 +90,7 @@ fn random_touches(name: &str, seed: u64, line: &Line) -> Outcome<RandomTouches> 
     Ok(touches)
 }
 
-/// Frames in which a sound twin, half of the time pressed, has anything declared.
+/// Number of frames in which anything is declared faulty on a sound twin that is pressed half of the time.
 fn false_alarms(name: &str, frames: u64) -> Outcome<(u64, u64)> {
     let mut line = Line::new(&Skin::open(name)?)?;
     let mut touches = random_touches(name, 11, &line)?;
@@ -113,7 +114,7 @@ fn false_alarms(name: &str, frames: u64) -> Outcome<(u64, u64)> {
     Ok((alarms, pressed))
 }
 
-/// Frames from the onset of a fault until all of it is known, and the longest frame while it was taken in.
+/// Number of frames from the onset of a fault until all of it is known, and the longest time for a frame meanwhile.
 fn onset(name: &str, fault: &str, known: impl Fn(Health<'_>) -> bool) -> Outcome<(Option<u64>, f64)> {
     let frame_s = 1.0 / Skin::open(name)?.backend.frames_per_s.unwrap_or(50.0);
     let from = 80;
@@ -163,7 +164,7 @@ fn onsets(name: &str, pairs: &[[u32; 2]]) -> Outcome<()> {
     Ok(())
 }
 
-/// Difference frames of presses, where they are, and the spots that fit them there with all channels.
+/// Difference frames of presses with their positions, and the spots fitted there with all channels.
 struct Presses {
     rig: Rig,
     reconstructor: Reconstructor,
@@ -199,19 +200,19 @@ fn presses(skin: Skin, radius_m: f64, forces_n: &[f64]) -> Outcome<Presses> {
     Ok(Presses { rig, reconstructor, model, frames, spots, time_ns: 0 })
 }
 
-/// How well presses are placed.
+/// Accuracy of the presses' positions.
 struct Placed {
     /// Mean error, millimetres.
     error_mm: f64,
-    /// Mean standard deviation below which no unbiased estimate falls (Cramer and Rao), millimetres.
+    /// Mean lower bound on the standard deviation of an unbiased estimate (Cramér-Rao), millimetres.
     bound_mm: f64,
-    /// Presses that were not found at all.
+    /// Presses that were not found.
     missed: usize,
-    /// Each press: where, how far off, and whether the forward model placed it (else the image did); millimetres.
+    /// For each press: position, error, and whether the forward model placed it (else the image did); millimetres.
     each: Vec<([f64; 2], f64, bool)>,
 }
 
-/// Places without the channels of these electrodes.
+/// Places the presses without the channels of these electrodes.
 fn places(presses: &mut Presses, lost: &[u32]) -> Outcome<Placed> {
     let Presses { rig, reconstructor, model, frames, spots, time_ns } = presses;
     let prepared = rig.prepared();
@@ -226,7 +227,7 @@ fn places(presses: &mut Presses, lost: &[u32]) -> Outcome<Placed> {
     }
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     let mut each = Vec::with_capacity(frames.len());
-    // Frames of one call have nothing to do with each other, nor with those of the last.
+    // The frames are independent of each other and of the last call's.
     for (place, difference) in frames.iter() {
         let mut difference = difference.clone();
         left_out.iter().for_each(|&c| difference[c as usize] = f64::NAN);
@@ -251,7 +252,7 @@ fn channels_of(prepared: &Prepared, electrodes: &[u32]) -> Outcome<Vec<u32>> {
     Ok(channels)
 }
 
-/// Seconds of computing of all threads so far; 0 where the system does not say.
+/// CPU time of all threads so far, seconds; 0 if the operating system doesn't provide it.
 fn computed_s() -> f64 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let nanoseconds = |task: std::fs::DirEntry| -> Option<f64> {
@@ -260,7 +261,7 @@ fn computed_s() -> f64 {
     1e-9 * tasks.filter_map(nanoseconds).sum::<f64>()
 }
 
-/// Times of going on without two electrodes: operator and image noise, and the refinement of touches.
+/// Measures the time to go on without two electrodes: operator and image noise, and the refinement of touches.
 fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
     let Presses { rig, reconstructor, model, .. } = presses;
     let noise = &rig.reference().noise;
@@ -287,7 +288,7 @@ fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
     Ok(())
 }
 
-/// Median, 95 %, largest, and how many of how many exceed the goal for two lost electrodes.
+/// Median, 95 %, maximum, and how many exceed the goal for two lost electrodes.
 fn spread(mut ratios: Vec<f64>) -> String {
     ratios.sort_by(f64::total_cmp);
     let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share) as usize];
@@ -329,7 +330,7 @@ fn localisation(label: &str, skin: Skin, radius_m: f64, forces_n: &[f64]) -> Out
     Ok(())
 }
 
-/// A skin with other pairs of electrodes.
+/// A skin with other electrode pairs.
 fn skipping(name: &str, skip: usize) -> Outcome<Skin> {
     let mut skin = Skin::open(name)?;
     skin.backend.drive = DrivePattern::Skip(skip);

@@ -1,5 +1,5 @@
-//! How well the circuit of the measured gel skin is found from few presses at unknown places: random draws of so many,
-//! each judged on all the other presses, whose positions are used for nothing else.
+//! Measures how well the circuit of the measured gel skin is found from a few presses at unknown positions. Presses
+//! are drawn at random; each draw is judged on all other presses, whose positions are used for nothing else.
 //!
 //! ```sh
 //! cargo run --release -p dermis --example circuit_draws -- DIR [DRAWS [PRESSES ...]]
@@ -48,7 +48,8 @@ fn main() -> Result<(), Failure> {
             found.backend.circuit = fit.circuit.map(CircuitChoice::Known);
             let found = Prepared::new(found)?;
             let mut reference = Reference::of(&found, &rest)?;
-            // Calibrated on the presses, not on what the gel does between them; every press counts as one.
+            // Calibrate on the presses rather than on the gel's behaviour between them, and count every press
+            // equally.
             reference.successive.clear();
             reference.noise.iter_mut().for_each(|noise| *noise *= 1e-3);
             let difference = |reference: &Reference, i: usize| reference.difference(&pressed[i], Some(&before[i]));
@@ -88,7 +89,7 @@ fn main() -> Result<(), Failure> {
     Ok(())
 }
 
-/// The numbers below `count` in an order that follows from `seed`.
+/// The numbers below `count`, shuffled by `seed`.
 fn shuffled(count: usize, seed: u64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     let mut state = 12345 + 7919 * seed;

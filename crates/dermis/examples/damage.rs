@@ -1,5 +1,5 @@
-//! A sandwich skin is cut, pressed on the cut, released, and healed in time-lapse; what the pipeline tells of it is
-//! printed, and the images against the intact skin are drawn side by side.
+//! Cuts a sandwich skin, presses on the cut, releases, and heals it in time-lapse. Prints what the pipeline reports
+//! about the damage, and draws the images relative to the intact skin side by side.
 //!
 //! `cargo run --release -p dermis --example damage -- damage.svg`
 
@@ -15,14 +15,14 @@ use dermis_device::{Frame, HostStamp, Layout};
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Heating, Treatment};
 
-/// Side of a panel and the space about it, pixels.
+/// Side of a panel and the space around it, pixels.
 const SIDE: f64 = 220.0;
 const GAP: f64 = 14.0;
-/// Values at which colours saturate.
+/// Values at which the colours saturate.
 const FALL: f32 = 0.2;
 const RISE: f32 = 0.8;
 
-/// An image with its name and the ends of the cuts fitted in it.
+/// An image with its name, and the ends of the cuts fitted in it.
 struct Panel {
     name: String,
     image: Vec<f32>,
@@ -40,7 +40,7 @@ struct Line {
 }
 
 impl Line {
-    /// Runs for a time; what happens to damage is printed.
+    /// Runs for a time and prints changes of the damage.
     fn run(&mut self, seconds: f64) -> Result<(), Error> {
         let end = self.time_s + seconds;
         let (mut values, mut frame) = (Vec::new(), Frame::default());
@@ -82,7 +82,7 @@ impl Line {
 }
 
 fn colour(value: f32) -> String {
-    // Sixteen steps each way are enough for the eye, and keep the file small.
+    // Sixteen steps in each direction are enough for the eye and keep the file small.
     let share = if value < 0.0 { -value / FALL } else { value / RISE };
     let share = (16.0 * share.min(1.0)).round() / 16.0;
     let end: [f32; 3] = if value < 0.0 { [33.0, 102.0, 172.0] } else { [200.0, 50.0, 30.0] };
@@ -90,13 +90,13 @@ fn colour(value: f32) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-/// Panels side by side, blue where the image falls, red where it rises, fitted cuts as lines.
+/// Panels side by side: blue where the image is lower, red where it is higher, fitted cuts as lines.
 fn svg(line: &Line) -> String {
     let grid = *line.pipeline.prepared().map.grid();
     let width = line.panels.len() as f64 * (SIDE + GAP) + GAP;
     let height = SIDE + 3.0 * GAP + 32.0;
     let mut text = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\">\n");
-    // Pages may be dark.
+    // The page around it may be dark.
     let _ = writeln!(text, "<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>");
     let pixel = SIDE / grid.columns as f64;
     for (index, Panel { name, image, ends }) in line.panels.iter().enumerate() {
@@ -161,7 +161,7 @@ fn main() -> Result<(), Error> {
     // As published: 90 C for two hours.
     let (centre_m, radius_m) = ([0.023, 0.024], 0.025);
     line.treat(Treatment::Heat(Heating { centre_m, radius_m, temperature_c: 90.0, duration_s: 7200.0 }))?;
-    // Two hours in a minute and a half. Every frame is another sheet to the twin: fewer do.
+    // Two hours in a minute and a half. Every frame has a different sheet, so use fewer frames.
     line.period_s = 0.4;
     line.treat(Treatment::TimeLapse(80.0))?;
     line.run(120.0)?;

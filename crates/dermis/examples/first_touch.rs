@@ -1,5 +1,4 @@
-//! The first touch: a skin's twin is read, and what it feels is printed.
-//! `cargo run --release -p dermis --example first_touch`
+//! A first touch: reads a skin's twin and prints the touches. `cargo run --release -p dermis --example first_touch`
 
 use dermis::touch::TouchEvent;
 use dermis::{Error, Session, Skin};
@@ -7,11 +6,11 @@ use dermis::{Error, Session, Skin};
 /// Prints the touches of a skin's twin.
 pub fn main() -> Result<(), Error> {
     let skin = Skin::open("healing-square")?;
-    // For a real skin its own file above, and here "tcp:10.0.0.5:4000", "serial:/dev/ttyACM0", a recording or a CSV
-    // file.
+    // For a real skin, open its own file above and use "tcp:10.0.0.5:4000", "serial:/dev/ttyACM0", a recording or a
+    // CSV file here.
     let source = "twin";
     let mut begun = 0;
-    // The first 32 frames make the baseline: do not touch a real skin meanwhile.
+    // The first 32 frames make the baseline. Don't touch a real skin during that time.
     for frame in Session::open(source, skin)?.take(200) {
         let frame = frame?;
         for event in &frame.events {

@@ -1,5 +1,5 @@
-//! A long watch of a gel that drifts and is cut, as a file of frames: what the pipeline tells of damage is printed, and
-//! images are drawn of the frames that are named. Frames come eight seconds apart and count from 0.
+//! A long watch of a gel that drifts and is cut, from a file of frames. Prints what the pipeline reports about
+//! damage, and draws the images of the selected frames. Frames are eight seconds apart and count from 0.
 //!
 //! `cargo run --release -p dermis --example gel_damage -- monitored.csv gel-damage.svg 493 663 664 667`
 
@@ -14,7 +14,7 @@ use dermis_device::{FileSpec, Frame, HostStamp, Layout};
 
 /// Seconds between frames.
 const PERIOD_S: f64 = 8.0;
-/// Side of a panel and the space about it, pixels.
+/// Side of a panel and the space around it, pixels.
 const SIDE: f64 = 220.0;
 const GAP: f64 = 14.0;
 
@@ -60,11 +60,11 @@ fn main() -> Result<(), Error> {
     std::fs::write(&out, text).map_err(|source| Error::Io { file: out.into(), source })
 }
 
-/// Panels side by side, each on its own scale, red where the skin conducts less and blue where it conducts better.
+/// Panels side by side, each on its own scale: red where the skin conducts less and blue where it conducts more.
 fn svg(panels: &[Panel], columns: usize, place: impl Fn([f64; 2]) -> [f64; 2]) -> String {
     let (width, height) = (panels.len() as f64 * (SIDE + GAP) + GAP, SIDE + 2.0 * GAP + 44.0);
     let mut text = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\">\n");
-    // Pages may be dark. Writing to a String cannot fail.
+    // The page around it may be dark. Writing to a String cannot fail.
     let _ = writeln!(text, "<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>");
     let pixel = SIDE / columns as f64;
     for (index, Panel { name, image, ends }) in panels.iter().enumerate() {
@@ -99,7 +99,7 @@ fn svg(panels: &[Panel], columns: usize, place: impl Fn([f64; 2]) -> [f64; 2]) -
 }
 
 fn colour(share: f32) -> String {
-    // Sixteen steps each way are enough for the eye.
+    // Sixteen steps in each direction are enough for the eye.
     let step = (16.0 * share.clamp(-1.0, 1.0)).round() / 16.0;
     let end: [f32; 3] = if step < 0.0 { [33.0, 102.0, 172.0] } else { [200.0, 50.0, 30.0] };
     let [r, g, b] = end.map(|end| (248.0 + step.abs() * (end - 248.0)).round() as u8);

@@ -1,6 +1,5 @@
-//! Images and touches of frames in files. The files are made by a twin here; yours are what your instrument wrote: CSV
-//! or NumPy, a frame a row.
-//! `cargo run --release -p dermis --example offline_images`
+//! Images and touches of frames in files. Here a twin makes the files; yours come from your instrument: CSV or NumPy,
+//! one frame per row. `cargo run --release -p dermis --example offline_images`
 
 use dermis::device::FileSpec;
 use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
@@ -10,7 +9,7 @@ use dermis::live::reference::Reference;
 use dermis::twin::from_skin::press_range;
 use dermis::{Error, Skin};
 
-/// Makes images of files of frames.
+/// Makes images from files of frames.
 pub fn main() -> Result<(), Error> {
     let folder = std::env::temp_dir().join(format!("dermis-offline-images-{}", std::process::id()));
     let failed = |source| Error::Io { file: folder.clone(), source };
@@ -30,12 +29,12 @@ pub fn main() -> Result<(), Error> {
     };
     sample(&request, |_, _| {})?;
 
-    // From here on as with measured files.
+    // From here on the same as with measured files.
     let read = |path: &std::path::Path| dermis::device::read(&FileSpec::all(path), None);
     let (rest, pressed) = (read(&baseline)?, read(&frames)?);
     let prepared = Prepared::new(skin)?; // Mesh, forward model, Jacobian.
     let rest: Vec<Vec<f64>> = rest.rows().map(<[f64]>::to_vec).collect();
-    let reference = Reference::of(&prepared, &rest)?; // Gains, noise, a check of the channels' order.
+    let reference = Reference::of(&prepared, &rest)?; // Gains, noise, and a check of the channel order.
     let mut imager = Imager::new(&prepared, &reference, &[])?; // The operator.
     let grid = prepared.map.grid();
     let mut image = vec![f32::NAN; grid.len()];

@@ -1,6 +1,6 @@
-//! An instrument of your own: anything that delivers frames is a [`Source`]. Here a board that nobody has built yet,
-//! played by a skin's twin; yours reads its port where this one steps the twin.
-//! `cargo run --release -p dermis --example own_instrument`
+//! An instrument of your own: anything that delivers frames is a [`Source`]. This one is a board that hasn't been
+//! built yet, played by a skin's twin; yours reads its port where this one steps the twin. `cargo run --release -p
+//! dermis --example own_instrument`
 
 use std::time::Duration;
 
@@ -31,7 +31,7 @@ impl Source for MyBoard {
         }
         let time_s = 0.02 * self.frames as f64;
         self.twin.step(time_s, &mut self.readings).map_err(|error| failed(error.to_string()))?;
-        // Frames have the board's own number, by which lost ones are known, and are stamped as they come.
+        // Frames carry the board's own sequence number, which reveals lost frames, and are stamped on arrival.
         frame.refill(self.frames, HostStamp::now(), &self.readings, &[]);
         frame.device_time_ns = Some((1e9 * time_s) as u64);
         self.frames += 1;
@@ -43,7 +43,7 @@ impl Source for MyBoard {
     }
 }
 
-/// Reads a source of frames of its own.
+/// Reads frames from a custom source.
 pub fn main() -> Result<(), Error> {
     let skin = Skin::open("healing-square")?;
     let prepared = Prepared::new(skin.clone())?;

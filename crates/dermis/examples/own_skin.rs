@@ -1,5 +1,5 @@
-//! A skin of your own in code: a gel of 150 x 60 mm with 20 electrodes, its file, and how well its twin's presses are
-//! found. `cargo run --release -p dermis --example own_skin`
+//! A skin of your own in code: a gel of 150 x 60 mm with 20 electrodes, its file, and how accurately presses on its
+//! twin are found. `cargo run --release -p dermis --example own_skin`
 
 use dermis::skin::{Layer, SheetLayer};
 use dermis::{Error, Session, Skin};

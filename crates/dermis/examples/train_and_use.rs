@@ -1,5 +1,5 @@
-//! A network that tells touches from cuts: simulated samples, training, use. So few samples teach little; a network for
-//! work takes thousands and some hours, see the book's chapter on learning.
+//! A network that distinguishes touches from cuts: simulated samples, training, use. So small a training set teaches
+//! little; a network for real use takes thousands of samples and some hours, see the book's chapter on learning.
 //! `cargo run --release -p dermis --example train_and_use`
 
 use dermis::lab::learning::segment::Segmenter;
@@ -17,12 +17,12 @@ pub fn main() -> Result<(), Error> {
     let mut skin = Skin::disc("my-disc", 100.0, Layer::Sheet(SheetLayer::gel(5.0, 0.2))).with_rim_electrodes(12, 8.0);
     (skin.imaging.grid, skin.imaging.elements) = (16, 700);
 
-    // Samples: each shard has a skin and an instrument of its own, a little off the model.
+    // Samples: each shard has its own skin and instrument, which deviate slightly from the model.
     let mut request = TrainSetRequest::new(skin.clone(), 24);
     request.shard_samples = 8;
     let set = simulate(&request, &folder.join("set"), |done, all| println!("{done} of {all} samples"))?;
 
-    // Training on the processor; the model is a card (JSON) with its weights beside it.
+    // Training on the CPU. The model is a card (JSON) with its weights in a file next to it.
     let options = TrainOptions { width: 2, levels: 2, epochs: 3, batch: 8, held_out: 0.34, ..TrainOptions::default() };
     let checkpoint = folder.join("checkpoint");
     let training = Training {
@@ -36,7 +36,7 @@ pub fn main() -> Result<(), Error> {
     let card = folder.join("model.json");
     train(&training, |_| {})?.save(&card)?;
 
-    // Use: frames that the network has not seen, of a skin of another shard.
+    // Use: frames that the network hasn't seen, from another shard's skin.
     let prepared = Prepared::new(skin)?;
     let unseen = SimulatedFrames::new(&request, &prepared, 99, 4)?;
     let reference = Reference::of(&prepared, &[unseen.baseline])?;

@@ -1,5 +1,5 @@
-//! A body being read: every patch has a thread that takes its frames and one that makes touches of them, and none of
-//! them waits for another. A patch that fails, stalls or is unplugged is told in the table of health; the rest goes on.
+//! Runs a body: every patch has a thread that takes its frames and one that turns them into touches, and none waits
+//! for another. A patch that fails, stalls or is unplugged is reported in the table of health; the rest go on.
 
 mod error;
 mod joints;

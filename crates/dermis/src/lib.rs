@@ -1,8 +1,8 @@
-//! Tomographic tactile skins, from their file to touches.
+//! Tomographic tactile skins, from skin file to touches.
 //!
-//! A tomographic skin is a conductive sheet with a few electrodes at its rim. Currents are driven and voltages read
-//! there, and from how the voltages change follows where and how hard the skin is touched. A [`Skin`] is its file; a
-//! [`Session`] reads one.
+//! A tomographic skin is a conductive sheet with a few electrodes at its rim. Currents are driven and voltages
+//! measured there, and the changes of the voltages reveal where and how hard the skin is touched. A [`Skin`] is its
+//! file; a [`Session`] reads one.
 //!
 //! ```
 //! use dermis::{Session, Skin};
@@ -24,18 +24,18 @@
 //! # Ok::<(), dermis::Error>(())
 //! ```
 //!
-//! # What is where
+//! # Overview
 //!
 //! | | |
 //! |---|---|
-//! | [`Skin`], [`skin`] | what a skin is: outline, layer, electrodes, instrument; its file |
+//! | [`Skin`], [`skin`] | a skin and its file: outline, layer, electrodes, instrument |
 //! | [`Session`], [`source`] | frames with touches, from a twin, a file, a recording, an instrument |
-//! | [`body`], [`body_run`] | skins on a robot: its URDF, touches and wrenches in every frame; all of them running |
+//! | [`body`], [`body_run`] | skins on a robot: its URDF, touches and wrenches in every frame; running all of them at once |
 //! | [`Pipeline`], [`live`] | a skin becomes an operator, frames become touches; calibrations |
 //! | [`Touch`], [`touch`] | contacts, tracks, baselines, noise, forces |
-//! | [`Twin`], [`twin`] | what a skin would read: mechanics, fields, instrument |
+//! | [`Twin`], [`twin`] | simulated skins: mechanics, fields, instrument |
 //! | [`Recording`], [`record`] | recordings, exports, sinks |
-//! | [`lab`] | design, doctor, order of channels, training sets, published experiments |
+//! | [`lab`] | design, doctor, channel order, training sets, published experiments |
 //! | [`device`] | instruments, file formats |
 //! | [`learn`] | networks that label images |
 //! | [`tomo`], [`mit`] | the mathematics: meshes, EIT, inverse operators; magnetic induction |

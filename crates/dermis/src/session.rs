@@ -1,4 +1,4 @@
-//! A skin being read: a source, the pipeline behind it, and an iterator over what it feels.
+//! Reads a skin: a source, the pipeline behind it, and an iterator over the results.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -19,23 +19,23 @@ use dermis_touch::{Touch, TouchEvent};
 
 use crate::source::{OpenedSource, SourceOptions, TwinControl, open_source};
 
-/// How long the source is asked at a time.
+/// Wait for a frame between checks.
 const NAP: Duration = Duration::from_millis(100);
-/// Longest wait for a frame before [`Session`] says that none comes.
+/// Default time without a frame after which a [`Session`] reports an error.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// What a [`Session`] may be told beside its source and skin.
+/// Options of a [`Session`] in addition to its source and skin.
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
-    /// Pace of files and twins, settings of instruments, format of files.
+    /// Speed of files and twins, settings of instruments, format of files.
     pub source: SourceOptions,
-    /// Frames of the untouched skin. Without them the first 32 frames that come are taken for it.
+    /// Frames of the untouched skin. Without them the first 32 frames are used.
     pub baseline: Option<FileSpec>,
     /// A calibration made by `dermis calibrate`.
     pub calibration: Option<PathBuf>,
     /// A force calibration made by `dermis calibrate --forces`.
     pub forces: Option<PathBuf>,
-    /// Longest wait for a frame: after it the session yields an error, and goes on waiting when asked again.
+    /// Time without a frame after which the session yields an error. It goes on waiting when called again.
     pub patience: Duration,
 }
 
@@ -59,42 +59,42 @@ pub struct Session {
     ended: bool,
 }
 
-/// One frame of a [`Session`]: what the skin feels.
+/// The results of one frame of a [`Session`].
 #[derive(Clone, Debug)]
 pub struct SkinFrame {
     /// The device's frame number. Gaps are lost frames.
     pub sequence: u64,
-    /// Seconds since the session's first frame, by the device's clock where it has one.
+    /// Seconds since the session's first frame, by the device's clock if it has one.
     pub time_s: f64,
-    /// False while the first frames make the baseline: the image is then `NaN`, and there are no touches.
+    /// False while the first frames make the baseline. Until then the image is `NaN`, and there are no touches.
     pub is_ready: bool,
-    /// Touches on the skin in this frame: places in metres, x right, y up, from the skin's middle.
+    /// Touches on the skin in this frame: positions in metres from the skin's centre, x right, y up.
     pub touches: Vec<Touch>,
-    /// What happened to each touch in this frame: begin, move, end.
+    /// Event of each touch in this frame: begin, move, end.
     pub events: Vec<TouchEvent>,
     /// The image, row-major, row 0 at the top (+y), `NaN` outside the skin.
     pub image: Vec<f32>,
     /// Rows of the image.
     pub rows: usize,
-    /// Pixels in a row of the image.
+    /// Pixels per row of the image.
     pub columns: usize,
 }
 
 impl Session {
-    /// Opens a source for a skin: `twin` (the skin's own), `twin:NAME`, a file of frames or a recording (`press.mcap`,
-    /// `frames.csv#0..60`), `tcp:HOST:PORT`, `serial:PORT[@BAUD]` or `serial:VID:PID[:SERIAL]`; after a port `#lines`
-    /// or `#floats:CHANNELS` for instruments that send just numbers.
+    /// Opens a source for a skin: `twin` (the skin's own), `twin:NAME`, a file of frames or a recording
+    /// (`press.mcap`, `frames.csv#0..60`), `tcp:HOST:PORT`, `serial:PORT[@BAUD]` or `serial:VID:PID[:SERIAL]`; after
+    /// a port `#lines` or `#floats:CHANNELS` for instruments that send just numbers.
     ///
     /// # Errors
-    /// A text that is no source, a source that cannot be opened, frames that do not hold the skin's channels.
+    /// The text is not a valid source, the source cannot be opened, or its frames do not hold the skin's channels.
     pub fn open(source: &str, skin: Skin) -> Result<Self, Error> {
         Self::open_with(source, skin, &SessionOptions::default())
     }
 
-    /// The same with options.
+    /// Like `open`, with options.
     ///
     /// # Errors
-    /// As [`Session::open`], and files that cannot be read or belong to another skin.
+    /// As for [`Session::open`], and if a file cannot be read or belongs to another skin.
     pub fn open_with(source: &str, skin: Skin, options: &SessionOptions) -> Result<Self, Error> {
         let selector: SourceSelector = source.parse()?;
         let baseline = options.baseline.as_ref();
@@ -111,14 +111,14 @@ impl Session {
         Ok(Self { twin, patience: options.patience, ..Self::of(source, pipeline) })
     }
 
-    /// Of any source, an instrument of your own for instance, and a pipeline made for its layout.
+    /// A session with any source, for example an instrument of your own, and a pipeline made for its layout.
     pub fn of(source: Box<dyn Source>, pipeline: Pipeline) -> Self {
         let frame = Frame::with_capacity(source.channels());
         let (last_sequence, first_ns) = (None, None);
         Self { source, pipeline, twin: None, frame, last_sequence, first_ns, patience: PATIENCE, ended: false }
     }
 
-    /// Waits so long for a frame before it says that none comes.
+    /// Sets the time without a frame after which the session reports an error.
     pub fn with_patience(self, patience: Duration) -> Self {
         Self { patience, ..self }
     }
@@ -133,23 +133,23 @@ impl Session {
         &self.pipeline
     }
 
-    /// The pipeline, to be told something between two frames: a tare, another lambda, a network.
+    /// The pipeline, for changes between two frames: a tare, another lambda, a network.
     pub fn pipeline_mut(&mut self) -> &mut Pipeline {
         &mut self.pipeline
     }
 
-    /// Frames that came, and those that were lost.
+    /// Numbers of frames received and lost.
     pub fn counters(&self) -> Counters {
         self.source.counters()
     }
 
-    /// Presses the session's twin from its next frame on: place and radius in metres, pressure in pascal. False where
-    /// there is no twin, or one that has too many commands waiting.
+    /// Presses the session's twin from its next frame on: position and radius in metres, pressure in pascals. False
+    /// if there is no twin, or if too many commands are queued.
     pub fn press(&self, position_m: [f64; 2], radius_m: f64, pressure_pa: f64) -> bool {
         self.command(TwinCommand::Press { pointer: POINTER, position_m, radius_m, pressure_pa })
     }
 
-    /// Lets go of the session's twin. False as for [`Session::press`].
+    /// Releases the press on the session's twin. False as for [`Session::press`].
     pub fn release(&self) -> bool {
         self.command(TwinCommand::Release { pointer: POINTER })
     }
@@ -158,12 +158,11 @@ impl Session {
         self.twin.as_ref().is_some_and(|twin| twin.commands.send(command).is_ok())
     }
 
-    /// Waits for the next frame and runs it through the pipeline; what comes of it is borrowed, and nothing is copied.
-    /// `None` after the last frame of a file.
+    /// Waits for the next frame and runs it through the pipeline. The result is borrowed; nothing is copied. `None`
+    /// after the last frame of a file.
     ///
     /// # Errors
-    /// A source that fails, or is silent for longer than the session's patience: asked again, the session goes on
-    /// waiting.
+    /// The source fails, or is silent for longer than the session's patience; it goes on waiting when called again.
     pub fn next_output(&mut self) -> Result<Option<Output<'_>>, Error> {
         if !self.receive()? {
             return Ok(None);
@@ -178,7 +177,7 @@ impl Session {
         while !self.ended {
             match self.source.next_frame(&mut self.frame, NAP)? {
                 SourceEvent::End => self.ended = true,
-                SourceEvent::Frame if self.last_sequence == Some(self.frame.sequence) => {} // A copy.
+                SourceEvent::Frame if self.last_sequence == Some(self.frame.sequence) => {} // A duplicate.
                 SourceEvent::Frame => {
                     self.last_sequence = Some(self.frame.sequence);
                     return Ok(true);
@@ -206,13 +205,13 @@ impl Session {
     }
 }
 
-/// Who presses the twin, in the name of the session.
+/// Pointer id of the session's presses on the twin.
 const POINTER: u64 = 1;
 
 impl Iterator for Session {
     type Item = Result<SkinFrame, Error>;
 
-    /// `None` after the last frame of a file; a source that fails yields its error, again with every call.
+    /// `None` after the last frame of a file. A source that fails yields its error again on every call.
     fn next(&mut self) -> Option<Self::Item> {
         self.next_frame().transpose()
     }

@@ -1,4 +1,4 @@
-//! From what a user writes for a source to frames of a skin: its twin, a file, a recording, an instrument.
+//! Opens sources of frames for a skin: its twin, a file, a recording, an instrument.
 
 use crossbeam_channel::Receiver;
 use dermis_device::stream::{StreamOptions, StreamSource};
@@ -13,58 +13,61 @@ use dermis_record::{Recording, Replay, check_skin, is_recording, read_frames_of}
 use dermis_skin::Skin;
 use dermis_twin::PressRange;
 
-/// Frames a second of files that do not say when their frames were, and of skin files that give none.
+/// Frame rate of files without times if the skin file gives none either, frames per second.
 const FRAMES_PER_S: f64 = 20.0;
 
-/// How a source is opened.
+/// Options for opening a source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SourceOptions {
-    /// Pace of files and of the twin: 1 as recorded, 2 twice as fast, 0 as fast as frames are taken.
+    /// Speed of files and of the twin: 1 in real time, 2 twice as fast, 0 as fast as frames are taken.
     pub speed: f64,
-    /// An instrument on the wire stays set as it is; without it, it is told the skin's protocol, current and frequency.
+    /// Leave an instrument on the wire as it is set, instead of setting it to the skin's protocol, current and
+    /// frequency.
     pub as_set: bool,
-    /// A recording of another skin is read as one of this skin.
+    /// Accept a recording of another skin as one of this skin.
     pub as_skin: bool,
-    /// How a file of frames is read.
+    /// How to read a file of frames.
     pub read: ReadOptions,
 }
 
 impl Default for SourceOptions {
-    /// As fast as frames are taken, instruments set to the skin.
+    /// As fast as frames are taken, with instruments set to the skin.
     fn default() -> Self {
         Self { speed: 0.0, as_set: false, as_skin: false, read: ReadOptions::default() }
     }
 }
 
-/// A source and what goes with it.
+/// An opened source and related settings.
 pub struct OpenedSource {
     /// The frames.
     pub source: Box<dyn Source>,
-    /// To press on it, if it is a twin.
+    /// Control over the twin, if the source is one.
     pub twin: Option<TwinControl>,
-    /// True for files, which end, and may be held up; false for instruments.
+    /// True for files, which end and can be made to wait; false for instruments.
     pub is_file: bool,
-    /// Frames wait for whoever takes them: files, and a twin without pace.
+    /// True if frames wait until they are taken: files, and a twin without pacing.
     pub waits: bool,
 }
 
-/// How a running twin is pressed.
+/// Control over a running twin.
 #[derive(Debug, Clone)]
 pub struct TwinControl {
-    /// Where commands go.
+    /// Sender of commands.
     pub commands: TwinCommands,
-    /// What people may press with.
+    /// Range of pressures and radii for presses.
     pub press: PressRange,
-    /// What the twin has to say.
+    /// Notices from the twin.
     pub notices: Receiver<String>,
 }
 
-/// Opens a source of frames for a skin: `twin` is the skin's own twin and `twin:NAME` another skin's, whose channels
-/// must be as many; a file is a recording or anything else that [`dermis_record::read_frames`] reads.
+/// Opens a source of frames for a skin.
+///
+/// `twin` is the skin's own twin, and `twin:NAME` another skin's, which must have the same number of channels. A file
+/// is a recording or anything else that [`dermis_record::read_frames`] reads.
 ///
 /// # Errors
-/// A speed that is negative or not finite, a file that cannot be read, a recording of another skin, an instrument that does not answer, a twin that
-/// cannot be made.
+/// The speed is negative or not finite, a file cannot be read, a recording is of another skin, an instrument does not
+/// answer, or a twin cannot be built.
 pub fn open_source(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<OpenedSource, Error> {
     if !(options.speed >= 0.0 && options.speed.is_finite()) {
         let expected = "0 (as fast as possible) or a positive number".into();
@@ -88,7 +91,7 @@ pub fn open_source(selector: &SourceSelector, skin: &Skin, options: &SourceOptio
 fn twin(skin: &Skin, options: &SourceOptions) -> Result<OpenedSource, Error> {
     let (source, commands) = TwinSource::new(skin)?;
     let control = TwinControl { commands, press: source.press_range(), notices: source.notices() };
-    // Asked for as fast as possible, a twin waits for whoever takes its frames.
+    // As fast as possible means that the twin waits for its frames to be taken.
     let waits = options.speed == 0.0;
     let source = if waits { source.unpaced() } else { source };
     Ok(OpenedSource { source: Box::new(source), twin: Some(control), is_file: false, waits })
@@ -110,7 +113,7 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
         let table = read_frames_of(skin, spec, options.read.clone())?;
         let usual = skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
         let rate = (table.times_s().is_none() || options.speed != 1.0).then_some(usual);
-        // Frames without times are as far apart as the skin's, at whatever pace they are played.
+        // Frames without times are spaced at the skin's rate, however fast they are played.
         let table = match table.times_s() {
             Some(_) => table,
             None => {
@@ -123,7 +126,8 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
     Ok(OpenedSource { source, twin: None, is_file: true, waits: true })
 }
 
-/// Opens an instrument. One on the wire is set to what the skin says, as far as it can be, unless it shall stay as set.
+/// Opens an instrument. One on the wire is set up for the skin as far as possible, unless it should stay as it is
+/// set.
 fn instrument(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<StreamSource, Error> {
     let on_the_wire = matches!(
         selector,

@@ -1,5 +1,5 @@
-//! A simulated board: chips that obey their data sheets behind embedded-hal's traits, a clock that goes on with every
-//! bit on a bus, and an analogue side that the test gives. And a host that is connected to it.
+//! A simulated board behind embedded-hal's traits: chips that behave like their data sheets, a clock that advances
+//! with every bit on a bus, and an analogue side provided by the test. And a host connected to it.
 #![allow(dead_code)]
 
 use std::cell::RefCell;
@@ -17,21 +17,21 @@ use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{self, I2c, NoAcknowledgeSource, Operation as I2cOperation};
 use embedded_hal::spi::{self, Operation as SpiOperation, SpiDevice};
 
-/// Clocks of the buses and of the serial line, bits a second.
+/// Clocks of the buses and of the serial line, bits per second.
 pub const SPI_HZ: u64 = 10_000_000;
 pub const I2C_HZ: u64 = 400_000;
 pub const SERIAL_HZ: u64 = 1_000_000;
-/// Time that the processor takes between two looks at the line.
+/// Processor time between polls of the line.
 const LOOP_NS: u64 = 2_000;
-/// Address of the converter whose address pin is at ground.
+/// Address of the converter with its address pin at ground.
 const ADDRESS: u8 = 0x48;
 
-/// What the electrodes do: potentials at the outputs 0 and 1 against ground, volts, for what is selected.
+/// The electrodes: potentials at the outputs 0 and 1 against ground, volts, for a selection.
 pub trait Analog {
     fn outputs_v(&mut self, selection: Selection) -> [f64; 2];
 }
 
-/// All that the chips share.
+/// State shared by all chips.
 pub struct Chips<A> {
     pub analog: A,
     pub now_ns: u64,
@@ -42,7 +42,7 @@ pub struct Chips<A> {
     done_ns: u64,
     result: i16,
     pub converter_answers: bool,
-    /// Conversions so far, and selections written.
+    /// Number of conversions and of selections.
     pub conversions: u64,
     pub selections: u64,
     /// Noise at the converter's input, volts, and the state of its generator.
@@ -75,7 +75,8 @@ pub fn chips<A: Analog>(analog: A) -> Shared<A> {
 }
 
 impl<A: Analog> Chips<A> {
-    /// A nearly normal number: twelve uniform ones (the central limit theorem), from xorshift of Marsaglia (2003).
+    /// A nearly normal number: the sum of twelve uniform ones (central limit theorem), from Marsaglia's xorshift
+    /// (2003).
     fn normal(&mut self) -> f64 {
         let mut uniform = || {
             self.random ^= self.random << 13;
@@ -86,7 +87,7 @@ impl<A: Analog> Chips<A> {
         (0..12).map(|_| uniform()).sum::<f64>() - 6.0
     }
 
-    /// Starts a conversion with the configuration as written (data sheet, table 8).
+    /// Starts a conversion with the given configuration (data sheet, table 8).
     fn convert(&mut self) {
         let full_scale_v = [6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256][usize::from(self.config >> 9 & 7)];
         let [positive_v, negative_v] = self.analog.outputs_v(self.selection);
@@ -138,7 +139,7 @@ impl<A: Analog> I2c for Wires<A> {
             return Err(i2c::ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address));
         }
         for operation in operations {
-            // Every byte has an acknowledgement, and an address goes before.
+            // Every byte is acknowledged, and an address comes first.
             let bytes = 1 + match operation {
                 I2cOperation::Write(bytes) => bytes.len(),
                 I2cOperation::Read(bytes) => bytes.len(),
@@ -210,7 +211,7 @@ impl<A> embedded_io::Write for Line<A> {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let mut chips = self.0.borrow_mut();
         chips.to_host.extend_from_slice(bytes);
-        // The processor waits for the line: ten bits a byte.
+        // The processor waits for the line: ten bits per byte.
         chips.now_ns += bytes.len() as u64 * 10 * 1_000_000_000 / SERIAL_HZ;
         Ok(bytes.len())
     }
@@ -237,9 +238,9 @@ pub struct Bench<B, A> {
 }
 
 impl<B: Board, A: Analog> Bench<B, A> {
-    /// A host that sets the board by `setup` and lets it start, or not.
+    /// A host that configures the board with `setup` and, if wanted, starts it.
     pub fn new(chips: Shared<A>, board: B, setup: Vec<Order>, start: bool) -> Self {
-        // A static of a board.
+        // In place of a board's static memory.
         let list = vec![[0; 4]; 4096].leak();
         let firmware = Engine::new(board, Line(chips.clone()), Watch(chips.clone()), IDENTITY, list);
         let (mut host, control) = WireHost::with_control(setup, start);
@@ -251,7 +252,7 @@ impl<B: Board, A: Analog> Bench<B, A> {
         Self { chips, firmware, host, control, inbox, frames, began_ns }
     }
 
-    /// The line was interrupted: the host begins anew, or `another` one does, while the board goes on.
+    /// Interrupts the line: the host reconnects, or `another` one does, while the board keeps running.
     pub fn reconnect(&mut self, another: Option<(WireHost, WireControl)>) {
         if let Some((host, control)) = another {
             (self.host, self.control) = (host, control);
@@ -262,7 +263,7 @@ impl<B: Board, A: Analog> Bench<B, A> {
         self.chips.borrow_mut().to_board.extend(send);
     }
 
-    /// The firmware's main loop, once, and what the host hears and answers.
+    /// One pass of the firmware's main loop, and the host's reading and answering.
     pub fn step(&mut self) {
         self.chips.borrow_mut().now_ns += LOOP_NS;
         self.firmware.poll().expect("the line takes bytes");
@@ -280,7 +281,7 @@ impl<B: Board, A: Analog> Bench<B, A> {
         self.chips.borrow_mut().to_board.extend(send);
     }
 
-    /// The next frame, and how long it took on the board's clock, seconds.
+    /// The next frame, and its duration on the board's clock, seconds.
     pub fn frame(&mut self) -> (Frame, f64) {
         let began_ns = self.chips.borrow().now_ns;
         loop {
@@ -293,7 +294,7 @@ impl<B: Board, A: Analog> Bench<B, A> {
         }
     }
 
-    /// Has the host ask something; the board goes on until there is an answer.
+    /// Sends an order from the host, and runs the board until the answer arrives.
     pub fn call(&mut self, order: Order) -> Result<Vec<f32>, String> {
         let question = self.control.ask(order).map_err(|error| error.to_string())?;
         loop {

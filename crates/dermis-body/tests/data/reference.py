@@ -21,7 +21,7 @@ rng = np.random.default_rng(37)
 low, high = np.array([-0.5, -6.0, -2.5, -2.0, 0.0]), np.array([0.8, 6.0, 2.5, 2.0, 1.5])
 states = low + (high - low) * rng.random((1000, 5))
 
-# Without mimicry in the model: what the joint follows is worked out here.
+# pinocchio's model ignores mimicry, so the values of mimicking joints are computed here.
 model = pinocchio.buildModelFromUrdf(str(FILE))
 data = model.createData()
 robot = yourdfpy.URDF.load(str(FILE), load_meshes=False, build_scene_graph=True)
@@ -34,7 +34,7 @@ for state in states:
         joint = model.joints[model.getJointId(name)]
         q[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(value), np.sin(value)] if joint.nq == 2 else [value]
     pinocchio.framesForwardKinematics(model, data, q)
-    # yourdfpy slides by the axis as it is written; pinocchio and KDL, which ROS uses, by an axis of length 1.
+    # yourdfpy slides along the axis as written; pinocchio, and KDL, which ROS uses, along the unit axis.
     robot.update_cfg({name: values[name] / (RAIL if name == "rail" else 1) for name in JOINTS})
     points = []
     for link in LINKS:

@@ -1,4 +1,4 @@
-//! Bad robots, bodies and meshes get errors with file, line and expected content.
+//! Invalid robots, bodies and meshes give errors with file, line and expected content.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ fn write(folder: &Path, urdf: &str, body: &str) {
     std::fs::write(folder.join("arm.toml"), body).unwrap();
 }
 
-/// The message for a robot and a body.
+/// The error message for a robot and a body.
 fn message(urdf: &str, body: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), urdf, body);
@@ -163,7 +163,7 @@ fn meshes_are_found_in_packages_and_looked_into() {
     binary.extend([0; 50]);
     std::fs::write(folder.path().join("meshes/hand.stl"), &binary).unwrap();
     assert_eq!(problems(&with_package), Vec::<String>::new());
-    // A folder of the package's name beside the robot is found without being named.
+    // A folder with the package's name next to the robot is found without being specified.
     std::fs::rename(folder.path().join("meshes"), folder.path().join("arm")).unwrap();
     assert_eq!(problems(BODY), Vec::<String>::new());
 }
@@ -179,7 +179,7 @@ fn a_skin_file_may_say_where_it_is_mounted() {
     let body = Body::open(&folder.path().join("arm.toml")).unwrap();
     let place = body.patches[0].link_from_patch.point_m([0.01, 0.0, 0.0]);
     assert!((place[0] + 0.01).abs() < 1e-15 && (place[2] - 0.02).abs() < 1e-15, "{place:?}");
-    // A place without a link would be one on whatever link the skin file names.
+    // A pose without a link would apply to whatever link the skin file names.
     let message = message_in(folder.path(), &format!("{mounted}xyz_mm = [1, 0, 0]\n"));
     assert!(message.contains("patch palm: link = left out"), "{message}");
 }

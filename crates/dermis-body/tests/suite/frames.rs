@@ -1,5 +1,5 @@
-//! Link frames against pinocchio and yourdfpy, patches against a table made by hand, cells against the area of their
-//! skin.
+//! Link frames compared with pinocchio and yourdfpy, patches with a table made by hand, and cells with the area of
+//! their skin.
 
 use dermis_body::urdf::Urdf;
 use dermis_body::{Body, ForceEstimate, Kinematics, SpatialTouch, Taxels, Transform};
@@ -11,7 +11,7 @@ use super::data;
 const JOINTS: [&str; 5] = ["rail", "turn", "shoulder", "elbow", "finger"];
 const LINKS: [&str; 3] = ["palm", "thumb_tip", "finger_tip"];
 
-/// The rows of `branched.f64`, which `reference.py` makes.
+/// The rows of `branched.f64`, made by `reference.py`.
 fn reference() -> Vec<[f64; 14]> {
     let bytes = std::fs::read(data("branched.f64")).expect("the reference");
     let numbers: Vec<f64> = bytes.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
@@ -78,7 +78,7 @@ fn forces_act_on_the_sensor_and_errors_lie_in_the_skin() {
     let touch = touch([quarter_m, 0.02], [[4e-6, 1e-6], [1e-6, 9e-6]]);
     let force = Some(ForceEstimate { force_n: 3.0, sigma_n: 0.1 });
     let on_patch = SpatialTouch::of(&touch, &surface, force);
-    // A quarter of the way round: the normal points along x, and x of the sheet runs against z.
+    // A quarter of the way around, the normal points along x, and the sheet's x runs against z.
     let close = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-15);
     assert!(close(on_patch.position_m, [0.1, 0.02, -0.1]) && close(on_patch.normal, [1.0, 0.0, 0.0]));
     assert!(close(on_patch.force_n.unwrap(), [-3.0, 0.0, 0.0]));
@@ -99,12 +99,12 @@ fn cells_cover_the_skin_and_point_outward() {
         let map = PixelMap::new(skin.grid().unwrap(), &body.mesh.mesh).unwrap();
         let taxels = Taxels::of(&map, &skin.surface());
         let (area, outline): (f64, f64) = (taxels.areas_m2.iter().sum(), body.outline.area_m2());
-        // Pixels of which less than half is skin are no cells.
+        // Pixels that are less than half skin are not cells.
         assert!((0.95..1.001).contains(&(area / outline)), "{name}: {area} of {outline}");
         assert_eq!(taxels.len(), map.inside_count());
         if let Surface::Cylinder { radius_m } = skin.surface() {
             for (position, normal) in taxels.positions_m.iter().zip(&taxels.normals) {
-                // The axis lies one radius below the middle of the sheet.
+                // The axis lies one radius below the centre of the sheet.
                 let from_axis = [position[0] / radius_m, (position[2] + radius_m) / radius_m];
                 assert!((normal[0] - from_axis[0]).abs() < 1e-12 && (normal[2] - from_axis[1]).abs() < 1e-12);
             }

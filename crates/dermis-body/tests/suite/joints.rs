@@ -1,4 +1,4 @@
-//! Joint values: what is known, what follows, and lines of them.
+//! Joint values: known, unknown and mimicked ones, and JSON lines of them.
 
 use dermis_body::joint_lines::take_line;
 use dermis_body::urdf::Urdf;

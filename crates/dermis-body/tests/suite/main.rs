@@ -1,4 +1,4 @@
-//! Bodies against other programs and closed forms, and bad input.
+//! Bodies compared with other programs and closed forms, and invalid input.
 
 mod bad_input;
 mod frames;
@@ -6,7 +6,7 @@ mod joints;
 
 use std::path::PathBuf;
 
-/// A file of this crate's tests.
+/// Path of a test file of this crate.
 fn data(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
 }

@@ -12,7 +12,7 @@ struct Arguments {
     /// Frequency, hertz.
     #[arg(long, default_value_t = 50.0)]
     frequency: f64,
-    /// Cells of the mesh between two of its planes; 0 is a coarser mesh.
+    /// Cells of the mesh between two of its planes; 0 gives a coarser mesh.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=3))]
     fine: u8,
 }

@@ -1,4 +1,4 @@
-//! Frames of an acquisition as a feed for the driver of frames.
+//! Feeds the frames of an acquisition to the frame driver.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use dermis::device::acquire::{Acquisition, Next as Acquired};
 use dermis::live::driver::{Feed, Next};
 use dermis_device::Frame;
 
-/// What an acquisition delivers. A frame's memory goes back when the next one is asked for.
+/// The frames of an acquisition. A frame's memory is returned when the next one is requested.
 pub struct AcquiredFrames<'a> {
     acquisition: &'a mut Acquisition,
     /// Longest wait for a frame.
@@ -15,12 +15,12 @@ pub struct AcquiredFrames<'a> {
 }
 
 impl<'a> AcquiredFrames<'a> {
-    /// Waits at most so long for each frame.
+    /// Waits at most `patience` for each frame.
     pub fn new(acquisition: &'a mut Acquisition, patience: Duration) -> Self {
         Self { acquisition, patience, current: None }
     }
 
-    /// Where the frames come from.
+    /// The acquisition behind the frames.
     pub fn acquisition(&self) -> &Acquisition {
         self.acquisition
     }

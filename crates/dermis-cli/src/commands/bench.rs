@@ -1,5 +1,5 @@
-//! `dermis bench`: what the numerical work costs on this machine, one core. Criterion's benches in the repository
-//! measure the same with statistics, and against peers.
+//! `dermis bench`: times the numerical work on one core of this machine. Criterion's benches in the repository
+//! measure the same with statistics, and against other packages.
 
 use dermis::live::imager::Imager;
 use dermis::live::reference::Reference;
@@ -20,7 +20,7 @@ const EXAMPLE: &str = "\
 Example:
   dermis bench --seconds 0.2";
 
-/// Forward solves of the line with many.
+/// Forward solves in the line that times many.
 const MANY: usize = 256;
 
 /// Arguments of `dermis bench`.
@@ -35,7 +35,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Lines of the table: printed as they come, or kept for JSON.
+/// Lines of the table, printed as they come or kept for JSON.
 struct Lines<'a> {
     out: &'a mut dyn Write,
     json: Option<Vec<serde_json::Value>>,
@@ -128,7 +128,7 @@ impl Arguments {
     }
 }
 
-/// A disc of about 5,000 elements under many conductivities.
+/// A disc of about 5,000 elements, solved for many conductivities.
 fn many(lines: &mut Lines<'_>, time: &Timer<'_>) -> anyhow::Result<()> {
     let mut skin = Skin::open("ionic-disc")?;
     skin.imaging.elements = 5_000;
@@ -148,7 +148,7 @@ fn many(lines: &mut Lines<'_>, time: &Timer<'_>) -> anyhow::Result<()> {
 
 type Timer<'a> = dyn Fn(&mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<(Duration, Duration)> + 'a;
 
-/// Median and best time of one call, over as many as fit into `budget` (at least three).
+/// Median and shortest time of a call, over as many calls as fit into `budget` (at least three).
 fn median_of(work: &mut dyn FnMut() -> anyhow::Result<()>, budget: Duration) -> anyhow::Result<(Duration, Duration)> {
     let started = Instant::now();
     let mut times = Vec::new();
@@ -173,7 +173,7 @@ impl Lines<'_> {
     }
 }
 
-/// A disc of 125 mm with 16 electrodes, adjacent drive and measurement: 208 channels.
+/// A 125 mm disc with 16 electrodes, adjacent drive and measurement: 208 channels.
 fn disc(elements: usize) -> anyhow::Result<ForwardModel> {
     let electrodes = Outline::rim_arcs(16, 0.01, 0.0, Direction::CounterClockwise);
     let spec = SheetSpec::new(Outline::Disc { radius_m: 0.0625 }, electrodes, 2e-3).with_target_elements(elements)?;

@@ -1,4 +1,4 @@
-//! `dermis body`: the skins on a robot, checked and drawn before anything moves.
+//! `dermis body`: checks and draws the skins on a robot before anything moves.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -40,20 +40,20 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Action {
-    /// Read a body file, its robot, its meshes and its skins, and list what is wrong.
+    /// Read a body file with its robot, meshes and skins, and list any faults.
     #[command(after_help = CHECK_EXAMPLE)]
     Check {
         /// The body file.
         #[arg(value_name = "FILE.toml")]
         file: PathBuf,
     },
-    /// The robot and the skins on it, from the front, from the side and from above.
+    /// Draw the robot and the skins on it from the front, the side and above.
     #[command(after_help = DRAW_EXAMPLE)]
     Draw {
         /// The body file.
         #[arg(value_name = "FILE.toml")]
         file: PathBuf,
-        /// Output file; the ending decides between SVG, PNG and PDF.
+        /// Output file: SVG, PNG or PDF, by its ending.
         #[arg(long, value_name = "FILE.svg|FILE.png|FILE.pdf")]
         out: PathBuf,
         /// Value of a joint: radians, or metres if it slides.
@@ -66,7 +66,7 @@ enum Action {
     /// Write a demonstration: an arm with four skins, each played by its twin.
     #[command(after_help = "Example:\n  dermis body demo arm\n  dermis run arm/arm.toml --headless --frames 50")]
     Demo {
-        /// Folder to write to; made where it is not there.
+        /// Output folder, created if needed.
         #[arg(value_name = "FOLDER")]
         folder: PathBuf,
     },
@@ -80,7 +80,7 @@ fn joint_value(text: &str) -> Result<(String, f64), String> {
 }
 
 impl Arguments {
-    /// Does what was asked for.
+    /// Runs the selected action.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match &self.action {
             Action::Check { file } => check(file, out),
@@ -141,7 +141,7 @@ fn draw(
     Ok(Outcome::Done)
 }
 
-/// Joint values: those asked for, then those of the body file, then rest.
+/// Joint values: from the command line, else from the body file, else at rest.
 fn posture(body: &Body, asked: &[(String, f64)]) -> anyhow::Result<JointValues> {
     let kinematics = &body.kinematics;
     let mut joints = kinematics.at_rest();

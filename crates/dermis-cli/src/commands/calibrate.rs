@@ -1,5 +1,5 @@
-//! `dermis calibrate`: pokes at known positions to a calibration that `run` and `reconstruct` use, and presses of
-//! known force to a force calibration.
+//! `dermis calibrate`: turns pokes at known positions into a calibration for `run` and `reconstruct`, and presses of
+//! known force into a force calibration.
 
 mod report;
 
@@ -55,62 +55,62 @@ in nine places; `run` and `reconstruct` read it with --forces.";
 pub struct Arguments {
     #[command(flatten)]
     skin: SkinWord,
-    /// Outline of a skin of which no more is known: width x height, or a diameter; its middle is the origin.
+    /// Outline of a skin without a skin file: width x height, or a diameter; the origin is its centre.
     #[arg(long, value_name = "WxH|D", conflicts_with_all = ["skin", "option", "twin"], requires_all = ["channels", "write_skin"])]
     outline_mm: Option<Extent>,
-    /// Its number of channels.
+    /// Number of channels of that skin.
     #[arg(long, value_name = "N", requires = "outline_mm")]
     channels: Option<usize>,
-    /// Where its skin file goes, whose name is the skin's; without --positions, where the skin file with the circuit
-    /// found goes.
+    /// Output skin file for --outline-mm, which also names the skin; without --positions, output skin file with the
+    /// circuit found.
     #[arg(long, value_name = "FILE.toml")]
     write_skin: Option<PathBuf>,
     /// Frames of the untouched skin: one or more for all pokes, or one before each.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
-    /// The frames are differences from the untouched skin already.
+    /// The frames already are differences from the untouched skin.
     #[arg(long, conflicts_with_all = ["baseline", "twin"])]
     differences: bool,
-    /// Frames of the pressed skin, one a poke.
+    /// Frames of the pressed skin, one per poke.
     #[arg(long, value_name = "FILE[#FRAMES]", required_unless_present_any = ["twin", "baseline"])]
     frames: Option<FileSpec>,
-    /// Where each poke was: x_m, y_m[, depth_m or force_n], or x_mm, y_mm[, depth_mm]. Without it, what the readout does is found from the frames
-    /// alone.
+    /// Position of each poke: x_m, y_m[, depth_m or force_n], or x_mm, y_mm[, depth_mm]. Without it, the readout's
+    /// circuit is found from the frames alone.
     #[arg(long, value_name = "FILE.csv")]
     positions: Option<PathBuf>,
     #[command(flatten)]
     read: ReadArguments,
-    /// Take the positions as they are, even where they do not seem to belong to the frames.
+    /// Accept the positions even if they don't seem to belong to the frames.
     #[arg(long)]
     trust_labels: bool,
-    /// Leave the skin file's physics out, however much it helps.
+    /// Don't use the skin file's physics, even where it would help.
     #[arg(long)]
     no_physics: bool,
-    /// A calibration of a skin of the same family to start from; of several the best is taken.
+    /// Calibration of a skin of the same family to start from; the best is used if there are several.
     #[arg(long, value_name = "FILE.json")]
     start: Vec<PathBuf>,
-    /// Where the calibration goes.
+    /// Output file for the calibration.
     #[arg(long, value_name = "FILE.json")]
     out: Option<PathBuf>,
-    /// How many further pokes to suggest.
+    /// Number of further pokes to suggest.
     #[arg(long, default_value_t = 5)]
     suggest: usize,
-    /// Where the force calibration goes.
+    /// Output file for the force calibration.
     #[arg(long, value_name = "FILE.json")]
     forces: Option<PathBuf>,
-    /// Press the skin's twin in place of reading files.
+    /// Press the skin's twin instead of reading files.
     #[arg(long, conflicts_with_all = ["baseline", "frames", "positions", "start"])]
     twin: bool,
-    /// Presses of the twin that --out is fitted to, at random places.
+    /// Number of presses on the twin, at random places, that --out is fitted to.
     #[arg(long, value_name = "N", default_value_t = 40, requires = "twin", value_parser = clap::value_parser!(u32).range(4..=20_000))]
     pokes: u32,
     /// Force as a function of the signal.
     #[arg(long, value_enum, default_value_t = Shape::Linear)]
     curve: Shape,
-    /// Diameter of the indenter; that of the twin's sliders where left out.
+    /// Diameter of the indenter; default: that of the twin's sliders.
     #[arg(long, value_name = "MM")]
     indenter_mm: Option<f64>,
-    /// Largest force that the twin is pressed with.
+    /// Largest force pressed on the twin.
     #[arg(long, value_name = "N", requires = "twin")]
     most_n: Option<f64>,
 }
@@ -122,13 +122,13 @@ enum Shape {
     Linear,
     /// A parabola.
     Quadratic,
-    /// Any curve that rises.
+    /// Any rising curve.
     Monotone,
 }
 
-/// Frames that pokes were measured with, in the protocol's order.
+/// Frames measured with the pokes, in the protocol's order.
 struct Measured {
-    /// `None` where the frames are differences.
+    /// `None` if the frames are differences.
     baselines: Option<Vec<Vec<f64>>>,
     frames: Vec<Vec<f64>>,
 }
@@ -171,7 +171,7 @@ impl Measured {
 }
 
 impl Arguments {
-    /// Fits what is asked for, writes it and says how good it is.
+    /// Fits the requested calibrations, writes them and reports their quality.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let skin = self.skin()?;
         if self.twin {
@@ -229,7 +229,7 @@ impl Arguments {
         Ok(Outcome::Done)
     }
 
-    /// Says what is odd about the labels, and refuses those that have nothing to do with the frames.
+    /// Reports oddities of the labels, and refuses labels unrelated to the frames.
     fn check_labels(&self, prepared: &Prepared, measured: &Measured, pokes: &Pokes) -> anyhow::Result<()> {
         if self.trust_labels {
             return Ok(());
@@ -254,7 +254,7 @@ impl Arguments {
         Ok(())
     }
 
-    /// The skin named, or one of which only outline and channels are known.
+    /// The named skin, or one made from outline and channels only.
     fn skin(&self) -> anyhow::Result<Skin> {
         let mut skin = match (self.outline_mm, self.channels, &self.write_skin) {
             (Some(extent), Some(channels), Some(file)) => {
@@ -269,7 +269,7 @@ impl Arguments {
         Ok(skin)
     }
 
-    /// Finds what the readout does from frames whose touches nobody knows.
+    /// Finds the readout's circuit from frames whose touches are unknown.
     fn learn_circuit(&self, skin: Skin, out: &mut dyn Write) -> anyhow::Result<()> {
         if self.out.is_some() || self.forces.is_some() || self.outline_mm.is_some() || !self.start.is_empty() {
             let text = "--positions is needed: a calibration by pokes wants to know where they were (without, only the \
@@ -315,7 +315,7 @@ impl Arguments {
         self.write_forces(skin, &samples?, presses, plan.indenter_m, path, out)
     }
 
-    /// A calibration from the twin's pokes at random places: what it would be worth on the skin.
+    /// Makes a calibration from the twin's pokes at random places, to predict its benefit on the real skin.
     fn locate_twin(&self, skin: &Skin, path: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
         let presses = random_presses(&skin.outline(), &press_range(skin), self.pokes as usize, 1)?;
         let tables = with_progress("presses", |progress| sample_tables(skin, &presses, None, progress))?;
@@ -385,7 +385,7 @@ impl Arguments {
     }
 }
 
-/// A skin of which only outline and channels are known, in the words of its file.
+/// Comment at the top of the file of a skin known only by its outline and channels.
 const STAND_INS: &str = "\
 # A skin of which only outline and number of channels are known: electrodes and pairs stand in for the real ones, and
 # what it reads is learnt from pokes (dermis calibrate).
@@ -401,14 +401,14 @@ fn write_skin(head: &str, skin: &Skin, file: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Today, UTC.
+/// Today's date, UTC.
 fn today() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     date_of(seconds / 86_400)
 }
 
-/// Date of a day counted from 1970-01-01, by the calendar that begins its years in March (H. Hinnant,
-/// chrono-Compatible Low-Level Date Algorithms, civil_from_days; for days from 1970 on).
+/// Date of a day counted from 1970-01-01, using a calendar whose years begin in March (H. Hinnant, chrono-Compatible
+/// Low-Level Date Algorithms, civil_from_days; for days from 1970 on).
 fn date_of(days: u64) -> String {
     let shifted = days + 719_468;
     let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);

@@ -1,10 +1,10 @@
-//! What is printed of a readout's circuit that was found from frames.
+//! Prints a readout circuit that was found from frames.
 
 use std::io::Write;
 
 use dermis::live::calibration::{CircuitFit, circuit_words};
 
-/// What was found of a readout's circuit, and whether to believe it.
+/// Prints the circuit found, and whether to trust it.
 pub(super) fn print_circuit(fit: &CircuitFit, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "circuits tried: {} on {} frames", fit.tried, fit.frames)?;
     writeln!(out, "score (median correlation of a frame with its best touch) before: {:.3}", fit.score_before)?;

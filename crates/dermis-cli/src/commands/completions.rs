@@ -1,4 +1,4 @@
-//! `dermis completions`: what shells need to complete commands and options, and manual pages.
+//! `dermis completions`: shell completions for commands and options, and manual pages.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ For bash: dermis completions bash > ~/.local/share/bash-completion/completions/d
 $fpath. For fish: ~/.config/fish/completions/dermis.fish. Manual pages go into a folder: man -M FOLDER is not needed where it is
 ~/.local/share/man/man1.";
 
-/// What completions can be written for.
+/// Formats that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Target {
     /// Bash.
@@ -30,7 +30,7 @@ enum Target {
     Powershell,
     /// Elvish.
     Elvish,
-    /// Manual pages, one a command.
+    /// Manual pages, one per command.
     Man,
 }
 
@@ -57,7 +57,7 @@ impl Arguments {
             Target::Elvish => Shell::Elvish,
             Target::Man => return self.manual(out),
         };
-        // Written at once: the reader of a half-written script would fail oddly.
+        // Write in one go: a shell reading half a script would fail oddly.
         let mut script = Vec::new();
         clap_complete::generate(shell, &mut crate::Cli::command(), "dermis", &mut script);
         out.write_all(&script)?;

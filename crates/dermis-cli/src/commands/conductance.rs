@@ -1,4 +1,4 @@
-//! `dermis conductance`: a sheet's conductance in siemens from frames of one state, without a baseline.
+//! `dermis conductance`: a sheet's conductance in siemens from frames of a single state, without a baseline.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -28,13 +28,13 @@ the image and its standard deviation, row 0 at the top, NaN outside.";
 pub struct Arguments {
     #[command(flatten)]
     skin: SkinWord,
-    /// Frames of one state.
+    /// Frames of a single state.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     frames: FileSpec,
-    /// Format of the file (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
+    /// Format of the file (csv, columns, npy, sciospec, ktc, golfball, pyeidors); default: recognised from the file.
     #[arg(long)]
     format: Option<Format>,
-    /// Write the image and its standard deviation here.
+    /// Output file for the image and its standard deviation.
     #[arg(long, value_name = "FILE.npy")]
     out: Option<PathBuf>,
     /// Print JSON instead of text.
@@ -43,7 +43,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Estimates, and says what was found.
+    /// Estimates the conductance and prints the result.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let skin = self.skin.open()?;
         let table = read_frames(&self.frames, self.format)?;

@@ -1,5 +1,5 @@
-//! `dermis design`: what skins will be able to do before they are built, side by side, and which protocol suits one
-//! best.
+//! `dermis design`: predicts what skins will be able to do before they are built, compares them, and finds the best
+//! protocol for one.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub struct Arguments {
     /// Names of built-in skins, or skin files.
     #[arg(value_name = "SKIN", required = true)]
     skins: Vec<String>,
-    /// Relative change of conductivity of the touch that bounds are for.
+    /// Relative change of conductivity of the touch that the bounds are for.
     #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
     amplitude: f64,
     /// Noise of a reading of the first skin: signal-to-noise ratio of every channel, 20 log10(reading / deviation).
@@ -52,28 +52,28 @@ pub struct Arguments {
     /// Places along the longer side of the maps.
     #[arg(long, value_name = "PLACES", default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=128))]
     map: u32,
-    /// Also the smallest force, by the mechanics of the skin's twin.
+    /// Also compute the smallest force, by the mechanics of the skin's twin.
     #[arg(long, conflicts_with = "improve")]
     force: bool,
-    /// Folder for the maps, PNG and NPY.
+    /// Output folder for the maps, PNG and NPY.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Search for a better skin; what may change, in this order.
+    /// Search for a better skin by changing these, in this order.
     #[arg(long, value_enum, requires = "winner", value_delimiter = ',')]
     improve: Vec<Change>,
-    /// Where the better skin file goes.
+    /// Output file for the better skin.
     #[arg(long, value_name = "FILE.toml", requires = "improve")]
     winner: Option<PathBuf>,
-    /// Try the skin with what a workshop gets wrong; a TOML file says how much.
+    /// Try the skin with manufacturing errors; a TOML file gives their sizes.
     #[arg(long, value_name = "FILE.toml", num_args = 0..=1, conflicts_with_all = ["improve", "snr_db", "noise_uv", "force"])]
     tolerances: Option<Option<PathBuf>>,
-    /// Samples of every row.
+    /// Samples per row.
     #[arg(long, default_value_t = 200, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     samples: u32,
-    /// Presses of every sample.
+    /// Presses per sample.
     #[arg(long, default_value_t = 5, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=64))]
     presses: u32,
-    /// Numbers of pokes that samples are calibrated with; 0 for none.
+    /// Numbers of pokes to calibrate samples with; 0 for none.
     #[arg(long, value_delimiter = ',', default_values_t = [20, 50, 200], requires = "tolerances",
         value_parser = clap::value_parser!(u32).range(0..=1000))]
     pokes: Vec<u32>,
@@ -85,20 +85,20 @@ pub struct Arguments {
     json: bool,
 }
 
-/// What a search may change.
+/// A property that a search may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Change {
-    /// Distances of driving and measuring pairs.
+    /// Spacing of driving and measuring pairs.
     Protocol,
-    /// Distance of driving pairs.
+    /// Spacing of driving pairs.
     Drive,
     /// Number of electrodes.
     Count,
-    /// Where each electrode is.
+    /// Position of each electrode.
     Electrodes,
 }
 
-/// Everything about one skin.
+/// All results on one skin.
 struct Sheet {
     prepared: Prepared,
     maps: Maps,
@@ -107,7 +107,7 @@ struct Sheet {
 }
 
 impl Arguments {
-    /// Maps, tables, and the search where asked for.
+    /// Computes maps, prints tables, and searches if asked to.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if let Some(winner) = &self.winner {
             return self.improve_skin(winner, out);
@@ -120,7 +120,7 @@ impl Arguments {
         for name in &self.skins {
             let busy = super::busy(format!("designing {name}"));
             let prepared = Prepared::new(Skin::open(name)?)?;
-            // One skin alone keeps what its file says of each channel.
+            // A single skin keeps the noise that its file gives for each channel.
             let noise = match (&instrument, self.skins.len()) {
                 (_, 1) => self.noise(),
                 (None, _) => instrument.insert(SharedInstrument::of(&prepared, self.noise())?).noise,
@@ -242,7 +242,7 @@ impl Arguments {
     }
 }
 
-/// As a skin file has it.
+/// A value in the syntax of skin files.
 fn inline(pattern: &impl serde::Serialize) -> anyhow::Result<String> {
     Ok(dermis::lab::channel_search::toml_of(&serde_json::to_value(pattern)?))
 }
@@ -281,7 +281,7 @@ fn three(values: [f64; 3]) -> String {
     values.map(|v| if v >= 100.0 { format!("{v:.0}") } else { format!("{v:.3}") }).join(" / ")
 }
 
-/// One column a skin, one line a figure.
+/// Prints the table, with a column per skin and a line per figure.
 fn write_table(out: &mut dyn Write, sheets: &[Sheet]) -> std::io::Result<()> {
     let line = |out: &mut dyn Write, label: &str, cell: &dyn Fn(&Sheet) -> String| {
         write!(out, "{label:<24}")?;
@@ -297,7 +297,7 @@ fn write_table(out: &mut dyn Write, sheets: &[Sheet]) -> std::io::Result<()> {
     line(out, "", &|sheet| sheet.prepared.skin.name.clone())?;
     line(out, "channels", &|sheet| sheet.prepared.channels().to_string())?;
     line(out, "frames/s", &|sheet| text(rate(sheet)))?;
-    // Two bytes a reading, as converters of 16 bits give.
+    // Two bytes per reading, as from a 16-bit converter.
     line(out, "data, kB/s", &|sheet| text(rate(sheet).map(|rate| rate * sheet.prepared.channels() as f64 * 2e-3)))?;
     line(out, "position bound, mm", &|sheet| column(&sheet.maps.position_m, 1e3))?;
     line(out, "amplitude bound, %", &|sheet| column(&sheet.maps.amplitude_share, 1e2))?;

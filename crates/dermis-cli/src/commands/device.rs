@@ -1,4 +1,5 @@
-//! `dermis device`: asks one instrument on the wire who it is, sets it, and has it test itself or measure once.
+//! `dermis device`: identifies and configures one instrument on the wire, and runs a self-test or a single
+//! measurement.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -21,7 +22,7 @@ Examples:
 Real instruments are serial:/dev/ttyACM0, serial:2341:0043 or tcp:HOST:PORT. What is set here holds until the device is reset,
 set otherwise, or run: `dermis run` sets it to what the skin file says.";
 
-/// Longest wait for a frame that was asked for; a slow converter takes seconds for thousands of readings.
+/// Longest wait for a requested frame. A slow converter takes seconds for thousands of readings.
 const FRAME: Duration = Duration::from_secs(60);
 
 /// Arguments of `dermis device`.
@@ -31,13 +32,13 @@ pub struct Arguments {
     /// The instrument, or a skin's twin.
     #[arg(value_name = "SELECTOR")]
     selector: String,
-    /// What it shall do.
+    /// What the instrument should do.
     #[arg(value_enum, default_value_t = Action::Describe)]
     action: Action,
-    /// Measure the protocol of a skin, at its current and frequency.
+    /// Measure with the protocol, current and frequency of a skin.
     #[arg(long, value_name = "SKIN")]
     skin: Option<String>,
-    /// Measure a protocol that the device knows by name.
+    /// Measure with a protocol that the device knows by name.
     #[arg(long, value_name = "NAME", conflicts_with = "skin")]
     protocol: Option<String>,
     /// Amplitude of the drive current.
@@ -46,10 +47,10 @@ pub struct Arguments {
     /// Frequency of the drive.
     #[arg(long, value_name = "HERTZ")]
     frequency_hz: Option<f32>,
-    /// Gain by the device's own code, or auto.
+    /// Gain in the device's own code, or auto.
     #[arg(long, value_name = "CODE", value_parser = gain)]
     gain: Option<Gain>,
-    /// Frames a second.
+    /// Frames per second.
     #[arg(long, value_name = "N")]
     rate: Option<f32>,
     /// Print JSON instead of text.
@@ -57,12 +58,12 @@ pub struct Arguments {
     json: bool,
 }
 
-/// What a device can be told to do.
+/// An action of a device.
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Action {
-    /// Say what it is and how it is set.
+    /// Describe itself and its settings.
     Describe,
-    /// Test itself; which numbers it answers with, its manual says.
+    /// Test itself; its manual explains the numbers in the answer.
     SelfTest,
     /// Measure the contact impedance of every electrode, ohm.
     Impedance,
@@ -70,7 +71,7 @@ enum Action {
     Shot,
 }
 
-/// A gain, or none where it is left to the device.
+/// A gain; `None` leaves the choice to the device.
 #[derive(Clone, Copy)]
 struct Gain(Option<u8>);
 
@@ -83,12 +84,13 @@ fn gain(text: &str) -> Result<Gain, String> {
 }
 
 impl Arguments {
-    /// Talks to the device.
+    /// Configures the device and runs the action.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let orders = self.orders()?;
         let (selector, _twin) = self.instrument()?;
         let options = StreamOptions { patience: Duration::from_secs(8), ..StreamOptions::default() };
-        // Protocols come before the connection is used; what a device does not have is an error here, and not left out.
+        // Protocols are set while the connection opens. Unlike elsewhere, a setting that the device lacks is an error
+        // here.
         let (lists, settings): (Vec<Order>, Vec<Order>) =
             orders.into_iter().partition(|order| matches!(order, Order::Protocol(_) | Order::ProtocolName(_)));
         let wanted = lists.clone();
@@ -109,7 +111,7 @@ impl Arguments {
         Ok(Outcome::Done)
     }
 
-    /// What is to be set.
+    /// The requested settings.
     fn orders(&self) -> anyhow::Result<Vec<Order>> {
         let mut orders = Vec::new();
         if let Some(name) = &self.skin {
@@ -123,7 +125,7 @@ impl Arguments {
         Ok(orders)
     }
 
-    /// Where it is; a twin is served as long as the second lives.
+    /// The instrument's selector. A twin is served for as long as the second value lives.
     fn instrument(&self) -> anyhow::Result<(SourceSelector, Option<Background>)> {
         match self.selector.parse::<SourceSelector>().map_err(dermis::Error::from)? {
             SourceSelector::Twin { name } => {

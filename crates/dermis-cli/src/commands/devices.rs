@@ -1,4 +1,4 @@
-//! `dermis devices`: the serial ports of this machine and what answers at them.
+//! `dermis devices`: lists the serial ports of this machine and the instruments that answer on them.
 
 use std::io::Write;
 use std::time::Duration;
@@ -24,7 +24,7 @@ pub struct Arguments {
     /// Do not open the ports.
     #[arg(long)]
     no_ask: bool,
-    /// Bits per second for asking.
+    /// Baud rate for asking, bits per second.
     #[arg(long, value_name = "N")]
     baud: Option<u32>,
     /// How long to wait for an answer.
@@ -37,13 +37,13 @@ pub struct Arguments {
 
 #[derive(Serialize)]
 struct Found {
-    /// What to give as `--source`.
+    /// Value for `--source`.
     selector: String,
     path: String,
     product: Option<String>,
-    /// What it says that it is; null where it was not asked or did not answer.
+    /// Identification sent by the device; null if it was not asked or did not answer.
     device: Option<String>,
-    /// Why there is no answer.
+    /// Reason for a missing answer.
     problem: Option<String>,
 }
 
@@ -76,7 +76,7 @@ impl Arguments {
             baud: self.baud,
             instrument: Instrument::Wire,
         };
-        // Ports without a USB device behind them are the machine's own, and there are dozens of them.
+        // Ports without a USB device are built into the machine, and there can be dozens of them.
         let answer = (!self.no_ask && port.usb.is_some()).then(|| {
             let patience = Duration::try_from_secs_f64(self.wait_s).unwrap_or_default();
             let options = StreamOptions { patience, ..StreamOptions::default() };

@@ -1,4 +1,4 @@
-//! `dermis doctor`: what is wrong with an instrument or its skin, in plain words, and what to do.
+//! `dermis doctor`: explains in plain words what is wrong with an instrument or its skin, and what to do.
 
 use std::io::Write;
 use std::time::Duration;
@@ -34,7 +34,7 @@ pub struct Arguments {
     source: String,
     #[command(flatten)]
     read: ReadArguments,
-    /// Frames to look at.
+    /// Number of frames to examine.
     #[arg(long, default_value_t = 128, value_name = "N")]
     frames: u64,
     /// How long to wait for a frame.
@@ -46,7 +46,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Examines, and says what was found.
+    /// Runs the examination and prints the result.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.frames < FEWEST_FRAMES {
             let text = format!("--frames {}: expected at least {FEWEST_FRAMES}", self.frames);
@@ -64,7 +64,8 @@ impl Arguments {
         Ok(if bad { Outcome::ProblemsFound } else { Outcome::Done })
     }
 
-    /// The source, unless it is what is wrong, and the impedances of its electrodes' contacts, where it measures them.
+    /// Opens the source and, if possible, measures the contact impedances of its electrodes. `None` if opening
+    /// failed, which is then one of the checks.
     fn open(&self, skin: &Skin, patience: Duration, checks: &mut Vec<Check>) -> anyhow::Result<Option<Examined>> {
         if self.source == "twin" {
             let (source, _) = TwinSource::new(skin)?;
@@ -121,11 +122,11 @@ impl Arguments {
     }
 }
 
-/// A source, and the impedances of its electrodes' contacts, ohm, where it measures them.
+/// A source and the contact impedances of its electrodes, ohms, if it can measure them.
 type Examined = (Box<dyn Source>, Option<Vec<f32>>);
 
-/// Opens an instrument as it is set. One on the wire is asked for its contacts first, which it cannot measure while
-/// frames flow.
+/// Opens an instrument with its current settings. An instrument on the wire is first asked for its contact
+/// impedances, because it cannot measure them while frames flow.
 fn open_live(
     selector: &SourceSelector,
     options: StreamOptions,
@@ -146,7 +147,7 @@ fn open_live(
     Ok((source, contacts_ohm))
 }
 
-/// What to do where no connection came about.
+/// Advice after a failed connection.
 fn advice_on(reason: &str) -> &'static str {
     let reason = reason.to_lowercase();
     if reason.contains("permission") {

@@ -1,4 +1,5 @@
-//! `dermis evidence`: dermis on measurements that others published, and the tables of the book's page about them.
+//! `dermis evidence`: runs dermis on measurements published by others, and makes the tables of the book's page about
+//! them.
 
 mod page;
 mod tables;
@@ -28,19 +29,19 @@ failed, or none is there.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Folder with the sets.
+    /// Folder with the data sets.
     #[arg(long, value_name = "DATA", required_unless_present = "list")]
     data: Option<PathBuf>,
-    /// These sets only, commas between.
+    /// Only these sets, separated by commas.
     #[arg(long, value_name = "SETS", value_delimiter = ',')]
     only: Vec<String>,
-    /// One draw, fewer pokes, one level, a coarser mesh.
+    /// Use one draw, fewer pokes, one level and a coarser mesh.
     #[arg(long)]
     quick: bool,
-    /// Where the tables go: .md (a page that has the markers, or a new one), .html or .json.
+    /// Output file for the tables: .md (a page with the markers, or a new one), .html or .json.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Name the sets, and stop.
+    /// List the sets and exit.
     #[arg(long)]
     list: bool,
     /// Print JSON instead of text.
@@ -49,7 +50,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Runs the sets, prints what came out and writes the page.
+    /// Runs the sets, prints the results and writes the page.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let sets = self.chosen()?;
         let data = match &self.data {
@@ -59,7 +60,7 @@ impl Arguments {
         if !data.is_dir() {
             return Err(UsageError(format!("--data {}: expected a folder", data.display())).into());
         }
-        // Ten minutes are too long to find out that nothing can be written.
+        // Check now: ten minutes is a long time to find out that the file cannot be written.
         let file = self.out.as_deref().map(OutFile::checked).transpose()?;
         let extent = if self.quick { Extent::Quick } else { Extent::Full };
         let mut evidence = Evidence { data: data.clone(), extent, sets: Vec::with_capacity(sets.len()) };
@@ -83,7 +84,7 @@ impl Arguments {
         Ok(evidence.outcome())
     }
 
-    /// In the order of the table, each once.
+    /// The selected sets in table order, each once.
     fn chosen(&self) -> Result<Vec<&'static Set>, UsageError> {
         if let Some(unknown) = self.only.iter().find(|name| Set::named(name).is_none()) {
             let names = SETS.iter().map(|set| set.name).collect::<Vec<_>>().join(", ");
@@ -104,7 +105,7 @@ fn list(sets: &[&Set], json: bool, out: &mut dyn Write) -> anyhow::Result<Outcom
     Ok(Outcome::Done)
 }
 
-/// Runs a set, with a word on stderr for each of its steps where someone watches, and one for the set elsewhere.
+/// Runs a set. On a terminal, stderr shows every step; otherwise one line per set.
 fn measure(set: &Set, data: &std::path::Path, extent: Extent) -> SetReport {
     let spinner = super::spinner(set.name);
     if !std::io::stderr().is_terminal() {

@@ -1,4 +1,4 @@
-//! `dermis export`: parts of a recording as tables for spreadsheets, data frames and NumPy.
+//! `dermis export`: exports parts of a recording as tables for spreadsheets, data frames and NumPy.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -20,22 +20,22 @@ of frames alone: frames x channels. Exit code 3: the recording could not be read
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// The recording, whole or not.
+    /// The recording, complete or not.
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
-    /// What of it: frames, touches, baselines or events.
+    /// Part to export: frames, touches, baselines or events.
     #[arg(long, default_value = "frames")]
     table: Table,
     /// csv, npy or parquet.
     #[arg(long, default_value = "csv")]
     format: TableFormat,
-    /// Where it goes.
+    /// Output file.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
 
 impl Arguments {
-    /// Exports and says how much.
+    /// Exports the table and prints its size.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let mut recording = Recording::open(&self.file)?;
         let exported = export(&mut recording, self.table, self.format, &self.out)?;

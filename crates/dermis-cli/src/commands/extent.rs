@@ -1,4 +1,4 @@
-//! The outline of a skin of which no more is known, as the command line takes it.
+//! The outline of a skin without a skin file, as given on the command line.
 
 use std::str::FromStr;
 
@@ -14,7 +14,7 @@ pub(super) enum Extent {
 }
 
 impl Extent {
-    /// As skin files have it.
+    /// The shape as in skin files.
     pub fn shape(self) -> Shape {
         match self {
             Self::Rectangle([width_mm, height_mm]) => Shape::Rectangle { width_mm, height_mm },

@@ -1,4 +1,4 @@
-//! `dermis info`: what a recording holds, how long it is, and what it lacks.
+//! `dermis info`: shows what a recording holds, how long it is, and what is missing.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -21,21 +21,21 @@ Reads the whole file and compares every checksum.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// The recording, whole or not.
+    /// The recording, complete or not.
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
-    /// As JSON.
+    /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
 }
 
-/// What one reading of the file finds.
+/// Facts collected in one pass over the file.
 #[derive(Default)]
 struct Findings {
     frames: u64,
-    /// Numbers of the first and of the last frame.
+    /// Sequence numbers of the first and last frames.
     numbers: Option<(u64, u64)>,
-    /// Host times of the same, nanoseconds, monotonic.
+    /// Host times of these frames, nanoseconds, monotonic.
     times_ns: Option<(u64, u64)>,
     first_wall_ns: Option<u64>,
     gaps: u64,
@@ -45,7 +45,7 @@ struct Findings {
 }
 
 impl Arguments {
-    /// Prints it.
+    /// Prints the facts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let mut recording = Recording::open(&self.file)?;
         let findings = Findings::of(&mut recording)?;
@@ -109,7 +109,7 @@ fn lost_frames(damage: &Damage) -> String {
     }
 }
 
-/// How many frames of a killed recording may never have come into the file.
+/// Upper bound on the frames that a killed recording may not have written.
 fn most_unwritten(found: &Findings) -> String {
     let seconds = found.duration_s();
     if found.frames < 2 || seconds <= 0.0 {

@@ -1,4 +1,4 @@
-//! The live page of frames that somebody else runs, one after the other.
+//! The live page for a frame loop run by another program.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -13,8 +13,8 @@ use dermis_device::Frame;
 use super::run::{Running, source};
 use crate::page::{PageOptions, Request, ServerHandle};
 
-/// The page that `dermis run` has, of a program's own loop over frames. Its methods are called in the order of a
-/// frame: [`LivePage::answer`], [`LivePage::record`], [`LivePage::show`], [`LivePage::after`].
+/// The page of `dermis run` for a program's own frame loop. For each frame, call the methods in this order:
+/// [`LivePage::answer`], [`LivePage::record`], [`LivePage::show`], [`LivePage::after`].
 pub struct LivePage {
     run: Running,
     requests: Receiver<Request>,
@@ -22,10 +22,10 @@ pub struct LivePage {
 }
 
 impl LivePage {
-    /// Serves the page on this machine; port 0 takes a free one. What is recorded from the page begins with `head`.
+    /// Serves the page on this machine; port 0 takes a free one. Recordings made from the page start with `head`.
     ///
     /// # Errors
-    /// A port that cannot be had.
+    /// The port is not available.
     pub fn serve(
         port: u16,
         twin: Option<TwinControl>,
@@ -38,43 +38,44 @@ impl LivePage {
         Ok(Self { run, requests, server })
     }
 
-    /// What to open in a browser.
+    /// The page's address for a browser.
     pub fn url(&self) -> String {
         self.server.url()
     }
 
-    /// Asks the desktop to show it; without a desktop nothing happens.
+    /// Asks the desktop to open the page; without a desktop, does nothing.
     pub fn open_browser(&self) {
         source::open_browser(&self.url());
     }
 
-    /// Does what pages have asked for: before every frame.
+    /// Carries out the pages' requests; call it before every frame.
     pub fn answer(&mut self, pipeline: &mut Pipeline) {
         self.run.answer_all(&self.requests, pipeline);
     }
 
-    /// No frame came.
+    /// Call this when no frame arrived.
     ///
     /// # Errors
-    /// None that a pipeline gives cause for.
+    /// None caused by the pipeline.
     pub fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
         self.run.wait(acquisition)
     }
 
-    /// A frame before anything is made of it.
+    /// Records a frame; call it before processing.
     pub fn record(&mut self, frame: &Frame) {
         self.run.record(frame);
     }
 
-    /// What came of it.
+    /// Shows the results of the frame.
     pub fn show(&mut self, output: &Output<'_>) {
         self.run.show(output);
     }
 
-    /// The pipeline after it; `renewed`: the frame's wall clock, where a new baseline stands since.
+    /// Updates the page from the pipeline after a frame. `renewed` is the frame's wall-clock time if a new baseline
+    /// has just been taken.
     ///
     /// # Errors
-    /// As [`LivePage::wait`].
+    /// As for [`LivePage::wait`].
     pub fn after(
         &mut self,
         acquisition: &Acquisition,
@@ -84,15 +85,15 @@ impl LivePage {
         self.run.after(acquisition, pipeline, renewed)
     }
 
-    /// There will be no more frames; the page stays and says so.
+    /// Tells the page, which stays open, that there will be no more frames.
     ///
     /// # Errors
-    /// As [`LivePage::wait`].
+    /// As for [`LivePage::wait`].
     pub fn end(&mut self) -> anyhow::Result<()> {
         self.run.end()
     }
 
-    /// Ends a recording that goes on, and the page.
+    /// Stops a running recording and closes the page.
     pub fn close(mut self) {
         self.run.stop_recording();
         self.server.shutdown();

@@ -1,4 +1,4 @@
-//! One file per command. To add one: a file with `Arguments` and their `run`, and a variant below.
+//! One file per command. To add one, write a file with `Arguments` and their `run`, and add a variant below.
 
 mod acquired;
 mod bench;
@@ -38,7 +38,7 @@ mod train;
 mod train_set;
 mod twin;
 
-/// Where frames come from, by what the user wrote.
+/// Opens sources of frames from the text that the user wrote.
 pub mod sources {
     pub use super::run::source::{Opened, open, open_of};
     pub use dermis::source::{SourceOptions, TwinControl};
@@ -52,7 +52,7 @@ pub(crate) use printing::{escaped, hint, listed, print_json};
 pub(crate) use progress::{busy, progress_bar, spinner, with_progress};
 pub use skins::skin_svg;
 
-/// What can be asked for.
+/// The commands.
 #[derive(clap::Subcommand)]
 pub enum Command {
     /// Run a skin live: acquire, reconstruct, show a page in the browser.
@@ -61,17 +61,17 @@ pub enum Command {
     Body(body::Arguments),
     /// Record a skin into a file.
     Record(record::Arguments),
-    /// Run a recording through the pipeline again, as it was or with another prior.
+    /// Run a recording through the pipeline again, unchanged or with another prior.
     Replay(replay::Arguments),
-    /// Say what a recording holds, and what it lacks.
+    /// Show what a recording holds and what is missing.
     Info(info::Arguments),
-    /// Make a whole recording of what is left of a broken one.
+    /// Rebuild a complete recording from a broken one.
     Recover(recover::Arguments),
-    /// Turn parts of a recording into tables for other programs.
+    /// Export parts of a recording as tables for other programs.
     Export(export::Arguments),
     /// Solve a forward problem or make a difference image from a case file.
     Solve(solve::Arguments),
-    /// Make images and touches of recorded frames.
+    /// Turn recorded frames into images and touches.
     Reconstruct(reconstruct::Arguments),
     /// Label recorded frames: lowered or raised conductivity.
     Segment(segment::Arguments),
@@ -81,38 +81,38 @@ pub enum Command {
     Train(train::Arguments),
     /// Fit a calibration to pokes at known positions.
     Calibrate(calibrate::Arguments),
-    /// Find out which order the numbers of an unknown file are in.
+    /// Find the channel order of an unknown file.
     Order(order::Arguments),
-    /// Find a sheet's conductance in siemens from frames of one state, without a baseline.
+    /// Find a sheet's conductance in siemens from frames of a single state, without a baseline.
     Conductance(conductance::Arguments),
-    /// Begin a skin of your own: a commented skin file and its drawing.
+    /// Start a skin of your own: a commented skin file and its drawing.
     New(new::Arguments),
     /// List, show or draw skins.
     Skins(skins::Arguments),
     /// Signal-to-noise ratio of frames of an untouched skin.
     Snr(snr::Arguments),
-    /// Say what skins will be able to do before they are built, and search for better protocols.
+    /// Predict what skins will be able to do before they are built, and search for better protocols.
     Design(design::Arguments),
     /// Replay the experiments of the published skins on their twins.
     Reproduce(reproduce::Arguments),
-    /// Run dermis on measurements that others published, beside plain methods, and write the tables.
+    /// Run dermis and plain methods on measurements published by others, and write the tables.
     Evidence(evidence::Arguments),
-    /// List serial ports and what answers at them.
+    /// List serial ports and the instruments that answer on them.
     Devices(devices::Arguments),
-    /// Examine an instrument and its skin, and say what to do about what is wrong.
+    /// Examine an instrument and its skin, and advise on any faults.
     Doctor(doctor::Arguments),
-    /// Ask one instrument who it is, set it, have it test itself or measure once.
+    /// Identify and configure one instrument, run its self-test or take one measurement.
     Device(device::Arguments),
-    /// Let programs connect to a skin's twin as to an instrument.
+    /// Serve a skin's twin to programs as if it were an instrument.
     Twin(twin::Arguments),
     /// Time the numerical work on this machine.
     Bench(bench::Arguments),
-    /// Completions for a shell, or manual pages.
+    /// Print completions for a shell, or write manual pages.
     Completions(completions::Arguments),
 }
 
 impl Command {
-    /// Runs it; results go to `out`.
+    /// Runs the command; results go to `out`.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match self {
             Command::Run(arguments) => arguments.run(out),

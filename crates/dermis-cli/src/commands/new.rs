@@ -1,5 +1,5 @@
-//! `dermis new`: a skin of the user's own, begun: a commented skin file and its drawing. What is not said by options
-//! is asked for where someone sits at the terminal. No file is replaced.
+//! `dermis new`: starts a user's own skin with a commented skin file and its drawing. On a terminal it asks for
+//! whatever the options don't give. It never overwrites a file.
 
 use std::fs::OpenOptions;
 use std::io::{self, IsTerminal, Write};
@@ -22,7 +22,7 @@ with columns x_mm, y_mm. Layers: gel (salted gelatin, hydrogel), foam (carbon-fi
 (a sheet under a metal layer that touches it where pressed), patches (a sheet under separate patches), liquid (in a tray under
 a membrane). NAME.toml says what every line means; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
 
-/// Layers that a skin can be begun with.
+/// Layers available for a new skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum LayerName {
     /// Salted gelatin, hydrogel: thins where pressed.
@@ -46,13 +46,13 @@ pub struct Arguments {
     /// Its outline: disc:DIAMETER, square:SIDE, rectangle:WIDTHxHEIGHT (mm) or polygon:FILE.csv.
     #[arg(long, value_name = "OUTLINE")]
     outline: Option<String>,
-    /// Number of electrodes, evenly round the rim.
+    /// Number of electrodes, evenly spaced around the rim.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..=128))]
     electrodes: Option<u32>,
-    /// What it is made of.
+    /// Material of the skin.
     #[arg(long, value_enum)]
     layer: Option<LayerName>,
-    /// What reads it, as for `dermis run --source`; none where there is no instrument yet.
+    /// Instrument that reads it, as for `dermis run --source`; none if there is no instrument yet.
     #[arg(long, value_name = "SOURCE|none")]
     instrument: Option<String>,
     /// Folder for both files.
@@ -61,7 +61,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Asks, checks, writes, and says what to do next.
+    /// Asks, checks, writes the files and prints the next steps.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
         if self.name.is_empty()
@@ -72,7 +72,7 @@ impl Arguments {
             let text = format!("name {:?}: expected 1 to 100 letters, digits, - and _", self.name);
             return Err(UsageError(text).into());
         }
-        // In the folder at hand the names stand alone, as people write them.
+        // For the current folder show bare file names, as people write them.
         let folder = self.out.strip_prefix(".").unwrap_or(&self.out);
         let [file, drawing] = ["toml", "svg"].map(|ending| folder.join(format!("{}.{ending}", self.name)));
         for path in [&file, &drawing] {
@@ -103,13 +103,13 @@ impl Arguments {
             None => ask(out, "instrument (none, serial:PORT, serial:PORT#lines, tcp:HOST:PORT)", "none", instrument)?,
         };
         let text = skin_file(&self.name, &outline, electrodes, layer, instrument.as_deref());
-        // Nothing is written unless it is a skin that can be meshed and drawn.
+        // Write nothing unless the skin can be meshed and drawn.
         let skin = Skin::parse(&text, &file.display().to_string())?;
         let body = skin.body()?;
         let picture = SkinDrawing { body: &body.mesh, title: &skin.title, width_px: 1000, mesh: false }.picture();
         write_new(&file, text.as_bytes())?;
         if let Err(error) = write_new(&drawing, draw::svg(&picture).as_bytes()) {
-            // One without the other would only be in the way of the next try.
+            // A lone file would only get in the way of the next attempt.
             let _ = std::fs::remove_file(&file);
             return Err(error.into());
         }
@@ -118,15 +118,15 @@ impl Arguments {
     }
 }
 
-/// Writes a file that must not be there yet.
+/// Writes a file that must not exist yet.
 fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis::Error> {
     let failed = |source| dermis::Error::Io { file: path.to_path_buf(), source };
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(content).and_then(|()| file.sync_all()).map_err(failed)
 }
 
-/// Asks until the answer is one. Answers that come through a pipe are taken line by line, the usual one for an empty line
-/// and behind the last.
+/// Asks until the answer is valid. Answers from a pipe are taken line by line, with the default for an empty line and
+/// after the last one.
 fn ask<T>(
     out: &mut dyn Write,
     question: &str,
@@ -195,7 +195,7 @@ impl Outline {
         })
     }
 
-    /// As a skin file has it.
+    /// The shape in skin-file syntax.
     fn shape(&self) -> String {
         match self {
             Self::Disc(mm) => format!("{{ disc = {{ diameter_mm = {mm:?} }} }}"),
@@ -250,7 +250,7 @@ fn instrument(text: &str) -> Result<Option<String>, UsageError> {
     }
 }
 
-/// The layer's line, what it is, and what the image needs for it.
+/// The line for the layer, its description, and the imaging settings it needs.
 fn layer_lines(layer: LayerName) -> [&'static str; 3] {
     match layer {
         LayerName::Gel => [

@@ -1,4 +1,4 @@
-//! `dermis order`: which order the numbers of an unknown file are in, as the lines of a skin file.
+//! `dermis order`: finds the channel order of an unknown file, as lines for a skin file.
 
 use std::io::Write;
 
@@ -42,7 +42,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Searches, and says what fits.
+    /// Searches and prints the matches.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let skin = self.skin.given()?.map(|name| Skin::open(&name)).transpose()?;
         let channels = skin.as_ref().map(readings_of).unwrap_or_default();
@@ -64,7 +64,7 @@ impl Arguments {
 fn print(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "{} readings, mean of {} frames", found.readings, found.frames)?;
     writeln!(out, "{}", found.verdict())?;
-    // Lines for what does not fit would be copied.
+    // Don't print lines for a poor match, since users would copy them.
     if let Some(best) = found.fitting() {
         print_lines(best, out)?;
     }
@@ -78,7 +78,7 @@ fn print(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
     Ok(())
 }
 
-/// What other commands say of a file in another order than the skin's: in a sentence, and as lines to write.
+/// Reported by other commands if a file's order differs from the skin's: a sentence, and lines for the skin file.
 pub(super) fn print_order(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "order of the channels: {}", found.verdict())?;
     found.fitting().map_or(Ok(()), |best| print_lines(best, out))

@@ -1,25 +1,25 @@
-//! What a command prints besides its own results.
+//! Output that commands share.
 
 use std::io::Write;
 
-/// A hint on stderr, for people: what was meant was understood, and how it is said now.
+/// Prints a hint on stderr for people who used an old or unusual form: the current way to say it.
 pub(crate) fn hint(text: &str) {
     eprintln!("hint: {text}");
 }
 
-/// A report as JSON, on lines of its own.
+/// Prints a report as JSON, on lines of its own.
 pub(crate) fn print_json(report: &impl serde::Serialize, out: &mut dyn Write) -> anyhow::Result<()> {
     serde_json::to_writer_pretty(&mut *out, report).map_err(std::io::Error::from)?;
     writeln!(out)?;
     Ok(())
 }
 
-/// Text as it stands in HTML, between tags and in attributes.
+/// Text escaped for HTML, for use between tags and in attributes.
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The first of some numbers, counted from 0, in words.
+/// The first few of some indices, which count from 0, in words.
 pub(crate) fn listed(numbers: impl ExactSizeIterator<Item = usize>) -> String {
     const MOST: usize = 12;
     let count = numbers.len();

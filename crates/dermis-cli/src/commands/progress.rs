@@ -1,18 +1,18 @@
-//! What a command says while it works.
+//! Progress messages of commands.
 
 use std::io::IsTerminal;
 
-/// Work shorter than this needs no word.
+/// Shorter work needs no message.
 const QUIET: std::time::Duration = std::time::Duration::from_secs(2);
 
-/// Work of unknown length. Where someone watches, a spinner shows it; elsewhere a line on stderr says what takes
-/// longer than two seconds.
+/// Work of unknown length. A terminal shows a spinner; otherwise a line on stderr appears if it takes longer than two
+/// seconds.
 pub(crate) struct Busy {
     spinner: indicatif::ProgressBar,
     done: Option<crossbeam_channel::Sender<()>>,
 }
 
-/// Says what is being done until the returned value is dropped.
+/// Shows what is being done until the returned value is dropped.
 pub(crate) fn busy(text: String) -> Busy {
     let spinner = spinner(&text);
     let (done, wait) = crossbeam_channel::bounded(1);
@@ -27,7 +27,7 @@ pub(crate) fn busy(text: String) -> Busy {
 }
 
 impl Busy {
-    /// The work is done.
+    /// Ends the display.
     pub(crate) fn finish(self) {}
 }
 
@@ -38,7 +38,7 @@ impl Drop for Busy {
     }
 }
 
-/// Does work that says how many of all parts are done, with a bar on stderr meanwhile.
+/// Runs work that reports its progress in parts, with a bar on stderr meanwhile.
 pub(crate) fn with_progress<T>(unit: &str, work: impl FnOnce(&mut dyn FnMut(usize, usize)) -> T) -> T {
     let bar = progress_bar(unit);
     let done = work(&mut |done, all| {
@@ -49,7 +49,7 @@ pub(crate) fn with_progress<T>(unit: &str, work: impl FnOnce(&mut dyn FnMut(usiz
     done
 }
 
-/// A progress bar on stderr, shown only where someone watches.
+/// A progress bar on stderr, shown only on a terminal.
 pub(crate) fn progress_bar(unit: &str) -> indicatif::ProgressBar {
     let style = indicatif::ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {unit}, {{eta}} left"));
     let bar = indicatif::ProgressBar::new(0);

@@ -1,31 +1,31 @@
-//! How files of frames are read, where guessing is not enough: the same words in every command.
+//! Options for reading files of frames where guessing isn't enough; the same in every command.
 
 use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
 
-/// How files of frames are read.
+/// Options for reading files of frames.
 #[derive(clap::Args)]
 pub(super) struct ReadArguments {
-    /// Format of files of frames (csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors); recognised where left
-    /// out.
+    /// Format of files of frames (csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors); default:
+    /// recognised from the file.
     #[arg(long)]
     format: Option<Format>,
-    /// Columns of tables that hold readings: names, indices from 0, ranges such as 1..209; the others are times, or left
-    /// out.
+    /// Columns of tables that hold readings: names, indices from 0, ranges such as 1..209; other columns are times or
+    /// ignored.
     #[arg(long, value_name = "COLUMNS")]
     columns: Option<FrameSelect>,
-    /// Lines at the beginning of text files that are passed over.
+    /// Lines to skip at the start of text files.
     #[arg(long, value_name = "N", default_value_t = 0)]
     skip_rows: usize,
-    /// Array of an archive (npz) with the frames.
+    /// Name of the array in an npz archive that holds the frames.
     #[arg(long, value_name = "NAME")]
     array: Option<String>,
-    /// Topic of a ROS bag, or of an MCAP file of another program, with the frames.
+    /// Topic with the frames in a ROS bag or in another program's MCAP file.
     #[arg(long, value_name = "TOPIC", conflicts_with = "array")]
     topic: Option<String>,
-    /// Frames stand in columns.
+    /// Frames are stored as columns.
     #[arg(long)]
     transpose: bool,
-    /// Frequency of a sweep, or two, A,B: then readings at A less those at B.
+    /// Frequency of a sweep; two, A,B, give the readings at A minus those at B.
     #[arg(long, value_name = "HZ[,HZ]", value_parser = frequencies)]
     frequency_hz: Option<Frequencies>,
 }
@@ -40,7 +40,7 @@ fn frequencies(text: &str) -> Result<Frequencies, String> {
 }
 
 impl ReadArguments {
-    /// The same as options.
+    /// The options as a struct.
     pub(super) fn options(&self) -> ReadOptions {
         ReadOptions {
             format: self.format,

@@ -1,4 +1,4 @@
-//! `dermis reconstruct`: recorded frames to images and touches.
+//! `dermis reconstruct`: turns recorded frames into images and touches.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -35,10 +35,10 @@ order of channels; which, and the lines of the skin file that say so, are printe
 pub struct Arguments {
     #[command(flatten)]
     recorded: RecordedFrames,
-    /// Frames of the untouched skin; none where the frames are differences already.
+    /// Frames of the untouched skin; not needed if the frames already are differences.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
-    /// The frames are differences from the untouched skin already.
+    /// The frames already are differences from the untouched skin.
     #[arg(long, conflicts_with = "baseline")]
     differences: bool,
     /// A calibration made by `dermis calibrate`.
@@ -47,13 +47,13 @@ pub struct Arguments {
     /// A force calibration made by `dermis calibrate --forces`: the table then has force_n and force_range.
     #[arg(long, value_name = "FILE")]
     forces: Option<PathBuf>,
-    /// lambda, in place of the skin file's rule.
+    /// lambda, overriding the skin file's rule.
     #[arg(long, value_name = "LAMBDA")]
     hyperparameter: Option<f64>,
-    /// Where the table of touches goes.
+    /// Output file for the table of touches.
     #[arg(long, value_name = "FILE.csv")]
     touches: Option<PathBuf>,
-    /// Where the images go.
+    /// Output file for the images.
     #[arg(long, value_name = "FILE.npy")]
     images: Option<PathBuf>,
     /// Print JSON instead of text.
@@ -62,7 +62,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Reconstructs all frames and says how it went.
+    /// Reconstructs all frames and prints a summary.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.touches.is_none() && self.images.is_none() {
             return Err(UsageError("nothing asked for: give --touches, --images or both".into()).into());
@@ -83,7 +83,7 @@ impl Arguments {
         };
         let report = with_progress("frames", |progress| reconstruct(&request, progress))?;
         let found = match (&report.order.better, &request.baseline) {
-            // Behind a readout's circuit readings are not the model's voltages, whatever their order.
+            // With a readout circuit the readings are not the model's voltages in any order.
             (Some(_), Some(baseline)) if request.skin.backend.circuit.is_none() => {
                 Some(find_order(&read_frames(baseline, request.read.clone())?, Some(&request.skin))?)
             }

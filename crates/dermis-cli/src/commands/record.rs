@@ -1,5 +1,5 @@
-//! `dermis record`: acquire into a file, without a page. The frames also go through the pipeline, whose images, touches
-//! and baselines stand beside them in the recording.
+//! `dermis record`: acquires frames into a file, without a page. The frames also go through the pipeline, and its
+//! images, touches and baselines are recorded with them.
 
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -28,7 +28,7 @@ Without a source, the skin's digital twin is recorded. The file is called press.
 leaves of it opens like any other recording, and `dermis recover` makes it whole. Exit code 3: frames were lost, and how many
 was said.";
 
-/// Frames that may wait between source and pipeline.
+/// Frames that may queue between source and pipeline.
 const QUEUE: usize = 1024;
 
 /// Arguments of `dermis record`.
@@ -40,19 +40,21 @@ pub struct Arguments {
     /// The recording; an existing one is not overwritten.
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
-    /// Stop after so many frames.
+    /// Stop after this many frames.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
-    /// Stop after so many seconds.
+    /// Stop after this many seconds.
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// Images and point clouds for viewers, at most so many a second; 0 for none. Raw frames are never thinned out.
+    /// Largest rate of images and point clouds for viewers, per second; 0 for none. Raw frames are always recorded in
+    /// full.
     #[arg(long, value_name = "N", default_value_t = SkinView::IMAGES_PER_S)]
     images_per_s: f64,
 }
 
 impl Arguments {
-    /// Records until the frames or seconds are over, the source ends, the disk is full or the user interrupts.
+    /// Records until the requested frames or seconds are reached, the source ends, the disk is full or the user
+    /// interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         for (name, value) in [("--seconds", self.seconds), ("--images-per-s", Some(self.images_per_s))] {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value >= 0.0)) {
@@ -60,7 +62,7 @@ impl Arguments {
             }
         }
         let (opened, mut pipeline, head) = self.input.open()?;
-        // A signal from here on ends the recording as its end would.
+        // From here on a signal ends the recording cleanly.
         interrupt::begin();
         let mut recording = LiveRecording::start(&self.out, &head, &pipeline, self.images_per_s)?;
         interrupt::protect(recording.stop());
@@ -83,7 +85,7 @@ impl Arguments {
         pipeline: &mut Pipeline,
         recording: &mut LiveRecording,
     ) -> anyhow::Result<()> {
-        // Interrupted, the recording is finished as at its end.
+        // An interrupted recording is finished like any other.
         let interrupted = interrupt::begin();
         let until = self.seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
         let begun = Instant::now();
@@ -94,15 +96,15 @@ impl Arguments {
     }
 }
 
-/// Records frames before anything is made of them, then what was made of them, until there are enough.
+/// Records each frame, then its results, until there are enough.
 struct Recorded<'a> {
     recording: &'a mut LiveRecording,
     interrupted: &'static AtomicBool,
     begun: Instant,
     until: Option<Duration>,
-    /// Frames still to be recorded.
+    /// Frames left to record.
     left: Option<u64>,
-    /// Time of the frame at hand.
+    /// Wall-clock time of the current frame.
     wall_ns: u64,
 }
 

@@ -1,4 +1,4 @@
-//! What commands that work on frames from files are told alike: the skin, the frames and their format.
+//! Options shared by commands that work on frames from files: the skin, the frames and their format.
 
 use dermis::skin::Skin;
 use dermis_device::FileSpec;
@@ -7,25 +7,25 @@ use super::reading::ReadArguments;
 use super::skin_word::SkinWord;
 use crate::exit::UsageError;
 
-/// Frames in a file, and the skin that they are of.
+/// Frames in a file, and the skin they belong to.
 #[derive(clap::Args)]
 pub(super) struct RecordedFrames {
     #[command(flatten)]
     pub skin: SkinWord,
-    /// Frames to work on; #0..60 or #name after the file's name takes some of them.
+    /// Frames to work on; #0..60 or #name after the file's name selects some of them.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     pub frames: FileSpec,
     #[command(flatten)]
     pub read: ReadArguments,
-    /// Read the frames of a recording as SKIN's though they are of another skin.
+    /// Accept a recording of another skin as frames of SKIN.
     #[arg(long)]
     pub as_skin: bool,
 }
 
-/// Whether frames are differences already: a baseline is given, or said not to be needed.
+/// True if frames already are differences. Either a baseline must be given, or an option that says it isn't needed.
 ///
 /// # Errors
-/// Neither, or both.
+/// Neither or both are given.
 pub(super) fn baseline_or_differences(
     baseline: Option<&FileSpec>,
     flag: bool,

@@ -1,4 +1,4 @@
-//! `dermis recover`: a whole recording from what a crash, a full disk or a bad sector left of one.
+//! `dermis recover`: rebuilds a complete recording from one damaged by a crash, a full disk or a bad sector.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ Every chunk whose checksum holds is copied, the rest is passed over and said. Ex
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// What is left of a recording; it stays as it is.
+    /// The damaged recording; it is not changed.
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
     /// The new recording; an existing one is not overwritten.
@@ -27,7 +27,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Recovers and says how much.
+    /// Recovers the recording and prints how much.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let recovered = recover(&self.file, &self.out)?;
         let damage = recovered.damage;

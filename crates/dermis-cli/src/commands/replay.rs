@@ -1,5 +1,5 @@
-//! `dermis replay`: a recording through the live pipeline again, with the times, commands and calibrations that it was
-//! made with, or imaged otherwise.
+//! `dermis replay`: runs a recording through the live pipeline again, with its original times, commands and
+//! calibrations, or with other imaging settings.
 
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -27,28 +27,28 @@ frames, and how many was said.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// The recording, whole or not.
+    /// The recording, complete or not.
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
     /// 0 as fast as possible, 1 as recorded, 2 twice as fast.
     #[arg(long, default_value_t = 0.0)]
     speed: f64,
-    /// Another skin, or another file of the same, in place of the recorded one.
+    /// Another skin, or another file of the same one, instead of the recorded one.
     #[arg(long, value_name = "NAME|FILE")]
     skin: Option<String>,
     /// Another prior: identity, laplace, noser=EXPONENT, gaussian-mm=LENGTH, or a value as in a skin file.
     #[arg(long, value_name = "PRIOR")]
     prior: Option<PriorChoice>,
-    /// lambda, or relative=FACTOR, noise-figure=TARGET, in place of the recorded skin's rule.
+    /// lambda, or relative=FACTOR, noise-figure=TARGET, overriding the recorded skin's rule.
     #[arg(long, value_name = "LAMBDA")]
     hyperparameter: Option<HyperparameterChoice>,
-    /// Lines only for frames with touches or events.
+    /// Print lines only for frames with touches or events.
     #[arg(long)]
     only_touches: bool,
-    /// Where a table of touches goes.
+    /// Output file for a table of touches.
     #[arg(long, value_name = "FILE.csv")]
     touches: Option<PathBuf>,
-    /// Where the images go.
+    /// Output file for the images.
     #[arg(long, value_name = "FILE.npy")]
     images: Option<PathBuf>,
 }
@@ -91,7 +91,7 @@ impl Arguments {
         let options = RerunOptions { speed: self.speed, follow_hyperparameter: self.hyperparameter.is_none() };
         let stop = interrupt::begin();
         let mut health = HealthWatch::new(&pipeline.prepared().skin);
-        // What the shell's reader does is no error of the replay.
+        // A closed pipe on stdout is not an error of the replay.
         let mut failed: Option<std::io::Error> = None;
         let report = rerun(&mut recording, &mut pipeline, options, stop, |output: &Output<'_>| {
             sinks.iter_mut().try_for_each(|sink| sink.accept(output))?;
@@ -119,7 +119,7 @@ impl Arguments {
     }
 }
 
-/// Says what is missing.
+/// Outcome by what is missing.
 fn outcome(report: &RerunReport) -> Outcome {
     if report.refused > 0 {
         tracing::warn!(refused = report.refused, "recorded commands were refused this time");

@@ -1,4 +1,5 @@
-//! `dermis reproduce`: the experiments of the published skins on their twins, as tables, figures and one report.
+//! `dermis reproduce`: replays the experiments of the published skins on their twins, with tables, figures and one
+//! report.
 
 mod cells;
 mod figures;
@@ -30,14 +31,14 @@ predicted by the twin's physics, or made by the image and touch algorithms.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Letters of papers, and experiments as in `I2`. A letter stands for all of its paper, unless experiments of that
-    /// paper are named as well.
+    /// Letters of papers, and experiments such as `I2`. A letter stands for its whole paper, unless experiments of
+    /// that paper are named as well.
     #[arg(value_name = "PAPER|EXPERIMENT", required_unless_present = "list")]
     which: Vec<String>,
-    /// Folder for what comes out.
+    /// Output folder.
     #[arg(long, value_name = "FOLDER", default_value = "reproduce")]
     out: PathBuf,
-    /// Name the papers and experiments, and stop.
+    /// List the papers and experiments, and exit.
     #[arg(long)]
     list: bool,
     /// With --list: JSON instead of a table.
@@ -46,7 +47,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Replays what was asked for.
+    /// Replays the selected experiments.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.list && self.json {
             let papers: Vec<serde_json::Value> = PAPERS
@@ -85,7 +86,7 @@ impl Arguments {
         Ok(Outcome::Done)
     }
 
-    /// In the order of the papers and their experiments, each once.
+    /// The selected experiments in the order of papers and experiments, each once.
     fn chosen(&self) -> Result<Vec<&'static Experiment>, UsageError> {
         let is_letter = |word: &String, letter: &str| word.eq_ignore_ascii_case(letter);
         for word in &self.which {
@@ -104,7 +105,7 @@ impl Arguments {
     }
 }
 
-/// Refuses what is neither a paper's letter nor one of its experiments.
+/// Refuses words that are neither a paper's letter nor one of its experiments.
 fn known(word: &str) -> Result<(), UsageError> {
     let begins = |letter: &str| word.get(..letter.len()).is_some_and(|start| start.eq_ignore_ascii_case(letter));
     let Some((letter, _, experiments)) = PAPERS.iter().find(|(letter, ..)| begins(letter)) else {

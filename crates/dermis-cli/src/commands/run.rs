@@ -1,5 +1,5 @@
-//! `dermis run`: acquire, reconstruct, show. One thread reads the source, this one runs the pipeline, the page's server
-//! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
+//! `dermis run`: acquire, reconstruct, show. One thread reads the source, this one runs the pipeline, and the page's
+//! server has its own. All losses on the way are counted, shown, and reflected in the exit code.
 
 mod on_body;
 mod running;
@@ -45,7 +45,7 @@ line of health.
 Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is printed
 as `page: http://...`. Pages on other addresses than this machine's own need the token that is part of that address.";
 
-/// Frames that may wait between source and pipeline.
+/// Frames that may queue between source and pipeline.
 const QUEUE: usize = 64;
 
 /// Arguments of `dermis run`.
@@ -55,38 +55,38 @@ pub struct Arguments {
     #[command(flatten)]
     input: source::InputArguments,
     /// A network made by `dermis train` for this skin, which classifies the pixels of every frame (damaged,
-    /// compressed), in place of the one that ships with it.
+    /// compressed); replaces the one shipped with the skin.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
-    /// No network.
+    /// Use no network.
     #[arg(long, conflicts_with = "model")]
     no_model: bool,
     /// Record raw frames from the start.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
-    /// No page; one JSON line a frame on stdout.
+    /// No page; print one JSON line per frame on stdout.
     #[arg(long)]
     headless: bool,
-    /// With --headless: lines only for frames with touches or events.
+    /// With --headless: print lines only for frames with touches or events.
     #[arg(long, requires = "headless")]
     only_touches: bool,
     /// Do not open a browser.
     #[arg(long)]
     no_open: bool,
-    /// Address of the page; any but this machine's own needs the token that is printed.
+    /// Address of the page; any address but this machine's own needs the token that is printed.
     #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     host: IpAddr,
     /// Port of the page; 0 takes a free one.
     #[arg(long, default_value_t = 7878)]
     port: u16,
-    /// Further names under which browsers may ask for the page.
+    /// Additional host names that browsers may use for the page.
     #[arg(long, value_name = "NAME")]
     allow_host: Vec<String>,
-    /// Stop after so many frames, of a body each patch.
+    /// Stop after this many frames; for a body, frames of each patch.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
-    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, a file of such lines, or sweep
-    /// (a demonstration).
+    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, a file of such lines, or
+    /// sweep (a demonstration).
     #[arg(long, value_name = "SOURCE")]
     joints: Option<String>,
     /// Run the other patches of a body if one can't be started.
@@ -95,7 +95,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Runs until the source ends, the frames asked for are done, or the user interrupts.
+    /// Runs until the source ends, the requested frames are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if let Some(file) = self.input.body_file()? {
             return self.run_body(&file, out);
@@ -119,12 +119,12 @@ impl Arguments {
             }
             Some((server, requests))
         };
-        // A signal from here on ends the run as it would end with its source, so that a recording is finished.
+        // From here on a signal ends the run as the end of its source would, so that the recording is finished.
         interrupt::begin();
         if let Some(path) = &self.record {
             run.start_recording(path, &pipeline)?;
         }
-        // Last of all, so that no frame waits for anything above.
+        // Started last, so that no frame waits for the setup above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let name = acquisition.name().to_string();
         let requests = page.as_ref().map(|(_, requests)| requests);
@@ -170,7 +170,7 @@ impl Arguments {
         on_body::run(file, &options, self.only_touches, out)
     }
 
-    /// The network asked for, or the one that ships with the skin as long as the skin is what it was trained on.
+    /// Loads the requested network, or the one shipped with the skin if the skin is unchanged since its training.
     fn classify_by_network(&self, pipeline: &mut Pipeline) -> anyhow::Result<()> {
         if let Some(path) = &self.model {
             let model = Model::load(path).map_err(dermis::Error::from)?;
@@ -195,7 +195,7 @@ impl Arguments {
         Ok(PageOptions { token, allowed_hosts: self.allow_host.clone(), ..PageOptions::default() })
     }
 
-    /// True where the source has ended by itself.
+    /// Follows the source; returns true if it ended by itself.
     fn follow(
         &self,
         acquisition: &mut Acquisition,
@@ -205,7 +205,7 @@ impl Arguments {
         out: &mut dyn Write,
     ) -> anyhow::Result<bool> {
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
-        // Interrupted, the run ends as it would with its source, so that a recording is finished.
+        // An interrupted run ends as with its source, so that the recording is finished.
         let interrupted = interrupt::begin();
         let bar = (!self.headless).then(|| super::spinner("waiting for the baseline"));
         let lines = self.headless.then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
@@ -219,18 +219,18 @@ impl Arguments {
     }
 }
 
-/// What is written to the terminal.
+/// Output to the terminal.
 struct Console<'a> {
     lines: Option<JsonLines<Vec<u8>>>,
     out: &'a mut dyn Write,
     bar: Option<indicatif::ProgressBar>,
     done: u64,
-    /// Frames to stop after.
+    /// Number of frames after which to stop.
     most: Option<u64>,
 }
 
 impl Console<'_> {
-    /// Writes the lines of the frame just done.
+    /// Writes the lines of the last frame.
     fn flush(&mut self, status: impl FnOnce() -> String) -> anyhow::Result<()> {
         if let Some(lines) = &mut self.lines {
             self.out.write_all(lines.get_mut())?;
@@ -247,15 +247,15 @@ impl Console<'_> {
     }
 }
 
-/// The run as it sees its frames.
+/// Connects the run to its frames.
 struct Followed<'a> {
     run: &'a mut Running,
     console: Console<'a>,
     requests: Option<&'a Receiver<Request>>,
     interrupted: &'static AtomicBool,
-    /// Time of the frame at hand.
+    /// Wall-clock time of the current frame.
     wall_ns: u64,
-    /// The run ends before its source.
+    /// True if the run ends before its source.
     is_told_to_stop: bool,
 }
 

@@ -1,4 +1,4 @@
-//! `dermis segment`: recorded frames to labels, 0 background, 1 conductivity lowered, 2 raised.
+//! `dermis segment`: labels recorded frames, 0 background, 1 conductivity lowered, 2 raised.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -30,19 +30,20 @@ pub struct Arguments {
     /// Frames of the untouched skin.
     #[arg(long, alias = "reference", value_name = "FILE[#FRAMES]")]
     baseline: FileSpec,
-    /// A model card made by `dermis train`; the network that ships with the skin, if any, where left out.
+    /// A model card made by `dermis train`; default: the network shipped with the skin, if any.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
-    /// Thresholds alone, no network.
+    /// Use thresholds only, no network.
     #[arg(long, conflicts_with_all = ["model", "probabilities"])]
     no_model: bool,
     /// Pixels along the longer side of the labels.
     #[arg(long, value_name = "PIXELS", default_value_t = 256)]
     size: usize,
-    /// Where the labels go.
+    /// Output file for the labels.
     #[arg(long, value_name = "LABELS.npy")]
     out: Option<PathBuf>,
-    /// Where the probabilities go: frames x classes x rows x columns, f32; NaN for frames labelled by thresholds.
+    /// Output file for the probabilities: frames x classes x rows x columns, f32; NaN for frames labelled by
+    /// thresholds.
     #[arg(long, value_name = "FILE.npy")]
     probabilities: Option<PathBuf>,
     /// Print JSON instead of text.
@@ -51,7 +52,7 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Labels all frames and says how each was.
+    /// Labels all frames and prints how each was labelled.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.out.is_none() && self.probabilities.is_none() {
             return Err(UsageError("nothing asked for: give --out, --probabilities or both".into()).into());
@@ -88,7 +89,7 @@ impl Arguments {
     }
 }
 
-/// Share of the labels that are of a class, per cent.
+/// Share of the labels in a class, per cent.
 fn share_percent(frame: &Segmented, class: usize) -> f64 {
     let count = frame.labels.iter().filter(|label| usize::from(**label) == class).count();
     100.0 * count as f64 / frame.labels.len().max(1) as f64

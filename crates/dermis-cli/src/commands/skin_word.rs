@@ -1,4 +1,5 @@
-//! SKIN, in the same place in every command: the first word. `--skin`, as some commands had it, is understood as well.
+//! The argument SKIN, which is the first word in every command. The older option `--skin` of some commands is still
+//! accepted.
 
 use std::path::Path;
 
@@ -8,22 +9,22 @@ use dermis::skin::Skin;
 use super::hint;
 use crate::exit::UsageError;
 
-/// Which skin, where one may be named.
+/// An optional skin.
 #[derive(clap::Args)]
 pub(super) struct SkinWord {
     /// Built-in skin or skin file.
     #[arg(value_name = "SKIN")]
     skin: Option<String>,
-    /// As SKIN; for scripts written for earlier versions.
+    /// Same as SKIN; for scripts written for earlier versions.
     #[arg(long = "skin", value_name = "SKIN", hide = true)]
     option: Option<String>,
 }
 
 impl SkinWord {
-    /// What was given.
+    /// The given skin, if any.
     ///
     /// # Errors
-    /// Two skins.
+    /// Two skins are given.
     pub fn given(&self) -> Result<Option<String>, UsageError> {
         if let Some(option) = &self.option {
             if let Some(word) = &self.skin {
@@ -34,26 +35,26 @@ impl SkinWord {
         Ok(self.skin.clone().or_else(|| self.option.clone()))
     }
 
-    /// The skin, which must be given.
+    /// The given skin, which is required.
     ///
     /// # Errors
-    /// Two skins, none, or one that cannot be read.
+    /// Two skins or none are given, or the skin cannot be read.
     pub fn open(&self) -> anyhow::Result<Skin> {
         skin(&self.needed()?)
     }
 
-    /// What was given, or a default.
+    /// The given skin, or a default.
     ///
     /// # Errors
-    /// Two skins.
+    /// Two skins are given.
     pub fn or(&self, default: &str) -> Result<String, UsageError> {
         Ok(self.given()?.unwrap_or_else(|| default.to_owned()))
     }
 
-    /// What was given.
+    /// The given skin, which is required.
     ///
     /// # Errors
-    /// Two skins, or none.
+    /// Two skins or none are given.
     pub fn needed(&self) -> Result<String, UsageError> {
         let expected =
             "SKIN is missing: expected a built-in skin (`dermis skins list`) or a skin file as the first word";
@@ -61,7 +62,7 @@ impl SkinWord {
     }
 }
 
-/// The skin that a name or path stands for. Of a recording or another source it is said where that goes.
+/// The skin with a name or path. If it is a recording or another source, the error says where that belongs.
 pub(super) fn skin(name: &str) -> anyhow::Result<Skin> {
     let path = Path::new(name);
     let is_source = ["tcp:", "serial:", "twin:", "file:"].iter().any(|scheme| name.starts_with(scheme));

@@ -1,4 +1,4 @@
-//! `dermis skins`: what skins there are, what a skin file means with its defaults written out, and pictures of them.
+//! `dermis skins`: lists skins, shows a skin file with its defaults filled in, and draws skins.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -43,53 +43,53 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Action {
-    /// The built-in skins.
+    /// List the built-in skins.
     #[command(after_help = "Example:\n  dermis skins list --json")]
     List {
         /// Print JSON instead of a table.
         #[arg(long)]
         json: bool,
     },
-    /// A skin as a skin file, with every default written out.
+    /// Show a skin as a skin file, with every default filled in.
     #[command(after_help = SHOW_EXAMPLE)]
     Show {
         /// Name of a built-in skin, or a skin file.
         #[arg(value_name = "NAME|FILE")]
         skin: String,
     },
-    /// The format of skin files as a JSON Schema, for editors.
+    /// Print the format of skin files as a JSON Schema, for editors.
     #[command(after_help = "Example:\n  dermis skins schema")]
     Schema,
-    /// A skin file of an earlier version, rewritten to the present format with its comments.
+    /// Rewrite a skin file of an earlier version in the present format, keeping its comments.
     #[command(after_help = UPGRADE_EXAMPLE)]
     Upgrade {
         /// The skin file.
         #[arg(value_name = "FILE")]
         file: PathBuf,
-        /// Where to; left out: the file itself, whose earlier text is kept beside it as FILE.old.
+        /// Output file; default: the file itself, whose old text is kept next to it as FILE.old.
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// A skin drawn to scale: mesh, outline, electrodes with their numbers.
+    /// Draw a skin to scale: mesh, outline, numbered electrodes.
     #[command(after_help = DRAW_EXAMPLE)]
     Draw {
         /// Name of a built-in skin, or a skin file.
         #[arg(value_name = "NAME|FILE")]
         skin: String,
-        /// Where to; the ending decides between SVG, PNG and PDF.
+        /// Output file: SVG, PNG or PDF, by its ending.
         #[arg(long, value_name = "FILE.svg|FILE.png|FILE.pdf")]
         out: PathBuf,
         /// Width of the picture.
         #[arg(long, value_name = "PIXELS", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(200..=8000))]
         width_px: u32,
-        /// Leave the mesh out.
+        /// Leave out the mesh.
         #[arg(long)]
         no_mesh: bool,
     },
 }
 
 impl Arguments {
-    /// Does what was asked for.
+    /// Runs the selected action.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match &self.action {
             Action::List { json } => list(*json, out),
@@ -152,7 +152,7 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Nothing is written unless the result is a valid skin.
+/// Writes nothing unless the result is a valid skin.
 fn upgrade_file(file: &Path, to: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let bytes = dermis_device::instruments::read_bytes(file)?;
     let name = file.display().to_string();
@@ -187,7 +187,7 @@ fn upgrade_file(file: &Path, to: Option<&Path>, out: &mut dyn Write) -> anyhow::
     Ok(Outcome::Done)
 }
 
-/// A skin's mesh, unless it is larger than what may be prepared: what `show` refuses `draw` refuses as well.
+/// A skin's mesh, unless it exceeds the size limit. `show` and `draw` thus refuse the same skins.
 fn meshed(skin: &Skin) -> anyhow::Result<SkinBody> {
     Budget::of_imaging(skin).check(skin, "its image")?;
     Ok(skin.body()?)
@@ -208,7 +208,7 @@ fn draw_skin(name: &str, path: &Path, width_px: u32, mesh: bool, out: &mut dyn W
 /// The drawing of a skin as SVG.
 ///
 /// # Errors
-/// A skin that cannot be meshed.
+/// The skin cannot be meshed.
 pub fn skin_svg(skin: &Skin) -> anyhow::Result<String> {
     let body = meshed(skin)?;
     let title = if skin.title.is_empty() { &skin.name } else { &skin.title };
@@ -217,10 +217,10 @@ pub fn skin_svg(skin: &Skin) -> anyhow::Result<String> {
 
 pub(super) type Encoder = fn(&Picture) -> anyhow::Result<Vec<u8>>;
 
-/// The picture format that a file's ending names.
+/// The picture format for a file's ending.
 ///
 /// # Errors
-/// Another ending.
+/// The ending is unknown.
 pub(super) fn encoder(path: &Path) -> Result<Encoder, UsageError> {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     match extension.as_deref() {

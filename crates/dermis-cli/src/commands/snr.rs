@@ -1,5 +1,5 @@
-//! `dermis snr`: the signal-to-noise ratio of every channel and their average, under each of the definitions that the
-//! published skins use, since one set of frames gives three different numbers.
+//! `dermis snr`: the signal-to-noise ratio of every channel and their average, under each definition used by the
+//! published skins, since the same frames give three different numbers.
 
 use std::io::{self, Write};
 
@@ -28,7 +28,7 @@ const DEFINITIONS: [(SnrDefinition, &str); 3] = [
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Frames of an untouched skin, one a row; #0..60 after the name takes some of them.
+    /// Frames of an untouched skin, one per row; #0..60 after the name selects some of them.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     frames: FileSpec,
     #[command(flatten)]
@@ -41,7 +41,7 @@ pub struct Arguments {
 #[derive(Serialize)]
 struct Report {
     frames: usize,
-    /// What was averaged: `value`, or `magnitude` of complex readings.
+    /// Averaged quantity: `value`, or `magnitude` for complex readings.
     reading: &'static str,
     definitions: Vec<Average>,
     channels: Vec<Channel>,
@@ -57,7 +57,7 @@ struct Average {
 
 #[derive(Serialize)]
 struct Channel {
-    /// From 1, as on paper.
+    /// Counted from 1, as on paper.
     channel: usize,
     mean: f64,
     std: f64,

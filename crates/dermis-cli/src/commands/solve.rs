@@ -29,28 +29,28 @@ n elements.";
 #[command(after_help = EXAMPLE)]
 #[command(group(clap::ArgGroup::new("outputs").args(["voltages", "jacobian", "image"]).required(true).multiple(true)))]
 pub struct Arguments {
-    /// The case: mesh, electrodes, stimulation, measurement, conductivities; or a mesh of Gmsh, with --skin.
+    /// The case: mesh, electrodes, stimulation, measurement, conductivities; or a Gmsh mesh, with --skin.
     #[arg(value_name = "CASE.json|MESH.msh")]
     case: PathBuf,
-    /// Skin whose protocol, contact impedance and conductance (hom) go with a mesh.
+    /// Skin whose protocol, contact impedance and conductance (hom) are used with a mesh.
     #[arg(long, value_name = "SKIN")]
     skin: Option<String>,
-    /// Prefix of the names of a mesh's electrode groups.
+    /// Prefix of the electrode groups' names in a mesh.
     #[arg(long, value_name = "PREFIX", default_value = "electrode", requires = "skin")]
     electrodes: String,
     /// Unit of a mesh's coordinates.
     #[arg(long, value_enum, requires = "skin")]
     unit: Option<Unit>,
-    /// Conductivity at which voltages and Jacobian are computed.
+    /// Conductivity for voltages and Jacobian.
     #[arg(long, value_name = "hom|incl|wave|FILE")]
     sigma: Option<ConductivityChoice>,
-    /// Write the voltages (volts) here.
+    /// Output file for the voltages (volts).
     #[arg(long, value_name = "FILE.npy", requires = "sigma")]
     voltages: Option<PathBuf>,
-    /// Write the Jacobian dv/dsigma here.
+    /// Output file for the Jacobian dv/dsigma.
     #[arg(long, value_name = "FILE.npy", requires = "sigma")]
     jacobian: Option<PathBuf>,
-    /// Conductivities before and after, between whose voltages the difference is imaged.
+    /// Conductivities before and after; the difference of their voltages is imaged.
     #[arg(long, value_name = "FROM:TO", requires = "image")]
     difference: Option<Difference>,
     /// Prior of the image.
@@ -62,7 +62,7 @@ pub struct Arguments {
     /// Image v/v0 - 1, weighted by the squared voltages of unit conductivity, instead of v - v0.
     #[arg(long, visible_alias = "normalized", requires = "difference")]
     normalised: bool,
-    /// Write the image (change of conductivity of each element) here.
+    /// Output file for the image (change of conductivity of each element).
     #[arg(long, value_name = "FILE.npy", requires_all = ["difference", "prior", "hyperparameter"])]
     image: Option<PathBuf>,
 }
@@ -124,7 +124,7 @@ fn positive(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "expected a positive number".to_string())
 }
 
-/// An array to be written once all of them are computed.
+/// An array to write once all arrays are computed.
 struct Output<'a> {
     what: &'static str,
     path: &'a Path,
@@ -133,7 +133,7 @@ struct Output<'a> {
 }
 
 impl Arguments {
-    /// Computes everything that was asked for, then writes it.
+    /// Computes all requested arrays, then writes them.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         self.check_paths()?;
         let is_mesh = self.case.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("msh"));
@@ -196,7 +196,7 @@ impl Arguments {
         Ok(Some(Output { what: "image", path, shape: vec![values.len()], values }))
     }
 
-    /// Refuses to write two arrays to one file, or one over the case.
+    /// Refuses to write two arrays to one file, or an array over the case.
     fn check_paths(&self) -> Result<(), UsageError> {
         let mut taken = vec![("the case", &self.case)];
         for (flag, path) in [("--voltages", &self.voltages), ("--jacobian", &self.jacobian), ("--image", &self.image)] {

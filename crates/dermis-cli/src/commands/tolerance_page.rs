@@ -1,5 +1,5 @@
-//! What a workshop's errors come to, for people: a table in the terminal, CSV files, a picture of the map, and one page
-//! of HTML that holds all of it and needs nothing else.
+//! Presents a tolerance study: a table on the terminal, CSV files, a picture of the map, and one self-contained HTML
+//! page with all of it.
 
 use std::fmt::Write as _;
 use std::io::Write;
@@ -27,7 +27,7 @@ const COLUMNS: [&str; 8] = [
     "false per press",
 ];
 
-/// The table and the verdict as text.
+/// Prints the table and the verdict as text.
 pub(super) fn write_table(out: &mut dyn Write, report: &ToleranceReport) -> std::io::Result<()> {
     let extent = &report.extent;
     let (samples, presses, seed) = (extent.samples, extent.presses, extent.seed);
@@ -58,7 +58,7 @@ fn cells(row: &ToleranceRow) -> [String; 8] {
     ]
 }
 
-/// NAME-tolerances.csv, NAME-tolerances-map.csv, NAME-tolerances-map.png and NAME-tolerances.html.
+/// Writes NAME-tolerances.csv, NAME-tolerances-map.csv, NAME-tolerances-map.png and NAME-tolerances.html.
 pub(super) fn write_files(folder: &Path, report: &ToleranceReport, tolerances: &Tolerances) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     let picture = picture(report);
@@ -146,7 +146,7 @@ fn page(report: &ToleranceReport, tolerances: &Tolerances, picture: &Picture) ->
     )
 }
 
-/// The tolerances that this skin has a cause for, as a file: others would read as if they had been tried.
+/// The tolerances that apply to this skin, as a file. Others would look as if they had been tried.
 fn applied(tolerances: &Tolerances, report: &ToleranceReport) -> String {
     let has = |name: &str| report.causes.iter().any(|row| row.name == name);
     let is_applied = |line: &&str| match line.split(' ').next().unwrap_or_default() {

@@ -1,4 +1,4 @@
-//! `dermis train`: a network from a training set, on the processor. On graphics processors PyTorch trains: see
+//! `dermis train`: trains a network on the CPU from a training set. To train on a GPU, use PyTorch: see
 //! `dermis.torch` of the Python package.
 
 use std::io::Write;
@@ -25,57 +25,58 @@ pub struct Arguments {
     /// Folder made by `dermis train-set`.
     #[arg(long, value_name = "FOLDER")]
     set: PathBuf,
-    /// The model card to write.
+    /// Output model card.
     #[arg(long, value_name = "MODEL.json")]
     out: PathBuf,
     /// Channels of the finest level.
     #[arg(long, default_value_t = TrainOptions::default().width)]
     width: usize,
-    /// Levels, each of half the rows and columns of the one before.
+    /// Number of levels, each with half the rows and columns of the one before.
     #[arg(long, default_value_t = TrainOptions::default().levels)]
     levels: usize,
     /// Most passes over the samples.
     #[arg(long, default_value_t = TrainOptions::default().epochs)]
     epochs: usize,
-    /// Samples a step.
+    /// Samples per step.
     #[arg(long, default_value_t = TrainOptions::default().batch)]
     batch: usize,
-    /// Adam's first step; it falls to a fiftieth along a half cosine.
+    /// Adam's initial step size; it falls to a fiftieth along a half cosine.
     #[arg(long, default_value_t = TrainOptions::default().learning_rate)]
     learning_rate: f64,
-    /// Passes without improvement after which training stops.
+    /// Stop after this many passes without improvement.
     #[arg(long, default_value_t = TrainOptions::default().patience)]
     patience: usize,
-    /// Share of the shards that are held out.
+    /// Share of the shards to hold out.
     #[arg(long, default_value_t = TrainOptions::default().held_out)]
     held_out: f64,
     /// Seed of the initial weights and of the order of samples.
     #[arg(long, default_value_t = TrainOptions::default().seed)]
     seed: u64,
-    /// Weights of the classes in the loss, commas between; equal ones where left out.
+    /// Weights of the classes in the loss, separated by commas; default: equal.
     #[arg(long, value_name = "WEIGHTS", value_delimiter = ',')]
     class_weights: Vec<f32>,
-    /// Turn and mirror samples at random: for square skins whose electrodes and protocol have the square's symmetries.
+    /// Turn and mirror samples at random: for square skins whose electrodes and protocol have the square's
+    /// symmetries.
     #[arg(long)]
     symmetries: bool,
-    /// A model of the same architecture and inputs to begin with; random weights where left out.
+    /// A model with the same architecture and inputs to start from; default: random weights.
     #[arg(long, value_name = "MODEL.json", conflicts_with = "weights")]
     start: Option<PathBuf>,
-    /// Weights to begin with that were trained elsewhere: a PyTorch state_dict of the same names, in safetensors. With
-    /// --epochs 0 they stay as they are, and are judged and given a card.
+    /// Weights to start from that were trained elsewhere: a PyTorch state_dict with the same names, in safetensors.
+    /// With --epochs 0 they are kept, evaluated and given a card.
     #[arg(long, value_name = "FILE.safetensors")]
     weights: Option<PathBuf>,
-    /// The model that looks first, of a set that is shown what it sees; it becomes part of the model.
+    /// The first-stage model, for a set whose inputs include its output; it becomes part of the model.
     #[arg(long, value_name = "MODEL.json")]
     first: Option<PathBuf>,
-    /// Factors that the input images are multiplied by, commas between; where left out those of the model to begin
-    /// with, or those that bring each image to a root mean square of 1.
+    /// Factors that the input images are multiplied by, separated by commas; default: those of the starting model, or
+    /// those that bring each image to a root mean square of 1.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',')]
     input_scale: Vec<f32>,
 }
 
 impl Arguments {
-    /// Trains, and says what each pass brought.
+    /// Trains, and prints the result of each pass.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let set = TrainingSet::open(&self.set)?;
         let first = self.first.as_deref().map(Model::load).transpose()?;
@@ -93,7 +94,7 @@ impl Arguments {
             )
         })?;
         let command = self.command();
-        // Weights go with the factors that their images were multiplied by.
+        // Weights belong to the factors that their input images were multiplied by.
         let (start, mut input_scale) = match (&self.start, &self.weights) {
             (Some(model), _) => Model::load(model).map(|model| (Some(model.tensors), model.card.input_scale))?,
             (None, Some(file)) => (Some(weights_of(file)?), Vec::new()),
@@ -134,7 +135,7 @@ impl Arguments {
         if let Some(first) = &first {
             model.set_first(first)?;
         }
-        // Training takes long: what appeared under its names meanwhile is another's.
+        // Training takes long. A file that has appeared under these names meanwhile belongs to someone else.
         let appeared = files.iter().zip(stood).find(|(file, stood)| !stood && file.exists()).map(|(file, _)| file);
         let kept = if appeared.is_some() { self.out.with_extension("finished.json") } else { self.out.clone() };
         model.save(&kept)?;
@@ -164,7 +165,7 @@ impl Arguments {
         }
     }
 
-    /// The command in full, whatever was left to its default.
+    /// The complete command, including defaults.
     fn command(&self) -> String {
         let weights: Vec<String> = self.class_weights.iter().map(ToString::to_string).collect();
         let weights =
@@ -198,7 +199,7 @@ impl Arguments {
     }
 }
 
-/// A set that shows what a first model sees goes with that model, and no other set with any.
+/// A set that contains a first model's output needs that very model, and no other set accepts one.
 fn check_first(set: &TrainingSet, first: Option<&Model>) -> anyhow::Result<()> {
     let shown = set.manifest().recipe.get("first_sha256").and_then(|hash| hash.as_str());
     let given = first.map(|model| model.card.weights_sha256.as_str());
@@ -212,18 +213,18 @@ fn check_first(set: &TrainingSet, first: Option<&Model>) -> anyhow::Result<()> {
     }
 }
 
-/// Weights from a file of their own.
+/// Reads weights from a separate file.
 fn weights_of(file: &Path) -> anyhow::Result<Tensors> {
     let bytes = dermis_device::instruments::read_bytes(file).map_err(dermis::Error::from)?;
     Ok(Tensors::from_bytes(&bytes, file)?)
 }
 
-/// The last part of a path: a card tells nothing of the machine that it was made on.
+/// The last part of a path, so that a card reveals nothing about the machine it was made on.
 fn name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// What is left of the checkpoint does no harm if it cannot be removed.
+/// A leftover checkpoint does no harm if it cannot be removed.
 fn remove_checkpoint(folder: &Path) {
     let _ = std::fs::remove_dir_all(folder);
 }

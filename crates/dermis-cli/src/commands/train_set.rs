@@ -1,4 +1,4 @@
-//! `dermis train-set`: random scenes on a skin, simulated and imaged, for a network to learn from.
+//! `dermis train-set`: simulates and images random scenes on a skin, as training data for a network.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -29,23 +29,23 @@ interrupted. What is done is a matter of --seed and the other options alone.";
 pub struct Arguments {
     #[command(flatten)]
     skin: SkinWord,
-    /// Samples in all.
+    /// Total number of samples.
     #[arg(long, value_name = "N", default_value_t = 14_000)]
     samples: usize,
     /// Samples that share a skin, an instrument and lost electrodes.
     #[arg(long, value_name = "N", default_value_t = 250)]
     shard: usize,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "SEED", default_value_t = 1)]
     seed: u64,
-    /// What scenes are made of; by the skin's layer where left out.
+    /// Kind of scenes; default: chosen by the skin's layer.
     #[arg(long, value_enum)]
     scenes: Option<Scenes>,
-    /// What the network is shown: image, image*FACTOR (on lambda), refined, contacts, left, coverage,
-    /// first-lowered, first-raised, about-first; commas between.
+    /// Inputs of the network: image, image*FACTOR (on lambda), refined, contacts, left, coverage, first-lowered,
+    /// first-raised, about-first; separated by commas.
     #[arg(long, value_name = "IMAGES", value_delimiter = ',', default_value = "image")]
     inputs: Vec<InputImage>,
-    /// Most electrodes lost; give the input coverage too.
+    /// Largest number of lost electrodes; if not 0, add the input coverage.
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
     /// Which electrodes are lost.
@@ -54,42 +54,42 @@ pub struct Arguments {
     /// Noise of the instrument, dB below the root mean square of a frame.
     #[arg(long, alias = "noise-db", value_name = "DB", default_value_t = 56.8)]
     snr_db: f64,
-    /// How much the whole body's conductivity changes between baseline and frame: standard deviation of its logarithm.
+    /// Change of the whole body's conductivity between baseline and frame: standard deviation of its logarithm.
     #[arg(long, value_name = "DEVIATION", default_value_t = 0.0)]
     background: f64,
-    /// Least and largest contrast of objects in a tank, a comma between; 5 and 100 where left out.
+    /// Least and largest contrast of objects in a tank, separated by a comma; default: 5 and 100.
     #[arg(long, value_name = "LEAST,LARGEST", value_delimiter = ',')]
     contrasts: Vec<f64>,
-    /// A model that looks first, for the inputs first-lowered, first-raised and about-first.
+    /// First-stage model, for the inputs first-lowered, first-raised and about-first.
     #[arg(long, value_name = "MODEL.json")]
     first: Option<PathBuf>,
-    /// The folder.
+    /// Output folder.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
 }
 
-/// What scenes are made of.
+/// Kind of scenes.
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum Scenes {
-    /// None to four touches, and cuts: lines, arcs, holes.
+    /// No touch to four touches, and cuts: lines, arcs, holes.
     TouchesAndCuts,
     /// One to four objects in a tank, insulating or metallic.
     Objects,
-    /// The same, with crosses, Ts and stars among them.
+    /// Objects as above, including crosses, Ts and stars.
     ObjectsAndCrosses,
 }
 
 /// Which electrodes are lost.
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum Lost {
-    /// Half of the time the first ones, else a run that begins anywhere, or single ones.
+    /// The first ones in half of the cases, else a run that starts anywhere, or scattered ones.
     Mixed,
     /// The first ones.
     First,
 }
 
 impl Arguments {
-    /// Simulates what is missing and says how long it took.
+    /// Simulates the missing shards and prints how long it took.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let mut request = TrainSetRequest::new(self.skin.open()?, self.samples);
         request.shard_samples = self.shard;

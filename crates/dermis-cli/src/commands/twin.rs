@@ -1,5 +1,5 @@
-//! `dermis twin`: a skin's digital twin behind the wire that real instruments speak, for whoever connects, or pressed
-//! as a table says.
+//! `dermis twin`: serves a skin's digital twin over the wire protocol of real instruments, or presses it according to
+//! a table.
 
 use std::io::{BufRead, Read, Write};
 use std::net::{SocketAddr, TcpListener};
@@ -37,9 +37,9 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Action {
-    /// Let programs connect to a twin as to an instrument.
+    /// Serve a twin to programs as if it were an instrument.
     Serve(Serve),
-    /// Press a twin as a table says and write its frames: labelled data of a skin that need not exist.
+    /// Press a twin according to a table and write its frames: labelled data for a skin that need not exist.
     Sample(Sample),
 }
 
@@ -61,13 +61,13 @@ struct Sample {
     /// A CSV table of presses, or `random:N` single presses of the skin's usual size within 85 % of its outline.
     #[arg(long, value_name = "FILE.csv|random:N")]
     presses: String,
-    /// Where to write 32 frames of the untouched skin.
+    /// Output file for 32 frames of the untouched skin.
     #[arg(long, value_name = "FILE.csv|FILE.npy")]
     baseline: PathBuf,
-    /// Where to write the frames of the presses, in order.
+    /// Output file for the frames of the presses, in order.
     #[arg(long, value_name = "FILE.csv|FILE.npy")]
     frames: PathBuf,
-    /// Where to write what was true in each frame.
+    /// Output file for the true presses in each frame.
     #[arg(long, value_name = "FILE.csv")]
     truth: Option<PathBuf>,
     /// Seed of the noise and of random presses.
@@ -77,7 +77,7 @@ struct Sample {
     /// number in another way. Without it the twin is exactly as drawn.
     #[arg(long, value_name = "N")]
     built: Option<u64>,
-    /// Frames of each press.
+    /// Frames per press.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeats: u32,
 }
@@ -130,22 +130,22 @@ struct Serve {
     /// Address to listen on.
     #[arg(long, default_value = "127.0.0.1:7879", value_name = "ADDRESS:PORT")]
     tcp: SocketAddr,
-    /// Stand at a pseudo-terminal, as at a serial port.
+    /// Serve on a pseudo-terminal, like a serial port.
     #[arg(long, conflicts_with = "tcp")]
     pty: bool,
-    /// Without the touches that the twin shows by itself.
+    /// Switch off the touches that the twin shows by itself.
     #[arg(long)]
     no_demo: bool,
-    /// Allow an address that others on the network reach; there is no password.
+    /// Allow an address that others on the network can reach; there is no password.
     #[arg(long)]
     to_network: bool,
-    /// Stop after so many frames, which are taken whether or not anyone connects.
+    /// Stop after this many frames, which are taken even if nobody connects.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
 }
 
 impl Arguments {
-    /// Does what was asked for; serves until told to stop.
+    /// Runs the selected action; serving continues until stopped.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match self.action {
             Action::Serve(arguments) => arguments.run(out),
@@ -177,7 +177,7 @@ impl Serve {
         Ok(if served.skipped > 0 { Outcome::DataLost } else { Outcome::Done })
     }
 
-    /// Where hosts come in, and what they write as `--source`.
+    /// Opens the port for hosts, and returns what they should give as `--source`.
     fn door(&self) -> anyhow::Result<(Door, String)> {
         if self.pty {
             return pty();
@@ -202,10 +202,10 @@ fn pty() -> anyhow::Result<(Door, String)> {
     Err(UsageError("--pty: this system has no pseudo-terminals; use --tcp".to_owned()).into())
 }
 
-/// Longest line of standard input that is looked at, bytes.
+/// Longest line of standard input, bytes.
 const MOST_LINE: u64 = 64 * 1024;
 
-/// Hands on what standard input says, until it ends or the twin does.
+/// Passes commands from standard input to the twin until either ends.
 fn obey_lines(commands: &TwinCommands, press: &PressRange) {
     let mut input = std::io::stdin().lock();
     let mut line = Vec::new();

@@ -1,17 +1,17 @@
 //! Round steps along axes, and their labels.
 
-/// One axis: data from `low` to `high` on pixels from `start` to `end`.
+/// One axis: maps data from `low` to `high` onto pixels from `start` to `end`.
 pub struct Axis {
     pub low: f64,
     pub high: f64,
     pub start: f64,
     pub end: f64,
-    /// Between two ticks.
+    /// Distance between two ticks.
     pub step: f64,
 }
 
 impl Axis {
-    /// Covers the values, rounded out to whole steps, with about so many ticks.
+    /// An axis that covers the values, extended to whole steps, with about `ticks` ticks.
     pub fn over(values: impl Iterator<Item = f64>, [start, end]: [f64; 2], ticks: usize) -> Self {
         let (mut low, mut high) =
             values.filter(|v| v.is_finite()).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
@@ -23,7 +23,7 @@ impl Axis {
             (low, high) = (low - room, high + room);
         }
         let step = nice_at_least((high - low) / ticks as f64);
-        // A value that is a whole step but for rounding needs no step more.
+        // Ignore rounding errors: a value that is nearly a whole step doesn't need another step.
         let (low, high) = ((low / step + 1e-9).floor() * step, (high / step - 1e-9).ceil() * step);
         Self { low, high, start, end, step }
     }
@@ -39,20 +39,20 @@ impl Axis {
         (0..=count).map(|k| self.low + self.step * k as f64)
     }
 
-    /// What is written at a tick. Very large and very small numbers are in units of [`Axis::power`].
+    /// Label of a tick. Very large and very small numbers are in units of [`Axis::power`].
     pub fn label(&self, value: f64) -> String {
         let unit = 10_f64.powi(self.power());
         tick_label(value / unit, self.step / unit)
     }
 
-    /// Power of ten that labels leave out: 0 for axes of common numbers.
+    /// Power of ten omitted from the labels: 0 for ordinary numbers.
     pub fn power(&self) -> i32 {
         let largest = self.low.abs().max(self.high.abs());
         if (1e-2..1e5).contains(&largest) { 0 } else { largest.log10().floor() as i32 }
     }
 }
 
-/// A tick's value with the decimals that its step needs, and a true minus sign.
+/// A tick's value with as many decimals as its step needs, and a true minus sign.
 pub fn tick_label(value: f64, step: f64) -> String {
     let decimals = (-(step.log10() + 1e-9).floor()).clamp(0.0, 12.0) as usize;
     let text = format!("{value:.decimals$}");
@@ -63,26 +63,26 @@ pub fn tick_label(value: f64, step: f64) -> String {
     }
 }
 
-/// A power of ten as it is written: 10⁻³.
+/// A power of ten in print: 10⁻³.
 pub fn power_of_ten(power: i32) -> String {
     let digit = |c| match c {
         '-' => '⁻',
         '1' => '¹',
         '2' => '²',
         '3' => '³',
-        // The others follow each other; 0 is their first.
+        // The other superscripts are consecutive, starting from 0.
         c => char::from_u32('⁰' as u32 + c as u32 - '0' as u32).unwrap_or('?'),
     };
     format!("10{}", power.to_string().chars().map(digit).collect::<String>())
 }
 
-/// The largest of 1, 2 and 5 times powers of ten that is no longer than a length.
+/// The largest of 1, 2 and 5 times a power of ten that is not above a length.
 pub fn nice_at_most(length: f64) -> f64 {
     let decade = decade_below(length);
     [5.0, 2.0].into_iter().find(|step| step * decade <= length).unwrap_or(1.0) * decade
 }
 
-/// The smallest of 1, 2 and 5 times powers of ten that is no shorter than a length.
+/// The smallest of 1, 2 and 5 times a power of ten that is not below a length.
 pub fn nice_at_least(length: f64) -> f64 {
     let decade = decade_below(length);
     [1.0, 2.0, 5.0].into_iter().find(|step| step * decade >= length).unwrap_or(10.0) * decade

@@ -1,5 +1,5 @@
-//! A robot and the skins on it, from the front, from its left side and from above: links as boxes and cylinders, a line
-//! from every link to the one it is on, and each patch's outline with its normal.
+//! Draws a robot and the skins on it from the front, from its left side and from above: links as boxes and cylinders,
+//! a line from every link to its parent, and each patch's outline with its normal.
 
 use dermis::body::urdf::{Geometry, Shape as UrdfShape};
 use dermis::body::{Body, JointValues, Transform, Vector};
@@ -9,9 +9,9 @@ use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape,
 const LINK: Colour = Colour(150, 162, 176);
 const BONE: Colour = Colour(90, 104, 120);
 const PATCH: Colour = Colour(196, 98, 34);
-/// Corners of a circle.
+/// Corners used to draw a circle.
 const CORNERS: usize = 32;
-/// Length of a drawn normal, of the longer side of the robot.
+/// Length of a drawn normal, relative to the longer side of the robot.
 const NORMAL: f64 = 0.06;
 
 /// A body in a posture.
@@ -20,14 +20,14 @@ pub struct BodyDrawing<'a> {
     pub body: &'a Body,
     /// Joint values.
     pub joints: &'a JointValues,
-    /// Width of the picture.
+    /// Width of the picture, pixels.
     pub width_px: u32,
 }
 
 /// A view along an axis of the root's frame.
 struct View {
     title: &'static str,
-    /// Axes of the root that run right and up, with their signs.
+    /// Axes of the root frame that point right and up, with their signs.
     right: (usize, f64),
     up: (usize, f64),
 }
@@ -50,7 +50,7 @@ struct Lines {
     links: Vec<Vec<Vector>>,
     bones: Vec<Vec<Vector>>,
     patches: Vec<(String, Vec<Vector>)>,
-    /// From the middle of each patch along its normal.
+    /// From the centre of each patch along its normal.
     normals: Vec<[Vector; 2]>,
 }
 
@@ -141,7 +141,7 @@ fn in_frame(place: &Transform, line: &[Vector]) -> Vec<Vector> {
     line.iter().map(|&point| place.point_m(point)).collect()
 }
 
-/// The rim of a patch's sheet, closed, fine enough to be bent.
+/// The closed rim of a patch's sheet, with points close enough for it to be bent.
 fn rim_of(patch: &dermis::body::Patch) -> Vec<[f64; 2]> {
     use dermis::tomo::mesh::Outline;
     let corners: Vec<[f64; 2]> = match patch.skin.outline() {
@@ -165,7 +165,7 @@ fn rim_of(patch: &dermis::body::Patch) -> Vec<[f64; 2]> {
     rim
 }
 
-/// Corners of a circle, the first again at the end.
+/// Corners of a circle, repeating the first at the end.
 fn circle(radius_m: f64) -> impl Iterator<Item = [f64; 2]> {
     (0..=CORNERS).map(move |corner| {
         let (sine, cosine) = (corner as f64 / CORNERS as f64 * std::f64::consts::TAU).sin_cos();

@@ -1,4 +1,4 @@
-//! Charts of lines and points with axes: what was measured against what was varied.
+//! Charts of lines and points with axes.
 
 use super::axis::{Axis, power_of_ten};
 use super::colours::CURVES;
@@ -8,61 +8,63 @@ use super::text::width;
 
 const GRID: Colour = Colour(226, 229, 233);
 const WIDTH: f64 = 600.0;
-/// Height of the frame that the curves are in.
+/// Height of the frame around the curves.
 const FRAME: f64 = 320.0;
 const TITLE_SIZE: f64 = 17.0;
 const LABEL_SIZE: f64 = 15.0;
 const TICK_SIZE: f64 = 14.0;
-/// Left, right and bottom of the frame.
+/// Margins left, right and below the frame.
 const MARGIN: [f64; 3] = [84.0, 22.0, 64.0];
 const LEGEND_LINE: f64 = 22.0;
-/// What the names of series that a paper prints begin with.
+/// Prefix of the names of series printed in a paper.
 const PAPER: &str = "paper: ";
-/// From a legend's symbol to its words, and to the next symbol.
+/// Distance from a legend's symbol to its text, and from there to the next symbol.
 const LEGEND_GAP: [f64; 2] = [34.0, 24.0];
 
-/// How a series is drawn.
+/// Style of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
-    /// A line from point to point.
+    /// A line through the points.
     Line,
     /// Separate points.
     Points,
     /// A line with its points.
     LinePoints,
-    /// Points of one x as their mean with a bar of one standard deviation to both sides, and each of them faintly.
+    /// All points drawn faintly, with the mean of those at the same x and a bar of one standard deviation to both
+    /// sides.
     Repeats,
-    /// Hollow squares: what a paper prints. In the colour of the series whose name follows `paper: `, else in ink.
+    /// Hollow squares for points printed in a paper, in the colour of the series whose name follows `paper: `, else
+    /// in ink.
     PaperPoints,
-    /// A dashed line in ink: what a paper prints.
+    /// A dashed line in ink for a line printed in a paper.
     PaperLine,
 }
 
 /// One curve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// What it is, in the legend; empty: none. Series of one name have one colour and one entry.
+    /// Name in the legend; no entry if empty. Series with the same name share a colour and an entry.
     pub name: String,
-    /// (x, y); points that are not finite are left out, and break a line.
+    /// (x, y); points that are not finite are left out and break a line.
     pub points: Vec<[f64; 2]>,
-    /// Its look.
+    /// Style.
     pub mark: Mark,
 }
 
-/// A chart; axes cover what the series do.
+/// A chart; its axes cover all series.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    /// Above it.
+    /// Title above the frame.
     pub title: String,
-    /// Below the x axis, with its unit.
+    /// Label below the x axis, with unit.
     pub x_label: String,
-    /// Beside the y axis, with its unit.
+    /// Label next to the y axis, with unit.
     pub y_label: String,
     /// The curves.
     pub series: Vec<Series>,
 }
 
-/// Of points at one x: x, mean, standard deviation (NaN of a single one).
+/// Summary of the points at each x: x, mean, standard deviation (NaN for a single point).
 fn repeats(points: &[[f64; 2]]) -> Vec<[f64; 3]> {
     let mut sorted: Vec<[f64; 2]> = points.iter().copied().filter(|p| p.iter().all(|v| v.is_finite())).collect();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -77,7 +79,7 @@ fn repeats(points: &[[f64; 2]]) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// A legend's entry: which series, and where its symbol begins.
+/// An entry in the legend: the series, and the position of its symbol.
 struct Entry {
     index: usize,
     at: Point,
@@ -91,7 +93,7 @@ impl Chart {
         let all = || self.series.iter().flat_map(|series| &series.points);
         let spread = self.series.iter().filter(|series| series.mark == Mark::Repeats).flat_map(|s| repeats(&s.points));
         let ends = spread.filter(|p| p[2].is_finite()).flat_map(|p| [p[1] - p[2], p[1] + p[2]]);
-        // A bound on the frame's own line could not be seen.
+        // Leave room above bounds, which could not be seen on the frame's own line.
         let bounds = self.series.iter().filter(|series| series.mark == Mark::PaperLine);
         let beyond = bounds.flat_map(|series| &series.points).map(|p| 1.05 * p[1]);
         let x = Axis::over(all().map(|p| p[0]), [MARGIN[0], WIDTH - MARGIN[1]], 6);
@@ -125,14 +127,14 @@ impl Chart {
         texts.into_iter().map(Item::Text).collect()
     }
 
-    /// Place of a series in the legend, and so of its colour: that of the first of its name.
+    /// Index of the first series with the same name, which determines legend entry and colour.
     fn first_of_name(&self, index: usize) -> usize {
         let name = &self.series[index].name;
         let first = self.series.iter().position(|series| !name.is_empty() && series.name == *name);
         first.unwrap_or(index)
     }
 
-    /// How many names there are before a series, those of the paper, which are in ink, left out.
+    /// Number of distinct names before a series, not counting the paper's, which are drawn in ink.
     fn number(&self, index: usize) -> usize {
         let own = |k: &usize| !self.series[*k].mark.is_paper() && self.first_of_name(*k) == *k;
         (0..self.first_of_name(index)).filter(own).count()
@@ -173,7 +175,7 @@ impl Chart {
         items
     }
 
-    /// Entries from left to right in as many lines as they need, and how many those are.
+    /// The entries from left to right on as many lines as needed, and the number of lines.
     fn legend_entries(&self) -> (Vec<Entry>, usize) {
         let is_entry = |index: &usize| !self.series[*index].name.is_empty() && self.first_of_name(*index) == *index;
         let (mut entries, mut line, mut left) = (Vec::new(), 0, MARGIN[0]);
@@ -228,7 +230,7 @@ fn y_edge(x: &Axis) -> f64 {
     x.start - 40.0
 }
 
-/// Means with their bars, before all the points they are of.
+/// Means with their bars, drawn before the points they summarise.
 fn spread(series: &Series, place: impl Fn(&[f64; 2]) -> Point, colour: Colour, marker: Marker) -> Vec<Item> {
     let finite = series.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
     let dots: Vec<Polyline> = finite.map(|p| Polyline::disc(place(p), 1.8)).collect();
@@ -246,7 +248,7 @@ fn spread(series: &Series, place: impl Fn(&[f64; 2]) -> Point, colour: Colour, m
     items
 }
 
-/// Half-way to white.
+/// The colour half-way to white.
 fn pale(Colour(red, green, blue): Colour) -> Colour {
     let [red, green, blue] = [red, green, blue].map(|value| ((u16::from(value) + 255) / 2) as u8);
     Colour(red, green, blue)
@@ -302,7 +304,7 @@ mod tests {
         assert!(groups[1][1] == 5.0 && groups[1][2].is_nan(), "{groups:?}");
         let picture = chart(vec![series("a", &points, Mark::Repeats)]).picture();
         let lines = |class: &str| picture.shapes().filter(|s| s.class == class).map(|s| s.lines.len()).sum::<usize>();
-        // One bar with two ends: a single value has no deviation. Every value is a dot.
+        // One bar with two ends, since a single value has no deviation. Every value is a dot.
         assert_eq!((lines("bars"), lines("repeats"), lines("points")), (3, 4, 2));
     }
 
@@ -327,7 +329,7 @@ mod tests {
             ["a rather long name of a curve", "another one that is as long", "a third of them", "a third of them"];
         let chart = chart(names.map(|name| series(name, &[[0.0, 0.0], [1.0, 1.0]], Mark::LinePoints)).to_vec());
         let (entries, lines) = chart.legend_entries();
-        // The last two share a name.
+        // The last two series share a name.
         assert_eq!((entries.len(), lines), (3, 2));
         let picture = chart.picture();
         let top = picture.shapes().find(|s| s.class == "frame").unwrap().lines[0].points[0][1];

@@ -1,4 +1,4 @@
-//! The bar that tells what the colours of an image stand for.
+//! The colour bar that explains the colours of an image.
 
 use super::axis::{Axis, nice_at_least, power_of_ten};
 use super::colours::Scale;
@@ -6,24 +6,24 @@ use super::picture::{Anchor, INK, Item, Point, Polyline, Shape, Text};
 use super::text::width;
 
 const BAR: f64 = 14.0;
-/// Longest bar: longer ones are no easier to read.
+/// Longest bar; a longer one is no easier to read.
 const LONGEST: f64 = 360.0;
 const STEPS: usize = 64;
 const SIZE: f64 = 12.5;
 
-/// A bar with ticks, beside images.
+/// A bar with ticks, placed next to images.
 pub struct ColourBar<'a> {
-    /// Its colours and their values.
+    /// Colours and their values.
     pub scale: Scale,
-    /// What the values are, with their unit.
+    /// Quantity with its unit.
     pub quantity: &'a str,
 }
 
 impl ColourBar<'_> {
-    /// Room that a bar takes with its ticks and name, pixels.
+    /// Width of a bar with its ticks and name, pixels.
     pub const WIDTH: f64 = 96.0;
 
-    /// The bar, from the top of its images down to their bottom, or in the middle of that.
+    /// The bar, as high as its images, or centred on them if that would be too long.
     pub fn items(&self, [left, top]: Point, span: f64) -> Vec<Item> {
         let length = span.min(LONGEST);
         let (top, left) = (top + 0.5 * (span - length), left + 4.0);
@@ -34,7 +34,7 @@ impl ColourBar<'_> {
         let mut items: Vec<Item> = Vec::new();
         for k in 0..STEPS {
             let level = |k: usize| bottom - length * k as f64 / STEPS as f64;
-            // Each reaches under the next, so that no seams show.
+            // Each step extends under the next, so that no seams show.
             let rectangle = Polyline::rectangle([left, level((k + 2).min(STEPS))], [right, level(k)]);
             let colour = map.colour((k as f64 + 0.5) / STEPS as f64);
             items.push(Shape::filled("colours", vec![rectangle], colour).into());
@@ -56,7 +56,7 @@ impl ColourBar<'_> {
             ("", power) => format!("× {}", power_of_ten(power)),
             (quantity, power) => format!("{quantity}, × {}", power_of_ten(power)),
         };
-        // A name longer than the images are high is set smaller.
+        // Shrink a name that is longer than the images are high.
         let size = SIZE.min(SIZE * (span + 12.0) / width(&words, SIZE).max(1.0));
         let at = [right + 7.0 + widest + 13.0, 0.5 * (top + bottom)];
         items.push(Text { upward: true, ..Text::new(words, size, at) }.into());

@@ -1,8 +1,8 @@
-//! Colours that most eyes tell apart: maps from values to colours, and the colours of curves.
+//! Colours that most eyes can tell apart: maps from values to colours, and the colours of curves.
 
 use super::picture::Colour;
 
-/// Colours of curves (Okabe and Ito 2008), the yellow left out, which is lost on white.
+/// Colours of curves (Okabe and Ito 2008), without yellow, which is hard to see on white.
 pub const CURVES: [Colour; 7] = [
     Colour(0, 114, 178),
     Colour(213, 94, 0),
@@ -13,14 +13,14 @@ pub const CURVES: [Colour; 7] = [
     Colour(90, 90, 90),
 ];
 
-/// Blue through white to red (Brewer's RdBu, turned round).
+/// Blue through white to red (Brewer's RdBu, reversed).
 const SIGNED: [u32; 11] =
     [0x053061, 0x2166ac, 0x4393c3, 0x92c5de, 0xd1e5f0, 0xf7f7f7, 0xfddbc7, 0xf4a582, 0xd6604d, 0xb2182b, 0x67001f];
-/// Dark violet to yellow, of evenly rising lightness (viridis).
+/// Dark violet to yellow, with evenly rising lightness (viridis).
 const RISING: [u32; 11] =
     [0x440154, 0x482475, 0x414487, 0x355f8d, 0x2a788e, 0x21918c, 0x22a884, 0x44bf70, 0x7ad151, 0xbddf26, 0xfde725];
 
-/// How values become colours.
+/// A map from values to colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Map {
     /// Values of both signs: white at 0.
@@ -30,7 +30,7 @@ pub enum Map {
 }
 
 impl Map {
-    /// Colour of a share of the map's length, from 0 at its lower end to 1 at its upper.
+    /// Colour at a position in the map, from 0 at its lower end to 1 at its upper.
     pub fn colour(self, share: f64) -> Colour {
         let stops = match self {
             Self::Signed => &SIGNED,
@@ -47,19 +47,19 @@ impl Map {
     }
 }
 
-/// Values that a map's ends stand for.
+/// A colour map with the values at its ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     /// The map.
     pub map: Map,
-    /// Its lower end.
+    /// Value at the lower end.
     pub low: f64,
-    /// Its upper end.
+    /// Value at the upper end.
     pub high: f64,
 }
 
 impl Scale {
-    /// That of all these values: from 0 up where none is clearly negative, else the same to both sides of 0.
+    /// A scale for all these values: from 0 up if none is clearly negative, else symmetric about 0.
     pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
         let finite = values.filter(|value| value.is_finite()).map(|value| f64::from(*value));
         let (low, high) = finite.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
@@ -70,7 +70,7 @@ impl Scale {
         }
     }
 
-    /// Where a value lies between the ends, from 0 to 1.
+    /// Position of a value between the ends, from 0 to 1.
     pub fn share(self, value: f64) -> f64 {
         ((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0)
     }
@@ -80,7 +80,7 @@ impl Scale {
 mod tests {
     use super::*;
 
-    /// Relative luminance of a colour, by the definition of sRGB.
+    /// Relative luminance of a colour, as defined by sRGB.
     fn luminance(Colour(red, green, blue): Colour) -> f64 {
         let linear = |value: u8| {
             let share = f64::from(value) / 255.0;

@@ -1,4 +1,4 @@
-//! Ratios to a norm, one a line, on a logarithmic axis.
+//! Ratios to a norm, one per line, on a logarithmic axis.
 
 use super::axis::tick_label;
 use super::colours::CURVES;
@@ -11,35 +11,35 @@ const TITLE_SIZE: f64 = 17.0;
 const SIZE: f64 = 13.0;
 const LABEL_SIZE: f64 = 15.0;
 const LINE: f64 = 16.0;
-/// Above and below the words of a row.
+/// Space above and below the text of a row.
 const ROOM: f64 = 9.0;
 /// Left and right end of the axis.
 const AXIS: [f64; 2] = [330.0, 620.0];
 const GRID: Colour = Colour(226, 229, 233);
-/// Ratios that are drawn: beyond, a symbol stands at the end.
+/// Largest ratio drawn; beyond it the symbol stays at the end.
 const FARTHEST: f64 = 100.0;
 
 /// One line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dot {
-    /// What, at the left.
+    /// Name, at the left.
     pub name: String,
-    /// In numbers, at the right.
+    /// Numbers, at the right.
     pub numbers: String,
-    /// Over the norm; positive.
+    /// Ratio to the norm; positive.
     pub ratio: f64,
-    /// Which of the kinds.
+    /// Index of its kind.
     pub kind: usize,
 }
 
-/// Dots about a norm.
+/// Dots on both sides of a norm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DotPlot {
-    /// Above it.
+    /// Title above the plot.
     pub title: String,
-    /// Below the axis.
+    /// Label below the axis.
     pub label: String,
-    /// Names of the kinds, in the legend.
+    /// Names of the kinds, for the legend.
     pub kinds: Vec<String>,
     /// The lines.
     pub dots: Vec<Dot>,
@@ -67,7 +67,7 @@ impl DotPlot {
             Text::new(&self.label, LABEL_SIZE, [0.5 * (AXIS[0] + AXIS[1]), bottom + 44.0]).into(),
         ];
         let tick_text = |tick: &f64| Text::new(tick_label(*tick, *tick), SIZE, [place(*tick), bottom + 17.0]).into();
-        // Over more than two decades, only these have room for a label.
+        // If the axis spans more than two decades, there is only room for the labels of powers of ten.
         let is_labelled = |tick: &&f64| reach <= 10.0 || tick.log10().fract().abs() < 1e-9;
         items.extend(ticks.iter().filter(is_labelled).map(tick_text));
         items.extend(self.legend());
@@ -91,7 +91,7 @@ impl DotPlot {
         Picture { title: self.title.clone(), width_px: WIDTH as u32, height_px, items }
     }
 
-    /// How far the axis goes to both sides: at least to twice and half the norm.
+    /// Extent of the axis to both sides: at least a factor of two.
     fn reach(&self) -> f64 {
         let farthest = self.dots.iter().map(|dot| dot.ratio.max(1.0 / dot.ratio)).fold(2.0, f64::max);
         TICKS.into_iter().filter(|tick| *tick >= 2.0).find(|tick| *tick >= farthest).unwrap_or(FARTHEST)
@@ -117,7 +117,7 @@ impl DotPlot {
 /// Ticks of the axis.
 const TICKS: [f64; 13] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, FARTHEST];
 
-/// A name in lines that fit left of the axis.
+/// A name split into lines that fit left of the axis.
 fn lines_of(name: &str) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in name.split_whitespace() {

@@ -1,5 +1,4 @@
-//! Images in false colours, several side by side with one colour bar, scale bars, and crosses where something truly
-//! was.
+//! Images in false colours, several side by side with one colour bar, scale bars, and crosses at true positions.
 
 use super::axis::{nice_at_most, tick_label};
 use super::colour_bar::ColourBar;
@@ -7,20 +6,20 @@ use super::colours::Scale;
 use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Text, WHITE};
 use super::text::width;
 
-/// Height of a panel's image, and what surrounds it.
+/// Height of a panel's image, and the space around it.
 const SIZE: f64 = 170.0;
 const GAP: f64 = 14.0;
 const TITLE: f64 = 44.0;
-/// Between two groups of panels.
+/// Space between two groups of panels.
 const GROUP_GAP: f64 = 12.0;
 const NAME_SIZE: f64 = 12.5;
 const NAME_LINE: f64 = 16.0;
 const TITLE_SIZE: f64 = 17.0;
-/// Panels in a row.
+/// Panels per row.
 const PER_ROW: usize = 4;
-/// Least width of a picture, so that its title has room.
+/// Minimum width of a picture, to leave room for its title.
 const LEAST_WIDTH: f64 = 420.0;
-/// Width that groups side by side may take.
+/// Maximum width of groups placed side by side.
 const MOST_WIDTH: f64 = 860.0;
 /// Steps of the colour scale.
 const LEVELS: usize = 64;
@@ -29,37 +28,37 @@ const RIM: Colour = Colour(120, 126, 135);
 /// One image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Panel {
-    /// Below it.
+    /// Name below the image.
     pub name: String,
-    /// What the values are, with their unit: panels of one quantity share a scale and its bar.
+    /// Quantity with its unit; panels of the same quantity share a scale and its bar.
     pub quantity: String,
-    /// Pixels in a row.
+    /// Pixels per row.
     pub columns: usize,
     /// Row-major, row 0 at the top, NaN outside.
     pub values: Vec<f32>,
-    /// Where something truly was, as shares of the image's width and height from the top left corner.
+    /// True positions, as shares of the image's width and height from the top left corner.
     pub marks: Vec<[f64; 2]>,
-    /// Radius of the upright cylinder on which the image lies, as a share of its width; none where it is flat.
+    /// Radius of the upright cylinder that the image lies on, as a share of its width; `None` if it is flat.
     pub bend: Option<f64>,
-    /// Width of the image, millimetres, for the scale bar; none where it is no length.
+    /// Width of the image, millimetres, for the scale bar; `None` if it is not a length.
     pub width_mm: Option<f64>,
 }
 
-/// Turn and tilt from which an image on a cylinder is seen, radians.
+/// Turn and tilt of the view onto an image on a cylinder, radians.
 const TURN: f64 = -0.35;
 const TILT: f64 = 0.4;
 
 /// Panels with the colour bars of their quantities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Heatmap {
-    /// Above all.
+    /// Title above everything.
     pub title: String,
     /// The images.
     pub panels: Vec<Panel>,
 }
 
 impl Heatmap {
-    /// The drawing: groups of one quantity side by side where they have room, else below each other.
+    /// The drawing, with the groups of each quantity side by side if there is room, else stacked.
     pub fn picture(&self) -> Picture {
         let first = if self.title.is_empty() { GAP } else { TITLE };
         let (mut left, mut top, mut bottom, mut right) = (GAP, first, first, LEAST_WIDTH);
@@ -77,7 +76,7 @@ impl Heatmap {
         Picture { title: self.title.clone(), width_px: right.ceil() as u32, height_px: bottom.ceil() as u32, items }
     }
 
-    /// Panels of one quantity together, in the order in which the quantities come.
+    /// Panels grouped by quantity, in order of first appearance.
     fn groups(&self) -> Vec<Vec<&Panel>> {
         let mut groups: Vec<Vec<&Panel>> = Vec::new();
         for panel in &self.panels {
@@ -90,7 +89,7 @@ impl Heatmap {
     }
 }
 
-/// Panels of one quantity, their names in lines, and their scale.
+/// Panels of one quantity, their names split into lines, and their scale.
 struct Group<'a> {
     panels: Vec<&'a Panel>,
     names: Vec<Vec<String>>,
@@ -108,7 +107,7 @@ impl<'a> Group<'a> {
         self.panels.len().clamp(1, PER_ROW)
     }
 
-    /// From one row of panels to the next.
+    /// Distance from one row of panels to the next.
     fn row(&self) -> f64 {
         let name_lines = self.names.iter().map(Vec::len).max().unwrap_or(1) as f64;
         SIZE + NAME_LINE * name_lines + GAP
@@ -140,7 +139,7 @@ impl<'a> Group<'a> {
     }
 }
 
-/// Words in lines no wider than this, pixels, at the size of names.
+/// Text split into lines no wider than `room` pixels, at the size of names.
 fn wrapped(words: &str, room: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in words.split_whitespace() {
@@ -173,7 +172,7 @@ impl Panel {
         for (level, runs) in self.runs(scale).into_iter().enumerate().filter(|(_, runs)| !runs.is_empty()) {
             let rectangle = |[from, to]: [[f64; 2]; 2]| {
                 let ([x0, y0], [x1, y1]) = (place(from), place(to));
-                // A little over the edge, so that no seams show.
+                // Slightly larger, so that no seams show.
                 lay(Polyline::rectangle([x0, y0], [x1 + 0.3, y1 + 0.3]))
             };
             let colour = scale.map.colour(level as f64 / LEVELS as f64);
@@ -199,7 +198,7 @@ impl Panel {
         value.is_finite().then(|| (scale.share(f64::from(value)) * LEVELS as f64).round() as usize)
     }
 
-    /// By level, runs of pixels of one colour in a row: their corners, in pixels of the image.
+    /// For each colour level, runs of equal pixels in a row: their corners, in image pixels.
     fn runs(&self, scale: Scale) -> Vec<Vec<[[f64; 2]; 2]>> {
         let mut runs = vec![Vec::new(); LEVELS + 1];
         for (row, values) in self.values.chunks(self.columns.max(1)).enumerate() {
@@ -208,7 +207,7 @@ impl Panel {
                 let here = Self::level(scale, values[start]);
                 let end =
                     (start + 1..values.len()).find(|&k| Self::level(scale, values[k]) != here).unwrap_or(values.len());
-                // On a cylinder a run is no rectangle.
+                // On a cylinder a run is not a rectangle, so keep single pixels.
                 let end = if self.bend.is_some() { start + 1 } else { end };
                 if let Some(here) = here {
                     runs[here].push([[start as f64, row as f64], [end as f64, row as f64 + 1.0]]);
@@ -219,7 +218,7 @@ impl Panel {
         runs
     }
 
-    /// Sides of pixels of the skin that have none beyond them, in pixels of the image.
+    /// Outer sides of the skin's pixels, in image pixels.
     fn rim(&self, rows: usize) -> Vec<[[f64; 2]; 2]> {
         let columns = self.columns.max(1);
         let is_inside = |column: i64, row: i64| {
@@ -241,7 +240,7 @@ impl Panel {
     }
 }
 
-/// A round length to scale, in the lower left corner of an image.
+/// A scale bar with a round length, in the lower left corner of an image.
 fn scale_bar([left, bottom]: Point, pixels_per_mm: f64, width_mm: f64) -> Vec<Item> {
     let length_mm = nice_at_most(0.26 * width_mm);
     let (from, level) = (left + 7.0, bottom - 8.0);
@@ -257,12 +256,12 @@ fn scale_bar([left, bottom]: Point, pixels_per_mm: f64, width_mm: f64) -> Vec<It
     ]
 }
 
-/// Where a point of an image that is laid on an upright cylinder of radius `bend` times its width is seen. Angles of up
-/// to a right one from the view are assumed, so that nothing hides anything.
+/// Projects a point of an image on an upright cylinder of radius `bend` times its width. Assumes angles of at most 90
+/// degrees from the view, so that nothing is hidden.
 fn bent([x, y]: [f64; 2], [across, down]: [f64; 2], width: f64, bend: f64) -> [f64; 2] {
     let radius = bend * width;
     let (half, angle) = (0.5 / bend, (x - across) / radius);
-    // The picture keeps to the middle of its panel, and its depth to the middle of what it spans.
+    // Keep the picture centred in its panel, and its depth centred on the range it covers.
     let centre = 0.5 * ((TURN + half).sin() + (TURN - half).sin());
     let depth = (TURN + angle).cos() - 0.5 * (1.0 + (TURN - half).cos());
     let scale = 0.85;
@@ -290,7 +289,7 @@ mod tests {
         let lines =
             |class: &str| picture.shapes().filter(|s| s.class == class).map(|s| s.lines.len()).collect::<Vec<_>>();
         assert_eq!(lines("pixels"), [1, 1, 1]);
-        // Round a rectangle of 3 x 2 pixels without its upper right one: ten sides.
+        // The outline of 3 x 2 pixels without the upper right one has ten sides.
         assert_eq!(lines("rim"), [10]);
     }
 
@@ -301,7 +300,7 @@ mod tests {
         let [low, high, other] = [pixels[0], pixels[1], pixels[2]];
         assert_eq!((high, other), (Map::Rising.colour(1.0), Map::Rising.colour(1.0)));
         assert_eq!(low, Map::Rising.colour(0.25));
-        // A bar for each of the two quantities.
+        // One bar for each of the two quantities.
         assert_eq!(picture.texts().filter(|text| text.words == "q" || text.words == "p").count(), 2);
     }
 

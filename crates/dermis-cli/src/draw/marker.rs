@@ -1,4 +1,4 @@
-//! Symbols at points, which tell curves apart without their colours, and dashes.
+//! Symbols at points, which distinguish curves without their colours, and dashes.
 
 use super::picture::{Colour, Point, Polyline, Shape, Stroke, WHITE};
 
@@ -16,7 +16,7 @@ pub enum Marker {
 }
 
 impl Marker {
-    /// That of the curve of a number, from 0.
+    /// The symbol of the curve with this number, counted from 0.
     pub fn of(number: usize) -> Self {
         [Self::Disc, Self::Square, Self::Triangle, Self::Diamond][number % 4]
     }
@@ -31,7 +31,7 @@ impl Marker {
         }
     }
 
-    /// One at every point; nothing without points.
+    /// One symbol at every point; `None` without points.
     pub fn shape(self, class: &'static str, points: &[Point], colour: Colour) -> Option<Shape> {
         let lines: Vec<Polyline> = points.iter().map(|point| self.outline(*point)).collect();
         let (fill, stroke) = match self {
@@ -45,7 +45,7 @@ impl Marker {
 /// Dashes along a line.
 pub fn dashed(points: &[Point]) -> Vec<Polyline> {
     let mut dashes = Vec::new();
-    // How far into a dash and its gap the line is.
+    // Position of the line within a dash and its gap.
     let mut phase = 0.0;
     for pair in points.windows(2) {
         let [from, to] = [pair[0], pair[1]];

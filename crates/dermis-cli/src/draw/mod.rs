@@ -1,11 +1,11 @@
-//! Pictures as lists of areas, lines and texts in pixels; SVG, PNG and PDF each draw the same list, with real type in
+//! Pictures as lists of areas, lines and texts in pixels. SVG, PNG and PDF all draw the same list, with real text in
 //! one bundled font.
 //!
-//! Charts, maps and type are laid out here, and not by a charting crate: images on a skin's outline, bent ones, and
-//! bars that several images share are not what such crates draw. Of those that were tried, `kuva` 0.6 adds 2.4 MB to a
-//! command that may have 25, `resvg` with text 3.1 MB, and `plotters` 0.3 places everything at whole pixels and its
-//! legends over curves. Rasterising the outlines of glyphs takes `tiny-skia` and `ttf-parser`, of which the second
-//! adds 0.07 MB.
+//! Charts, maps and text are laid out here rather than by a charting crate, because such crates don't draw images on
+//! a skin's outline, bent images, or colour bars shared by several images. Of the crates that were tried, `kuva` 0.6
+//! adds 2.4 MB to a command limited to 25, `resvg` with text adds 3.1 MB, and `plotters` 0.3 places everything at
+//! whole pixels and puts its legends over curves. Rasterising the outlines of glyphs takes `tiny-skia` and
+//! `ttf-parser`; the latter adds 0.07 MB.
 
 mod axis;
 mod body;

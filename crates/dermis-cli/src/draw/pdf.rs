@@ -1,5 +1,5 @@
-//! Pictures as PDF of one page: paths, and type that can be searched and copied, set in the bundled font, which the
-//! file holds. A pixel is three quarters of a point, as on the web.
+//! Pictures as single-page PDF: paths, and text that can be searched and copied, set in the bundled font, which is
+//! embedded. A pixel is three quarters of a point, as on the web.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use pdf_writer::{Content, Filter, Finish, Name, Pdf, Rect, Ref, Str, TextStr};
 use super::picture::{Colour, Item, Picture, Shape, Text, WHITE};
 use super::text;
 
-/// Points a pixel.
+/// Points per pixel.
 const POINTS: f32 = 0.75;
 const CATALOG: Ref = Ref::new(1);
 const PAGES: Ref = Ref::new(2);
@@ -26,7 +26,7 @@ const FONT_FILE: Ref = Ref::new(9);
 const INFO: Ref = Ref::new(10);
 const FONT_NAME: Name = Name(b"DejaVuSans");
 const SYSTEM: SystemInfo = SystemInfo { registry: Str(b"Adobe"), ordering: Str(b"Identity"), supplement: 0 };
-/// Level of compression, of 10.
+/// Compression level, out of 10.
 const LEVEL: u8 = 7;
 
 /// The picture as the content of a PDF file.
@@ -41,7 +41,7 @@ pub fn pdf(picture: &Picture) -> Vec<u8> {
     page.resources().fonts().pair(Name(b"F"), FONT);
     page.finish();
     let mut content = Content::new();
-    // From here on pixels, y down as in the picture.
+    // From here on the units are pixels, with y down as in the picture.
     content.transform([POINTS, 0.0, 0.0, -POINTS, 0.0, POINTS * height]);
     content.set_line_cap(LineCapStyle::RoundCap).set_line_join(LineJoinStyle::RoundJoin);
     for item in &picture.items {
@@ -98,7 +98,7 @@ fn draw_text(content: &mut Content, words: &Text) {
     content.set_text_rendering_mode(TextRenderingMode::Fill).show(Str(&glyphs)).end_text();
 }
 
-/// The font with the widths and meanings of the glyphs that the picture has.
+/// Writes the font, with widths and characters of the glyphs used in the picture.
 fn write_font(file: &mut Pdf, picture: &Picture) {
     let mut used = BTreeMap::new();
     for item in &picture.items {
@@ -158,7 +158,7 @@ fn shares(Colour(red, green, blue): Colour) -> [f32; 3] {
     [red, green, blue].map(|value| rounded(f64::from(value) / 255.0 * 10.0) / 10.0)
 }
 
-/// To hundredths of a pixel, which keeps files small.
+/// Rounded to a hundredth of a pixel, which keeps files small.
 fn rounded(value: f64) -> f32 {
     (100.0 * value).round() as f32 / 100.0
 }
@@ -177,7 +177,7 @@ mod tests {
         let text = String::from_utf8_lossy(&file);
         assert!(text.starts_with("%PDF-") && text.contains("/MediaBox [0 0 60 30]"), "{text}");
         assert!(text.contains("(a title)") && text.contains("/FontFile2"), "{text}");
-        // What each glyph means: words can be copied. The sign for micro is U+00B5.
+        // The character of each glyph, so that text can be copied. The micro sign is U+00B5.
         let glyph = text::glyph('µ').0;
         assert!(text.contains(&format!("<{glyph:04X}> <00B5>")), "{text}");
         let start = file.windows(7).position(|w| w == b"stream\n").unwrap() + 7;

@@ -1,4 +1,4 @@
-//! What a picture is made of: areas, lines and texts, each output format drawing the same list.
+//! The elements of a picture: areas, lines and texts. Every output format draws the same list.
 
 use super::text;
 
@@ -11,44 +11,44 @@ pub struct Colour(pub u8, pub u8, pub u8);
 
 /// Colour of texts and axes.
 pub const INK: Colour = Colour(31, 36, 45);
-/// The ground.
+/// Colour of the background.
 pub const WHITE: Colour = Colour(255, 255, 255);
 
-/// A line's look.
+/// Style of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
-    /// Its colour.
+    /// Colour.
     pub colour: Colour,
-    /// Its width, pixels.
+    /// Width, pixels.
     pub width: f64,
 }
 
-/// A run of straight lines.
+/// A sequence of straight lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polyline {
-    /// Its corners.
+    /// Corners.
     pub points: Vec<Point>,
-    /// Whether the last joins the first.
+    /// True if the last point is joined to the first.
     pub closed: bool,
 }
 
 impl Polyline {
-    /// A line that ends where its points end.
+    /// A line that ends at its last point.
     pub fn open(points: impl Into<Vec<Point>>) -> Self {
         Self { points: points.into(), closed: false }
     }
 
-    /// The rim of an area.
+    /// The outline of an area.
     pub fn closed(points: impl Into<Vec<Point>>) -> Self {
         Self { points: points.into(), closed: true }
     }
 
-    /// The rim of an upright rectangle.
+    /// The outline of an upright rectangle.
     pub fn rectangle([left, top]: Point, [right, bottom]: Point) -> Self {
         Self::closed([[left, top], [right, top], [right, bottom], [left, bottom]])
     }
 
-    /// The rim of a disc, of 24 corners.
+    /// The outline of a disc, with 24 corners.
     pub fn disc(centre: Point, radius: f64) -> Self {
         let corner = |k: i32| {
             let (sine, cosine) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
@@ -58,18 +58,18 @@ impl Polyline {
     }
 }
 
-/// Polylines of one look, drawn together: filled first, then stroked with round ends and joins.
+/// Polylines of one style drawn together: filled first, then stroked with round ends and joins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
-    /// What it is, as the name of a group.
+    /// What the shape represents, as the name of a group.
     pub class: &'static str,
-    /// The lines.
+    /// The polylines.
     pub lines: Vec<Polyline>,
-    /// Fill of the areas.
+    /// Fill colour of the areas.
     pub fill: Option<Colour>,
-    /// Look of the lines.
+    /// Style of the lines.
     pub stroke: Option<Stroke>,
-    /// Whether edges are not smoothed, so that areas side by side have no seam.
+    /// If true, edges are not smoothed, so that adjacent areas have no seam.
     pub crisp: bool,
 }
 
@@ -85,52 +85,52 @@ impl Shape {
     }
 }
 
-/// Which part of a text lies on its point.
+/// The part of a text that lies on its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its first letter.
+    /// The start.
     Start,
-    /// Its middle.
+    /// The middle.
     Middle,
-    /// Its last letter.
+    /// The end.
     End,
 }
 
 /// One line of text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Text {
-    /// What it is, as the name of a group.
+    /// What the text represents, as the name of a group.
     pub class: &'static str,
-    /// The words.
+    /// The text.
     pub words: String,
-    /// Where: half-way up the capitals, at the anchor.
+    /// Position of the anchor, half-way up the capitals.
     pub at: Point,
-    /// Size of the type, pixels.
+    /// Font size, pixels.
     pub size: f64,
-    /// What of it lies there.
+    /// The part of the text that lies on the position.
     pub anchor: Anchor,
-    /// Whether it reads upward.
+    /// True if the text reads upward.
     pub upward: bool,
     /// Its colour.
     pub colour: Colour,
-    /// Width of the white rim that keeps it legible over lines, pixels; 0: none.
+    /// Width of the white rim that keeps text legible over lines, pixels; 0 for none.
     pub halo: f64,
 }
 
 impl Text {
-    /// In ink, its middle at a point.
+    /// A text in ink, centred on a point.
     pub fn new(words: impl Into<String>, size: f64, at: Point) -> Self {
         let (class, words) = ("text", words.into());
         let (anchor, upward, colour, halo) = (Anchor::Middle, false, INK, 0.0);
         Self { class, words, at, size, anchor, upward, colour, halo }
     }
 
-    /// Its width, pixels.
+    /// Width, pixels.
     pub fn width(&self) -> f64 {
         text::width(&self.words, self.size)
     }
 
-    /// Where its base line begins, pixels.
+    /// Start of the base line, pixels.
     pub fn origin(&self) -> Point {
         let back = match self.anchor {
             Anchor::Start => 0.0,
@@ -145,12 +145,12 @@ impl Text {
     }
 }
 
-/// A part of a picture.
+/// An element of a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
     /// Lines and areas.
     Shape(Shape),
-    /// Type.
+    /// A text.
     Text(Text),
 }
 
@@ -166,16 +166,16 @@ impl From<Text> for Item {
     }
 }
 
-/// A picture on a white ground.
+/// A picture on a white background.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// What it shows.
+    /// Title.
     pub title: String,
-    /// Width.
+    /// Width, pixels.
     pub width_px: u32,
-    /// Height.
+    /// Height, pixels.
     pub height_px: u32,
-    /// Parts, the first at the bottom.
+    /// Elements, from bottom to top.
     pub items: Vec<Item>,
 }
 

@@ -1,5 +1,5 @@
-//! Pictures as PNG, rasterised with anti-aliasing. Type is the outlines of the bundled font, so that every machine
-//! draws the same.
+//! Pictures as PNG, rasterised with anti-aliasing. Text is drawn as outlines of the bundled font, so every machine
+//! gives the same result.
 
 use anyhow::Context;
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
@@ -8,7 +8,7 @@ use ttf_parser::OutlineBuilder;
 use super::picture::{Colour, Item, Picture, Shape, Text, WHITE};
 use super::text;
 
-/// The picture as the content of a PNG file, `scale` times as many pixels wide and high.
+/// The picture as the content of a PNG file, `scale` times as many pixels in each direction.
 pub fn png(picture: &Picture, scale: u32) -> anyhow::Result<Vec<u8>> {
     let (width, height) = (scale * picture.width_px, scale * picture.height_px);
     let mut pixels = Pixmap::new(width, height).with_context(|| format!("no memory for {width} x {height} pixels"))?;
@@ -67,12 +67,12 @@ fn draw_text(pixels: &mut Pixmap, words: &Text, place: Transform) {
     pixels.fill_path(&path, &paint(words.colour), FillRule::Winding, place, None);
 }
 
-/// Puts glyphs side by side on one base line, y down.
+/// Sets glyphs side by side on one base line, y down.
 struct Outline {
     builder: PathBuilder,
-    /// Pixels a unit of the font.
+    /// Pixels per font unit.
     unit: f32,
-    /// Where the glyph begins, pixels.
+    /// Left edge of the current glyph, pixels.
     pen: f32,
 }
 
@@ -149,14 +149,14 @@ mod tests {
 
     #[test]
     fn crisp_areas_side_by_side_have_no_seam() {
-        // The border lies in the middle of the fifth column of pixels.
+        // The edge lies in the middle of the fifth column of pixels.
         let half = |from, to| Polyline::rectangle([from, 0.0], [to, 10.0]);
         let area = |crisp| Shape { crisp, ..Shape::filled("pixels", vec![half(0.0, 4.5)], Colour(0, 0, 0)) };
         let red = |crisp| pixels(area(crisp).into(), 1).pixel(4, 5).map(|pixel| pixel.red());
         assert!(matches!(red(true), Some(0 | 255)) && matches!(red(false), Some(100..155)), "{:?}", red(false));
     }
 
-    /// Least and largest column and row with ink, pixels.
+    /// First and last column and row with ink, pixels.
     fn inked(text: Text) -> [f64; 4] {
         let pixels = pixels(text.into(), 8);
         let width = pixels.width() as usize;
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn type_stands_where_it_is_put() {
-        // An H of 8 px is 5.83 px high and has side bearings of 0.79 px in its 6.02 px.
+        // An H at 8 px is 5.83 px high and has side bearings of 0.79 px in its advance of 6.02 px.
         let [left, right, top, bottom] = inked(Text::new("H", 8.0, [10.0, 5.0]));
         assert!((0.5 * (left + right) - 10.0).abs() < 0.2 && (0.5 * (top + bottom) - 5.0).abs() < 0.2);
         assert!((bottom - top - 5.83).abs() < 0.3, "{top} to {bottom}");
@@ -179,7 +179,7 @@ mod tests {
         assert!((start[0] - 10.79).abs() < 0.2, "{start:?}");
         let end = inked(Text { anchor: Anchor::End, ..Text::new("H", 8.0, [10.0, 5.0]) });
         assert!((end[1] - 9.21).abs() < 0.2, "{end:?}");
-        // Upward, its height lies across.
+        // Read upward, its height runs horizontally.
         let [left, right, top, bottom] = inked(Text { upward: true, ..Text::new("H", 8.0, [10.0, 5.0]) });
         assert!((right - left - 5.83).abs() < 0.3 && (0.5 * (left + right) - 10.0).abs() < 0.2, "{left} to {right}");
         assert!((0.5 * (top + bottom) - 5.0).abs() < 0.2, "{top} to {bottom}");

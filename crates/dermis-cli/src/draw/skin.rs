@@ -1,5 +1,5 @@
-//! A sheet skin drawn to scale as its model sees it: elements, rim, electrodes with the numbers that people use (from
-//! 1), axes in millimetres and a scale bar. x to the right, y up, seen from the toucher.
+//! A sheet skin drawn to scale as its model sees it: elements, rim, electrodes numbered from 1, axes in millimetres
+//! and a scale bar. x points right and y up, seen from the side that is touched.
 
 use dermis_tomo::mesh::{Contact, ElectrodedMesh};
 
@@ -10,27 +10,27 @@ use super::text::{CAPITAL, width};
 const MESH: Colour = Colour(186, 198, 210);
 const COPPER: Colour = Colour(196, 98, 34);
 
-/// What to draw.
+/// Settings of a drawing.
 pub struct SkinDrawing<'a> {
     /// Mesh and electrodes of a flat sheet.
     pub body: &'a ElectrodedMesh,
     /// Title of the picture.
     pub title: &'a str,
-    /// Width of the picture.
+    /// Width of the picture, pixels.
     pub width_px: u32,
-    /// Whether the elements are drawn.
+    /// Draw the elements.
     pub mesh: bool,
 }
 
-/// Where things are, in pixels.
+/// Layout in pixels.
 struct Layout {
-    /// Size that lines and letters are in proportion to: 1 in a picture 1000 pixels wide.
+    /// Scale of lines and letters: 1 in a picture 1000 pixels wide.
     unit: f64,
     width: f64,
     height: f64,
     /// Left, top, right and bottom of the frame.
     frame: [f64; 4],
-    /// Middle of the skin, metres, and where it is drawn.
+    /// Centre of the skin, in metres and in pixels.
     centre_m: Point,
     centre: Point,
     pixels_per_m: f64,
@@ -87,14 +87,15 @@ impl SkinDrawing<'_> {
         Shape { class: "electrodes", lines, fill: Some(COPPER), stroke, crisp: false }
     }
 
-    /// A rim electrode's stretch as a band outside the skin; a line inside it as a band along it.
+    /// A rim electrode as a band outside the skin; a line electrode inside the skin as a band along it.
     fn band(&self, layout: &Layout, face: &[u32]) -> Polyline {
         let [a, b] = [face[0], face[1]].map(|node| self.node(layout, node));
         let [x, y] = self.outward(layout, face).map(|component| component * 10.0 * layout.unit);
         anticlockwise(vec![a, b, [b[0] + x, b[1] + y], [a[0] + x, a[1] + y]])
     }
 
-    /// Unit normal of a face in pixels, away from its element (from the middle of the skin, for lines inside it).
+    /// Unit normal of a face in pixels, pointing away from its element (for lines inside the skin, away from the
+    /// skin's centre).
     fn outward(&self, layout: &Layout, face: &[u32]) -> Point {
         let [a, b] = [face[0], face[1]].map(|node| self.node(layout, node));
         let middle = mean(&[a, b]);
@@ -115,8 +116,8 @@ impl SkinDrawing<'_> {
         electrodes.map(|(index, electrode)| self.number(layout, &electrode.contact, index + 1, height)).collect()
     }
 
-    /// The number of an electrode, of digits so high: beyond a rim electrode, on a pad that is large enough, or beside
-    /// a small one on the side of the skin's middle.
+    /// The number of an electrode, with digits of the given height: outside a rim electrode, on a pad if it is large
+    /// enough, or else next to the pad on the side of the skin's centre.
     fn number(&self, layout: &Layout, contact: &Contact, number: usize, height: f64) -> Text {
         let centre = self.centre(layout, contact);
         let (words, size) = (number.to_string(), height / CAPITAL);
@@ -125,12 +126,12 @@ impl SkinDrawing<'_> {
         let beside = |direction: Point, gap: f64| {
             let reach = reach(direction, gap);
             let at = [centre[0] + direction[0] * reach, centre[1] + direction[1] * reach];
-            // Digits over the mesh stay legible on a white edge.
+            // A white rim keeps digits legible over the mesh.
             Text { class: "number", halo: 2.5 * layout.unit, ..Text::new(words.clone(), size, at) }
         };
         let [right, down] = [layout.centre[0] - centre[0], layout.centre[1] - centre[1]];
         let inward = unit([right, down]);
-        // Numbers of small electrodes close to the middle would meet there.
+        // Near the centre, move numbers of small electrodes outward, or they would meet there.
         let aside = |gap: f64| {
             let is_near = right.hypot(down) < 2.0 * reach(inward, gap) + wide;
             beside(if is_near { inward.map(|component| -component) } else { inward }, gap)
@@ -162,7 +163,7 @@ impl SkinDrawing<'_> {
         };
         let points: Vec<Point> = nodes.iter().map(|&node| self.node(layout, node)).collect();
         let (low, high) = bounds(&points);
-        // The middle of a curved or bent rim electrode is not that of its bounds, so its nodes' mean is taken.
+        // The centre of a curved or bent rim electrode isn't that of its bounds, so use the mean of its nodes.
         if matches!(contact, Contact::Area(_)) { mean(&[low, high]) } else { mean(&points) }
     }
 
@@ -183,10 +184,10 @@ impl Layout {
         let (low, high) = body.mesh.bounds();
         let [width_m, height_m] = [high[0] - low[0], high[1] - low[1]];
         let width = f64::from(width_px);
-        // Letters below this size could not be read.
+        // Smaller letters would be illegible.
         let unit = (width / 1000.0).max(0.5);
         let (left, right, top, bottom, pad) = (90.0 * unit, 30.0 * unit, 25.0 * unit, 100.0 * unit, 60.0 * unit);
-        // Skins much higher than wide are made narrower rather than the picture endless.
+        // A skin much taller than wide is drawn narrower, to limit the picture's height.
         let room = [width - left - right - 2.0 * pad, 2.0 * width];
         let pixels_per_m = (room[0] / width_m).min(room[1] / height_m);
         let frame = [left, top, width - right, top + 2.0 * pad + height_m * pixels_per_m];
@@ -202,7 +203,7 @@ impl Layout {
     }
 }
 
-/// Frame, ticks with their values, and the names of the axes.
+/// Frame, ticks with their values, and axis labels.
 fn axes(layout: &Layout) -> Vec<Item> {
     let [left, top, right, bottom] = layout.frame;
     let unit = layout.unit;
@@ -250,7 +251,7 @@ fn scale_bar(layout: &Layout) -> [Item; 2] {
     [Shape::stroked("scale-bar", lines, INK, 2.2 * unit).into(), text.into()]
 }
 
-/// An area whose corners run one way round, so that areas which overlap do not cancel.
+/// An area with its corners in a consistent direction, so that overlapping areas don't cancel.
 fn anticlockwise(mut corners: Vec<Point>) -> Polyline {
     let next = corners.iter().cycle().skip(1);
     let area: f64 = corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum();
@@ -265,7 +266,7 @@ fn mean(points: &[Point]) -> Point {
     [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count)
 }
 
-/// The direction of a vector; up for one without length.
+/// The direction of a vector; up for a zero vector.
 fn unit([x, y]: Point) -> Point {
     let length = x.hypot(y);
     if length > 1e-9 { [x / length, y / length] } else { [0.0, -1.0] }

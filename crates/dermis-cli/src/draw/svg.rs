@@ -49,7 +49,7 @@ fn push_line(text: &mut String, line: &Polyline) {
     let mut before: Option<[String; 2]> = None;
     for point in &line.points {
         let [x, y] = point.map(number);
-        // Level and upright lines are said shorter, which halves images.
+        // Horizontal and vertical lines have shorter commands, which halves the size of images.
         let _ = match &before {
             None => write!(text, "M{x} {y}"),
             Some([_, level]) if *level == y => write!(text, "H{x}"),

@@ -1,13 +1,13 @@
-//! The bundled type: its glyphs, how wide a text is, and the outlines that are filled where a format has no type of its
-//! own. The font holds Latin, Greek and the signs that units and formulas need.
+//! The bundled font: its glyphs, text widths, and the outlines to fill in formats without fonts of their own. It
+//! covers Latin, Greek and the signs needed for units and formulas.
 
 use std::sync::LazyLock;
 
 use ttf_parser::{Face, GlyphId};
 
-/// Names of the bundled font and of what readers without it fall back to.
+/// The bundled font's name, followed by fallbacks for viewers without it.
 pub const FAMILIES: &str = "DejaVu Sans, Verdana, Arial, sans-serif";
-/// Height of a capital over the size of the type.
+/// Height of a capital relative to the font size.
 pub const CAPITAL: f64 = 0.729;
 /// The font as a file.
 pub const FILE: &[u8] = include_bytes!("../../fonts/DejaVuSans.ttf");
@@ -19,17 +19,17 @@ pub fn face() -> &'static Face<'static> {
     &FACE
 }
 
-/// The glyph of a character; of one that the font lacks, an empty box.
+/// The glyph of a character; an empty box if the font lacks it.
 pub fn glyph(character: char) -> GlyphId {
     face().glyph_index(character).unwrap_or_default()
 }
 
-/// Width of a glyph over the size of the type.
+/// Advance width of a glyph relative to the font size.
 pub fn advance(glyph: GlyphId) -> f64 {
     f64::from(face().glyph_hor_advance(glyph).unwrap_or_default()) / f64::from(face().units_per_em())
 }
 
-/// Width of a text of this size, in the size's unit.
+/// Width of a text at a font size, in the unit of the size.
 pub fn width(text: &str, size: f64) -> f64 {
     size * text.chars().map(|character| advance(glyph(character))).sum::<f64>()
 }
@@ -40,7 +40,7 @@ mod tests {
 
     #[test]
     fn widths_are_those_of_the_font() {
-        // DejaVu Sans has 2048 units an em: digits are 1303 wide, a blank 651.
+        // DejaVu Sans has 2048 units per em: digits are 1303 wide, a blank 651.
         assert_eq!(width("00", 2048.0), 2606.0);
         assert_eq!(width(" ", 2048.0), 651.0);
         let capital = face().glyph_bounding_box(glyph('H')).unwrap();

@@ -1,6 +1,6 @@
-//! Who may use the page. A request must name a host that this server goes by (else a site could point its own name
-//! here: DNS rebinding), must come from the page itself where the browser says from where, and must carry the token
-//! where there is one.
+//! Access control of the page. A request must name a host that this server goes by (otherwise a site could point its
+//! own name here: DNS rebinding), must come from the page itself if the browser states an origin, and must carry the
+//! token if there is one.
 
 use std::fmt;
 use std::hint::black_box;
@@ -11,11 +11,11 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 
 use super::PageError;
 
-/// A secret that a page must show. It prints as dots, so that it stays out of logs.
+/// A secret that a page must present. It prints as dots, to keep it out of logs.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
-/// The rules of one server.
+/// Access rules of one server.
 #[derive(Debug)]
 pub(super) struct Access {
     token: Option<Token>,
@@ -24,7 +24,7 @@ pub(super) struct Access {
     cookie: String,
 }
 
-/// Why a request is turned away.
+/// Reason for rejecting a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Denial {
     Host,
@@ -33,24 +33,24 @@ pub(super) enum Denial {
 }
 
 impl Token {
-    /// Fewest characters: 128 bits in hexadecimal.
+    /// Minimum length: 128 bits in hexadecimal.
     pub const LEAST_CHARACTERS: usize = 32;
 
-    /// 128 random bits from the system, as 32 hexadecimal digits.
+    /// 128 random bits from the operating system, as 32 hexadecimal digits.
     ///
     /// # Errors
-    /// [`PageError::Random`] when the system gives none.
+    /// [`PageError::Random`] if the system gives none.
     pub fn random() -> Result<Self, PageError> {
         let mut bytes = [0; 16];
         getrandom::fill(&mut bytes).map_err(|error| PageError::Random { reason: error.to_string() })?;
         Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
     }
 
-    /// A token chosen elsewhere.
+    /// A token chosen by the user.
     ///
     /// # Errors
-    /// [`PageError::TokenUnfit`] when it has fewer than [`Self::LEAST_CHARACTERS`], or others than letters, digits,
-    /// `-`, `_`.
+    /// [`PageError::TokenUnfit`] if it is shorter than [`Self::LEAST_CHARACTERS`] or has characters other than
+    /// letters, digits, `-`, `_`.
     pub fn new(text: impl Into<String>) -> Result<Self, PageError> {
         let text = text.into();
         let is_fit = text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_');
@@ -60,12 +60,12 @@ impl Token {
         Ok(Self(text))
     }
 
-    /// The secret itself, for the address that is printed.
+    /// The secret itself, for the printed address.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// Compares in a time that depends on neither content.
+    /// Compares in a time that doesn't depend on the content of either.
     fn is(&self, other: &str) -> bool {
         let (own, other) = (self.0.as_bytes(), other.as_bytes());
         let difference = own.iter().zip(other).fold(0, |all, (a, b)| black_box(all | (a ^ b)));
@@ -80,7 +80,7 @@ impl fmt::Debug for Token {
 }
 
 impl Access {
-    /// Rules for a server at `address` (its real port), also known as `others`.
+    /// Rules for a server at `address` (with its real port), also known as `others`.
     ///
     /// # Errors
     /// [`PageError::TokenMissing`] beyond loopback without a token; [`PageError::HostUnfit`] for a host with scheme,
@@ -98,11 +98,11 @@ impl Access {
             }
             hosts.push(other.to_ascii_lowercase());
         }
-        // A numeric host cannot be rebound to another server, so a server on every address needs no list of them.
+        // A numeric host cannot be rebound to another server, so a server on all addresses needs no list of them.
         Ok(Self { token, hosts, any_address: ip.is_unspecified(), cookie: format!("dermis_token_{}", address.port()) })
     }
 
-    /// Checks a request. `origin_required` for what browsers always send with an origin: WebSockets.
+    /// Checks a request. Set `origin_required` for requests that browsers always send with an origin: WebSockets.
     pub(super) fn check(&self, headers: &HeaderMap, uri: &Uri, origin_required: bool) -> Result<(), Denial> {
         let authority = self.authority(headers, uri).ok_or(Denial::Host)?;
         let mut origins = headers.get_all(header::ORIGIN).iter();
@@ -117,7 +117,7 @@ impl Access {
         }
     }
 
-    /// The cookie by which the page stays known once it was opened with the token, when `uri` carries it.
+    /// If `uri` carries the token, the cookie that lets the page in from then on.
     pub(super) fn cookie(&self, uri: &Uri) -> Option<String> {
         let token = self.token.as_ref()?;
         let carries = in_query(uri).any(|shown| token.is(shown));
@@ -138,7 +138,7 @@ impl Access {
         is_ours.then_some(authority)
     }
 
-    /// Every token that the request shows: in the address, or in the page's cookie.
+    /// All tokens in the request: in the address and in the page's cookie.
     fn shown<'a>(&'a self, headers: &'a HeaderMap, uri: &'a Uri) -> impl Iterator<Item = &'a str> {
         let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
         let ours = cookies.flat_map(|line| line.split(';')).filter_map(|pair| {
@@ -170,7 +170,7 @@ impl Denial {
     }
 }
 
-/// An address as it stands in a URL.
+/// An IP address as written in a URL.
 pub(super) fn bracketed(ip: IpAddr) -> String {
     match ip {
         IpAddr::V4(ip) => ip.to_string(),
@@ -184,7 +184,7 @@ fn in_query(uri: &Uri) -> impl Iterator<Item = &str> {
 
 fn is_same_origin(origin: &[u8], authority: &Authority) -> bool {
     let own = authority.as_str().as_bytes();
-    // This server speaks plain HTTP: a page that came encrypted came from another.
+    // This server speaks plain HTTP, so a page loaded over HTTPS came from another.
     let named = origin.strip_prefix(b"http://");
     named.is_some_and(|named| named.eq_ignore_ascii_case(own))
 }

@@ -1,7 +1,7 @@
-//! One connected page: the scene first, then whatever is newest, while its requests go to the pipeline.
+//! One connected page. It gets the scene first, then always the newest update; its requests go to the pipeline.
 //!
-//! A page acknowledges each update it has received. At most [`WINDOW`] are under way at once, so a slow page or network
-//! gets fewer updates rather than old ones: what it missed is counted, and nothing queues up.
+//! A page acknowledges each update. At most [`WINDOW`] updates are in flight, so a slow page or network gets fewer
+//! updates rather than old ones: missed updates are counted, and nothing queues up.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -20,22 +20,22 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 use super::request::{Reply, Request};
 use super::shared::Shared;
 
-/// Updates sent and not yet acknowledged: enough for 60 a second over a round trip of 130 ms.
+/// Updates sent and not yet acknowledged: enough for 60 per second over a round trip of 130 ms.
 const WINDOW: u64 = 8;
-/// Answers waiting to be sent to one page.
+/// Answers queued for one page.
 const ANSWER_BACKLOG: usize = 64;
-/// A page that takes nothing for this long is gone.
+/// Disconnect a page that accepts nothing for this long.
 const SEND_LIMIT: Duration = Duration::from_secs(10);
 const ALIVE_PERIOD: Duration = Duration::from_secs(1);
 const RELEASE_LIMIT: Duration = Duration::from_secs(10);
-/// Until room is looked for again.
+/// Interval for retrying a request when the pipeline's queue is full.
 const RETRY: Duration = Duration::from_millis(5);
 
-/// Why a page's connection ends.
+/// Reason for the end of a page's connection.
 enum End {
-    /// The page went, or the network.
+    /// The page or the network has gone.
     Gone,
-    /// The server ends it, for this reason.
+    /// The server closes it, with this code and reason.
     Closed(u16, &'static str),
 }
 
@@ -45,24 +45,24 @@ struct Client<'a> {
     number: u64,
     answers: mpsc::Sender<Answer>,
     held: BTreeSet<u64>,
-    /// The last hyperparameter asked for, where the pipeline had no room for it yet.
+    /// The last requested hyperparameter, while the pipeline's queue has no room for it.
     later: Option<Request>,
     allowance: Allowance,
-    /// Of acknowledgements and pings.
+    /// Allowance for acknowledgements and pings.
     signs: Allowance,
     sent: u64,
     acknowledged: u64,
     missed: u64,
 }
 
-/// A bucket that fills at the allowed rate and holds one second of it.
+/// A token bucket that fills at the allowed rate and holds one second's worth.
 struct Allowance {
     per_s: f64,
     left: f64,
     filled: Instant,
 }
 
-/// Serves one page until it goes or the server stops.
+/// Serves one page until it leaves or the server stops.
 pub(super) async fn serve(mut socket: WebSocket, shared: &Shared) {
     let Ok(_place) = shared.places.try_acquire() else {
         return close(&mut socket, close_code::AGAIN, "as many pages as allowed are open: close one").await;
@@ -183,8 +183,8 @@ impl Client<'_> {
         Ok(())
     }
 
-    /// Acknowledgements and signs of life have an allowance of their own: a page that asks for nothing else may send as
-    /// many as it gets updates, and no more than any message.
+    /// Acknowledgements and pings have their own allowance: a page may acknowledge every update, but send no more of
+    /// them than of other messages.
     fn count_sign(&mut self) -> Result<(), End> {
         match self.signs.spend() {
             true => Ok(()),
@@ -192,7 +192,7 @@ impl Client<'_> {
         }
     }
 
-    /// Checks a command and hands it to the pipeline, or says why not.
+    /// Checks a command and hands it to the pipeline, or replies with the reason for refusing it.
     fn pass_on(&mut self, id: u64, mut command: Command) {
         if let Err(refusal) = command.check(&self.shared.scene).and_then(|()| self.own(&mut command)) {
             return self.answer(id, refusal);
@@ -218,7 +218,7 @@ impl Client<'_> {
             }
             Err(TrySendError::Full(request)) => {
                 request.reply.refuse("the pipeline is behind: not done, try again");
-                // The page has let go and will not say so again.
+                // The page has released its press and won't say so again.
                 if let Some((pointer, false)) = held {
                     self.release_later(pointer);
                 }
@@ -227,7 +227,7 @@ impl Client<'_> {
         }
     }
 
-    /// Of hyperparameters the last one counts, also where there is no room for it yet.
+    /// Keeps the latest hyperparameter until there is room for it.
     fn keep_for_later(&mut self, request: Request) {
         if let Some(earlier) = self.later.replace(request) {
             earlier.reply.accept("replaced by a later one");
@@ -242,7 +242,7 @@ impl Client<'_> {
         }
     }
 
-    /// Makes pointer numbers unique among pages, and lets a page move only what it presses.
+    /// Makes pointer ids unique among pages, and lets a page move only its own presses.
     fn own(&self, command: &mut Command) -> Result<(), String> {
         let (pointer, is_new) = match command {
             Command::Press(press) => (&mut press.pointer_id, true),
@@ -269,7 +269,7 @@ impl Client<'_> {
         tokio::spawn(release(self.shared.commands.clone(), self.number, pointer_id));
     }
 
-    /// Ends the presses of a page that went away holding them.
+    /// Ends the presses that a page still held when it left.
     async fn release_all(&mut self) {
         for pointer_id in std::mem::take(&mut self.held) {
             release(self.shared.commands.clone(), self.number, pointer_id).await;
@@ -277,7 +277,7 @@ impl Client<'_> {
     }
 
     fn answer(&self, id: u64, text: String) {
-        // A page with this many unread answers will not miss one more.
+        // A page with so many unread answers won't miss this one.
         let _ = self.answers.try_send(Answer { id, ok: false, text });
     }
 
@@ -303,7 +303,7 @@ impl Allowance {
         Self { per_s, left: per_s, filled: Instant::now() }
     }
 
-    /// Takes one message's worth, if there is any left.
+    /// Spends one message's worth, if available.
     fn spend(&mut self) -> bool {
         let now = Instant::now();
         let gained = (now - self.filled).as_secs_f64() * self.per_s;
@@ -317,11 +317,11 @@ impl Allowance {
 
 /// Returns when the server stops.
 pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
-    // An error means that the handle is gone, which stops the server too.
+    // An error means that the handle has been dropped, which stops the server too.
     let _ = stop.wait_for(|&is_stopped| is_stopped).await;
 }
 
-/// A release must arrive: without it a press would stay on the skin for good.
+/// Delivers a release. If it got lost, the press would stay on the skin for good.
 async fn release(commands: crossbeam_channel::Sender<Request>, client: u64, pointer_id: u64) {
     let deadline = Instant::now() + RELEASE_LIMIT;
     let mut request = Request { client, command: Command::Release { pointer_id }, reply: Reply::unheard() };
@@ -339,7 +339,7 @@ async fn release(commands: crossbeam_channel::Sender<Request>, client: u64, poin
     }
 }
 
-/// Why a message could not be read: too long, or not a WebSocket message at all.
+/// The reason why a message could not be read: too long, or not a WebSocket message.
 fn unreadable(error: &axum::Error) -> End {
     if error.to_string().contains("too long") {
         return End::Closed(close_code::SIZE, "message too long");
@@ -349,6 +349,6 @@ fn unreadable(error: &axum::Error) -> End {
 
 async fn close(socket: &mut WebSocket, code: u16, reason: &'static str) {
     let frame = CloseFrame { code, reason: reason.into() };
-    // The page may be gone already, which is what closing is for.
+    // The page may have gone already, so ignore errors.
     let _ = timeout(Duration::from_secs(1), socket.send(Message::Close(Some(frame)))).await;
 }

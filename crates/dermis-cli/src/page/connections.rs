@@ -1,5 +1,5 @@
-//! Connections before they are pages: whoever opens one and does not send a whole request head in time is cut off, and
-//! where all places are taken the one that has been silent longest gives its place up.
+//! Connections before they become pages. A client that doesn't send a whole request head in time is disconnected; if
+//! all places are taken, the one that has been silent longest has to make room.
 
 use std::collections::VecDeque;
 use std::future::Future;
@@ -17,35 +17,35 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// What ends a request's head.
+/// End of a request head.
 const HEAD_END: &[u8] = b"\r\n\r\n";
-/// What begins the answer after which a connection is a page's socket.
+/// Start of the response after which a connection is a page's WebSocket.
 const SWITCHED: &[u8] = b"HTTP/1.1 101";
 
-/// A listener whose connections are bounded in number and in time.
+/// A listener that limits the number and the idle time of its connections.
 pub(super) struct Bounded {
     inner: TcpListener,
     most: usize,
     patience: Duration,
     open: Arc<AtomicUsize>,
-    /// Connections in the order they came.
+    /// Connections in order of arrival.
     waiting: VecDeque<Waiting>,
 }
 
-/// A connection that may still have to send a head.
+/// A connection that may still owe a request head.
 struct Waiting {
-    /// A whole request has come.
+    /// True once a whole request has arrived.
     is_known: Arc<AtomicBool>,
     give_up: oneshot::Sender<()>,
 }
 
 impl Bounded {
-    /// At most so many connections, each with so much time for the head of a request.
+    /// At most `most` connections, each with `patience` to send the head of a request.
     pub fn new(inner: TcpListener, most: usize, patience: Duration) -> Self {
         Self { inner, most: most.max(1), patience, open: Arc::default(), waiting: VecDeque::new() }
     }
 
-    /// Makes room where all places are taken; false where nobody can be asked to go.
+    /// Makes room if all places are taken; returns false if no connection can be dropped.
     fn make_room(&mut self) -> bool {
         self.waiting.retain(|waiting| !waiting.give_up.is_closed());
         if self.open.load(Ordering::Relaxed) < self.most {
@@ -64,7 +64,7 @@ impl Listener for Bounded {
     async fn accept(&mut self) -> (Connection, SocketAddr) {
         loop {
             match self.inner.accept().await {
-                // All places are held by pages: whoever comes now is sent away without a word.
+                // All places are held by pages, so drop the new connection.
                 Ok(_) if !self.make_room() => {}
                 Ok((stream, from)) => {
                     if let Err(error) = stream.set_nodelay(true) {
@@ -85,7 +85,7 @@ impl Listener for Bounded {
                     };
                     return (connection, from);
                 }
-                // No descriptors left, or a connection that has gone already: neither ends the server.
+                // Out of descriptors, or the connection has gone already. Neither ends the server.
                 Err(error) => {
                     tracing::debug!("a connection failed: {error}");
                     sleep(Duration::from_millis(50)).await;
@@ -99,14 +99,14 @@ impl Listener for Bounded {
     }
 }
 
-/// Where a connection stands.
+/// State of a connection.
 #[derive(Clone, Copy, PartialEq)]
 enum State {
-    /// A request's head is awaited; so many bytes of its end have come.
+    /// Waiting for a request head; `seen` bytes of its end marker have arrived.
     Head { seen: usize },
-    /// A head has come and is being answered.
+    /// A head has arrived and is being answered.
     Answering,
-    /// A page's socket, which has rules of its own.
+    /// A page's WebSocket, which has its own rules.
     Socket,
 }
 
@@ -133,12 +133,12 @@ impl Connection {
         self.until.as_mut().reset(Instant::now() + self.patience);
     }
 
-    /// Whether it has been too long, or another needs the place.
+    /// True if the deadline has passed, or another connection needs the place.
     fn is_over(&mut self, context: &mut Context<'_>) -> bool {
         if !matches!(self.state, State::Head { .. }) {
             return false;
         }
-        // A listener that has gone asks nobody to go.
+        // If the listener has been dropped, nobody will ask for the place.
         if let Some(asked) = &mut self.asked_to_go
             && let Poll::Ready(asked) = Pin::new(asked).poll(context)
         {
@@ -275,7 +275,7 @@ mod tests {
     #[test]
     fn a_pages_socket_has_no_deadline_here() {
         run(async {
-            // Whatever has a deadline is over at once.
+            // Anything with a deadline would end at once.
             let (mut listener, address) = bounded(4, LONG).await;
             let (mut client, mut server) = pair(&mut listener, address).await;
             client.write_all(HEAD).await.unwrap();
@@ -320,7 +320,7 @@ mod tests {
                 (listener, accepted)
             });
             let mut refused = TcpStream::connect(address).await.unwrap();
-            // Closed without a word: the end, or that the connection was reset.
+            // Closed without an answer: end of stream, or a connection reset.
             assert!(!matches!(refused.read(&mut [0; 1]).await, Ok(count) if count > 0));
             held.pop();
             let _let_in = TcpStream::connect(address).await.unwrap();

@@ -1,11 +1,11 @@
-//! What can go wrong between asking for the page and having it.
+//! Errors of serving the page.
 
 use std::io;
 use std::net::SocketAddr;
 
 use dermis_page::UpdateError;
 
-/// Why the page could not be served, or an update not shown.
+/// An error while serving the page or showing an update.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PageError {
@@ -16,52 +16,52 @@ pub enum PageError {
         address.ip()
     )]
     PortInUse {
-        /// The address asked for.
+        /// The requested address.
         address: SocketAddr,
     },
-    /// The address could not be listened on for another reason.
+    /// The address could not be bound for another reason.
     #[error("cannot listen on {address}: {source}; expected an address of this machine and a port this user may open")]
     Bind {
-        /// The address asked for.
+        /// The requested address.
         address: SocketAddr,
-        /// What the system said.
+        /// Error from the operating system.
         source: io::Error,
     },
-    /// Beyond loopback the page needs a token.
+    /// The page needs a token beyond loopback.
     #[error(
         "address {address} can be reached from other machines and no token was given; expected a token, or a loopback address"
     )]
     TokenMissing {
-        /// The address asked for.
+        /// The requested address.
         address: SocketAddr,
     },
-    /// The token could be guessed or does not fit into an address.
+    /// The token is too easy to guess, or doesn't fit into an address.
     #[error("token of {length} characters; expected at least {least}, of letters, digits, '-' and '_'")]
     TokenUnfit {
-        /// Characters given.
+        /// Its length in characters.
         length: usize,
-        /// Fewest characters accepted.
+        /// Minimum length in characters.
         least: usize,
     },
-    /// The system gave no random bytes for a token.
+    /// The operating system gave no random bytes for a token.
     #[error("the system gave no random bytes for a token: {reason}")]
     Random {
-        /// What the system said.
+        /// Error from the operating system.
         reason: String,
     },
     /// An allowed host is not a host name.
     #[error("allowed host {host:?}; expected a name or address without scheme, port or path, such as lab-pc.local")]
     HostUnfit {
-        /// The text given.
+        /// The given text.
         host: String,
     },
-    /// The server's thread or its runtime could not be started.
+    /// The server's thread or runtime could not start.
     #[error("cannot start the page's server: {source}")]
     Start {
-        /// What the system said.
+        /// Error from the operating system.
         source: io::Error,
     },
-    /// An update that contradicts itself.
+    /// The update contradicts itself.
     #[error(transparent)]
     Update(#[from] UpdateError),
 }

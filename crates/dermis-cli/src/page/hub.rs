@@ -1,6 +1,6 @@
-//! Between the pipeline and the pages: the pipeline leaves its latest update here and goes on; the server takes it when
-//! it can. Three buffers change hands under a lock held for one pointer exchange, so neither side waits for the other,
-//! and an update that nobody took in time is overwritten and counted.
+//! Connects the pipeline to the pages. The pipeline leaves its latest update here and goes on; the server takes it
+//! when it can. Three buffers are exchanged under a lock that is held only for swapping pointers, so neither side
+//! waits for the other. An update that isn't taken in time is overwritten and counted.
 
 use std::mem;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -13,7 +13,7 @@ use tokio::sync::{Notify, broadcast, watch};
 /// Notices that a page may leave unread before it loses the oldest.
 const NOTICE_BACKLOG: usize = 64;
 
-/// Where the pipeline publishes. Cloning shares it.
+/// The place where the pipeline publishes. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Hub {
     pub(super) inner: Arc<Inner>,
@@ -50,7 +50,7 @@ impl Default for Hub {
 }
 
 impl Hub {
-    /// An empty hub. It can be published to whether or not a server runs.
+    /// An empty hub. Publishing works with or without a server.
     pub fn new() -> Self {
         let inner = Inner {
             back: Mutex::default(),
@@ -63,12 +63,11 @@ impl Hub {
         Self { inner: Arc::new(inner) }
     }
 
-    /// Shows `update` on every page as soon as the page can take it. Copies and returns; never waits for a page, and
-    /// allocates only while its buffers grow.
+    /// Shows `update` on every page as soon as the page can take it. Copies the update and returns; never waits for a
+    /// page, and allocates only while its buffers grow.
     ///
     /// # Errors
-    /// [`UpdateError`] when the update contradicts itself; it is then not
-    /// shown.
+    /// [`UpdateError`] if the update contradicts itself; it is then not shown.
     pub fn publish(&self, update: &Update) -> Result<(), UpdateError> {
         update.check()?;
         let inner = &self.inner;
@@ -86,18 +85,19 @@ impl Hub {
         Ok(())
     }
 
-    /// Shows the noise (standard deviation) of every channel, in the scene's channel unit. Sent only when it changes.
+    /// Publishes the noise (standard deviation) of every channel, in the scene's channel unit. Sent only when it
+    /// changes.
     pub fn publish_noise(&self, noise: &[f32]) {
         self.inner.noise.send_replace(Arc::new(noise.to_vec()));
     }
 
-    /// Tells every page something once.
+    /// Sends a notice to every page once.
     pub fn announce(&self, level: Level, text: impl Into<String>) {
-        // Without a page there is nobody to tell, which is not a failure.
+        // Without a page nobody receives it, which is not a failure.
         let _ = self.inner.notices.send(Notice { level, text: text.into() });
     }
 
-    /// How the pages keep up.
+    /// Statistics on how well the pages keep up.
     pub fn stats(&self) -> HubStats {
         let counts = &self.inner.counts;
         HubStats {
@@ -108,7 +108,7 @@ impl Hub {
         }
     }
 
-    /// Exchanges `front` for the latest update. False when there has been none since the last time.
+    /// Swaps `front` for the latest update; returns false if there is no new one.
     pub(super) fn take(&self, front: &mut Update) -> bool {
         let mut middle = lock(&self.inner.middle);
         if !mem::take(&mut middle.is_fresh) {
@@ -119,7 +119,7 @@ impl Hub {
     }
 }
 
-/// A panic elsewhere cannot leave an update half written in a way that matters: the next one overwrites it.
+/// A panic elsewhere may leave an update half written, but the next one overwrites it, so a poisoned lock is usable.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

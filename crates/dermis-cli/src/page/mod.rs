@@ -1,13 +1,13 @@
-//! The live page: a small web server that shows one skin in a browser and passes what people do there to the pipeline.
+//! The live page: a small web server that shows one skin in a browser and passes the user's actions to the pipeline.
 //!
-//! It knows no pipeline. The pipeline fills an [`Update`] per frame and hands it to [`Hub::publish`], which copies it
-//! and returns: a slow browser loses updates (counted), the pipeline never waits. Clicks come back as [`Request`]s on a
-//! bounded channel, each with a [`Reply`] that the page shows. The wire format is described in
-//! `docs/src/page-protocol.md`.
+//! It knows nothing about pipelines. The pipeline fills an [`Update`] per frame and hands it to [`Hub::publish`],
+//! which copies it and returns: a slow browser loses updates (which are counted), but the pipeline never waits.
+//! Clicks come back as [`Request`]s on a bounded channel, each with a [`Reply`] that the page shows. The wire format
+//! is described in `docs/src/page-protocol.md`.
 //!
-//! The server listens on loopback unless told otherwise. Every request must name an allowed host, and a WebSocket must
-//! come from the page's own origin, so that a site opened in the same browser can neither watch nor press; any address
-//! beyond loopback needs a [`Token`].
+//! The server listens on loopback by default. Every request must name an allowed host, and a WebSocket must come from
+//! the page's own origin, so that a site opened in the same browser can neither watch nor press. Any address beyond
+//! loopback needs a [`Token`].
 //!
 //! ```no_run
 //! use dermis_cli::page::{self, Hub, PageOptions, Scene, Update};

@@ -1,21 +1,21 @@
-//! A command of a page on its way to the pipeline, and the answer's way back.
+//! A page's command on its way to the pipeline, and the way back for the answer.
 
 use dermis_page::Command;
 use dermis_page::message::Answer;
 use tokio::sync::mpsc;
 
-/// A command with the way to answer it.
+/// A command with a way to answer it.
 #[derive(Debug)]
 pub struct Request {
-    /// Number of the page that asks, for logs.
+    /// Number of the requesting page, for logs.
     pub client: u64,
-    /// What is asked.
+    /// The command.
     pub command: Command,
-    /// The way back; dropped without an answer, the page shows nothing.
+    /// The reply; if it is dropped unanswered, the page shows nothing.
     pub reply: Reply,
 }
 
-/// Answers one request in the page that made it. Answering never blocks.
+/// Answers one request on the page that made it. Answering never blocks.
 #[derive(Debug)]
 pub struct Reply {
     pub(super) id: u64,
@@ -23,35 +23,35 @@ pub struct Reply {
 }
 
 impl Reply {
-    /// A reply that nobody reads, for requests that come from elsewhere than a page.
+    /// A reply that nobody reads, for requests that don't come from a page.
     pub fn unheard() -> Self {
         Self { id: 0, answers: None }
     }
 
-    /// Says that it was done: `tared over 25 frames`.
+    /// Reports success: `tared over 25 frames`.
     pub fn accept(self, text: impl Into<String>) {
         self.send(true, text.into());
     }
 
-    /// Says that it was not, and why: `tare refused: a touch is on the skin`.
+    /// Reports a refusal with its reason: `tare refused: a touch is on the skin`.
     pub fn refuse(self, text: impl Into<String>) {
         self.send(false, text.into());
     }
 
     fn send(self, ok: bool, text: String) {
         if let Some(answers) = self.answers {
-            // A page that went away, or that has this many answers unread, has nobody waiting for this one.
+            // If the page has left, or has this many unread answers, drop the answer.
             let _ = answers.try_send(Answer { id: self.id, ok, text });
         }
     }
 }
 
-/// Requests in their order, without those that a later one of them makes pointless: of hyperparameters and
-/// tares the last counts. Whoever asked for one of the others is told.
+/// The requests in order, without those that a later one makes pointless: of hyperparameters and tares only the last
+/// counts. The senders of the others get a reply.
 pub fn coalesced(requests: impl IntoIterator<Item = Request>) -> Vec<Request> {
     let kind = |command: &Command| match command {
         Command::Hyperparameter(_) => Some((0, 0)),
-        // A tare that is forced is not the same as one that is not.
+        // A forced tare differs from an ordinary one.
         Command::Tare { force } => Some((1, u8::from(*force))),
         _ => None,
     };

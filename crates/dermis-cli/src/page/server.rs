@@ -1,4 +1,4 @@
-//! The server's own thread: a handful of embedded files, one WebSocket per page, and the guard before both.
+//! The server's own thread: a handful of embedded files, one WebSocket per page, and access control for both.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
@@ -39,7 +39,7 @@ pub struct ServerHandle {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What pages have to say goodbye in.
+/// Time for pages to be closed properly.
 const CLOSING_TIME: Duration = Duration::from_millis(500);
 
 struct Asset {
@@ -55,7 +55,7 @@ const ASSETS: [Asset; 4] = [
     Asset { path: "/icon.svg", kind: "image/svg+xml", bytes: include_bytes!("../../assets/icon.svg") },
 ];
 
-/// Sent with everything: nothing from elsewhere is loaded, nobody frames the page, nothing is kept.
+/// Headers of every response: load nothing from elsewhere, forbid framing, cache nothing.
 const HEADERS: [(header::HeaderName, &str); 7] = [
     (
         header::CONTENT_SECURITY_POLICY,
@@ -72,9 +72,9 @@ const HEADERS: [(header::HeaderName, &str); 7] = [
 /// Serves the page at `address` (port 0 for any free one) until the handle is dropped. Returns once it listens.
 ///
 /// # Errors
-/// [`PageError::PortInUse`] or [`PageError::Bind`] when the address cannot be had, [`PageError::TokenMissing`] beyond
-/// loopback without a token, [`PageError::HostUnfit`] for a malformed host, [`PageError::Start`] when no thread could
-/// start.
+/// [`PageError::PortInUse`] or [`PageError::Bind`] if the address is not available, [`PageError::TokenMissing`]
+/// beyond loopback without a token, [`PageError::HostUnfit`] for a malformed host, [`PageError::Start`] if no thread
+/// could start.
 pub fn serve(
     address: SocketAddr,
     options: PageOptions,
@@ -82,7 +82,7 @@ pub fn serve(
     scene: Scene,
     commands: Sender<Request>,
 ) -> Result<ServerHandle, PageError> {
-    // Checked before the port is opened, then again with the port that was really given.
+    // Checked before the port is opened, and again below with the actual port.
     Access::new(address, options.token.clone(), &options.allowed_hosts)?;
     let listener = bind(address)?;
     let start = |source| PageError::Start { source };
@@ -118,13 +118,13 @@ pub fn serve(
 }
 
 impl ServerHandle {
-    /// Where it listens, with the real port.
+    /// The address it listens on, with the actual port.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
 
-    /// Address to open in a browser, token included. A server on all addresses gives its network address, which works
-    /// on this machine and from a phone.
+    /// Address to open in a browser, including the token. A server on all addresses gives its network address, which
+    /// works on this machine and from a phone.
     pub fn url(&self) -> String {
         let ip = self.address.ip();
         let host = if ip.is_unspecified() { bracketed(network_address()) } else { bracketed(ip) };
@@ -137,9 +137,9 @@ impl ServerHandle {
         self.stop_and_join();
     }
 
-    /// The same, and tells pages why.
+    /// Like `shutdown`, and tells pages the reason.
     pub fn shutdown_because(self, reason: &'static str) {
-        // Nothing has been said before: only this says it, and takes the server with it.
+        // This is the only place that sets a reason, and it consumes the handle, so it cannot be set already.
         let _ = self.farewell.set(reason);
         self.shutdown();
     }
@@ -147,16 +147,16 @@ impl ServerHandle {
     fn stop_and_join(&mut self) {
         self.stop.send_replace(true);
         if let Some(thread) = self.thread.take() {
-            // A panic in that thread has been printed, and there is nothing left to stop.
+            // If the thread panicked, that has been printed, and there is nothing left to stop.
             let _ = thread.join();
         }
     }
 }
 
-/// This machine's address in its network: that from which packets would leave. Nothing is sent; without a network it is
-/// the machine's own.
+/// This machine's address on its network: the source address of outgoing packets. Nothing is sent. Without a network
+/// it is the loopback address.
 fn network_address() -> IpAddr {
-    // An address that is nobody's (RFC 5737) goes the way of all that is far away.
+    // An address reserved for documentation (RFC 5737) is routed like any remote one.
     let far_away = SocketAddr::from(([192, 0, 2, 1], 9));
     let own = || {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
@@ -186,11 +186,12 @@ fn run(runtime: &Runtime, listener: TcpListener, shared: Arc<Shared>) {
     let served = runtime.block_on(async {
         tokio::spawn(encode(shared.clone()));
         let (mut stop, mut stop_again) = (shared.stop.clone(), shared.stop.clone());
-        // Without delay: else an update's second message waits up to 40 ms for the first to be acknowledged.
+        // Without Nagle's delay: otherwise an update's second message would wait up to 40 ms for the first to be
+        // acknowledged.
         let listener = tokio::net::TcpListener::from_std(listener)?;
         let PageOptions { most_connections, head_patience, .. } = shared.options;
         let listener = Bounded::new(listener, most_connections, head_patience);
-        // Idle connections must not hold the process: what is still open soon after the stop is cut.
+        // Idle connections must not keep the process alive: cut what is still open shortly after the stop.
         let deadline = async move {
             client::stopped(&mut stop_again).await;
             tokio::time::sleep(CLOSING_TIME).await;
@@ -200,8 +201,7 @@ fn run(runtime: &Runtime, listener: TcpListener, shared: Arc<Shared>) {
             served = axum::serve(listener, router(shared.clone())).with_graceful_shutdown(stopped) => served,
             () = deadline => Ok(()),
         };
-        // Pages are no longer the server's connections but tasks of their own; each gives its place back when it has
-        // been told.
+        // Pages are separate tasks, no longer connections of the server. Each frees its place once it has been told.
         let places = u32::try_from(shared.options.most_clients).unwrap_or(u32::MAX);
         let _ = tokio::time::timeout(CLOSING_TIME, shared.places.acquire_many(places)).await;
         served
@@ -239,7 +239,7 @@ fn router(shared: Arc<Shared>) -> Router {
         .with_state(shared)
 }
 
-/// Turns strangers away, and marks every answer.
+/// Rejects unauthorised requests, and adds the headers to every response.
 async fn guard(State(shared): State<Arc<Shared>>, request: HttpRequest<Body>, next: Next) -> Response {
     let origin_required = request.uri().path() == "/ws";
     let cookie = shared.access.cookie(request.uri());

@@ -1,4 +1,4 @@
-//! What every request sees of the server.
+//! State shared by all requests to the server.
 
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, OnceLock};
@@ -13,24 +13,25 @@ use super::access::{Access, Token};
 use super::hub::Hub;
 use super::request::Request;
 
-/// How the page is served.
+/// Options for serving the page.
 #[derive(Debug, Clone)]
 pub struct PageOptions {
-    /// Secret that pages must show; required beyond loopback.
+    /// Secret that pages must present; required beyond loopback.
     pub token: Option<Token>,
-    /// Further host names by which the server is reached, without port.
+    /// Additional host names by which the server is reached, without port.
     pub allowed_hosts: Vec<String>,
-    /// Most pages connected at once; a further one is told so.
+    /// Most pages connected at once; any further page is told so.
     pub most_clients: usize,
-    /// Most connections open at once, pages among them; of more, those that have said nothing yet are cut off.
+    /// Most connections open at once, including pages. Above that, connections that have sent nothing yet are cut
+    /// off.
     pub most_connections: usize,
-    /// For the head of a request to come.
+    /// Time allowed for the head of a request.
     pub head_patience: Duration,
     /// Longest message accepted from a page.
     pub most_message_bytes: usize,
     /// Messages per second accepted from a page, on average and in a burst.
     pub most_messages_per_s: u32,
-    /// Most updates per second sent to a page; frames in between are coalesced.
+    /// Most updates per second sent to a page; updates in between are merged.
     pub most_updates_per_s: u32,
 }
 
@@ -49,7 +50,7 @@ impl Default for PageOptions {
     }
 }
 
-/// What every request sees.
+/// State seen by every request.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) access: Access,
@@ -60,7 +61,7 @@ pub(super) struct Shared {
     pub(super) commands: Sender<Request>,
     pub(super) updates: watch::Sender<Option<Arc<Encoded>>>,
     pub(super) stop: watch::Receiver<bool>,
-    /// Why it stops, for pages.
+    /// Reason for stopping, as told to pages.
     pub(super) farewell: Arc<OnceLock<&'static str>>,
     pub(super) places: Semaphore,
     pub(super) next_client: AtomicU64,

@@ -1,5 +1,5 @@
-//! The graph of a crate's files: which file names what another one defines. Names that a module file re-exports count
-//! as those of the file that defines them. Test modules, comments and strings are left aside.
+//! The graph of a crate's files: an edge means that one file names an item defined in another. Names re-exported by a
+//! module file count as those of the defining file. Test modules, comments and strings are ignored.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 /// Path of a module from the crate's root; empty for the root itself.
 type Module = Vec<String>;
 
-/// What is known of a file.
+/// Facts about a file.
 struct SourceFile {
     name: String,
     code: String,
-    /// Re-exported name, or `*`, and the path that it stands for.
+    /// Re-exported name, or `*`, and the path behind it.
     reexports: Vec<(String, Vec<String>)>,
 }
 
-/// Edges between files, by name, without those from a file to itself.
+/// Edges between files, by name, without self-loops.
 pub(crate) fn file_graph(source_folder: &Path) -> BTreeMap<String, BTreeSet<String>> {
     let mut paths = Vec::new();
     super::sources(source_folder, &mut paths);
@@ -23,7 +23,7 @@ pub(crate) fn file_graph(source_folder: &Path) -> BTreeMap<String, BTreeSet<Stri
     files.iter().map(|(module, file)| (file.name.clone(), edges(&files, module, file))).collect()
 }
 
-/// A cycle in a graph, its first file repeated at the end.
+/// A cycle in a graph, with its first file repeated at the end.
 pub(crate) fn cycle(graph: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
     let mut done = BTreeSet::new();
     graph.keys().find_map(|file| visit(graph, file, &mut Vec::new(), &mut done))
@@ -65,7 +65,7 @@ fn read(source_folder: &Path, path: &PathBuf) -> Option<(Module, SourceFile)> {
     Some((module, SourceFile { name, code, reexports }))
 }
 
-/// One name that a `use` brings in.
+/// One name imported by a `use`.
 struct Import {
     is_public: bool,
     name: String,
@@ -82,7 +82,7 @@ fn edges(files: &BTreeMap<Module, SourceFile>, module: &Module, file: &SourceFil
     };
     imports.iter().for_each(|import| add(&import.path));
     for path in paths_in(&without_uses(&file.code)) {
-        // A module that was brought in by its name.
+        // A module imported by name.
         let imported = imports.iter().find(|import| import.name == path[0]);
         match imported {
             Some(import) => add(&[&import.path[..], &path[1..]].concat()),
@@ -92,7 +92,7 @@ fn edges(files: &BTreeMap<Module, SourceFile>, module: &Module, file: &SourceFil
     found
 }
 
-/// The file that defines what a path names; `None` for other crates and for modules as such.
+/// The file that defines the item at a path; `None` for other crates and for modules themselves.
 fn resolve(files: &BTreeMap<Module, SourceFile>, from: &Module, path: &[String], depth: usize) -> Option<String> {
     let mut module = from.clone();
     let mut rest = path;
@@ -121,7 +121,7 @@ fn resolve(files: &BTreeMap<Module, SourceFile>, from: &Module, path: &[String],
             continue;
         }
         let file = files.get(&module)?;
-        // A module that re-exports from itself in a circle would not compile.
+        // Circular re-exports would not compile.
         assert!(depth < 16, "{}: {path:?} leads nowhere", file.name);
         let own = file.reexports.iter().find(|(name, _)| name == segment);
         let target = match own {
@@ -132,7 +132,7 @@ fn resolve(files: &BTreeMap<Module, SourceFile>, from: &Module, path: &[String],
     }
 }
 
-/// All names that the `use` declarations of a file bring in.
+/// All names imported by the `use` declarations of a file.
 fn uses(code: &str) -> Vec<Import> {
     let mut found = Vec::new();
     for statement in use_statements(code) {
@@ -146,7 +146,7 @@ fn uses(code: &str) -> Vec<Import> {
     found
 }
 
-/// Where the `use` declarations stand, at any indentation.
+/// Positions of the `use` declarations, at any indentation.
 fn use_statements(code: &str) -> Vec<std::ops::Range<usize>> {
     let mut found = Vec::new();
     let mut at = 0;
@@ -162,7 +162,7 @@ fn use_statements(code: &str) -> Vec<std::ops::Range<usize>> {
     found
 }
 
-/// A line without its indentation and `pub` or `pub(...)`.
+/// A line without indentation and `pub` or `pub(...)`.
 fn without_visibility(line: &str) -> &str {
     let text = line.trim_start();
     let rest = match text.strip_prefix("pub") {
@@ -179,7 +179,7 @@ fn without_uses(code: &str) -> String {
     left
 }
 
-/// The names and paths of a use tree, below `prefix`.
+/// Expands a use tree below `prefix` into names and paths.
 fn expand(tree: &str, prefix: &[String], found: &mut Vec<(String, Vec<String>)>) {
     let tree = tree.trim();
     let join = |path: &str| -> Vec<String> {
@@ -212,7 +212,7 @@ fn expand(tree: &str, prefix: &[String], found: &mut Vec<(String, Vec<String>)>)
     }
 }
 
-/// Every path of two or more segments.
+/// Every path with two or more segments.
 fn paths_in(code: &str) -> Vec<Vec<String>> {
     let is_part = |letter: char| letter.is_alphanumeric() || letter == '_' || letter == ':';
     code.split(|letter: char| !is_part(letter))
@@ -222,7 +222,7 @@ fn paths_in(code: &str) -> Vec<Vec<String>> {
         .collect()
 }
 
-/// The code without its test modules, whose closing braces stand at the start of a line.
+/// The code without its test modules, whose closing braces start a line.
 fn without_tests(code: &str) -> String {
     let mut kept = String::with_capacity(code.len());
     let mut lines = code.lines().peekable();
@@ -247,7 +247,7 @@ fn without_comments_and_strings(text: &str) -> String {
                 '\\' if in_string => drop(letters.next()),
                 '"' => in_string = !in_string,
                 '/' if !in_string && letters.peek() == Some(&'/') => break,
-                // A quote as a letter opens no string.
+                // A quote as a character literal doesn't open a string.
                 '\'' if !in_string && letters.peek() == Some(&'"') => drop(letters.next()),
                 _ if in_string => {}
                 _ => code.push(letter),

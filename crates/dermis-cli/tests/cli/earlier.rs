@@ -1,5 +1,5 @@
-//! Files that an earlier version of the command wrote, before twins followed from skin files and the crate had rooms:
-//! they stay readable, and what was seen in them is seen again.
+//! Files written by an early version of the command, whose twins were not yet derived from skin files, stay readable
+//! and give the same touches.
 
 use std::fs;
 
@@ -15,11 +15,11 @@ fn lines(text: &str) -> Vec<Value> {
 #[test]
 fn a_replay_finds_the_touches_that_the_version_that_recorded_them_found() {
     let desk = Desk::with(&[]);
-    // Priors leave nothing out beyond six correlation lengths any more, by which images differ by 2e-8 and fits end
-    // elsewhere, by some 1e-5 mm. Since then a liquid's weight counts beside its membrane's tension, and dents are
-    // fitted beyond proportion: places on the ionic disc have moved by up to a millimetre. All channels together tell
-    // their noise: the travels of elements, which are weighed by it, have moved by up to 4 % of themselves, and an
-    // element that begins to move may be seen a frame earlier. Everything else is the same.
+    // Known differences since then. Priors no longer drop anything beyond six correlation lengths: images differ by
+    // 2e-8, and fits end up to 1e-5 mm elsewhere. A liquid's weight now counts in addition to its membrane's tension,
+    // and dents are fitted beyond the linear range: positions on the ionic disc have moved by up to a millimetre. The
+    // noise is estimated from all channels together: travels of elements, which are weighted by it, have changed by
+    // up to 4 %, and an element that starts to move may be seen one frame earlier. Everything else is the same.
     for (skin, frames, place_mm, amplitude) in [("ionic-disc", 70_usize, 1.5, 1e-4), ("em-8", 70, 1e-3, 0.03)] {
         let recording = earlier(&format!("{skin}.mcap")).display().to_string();
         let info: Value = serde_json::from_str(&desk.done(&["info", &recording, "--json"])).expect("JSON");
@@ -36,7 +36,7 @@ fn a_replay_finds_the_touches_that_the_version_that_recorded_them_found() {
             let earlier = seen.iter().filter(is_new).count().saturating_sub(known.iter().filter(is_new).count());
             assert_eq!(seen.len(), known.len() + earlier, "{skin}: {now} {then}");
             began_earlier += earlier;
-            // Sigmas hold the model's error by now.
+            // Standard deviations now include the model error, so they are not compared.
             for then in &known {
                 let now = seen.iter().find(|now| now["id"] == then["id"]).expect("the same touch");
                 let has_begun = then["phase"] == "begin" && now["phase"] == "move";

@@ -1,4 +1,4 @@
-//! `dermis evidence` on sets that a twin's model made, on sets that are damaged or not there, and on the real ones.
+//! `dermis evidence` on sets made by a twin's model, on damaged or missing sets, and on the real ones.
 
 use std::fs;
 use std::path::Path;
@@ -47,7 +47,7 @@ fn json(text: &str) -> Value {
     serde_json::from_str(text).expect("JSON")
 }
 
-/// The figure of a name in a row of a set.
+/// The figure with this name in a row of a set.
 fn figure(set: &Value, row: usize, name: &str) -> f64 {
     let figures = set["findings"][row]["here"].as_array().expect("figures");
     let found = figures.iter().find(|figure| figure["name"] == name);
@@ -135,7 +135,7 @@ fn evidence_of_nothing_and_of_unknown_sets_is_refused() {
     assert_eq!(desk.done(&["evidence", "--list"]).lines().count(), 8);
 }
 
-/// The quick run of the sets that take seconds, on what others measured.
+/// The quick run on measured sets that takes only seconds.
 #[test]
 fn evidence_holds_on_measured_sets() {
     let Some(folder) = dermis_testdata::set("golfball") else { return };

@@ -1,5 +1,4 @@
-//! What somebody meets in the first hour: frames in files, an order that is not the skin's, exports, a skin of their
-//! own.
+//! A newcomer's first hour: frames in files, an order that differs from the skin's, exports, a skin of one's own.
 
 use std::fs;
 
@@ -54,7 +53,7 @@ fn an_order_found_wrong_is_no_success_and_comes_with_the_line_to_write() {
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
     assert!(text(&output.stdout).contains("\norder = \"rotating\"\n"), "{}", text(&output.stdout));
     desk.done(&[&["reconstruct", "rotating.toml"], &files[..]].concat());
-    // The same from the command that looks for orders, as text and as JSON.
+    // The command that searches for orders reports the same, as text and as JSON.
     let said = desk.done(&["order", "healing-square", "--baseline", "rest.csv"]);
     assert!(said.contains("drive = \"pseudo-polar\"\nmeasure = \"pseudo-polar\"\norder = \"rotating\"\n"), "{said}");
     let json: Value =
@@ -79,7 +78,7 @@ fn every_export_of_frames_is_read_like_the_recording() {
         assert!(said.contains("frames: 88\n"), "{file}: {said}");
         desk.done(&["snr", "--frames", &baseline]);
         let table = fs::read_to_string(desk.path("t.csv")).expect("a table");
-        // An array has no times, by which touches are followed; where they are is the same.
+        // An array has no times, which touches are tracked by; the positions are the same.
         let places = |line: &str| {
             let cells: Vec<f64> = line.split(',').take(4).map(|cell| cell.parse().expect("a number")).collect();
             [cells[0], cells[2], cells[3]]
@@ -89,7 +88,7 @@ fn every_export_of_frames_is_read_like_the_recording() {
     assert!(tables[0].len() > 20, "{} rows", tables[0].len());
     for (other, what) in tables[1..].iter().zip(["the CSV", "the array"]) {
         assert_eq!(other.len(), tables[0].len(), "{what} gives as many touches as the recording");
-        // But for rounding: sums may be taken in another order.
+        // Equal except for rounding, since sums may be taken in another order.
         let off = other
             .iter()
             .zip(&tables[0])
@@ -142,7 +141,7 @@ fn skins_side_by_side_get_one_instrument_and_a_verdict_that_no_noise_turns() {
     let json: Value = serde_json::from_str(&compare(&["--json"])).expect("JSON");
     assert_eq!(json["skins"].as_array().map(Vec::len), Some(3));
     assert!(json["verdict"].as_str().is_some_and(|text| said.contains(text)), "{json}");
-    // A search takes a signal-to-noise ratio too, and says patterns as a skin file has them.
+    // A search also accepts a signal-to-noise ratio, and prints patterns in the syntax of skin files.
     let words = ["design", "s8.toml", "--map", "4", "--improve", "drive", "--winner", "w.toml", "--snr-db", "60"];
     let said = desk.done(&words);
     assert!(said.contains("measure = \"adjacent\"") && !said.contains("Skip("), "{said}");
@@ -177,7 +176,7 @@ fn a_skin_of_one_s_own_is_begun_and_never_replaced() {
         let said = desk.refused(words, 2);
         assert!(said.contains(expected), "{words:?}: {said}");
     }
-    // Nobody is at the terminal: what is not said is the usual.
+    // Without a terminal, defaults replace the missing answers.
     assert!(desk.done(&["new", "usual"]).contains("16 electrodes, 208 channels"));
 }
 

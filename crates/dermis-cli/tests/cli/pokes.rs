@@ -1,4 +1,4 @@
-//! Calibrations by pokes of skins that their model sees in part.
+//! Calibrations by pokes on skins whose model sees only some of the pokes.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,8 @@ fn rows(desk: &Desk, name: &str) -> Vec<BTreeMap<String, f64>> {
     lines.map(row).collect()
 }
 
-/// Errors of the presses of `t2.csv` by a table of touches, sorted, mm; and how many have no touch.
+/// Errors of a table of touches against the presses of `t2.csv`, sorted, mm, and the number of presses without a
+/// touch.
 fn errors_mm(desk: &Desk, touches: &str) -> (Vec<f64>, usize) {
     let (truth, seen) = (rows(desk, "t2.csv"), rows(desk, touches));
     let away = |press: &BTreeMap<String, f64>, touch: &BTreeMap<String, f64>| {
@@ -31,8 +32,8 @@ fn errors_mm(desk: &Desk, touches: &str) -> (Vec<f64>, usize) {
     (errors, missed)
 }
 
-/// A third of the presses on `em-8` lie beyond its elements: some move none of them. The model places what it sees, the
-/// pokes what it does not, and both together are no worse than the model alone.
+/// A third of the presses on `em-8` lie beyond its elements, and some move none of them. The model places presses
+/// that it sees, the pokes those that it doesn't, and both together are no worse than the model alone.
 #[test]
 fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     let desk = Desk::with(&[]);
@@ -55,13 +56,13 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     let (plain, plain_missed) = errors_mm(&desk, "touches.csv");
     reconstruct("f2.npy", &["--calibration", "c.json"]);
     let (calibrated, missed) = errors_mm(&desk, "touches.csv");
-    // Half a millimetre is what the median of sixty such presses wavers by.
+    // Half a millimetre is the statistical scatter of the median of sixty such presses.
     assert!(calibrated[calibrated.len() / 2] < plain[plain.len() / 2] + 0.5, "{calibrated:?} {plain:?}");
     assert!(missed <= plain_missed, "{missed} of 60 missed, {plain_missed} without the calibration");
-    // Frames at rest that the baseline does not hold: a touch in at most one of fifteen.
+    // Frames at rest that are not in the baseline: a touch in at most one of fifteen.
     reconstruct("b2.npy#16..31", &["--calibration", "c.json"]);
     assert!(rows(&desk, "touches.csv").len() <= 1);
-    // By pokes alone, some of which nobody felt, noise is no touch either; what the pokes see is one.
+    // With pokes alone, some of which nobody felt, noise is still no touch, and a press that the pokes see is one.
     let alone =
         ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "a.json", "--no-physics"];
     let said = desk.done(&[&["calibrate", "em-8"], &alone[..]].concat());

@@ -1,4 +1,4 @@
-//! `dermis skins`: skin files that are refused with their place, and skins listed, shown and drawn.
+//! `dermis skins`: invalid skin files are refused with the place of the fault, and skins are listed, shown and drawn.
 
 use std::fs;
 

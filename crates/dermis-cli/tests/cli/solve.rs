@@ -1,5 +1,5 @@
-//! `dermis solve`: values worked out by hand and those of EIDORS, conductivities from cases and files, and cases that
-//! are refused.
+//! `dermis solve`: values worked out by hand and from EIDORS, conductivities from cases and files, and cases that are
+//! refused.
 
 use std::fs;
 
@@ -54,9 +54,9 @@ fn difference_images_of_a_square_are_those_worked_out_by_hand() {
     let (j, dv) = (-0.0625, -0.1);
     assert!(relative(&image("identity", &[]), &[one_step(j, 1.0, dv, 1.0); 4]) < 1e-12);
     assert!(relative(&image("noser", &[]), &[one_step(j, 1.0, dv, 0.0625); 4]) < 1e-12);
-    // The Laplace prior does not weigh constants, so that the one measurement is met exactly.
+    // The Laplace prior doesn't penalise constants, so the single measurement is fitted exactly.
     assert!(relative(&image("laplace", &[]), &[dv / (4.0 * j); 4]) < 1e-12);
-    // Normalised: both over v0 = 0.7, W = (voltage of unit conductivity)^2 = 1.2^2.
+    // Normalised: both divided by v0 = 0.7, and W = (voltage at unit conductivity)^2 = 1.2^2.
     let expected = one_step(j / 0.7, 1.44, dv / 0.7, 1.0);
     for flag in ["--normalised", "--normalized"] {
         assert!(relative(&image("identity", &[flag]), &[expected; 4]) < 1e-12);
@@ -71,8 +71,8 @@ fn point_electrodes_need_no_contact_impedance() {
     let case = SQUARE.replace(left, &point(0)).replace(right, &point(2));
     let desk = Desk::with(&[("case.json", &case)]);
     desk.done(&["solve", "case.json", "--sigma", "hom", "--voltages", "v.npy"]);
-    // By symmetry nodes 1, 3 and the middle lie half-way. Right angles lie opposite the sides of the square, so only
-    // the spokes conduct, with cot(45 deg) s = 2 S each: corner - middle - corner is 1/2 + 1/2 ohm.
+    // By symmetry nodes 1, 3 and the centre are at half the voltage. The right angles are opposite the sides of the
+    // square, so only the spokes conduct, with cot(45 deg) s = 2 S each: corner - centre - corner is 1/2 + 1/2 ohm.
     assert!((desk.array("v.npy").values[0] - 1.0).abs() < 1e-14);
 }
 

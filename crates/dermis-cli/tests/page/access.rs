@@ -1,4 +1,4 @@
-//! Who is let in: paths, host names, origins and tokens that are answered, and those that are not.
+//! Access control: which paths, host names, origins and tokens are accepted, and which are not.
 
 use std::net::SocketAddr;
 
@@ -36,7 +36,7 @@ fn the_page_names_no_other_site() {
     let served = serve();
     for path in ["/", "/page.js", "/page.css"] {
         let answer = get(served.server.local_addr(), path, &[]);
-        // Names of XML languages look like addresses and are never loaded.
+        // XML namespaces look like addresses but are never loaded.
         let others = answer.replace("http://www.w3.org/2000/svg", "").replace("http://www.w3.org/1999/", "");
         for scheme in ["src=\"http", "href=\"http", "url(http", "@import", "fetch(\"http", "import(\"http"] {
             assert!(!others.contains(scheme), "{path} contains {scheme}");

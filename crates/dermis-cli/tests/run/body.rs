@@ -1,4 +1,4 @@
-//! `dermis run` and `dermis body` with a body file: frames, joints, isolation, one recording.
+//! `dermis run` and `dermis body` with a body file: frames, joints, isolation of failures, everything in one recording.
 
 use std::path::Path;
 use std::process::Command;
@@ -131,7 +131,7 @@ fn a_patch_that_cannot_start_is_named_and_leaves_the_others_alone_where_asked() 
     let rows = &all.last().expect("lines")["health"]["patches"];
     assert_eq!((&rows[0]["state"], &rows[1]["state"]), (&"ended".into(), &"failed".into()));
     assert!(rows[1]["problem"].as_str().is_some_and(|why| why.contains("nowhere.csv")), "{rows}");
-    // The load on a failed patch is unknown, so the sum is too.
+    // The load on a failed patch is unknown, so the sum is unknown too.
     let last = all.iter().rfind(|line| line["patch"] == "outer").expect("lines");
     assert!(last["body_wrench"]["unknown"].to_string().contains("chest: "), "{last}");
     assert!(message(&going).contains("elbow stand still: --joints"), "{}", message(&going));

@@ -1,5 +1,5 @@
-//! A value inside a JSON document that knows where it stands, so that every refusal can name its place, what was found
-//! and what was expected.
+//! A value inside a JSON document that knows its path, so that every error can name the place, the value found and
+//! the value expected.
 
 use std::fmt;
 use std::path::Path;
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::Error;
 
-/// A value and the way to it.
+/// A value and the path to it.
 #[derive(Clone, Copy)]
 pub(super) struct Field<'a> {
     file: &'a Path,
@@ -30,13 +30,13 @@ impl<'a> Field<'a> {
         Self { file, parent: None, step: Step::Root, value }
     }
 
-    /// The value of a key, if it is there and not null.
+    /// The value of a key, if present and not null.
     pub(super) fn get(&'a self, key: &'a str) -> Option<Self> {
         let value = self.value.get(key).filter(|value| !value.is_null())?;
         Some(Self { file: self.file, parent: Some(self), step: Step::Key(key), value })
     }
 
-    /// The value of a key that must be there.
+    /// The value of a required key.
     pub(super) fn need(&'a self, key: &'a str, expected: &str) -> Result<Self, Error> {
         self.get(key).ok_or_else(|| {
             let missing = Self { file: self.file, parent: Some(self), step: Step::Key(key), value: &Value::Null };
@@ -69,7 +69,7 @@ impl<'a> Field<'a> {
         Ok(entries)
     }
 
-    /// A finite number. JSON itself has no NaN, and numbers too large for a float are refused by its reader.
+    /// A finite number. JSON itself has no NaN, and its reader rejects numbers too large for a float.
     pub(super) fn number(&self) -> Result<f64, Error> {
         self.value.as_f64().filter(|value| value.is_finite()).ok_or_else(|| self.refuse("a finite number"))
     }
@@ -80,7 +80,7 @@ impl<'a> Field<'a> {
         if value > 0.0 { Ok(value) } else { Err(self.refuse(&format!("a positive {what}"))) }
     }
 
-    /// A zero-based index below `count`. Whole numbers written as `3.0` count as whole.
+    /// A zero-based index below `count`. A whole number written as `3.0` is accepted.
     pub(super) fn index(&self, count: usize, what: &str) -> Result<u32, Error> {
         let whole = self.value.as_u64().or_else(|| {
             let value = self.value.as_f64()?;
@@ -102,7 +102,7 @@ impl<'a> Field<'a> {
         self.value.is_array()
     }
 
-    /// An error that shows the value and what was expected of it.
+    /// An error that shows the value and what was expected.
     pub(super) fn refuse(&self, expected: &str) -> Error {
         self.error(format!("is {}; expected {expected}", shown(self.value)))
     }
@@ -124,7 +124,7 @@ impl fmt::Display for Field<'_> {
     }
 }
 
-/// A value made short enough for a message.
+/// A value, shortened to fit into a message.
 fn shown(value: &Value) -> String {
     const MOST: usize = 40;
     match value {

@@ -1,4 +1,4 @@
-//! A body by its transfer impedances, and the search through all orders in which its readings may come.
+//! A body described by its transfer impedances, and the search over all orders in which its readings may come.
 
 use dermis_skin::{DrivePattern, MeasurePattern, Modality, Skin};
 use dermis_tomo::eit::ForwardModel;
@@ -8,28 +8,29 @@ use super::hypothesis::{Arrangement, Cell, DEPARTURE, Hypothesis, Nesting, Pairs
 use super::{ELECTRODES, Scored};
 use crate::Error;
 
-/// Readings that a search may compare in all: some seconds.
+/// Limit on the readings compared in one search; takes a few seconds.
 const MOST_WORK: usize = 4_000_000_000;
-/// Hypotheses that each look at a shape hands on.
+/// Number of hypotheses to keep from each stage.
 const KEPT: usize = 24;
-/// Shapes that are also tried with electrodes counted from another one.
+/// Number of shapes to try with renumbered electrodes as well.
 const RENUMBERED: usize = 24;
 
 /// The measured frame, prepared for comparison.
 pub(super) struct Data {
-    /// Less its mean, over its norm; 0 where nothing was measured. Of magnitudes the same.
+    /// Readings less their mean, divided by their norm; 0 where nothing was measured. `magnitudes` holds the same for
+    /// the absolute values.
     signed: Vec<f64>,
     magnitudes: Vec<f64>,
     is_measured: Vec<bool>,
     /// Sorted readings, and their sorted magnitudes.
     sorted: [Vec<f64>; 2],
-    /// No reading is negative: they may be magnitudes.
+    /// No reading is negative, so they may be magnitudes.
     rectified: bool,
     only_rectified: bool,
 }
 
 impl Data {
-    /// `only_rectified`: the readings are magnitudes.
+    /// Set `only_rectified` if the readings are known to be magnitudes.
     pub(super) fn new(measured: &[f64], only_rectified: bool) -> Self {
         let is_measured: Vec<bool> = measured.iter().map(|value| value.is_finite()).collect();
         let finite = || measured.iter().copied().filter(|value| value.is_finite());
@@ -48,7 +49,7 @@ impl Data {
         }
     }
 
-    /// Correlation; whether the sign is reversed; whether magnitudes were compared.
+    /// Returns the correlation, a flag for reversed sign, and a flag for a comparison of magnitudes.
     fn fit(&self, predicted: &[f64]) -> (f64, bool, bool) {
         let signed = correlation(predicted, &self.signed, &self.is_measured, |value| value);
         let (mut value, mut sign, mut rectified) = (signed.abs(), signed < 0.0, false);
@@ -61,7 +62,8 @@ impl Data {
         (value, sign, rectified)
     }
 
-    /// The largest correlation that any order of these readings has: that of both sorted (the rearrangement inequality).
+    /// Upper bound on the correlation over all orders of these readings: the correlation with both sides sorted
+    /// (rearrangement inequality).
     fn bound(&self, predicted: &[f64]) -> f64 {
         if self.sorted[0].len() != predicted.len() {
             // Missing readings could have any value.
@@ -87,7 +89,7 @@ fn normalised(values: &[f64], is_measured: &[bool], of: fn(f64) -> f64) -> Vec<f
     values.iter().zip(is_measured).map(|(value, is)| if *is { unit(*value) } else { 0.0 }).collect()
 }
 
-/// Pearson correlation with what is less its mean and over its norm already; 0 where nothing varies.
+/// Pearson correlation with readings that are already centred and normalised; 0 if the prediction is constant.
 fn correlation(predicted: &[f64], normalised: &[f64], is_measured: &[bool], of: impl Fn(f64) -> f64) -> f64 {
     let (mut count, mut sum, mut square, mut product) = (0.0, 0.0, 0.0, 0.0);
     for ((value, unit), is_measured) in predicted.iter().zip(normalised).zip(is_measured) {
@@ -103,7 +105,7 @@ fn correlation(predicted: &[f64], normalised: &[f64], is_measured: &[bool], of: 
 pub(super) struct BodyModel {
     pub(super) count: usize,
     impedance: Vec<f64>,
-    /// The skin's own patterns, where they are none of the rings.
+    /// The skin's own patterns, if they are not ring patterns.
     stated: Vec<Shape>,
 }
 
@@ -140,7 +142,7 @@ impl BodyModel {
         Ok(Self { count, impedance, stated: stated_shapes(skin) })
     }
 
-    /// Candidates worth ranking. `share_of_work`: this body's share of [`MOST_WORK`].
+    /// Candidates worth ranking. `share_of_work` is this body's share of [`MOST_WORK`].
     pub(super) fn search(&self, data: &Data, share_of_work: f64) -> Vec<Scored> {
         let readings = data.is_measured.len();
         let mut shapes = self.stated.clone();
@@ -151,12 +153,12 @@ impl BodyModel {
             (data.bound(&predicted), shape)
         };
         let mut bounded: Vec<(f64, Shape)> = shapes.into_par_iter().map(bound).collect();
-        // The sort is stable: equal bounds keep the plainer pattern first.
+        // The sort is stable, so the plainer pattern stays first among equal bounds.
         bounded.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut work_left = (share_of_work * MOST_WORK as f64) as usize;
         let mut found: Vec<Scored> = Vec::new();
         for (number, (bound, shape)) in bounded.iter().enumerate() {
-            // No order of this shape can come to the best ones.
+            // No order of this shape can reach the current best.
             if found.len() >= KEPT && *bound < found[KEPT - 1].0 {
                 break;
             }
@@ -202,7 +204,7 @@ impl BodyModel {
         all
     }
 
-    /// The best orders of a shape, electrodes counted as in the skin file.
+    /// The best orders of a shape, with electrodes numbered as in the skin file.
     fn arranged(&self, shape: &Shape, arrangements: &[Arrangement], data: &Data) -> Vec<Scored> {
         let sides = shape.sides(self.count);
         let lists = shape.lists(self.count, |e| e);
@@ -218,7 +220,7 @@ impl BodyModel {
         };
         let mut fits: Vec<_> = arrangements.par_iter().map_init(Vec::new, fit).flatten_iter().collect();
         fits.sort_by(|a, b| b.0.0.total_cmp(&a.0.0));
-        // Many orders of a symmetric body are the same: enough of them that the plainest is among them.
+        // On a symmetric body many orders are equivalent. Keep enough of them to include the plainest.
         fits.truncate(16 * KEPT.max(self.count));
         let hypothesis = |((correlation, reversed_sign, rectified), order)| {
             (correlation, Hypothesis { order, reversed_sign, rectified, ..Hypothesis::plain(shape) })
@@ -226,7 +228,7 @@ impl BodyModel {
         fits.into_iter().map(hypothesis).collect()
     }
 
-    /// The best orders of a shape with electrodes counted from each of them, both ways round.
+    /// The best orders of a shape, with the count starting at each electrode in both directions.
     fn renumbered(&self, shape: &Shape, data: &Data) -> Vec<Scored> {
         let (drives, reads) = shape.sides(self.count);
         let mut orders = vec![Arrangement::default()];
@@ -253,7 +255,7 @@ impl BodyModel {
         fits
     }
 
-    /// Readings for a current of 1 A; `None` where the grid cannot be listed like this.
+    /// Readings for a current of 1 A; `None` if the grid cannot be listed in this order.
     pub(super) fn predict(&self, hypothesis: &Hypothesis) -> Option<Vec<f64>> {
         Some(hypothesis.cells(self.count)?.into_iter().map(|cell| self.reading(cell)).collect())
     }
@@ -273,7 +275,7 @@ impl BodyModel {
     }
 }
 
-/// Patterns of a skin file that are lists of its own.
+/// The skin file's patterns that are explicit lists.
 fn stated_shapes(skin: &Skin) -> Vec<Shape> {
     if let Some(list) = &skin.backend.channels {
         return vec![Shape::Channels(list.channels().iter().map(Cell::of).collect())];

@@ -1,8 +1,9 @@
-//! Protocols in their plain forms, and how a file may depart from them.
+//! Protocols in their plain forms, and the ways in which a file may depart from them.
 
 use dermis_skin::{AgainstWord, DrivePattern, ListedChannel, MeasurePattern, ReferenceChoice};
 
-/// Cost of each departure from a protocol's plain form, in correlation. It breaks ties in favour of the plainer one.
+/// Penalty in correlation for each departure from a protocol's plain form. It breaks ties in favour of the plainer
+/// one.
 pub(super) const DEPARTURE: f64 = 0.003;
 
 /// Pairs of electrodes.
@@ -10,9 +11,9 @@ pub(super) const DEPARTURE: f64 = 0.003;
 pub(super) enum Pairs {
     /// Pairs (k, k + n), modulo the number of electrodes.
     Ring(usize),
-    /// Every two electrodes: (1, 2), (1, 3), ..., (N-1, N).
+    /// All pairs of electrodes: (1, 2), (1, 3), ..., (N-1, N).
     All,
-    /// Listed, from 0.
+    /// An explicit list, counted from 0.
     Listed(Vec<[usize; 2]>),
 }
 
@@ -37,17 +38,17 @@ impl Pairs {
     }
 }
 
-/// What is read for each drive.
+/// The readings taken for each drive.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Read {
     Pairs(Pairs),
     ToSink,
     ToMean,
-    /// The pair that drives.
+    /// The driving pair.
     Itself,
 }
 
-/// One reading, by electrodes.
+/// One reading, by its electrodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Reading {
     Pair([usize; 2]),
@@ -56,7 +57,7 @@ pub(super) enum Reading {
     Itself,
 }
 
-/// One number of a file.
+/// One number in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cell {
     /// Sink and source of the current.
@@ -67,11 +68,11 @@ pub(super) struct Cell {
 /// A protocol in its plain form.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Shape {
-    /// Drives, and the same readings for each.
+    /// Every drive with the same readings.
     Grid {
         drives: Pairs,
         reads: Read,
-        /// Readings at driven electrodes are left out.
+        /// Omit readings at driven electrodes.
         drop: bool,
     },
     /// The skin file's own list of channels.
@@ -79,7 +80,7 @@ pub(super) enum Shape {
 }
 
 impl Shape {
-    /// All that are known, of so many electrodes.
+    /// All known protocols for this number of electrodes.
     pub(super) fn all(count: usize) -> Vec<Self> {
         let mut all = Vec::new();
         for drive in 1..=count / 2 {
@@ -97,7 +98,7 @@ impl Shape {
         all
     }
 
-    /// Readings of a frame.
+    /// Number of readings in a frame.
     pub(super) fn readings(&self, count: usize) -> usize {
         let (drives, reads, drop) = match self {
             Self::Grid { drives, reads, drop } => (drives, reads, *drop),
@@ -115,13 +116,13 @@ impl Shape {
         }
         let is_free = |drive: &[usize; 2], read: &[usize; 2]| !read.iter().any(|e| drive.contains(e));
         if let (Pairs::Ring(_), Pairs::Ring(_)) = (drives, pairs) {
-            // On a ring every drive leaves as many.
+            // On a ring every drive keeps the same number of readings.
             return count * reads.iter().filter(|read| is_free(&list[0], read)).count();
         }
         list.iter().map(|drive| reads.iter().filter(|read| is_free(drive, read)).count()).sum()
     }
 
-    /// Drives and readings of the grid, by electrodes; of a list one drive with its channels.
+    /// Numbers of drives and of readings in the grid. A list counts as one drive with all its channels.
     pub(super) fn sides(&self, count: usize) -> (usize, usize) {
         match self {
             Self::Grid { drives, reads: Read::Pairs(pairs), .. } => (drives.list(count).len(), pairs.list(count).len()),
@@ -131,7 +132,7 @@ impl Shape {
         }
     }
 
-    /// The cell of a drive and a reading with electrodes renamed; `None` where the reading is left out.
+    /// The cell of a drive and a reading, with electrodes renumbered; `None` if the reading is omitted.
     pub(super) fn cell(&self, lists: &(Vec<[usize; 2]>, Vec<Reading>), drive: usize, read: usize) -> Option<Cell> {
         let drop = match self {
             Self::Grid { drop, .. } => *drop,
@@ -144,7 +145,7 @@ impl Shape {
         }
     }
 
-    /// Drives [sink, source] and readings, in the plain order, with electrodes renamed.
+    /// Drives as [sink, source] and readings, in plain order, with electrodes renumbered.
     pub(super) fn lists(&self, count: usize, renamed: impl Fn(usize) -> usize) -> (Vec<[usize; 2]>, Vec<Reading>) {
         let Self::Grid { drives, reads, .. } = self else { return (Vec::new(), Vec::new()) };
         let drives = drives.list(count).into_iter().map(|pair| pair.map(&renamed)).collect();
@@ -158,13 +159,13 @@ impl Shape {
     }
 }
 
-/// In which order a file goes through the grid of drives and readings.
+/// The order in which a file runs through the grid of drives and readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Nesting {
     /// All readings of the first drive, then those of the second.
     #[default]
     DriveMajor,
-    /// The first reading of every drive, then the second: a table of drives x readings, stored by columns.
+    /// The first reading of every drive, then the second: a table of drives x readings stored by columns.
     Transposed,
     /// All drives for the first measuring pair, then for the second.
     MeasurementMajor,
@@ -177,22 +178,22 @@ impl Nesting {
 /// The order in which a file lists the cells of a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Arrangement {
-    /// Place in its list of the drive that comes first.
+    /// Index of the drive that comes first.
     pub(super) first_drive: usize,
-    /// The list of drives runs backwards, from there.
+    /// The drives run backwards from there.
     pub(super) drives_backwards: bool,
-    /// Place in its list of the reading that comes first.
+    /// Index of the reading that comes first.
     pub(super) first_read: usize,
-    /// The list of readings runs backwards, from there.
+    /// The readings run backwards from there.
     pub(super) backwards: bool,
-    /// The readings of each drive begin one farther on.
+    /// Each drive's readings start one place later than the previous drive's.
     pub(super) rotating: bool,
     pub(super) nesting: Nesting,
 }
 
 impl Arrangement {
-    /// Calls `put` with drive and reading of each place of the grid in the file's order; `kept` says which are not left
-    /// out. False where the grid cannot be nested like this: rows of different lengths.
+    /// Calls `put` with the drive and reading of each cell in the file's order, skipping cells that `kept` rejects.
+    /// Returns false if the grid cannot be nested like this because its rows differ in length.
     pub(super) fn walk(
         &self,
         (drives, reads): (usize, usize),
@@ -246,13 +247,13 @@ impl Arrangement {
     }
 }
 
-/// A protocol, and how the file departs from its plain form.
+/// A protocol, and the file's departures from its plain form.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Hypothesis {
     pub(super) shape: Shape,
-    /// Electrode that the file counts as the first, from 0.
+    /// Index of the electrode that the file counts as the first.
     pub(super) turn: usize,
-    /// Counted the other way round.
+    /// Electrodes are counted in the opposite direction.
     pub(super) mirrored: bool,
     pub(super) order: Arrangement,
     pub(super) reversed_sign: bool,
@@ -265,13 +266,14 @@ impl Hypothesis {
         Self { shape: shape.clone(), turn: 0, mirrored: false, order, reversed_sign: false, rectified: false }
     }
 
-    /// The numbers of the file in order, by the model's electrodes; `None` where the grid cannot be listed like this.
+    /// The numbers of the file in order, by the model's electrodes; `None` if the grid cannot be listed in this
+    /// order.
     pub(super) fn cells(&self, count: usize) -> Option<Vec<Cell>> {
         let renamed = |e: usize| if self.mirrored { (count + self.turn - e) % count } else { (e + self.turn) % count };
         let lists = self.shape.lists(count, renamed);
         let cell = |drive: usize, read: usize| {
             let cell = self.shape.cell(&lists, drive, read)?;
-            // Channels of the skin file's own list are still in its numbers.
+            // Channels from the skin file's own list still use the file's numbers.
             let is_list = matches!(self.shape, Shape::Channels(_));
             Some(if is_list { cell.map(renamed) } else { cell })
         };
@@ -326,7 +328,7 @@ impl Hypothesis {
         text
     }
 
-    /// Drive and measurement by the words of a skin file, where it has any for this.
+    /// Drive and measurement patterns in a skin file's terms, if it has terms for them.
     pub(super) fn named(&self, count: usize) -> Option<(DrivePattern, MeasurePattern)> {
         let only = usize::from(self.order.rotating) + usize::from(self.rectified);
         let Shape::Grid { drives: Pairs::Ring(drive), reads, .. } = &self.shape else { return None };
@@ -351,7 +353,7 @@ impl Hypothesis {
         Some((drive, measure))
     }
 
-    /// As a list of channels of a skin file; a reversed sign is a drive the other way round.
+    /// The channels as a list for a skin file. A reversed sign becomes a reversed drive.
     pub(super) fn listed(&self, count: usize) -> Vec<ListedChannel> {
         let cells = self.cells(count).unwrap_or_default();
         cells.into_iter().map(|cell| cell.listed(self.reversed_sign)).collect()
@@ -376,7 +378,7 @@ impl Cell {
         match self.read {
             Reading::Pair([plus, minus]) => ListedChannel::Pairs([low, high, number(plus), number(minus)]),
             Reading::ToMean(e) => ListedChannel::SingleEnded(low, high, number(e), AgainstWord::Mean),
-            // The sink against itself reads nothing, either way round.
+            // The sink against itself reads zero with either sign.
             Reading::ToSink(e) if number(e) == sink => ListedChannel::SingleEnded(low, high, low, AgainstWord::Sink),
             Reading::ToSink(e) if reversed => ListedChannel::Pairs([low, high, number(e), sink]),
             Reading::ToSink(e) => ListedChannel::SingleEnded(low, high, number(e), AgainstWord::Sink),
@@ -385,7 +387,7 @@ impl Cell {
         }
     }
 
-    /// A channel of a skin file's list.
+    /// The cell of a channel in a skin file's list.
     pub(super) fn of(channel: &ListedChannel) -> Self {
         let index = |number: u32| (number as usize).saturating_sub(1);
         match *channel {
@@ -404,7 +406,7 @@ impl Cell {
     }
 }
 
-/// What hypotheses are ranked by.
+/// The figure that hypotheses are ranked by.
 pub(super) fn score(correlation: f64, hypothesis: &Hypothesis) -> f64 {
     correlation - DEPARTURE * hypothesis.departures() as f64
 }

@@ -1,27 +1,27 @@
-//! Regions that differ from the sheet around them: the mean over a neighbourhood differs by three standard deviations.
-//! A region extends to half of its largest difference.
+//! Regions that differ from the sheet around them: the mean over a neighbourhood must differ by three standard
+//! deviations. A region extends to half of its largest difference.
 
 use dermis_tomo::mesh::Mesh;
 use faer::Mat;
 
 use super::{Region, length_m};
 
-/// Neighbourhoods that are looked at.
+/// Number of neighbourhoods to test.
 const NEIGHBOURHOODS: usize = 300;
-/// Standard deviations by which the mean over a neighbourhood differs at least.
+/// Minimum difference of a neighbourhood's mean, in standard deviations.
 const LEAST_DEVIATIONS: f64 = 3.0;
-/// Log conductance by which it differs at least: 5 %.
+/// Minimum difference of a neighbourhood's mean in log conductance: 5 %.
 const LEAST_DIFFERENCE: f64 = 0.05;
-/// A region's conductance is its mean where it differs by more than this share of its most. Of a round inclusion of the
-/// prior's length and half, the mean over this core is its conductance to a per cent.
+/// A region's conductance is its mean over the core, where the difference exceeds this share of its maximum. For a
+/// round inclusion of one and a half prior lengths, this is accurate to a per cent.
 const CORE: f64 = 0.7;
-/// A region reaches as far as this share of its largest difference.
+/// A region reaches to where its difference falls to this share of the maximum.
 const RIM: f64 = 0.5;
 /// Most regions in a report.
 const MOST: usize = 12;
 
-/// The regions, the largest difference first. `deviations_of`: standard deviations of weighted means of log
-/// conductance, one a column of elements' weights.
+/// Finds the regions, largest difference first. `deviations_of` returns standard deviations of weighted means of log
+/// conductance; each column of its argument holds one mean's weights over the elements.
 pub(super) fn regions(
     mesh: &Mesh,
     conductances: &[f64],
@@ -47,7 +47,7 @@ pub(super) fn regions(
         if mean.abs() < LEAST_DIFFERENCE.max(LEAST_DEVIATIONS * deviations[column]) {
             continue;
         }
-        // Uphill to the largest difference, then down to half of it.
+        // Climb to the largest difference, then grow the region down to half of it.
         let height = |k: usize| difference[k] * mean.signum();
         let mut top = centre;
         while let Some(&higher) = neighbours[top].iter().max_by(|a, b| height(**a).total_cmp(&height(**b)))
@@ -79,7 +79,7 @@ pub(super) fn regions(
     found.into_iter().take(MOST).map(|(_, region)| region).collect()
 }
 
-/// Weights of means about the elements, one a column, falling over the prior's length.
+/// Weights for means around the given elements, one mean per column, falling off over the prior's length.
 fn neighbourhoods(mesh: &Mesh, centres: &[usize]) -> Mat<f64> {
     let length = length_m(mesh);
     let mut weights = Mat::from_fn(mesh.element_count(), centres.len(), |element, column| {

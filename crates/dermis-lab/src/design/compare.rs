@@ -1,7 +1,7 @@
-//! Skins side by side on equal terms: one instrument, and the same time for a frame of each. What it has for a reading
-//! is then in proportion to one over the number of readings, so that the noise power of a reading is in proportion to
-//! that number: more electrodes are not better for nothing. All bounds grow with the noise alike, so which skin is
-//! better does not depend on how much noise is assumed.
+//! Compares skins on equal terms: one instrument, and the same frame time for each. The time per reading is then
+//! inversely proportional to the number of readings, and the noise power of a reading is proportional to that number,
+//! so extra electrodes come at a price. All bounds scale with the noise alike, so the ranking doesn't depend on the
+//! assumed noise.
 
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
@@ -9,24 +9,24 @@ use dermis_live::reference::Reference;
 use super::maps::{Noise, Summary};
 use crate::Error;
 
-/// Bounds closer than this share are equal: meshes differ by as much.
+/// Bounds within this share of each other count as equal; meshes alone cause such differences.
 const EQUAL: f64 = 0.1;
 
-/// One instrument for several skins.
+/// One instrument shared by several skins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SharedInstrument {
-    /// Noise of a reading of a frame with [`Self::readings`].
+    /// Noise of one reading at [`Self::readings`] per frame.
     pub noise: Noise,
-    /// Readings of a frame for which that noise holds.
+    /// Readings per frame at which that noise holds.
     pub readings: usize,
 }
 
 impl SharedInstrument {
-    /// The instrument of a skin, as [`Noise`] has it; what the skin file assumes becomes volts, the same for every
-    /// channel.
+    /// The instrument of a skin, with the given [`Noise`]. The skin file's assumption becomes volts, the same for
+    /// every channel.
     ///
     /// # Errors
-    /// A skin whose model has no voltages.
+    /// The skin's model has no voltages.
     pub fn of(prepared: &Prepared, noise: Noise) -> Result<Self, Error> {
         let noise = match noise {
             Noise::Assumed => {
@@ -38,7 +38,7 @@ impl SharedInstrument {
         Ok(Self { noise, readings: prepared.channels() })
     }
 
-    /// Its noise on another skin, at the same time for a frame.
+    /// The instrument's noise on another skin, at the same frame time.
     pub fn noise_of(&self, prepared: &Prepared) -> Noise {
         let longer = prepared.channels() as f64 / self.readings as f64;
         match self.noise {
@@ -49,8 +49,8 @@ impl SharedInstrument {
     }
 }
 
-/// Which of several skins places touches best, in a sentence: by the bound on the position at the worst place, and
-/// whether the median place says the same. `None` for fewer than two.
+/// Says in a sentence which skin places touches best, judged by the position bound at the worst place, and whether
+/// the median place agrees. `None` for fewer than two skins.
 pub fn verdict(skins: &[(&str, Summary)]) -> Option<String> {
     let best_by = |of: fn(&Summary) -> f64| skins.iter().min_by(|a, b| of(&a.1).total_cmp(&of(&b.1)));
     let (name, best) = best_by(|summary| summary.worst).filter(|_| skins.len() > 1)?;

@@ -1,5 +1,5 @@
-//! The smallest force that a skin notices, by the mechanics of its twin: membranes and air gaps are not linear, so each
-//! place is pressed harder and harder.
+//! The smallest force that a skin detects, from the mechanics of its twin. Membranes and air gaps are nonlinear, so
+//! the pressure at each place is found by bisection.
 
 use dermis_tomo::mesh::PixelGrid;
 use dermis_twin::Frontend;
@@ -10,41 +10,43 @@ use crate::Error;
 use dermis_live::prepare::Prepared;
 use dermis_twin::TwinKit;
 
-/// Frames of the resting twin from which the instrument's noise is taken.
+/// Frames of the twin at rest from which the instrument's noise is estimated.
 const NOISE_FRAMES: usize = 60;
-/// Halvings of the logarithm of the pressure: from four decades to within 2 %.
+/// Bisection steps on the logarithm of the pressure: from four decades down to 2 %.
 const HALVINGS: usize = 9;
-/// Least pressure tried, relative to the largest.
+/// Lowest pressure tried, relative to the highest.
 const LEAST_SHARE: f64 = 1e-4;
 
-/// The smallest detected force at places over a skin.
+/// The smallest detectable force at places over a skin.
 #[derive(Clone, Debug)]
 pub struct ForceMap {
-    /// Where.
+    /// Places, metres.
     pub places_m: Vec<[f64; 2]>,
-    /// The grid of the map.
+    /// Grid of the map.
     pub grid: PixelGrid,
-    /// Pixel of the grid that each place is in.
+    /// Pixel of each place.
     pub pixels: Vec<usize>,
-    /// Radius of the round indenter.
+    /// Radius of the round indenter, metres.
     pub radius_m: f64,
-    /// Force, newtons; infinite where the hardest press that the twin takes is not noticed.
+    /// Force, newtons; infinite where even the twin's hardest press goes undetected.
     pub force_n: Vec<f64>,
 }
 
 impl ForceMap {
-    /// As a row-major image, NaN outside the skin.
+    /// The map as a row-major image, NaN outside the skin.
     pub fn image(&self) -> Vec<f32> {
         scattered(&self.grid, &self.pixels, &self.force_n)
     }
 }
 
-/// Presses the twin of a skin, place by place, with the indenter that its sliders begin with, and finds the force at
-/// which all channels together are 3.3 deviations of noise away from rest. [`Noise::Assumed`] means the noise of the
-/// twin's own instrument, measured at rest. Places where the indenter would reach over the rim are left out.
+/// Finds the smallest detectable force at each place of a skin.
+///
+/// The twin is pressed with the indenter that its sliders start with, and a press is detected once all channels
+/// together are 3.3 standard deviations of the noise away from rest. [`Noise::Assumed`] means the noise of the twin's
+/// own instrument, measured at rest. Places where the indenter would overlap the rim are left out.
 ///
 /// # Errors
-/// A skin without twin; fields that cannot be solved.
+/// The skin has no twin, or its fields cannot be solved.
 pub fn smallest_force(
     prepared: &Prepared,
     noise: Noise,
@@ -92,7 +94,7 @@ pub fn smallest_force(
     Ok(ForceMap { places_m, grid, pixels, radius_m, force_n })
 }
 
-/// The least pressure that is noticed, by halving its logarithm.
+/// The lowest detected pressure, by bisection on its logarithm.
 fn threshold(hardest_pa: f64, noticed: &mut impl FnMut(f64) -> Result<bool, Error>) -> Result<f64, Error> {
     if !noticed(hardest_pa)? {
         return Ok(f64::INFINITY);
@@ -105,8 +107,8 @@ fn threshold(hardest_pa: f64, noticed: &mut impl FnMut(f64) -> Result<bool, Erro
     Ok(seen)
 }
 
-/// Scatter of the instrument's readings of a resting skin, channel by channel; a channel that never moves (its noise is
-/// below the converter's step) gets the mean of the others.
+/// Standard deviation of the instrument's readings at rest, per channel. A channel that never moves (its noise is
+/// below the converter's step) gets the average of all channels.
 fn deviations_at_rest(rest: &[f64], mut read: impl FnMut(&mut Vec<f64>)) -> Vec<f64> {
     let (mut sum, mut squares) = (vec![0.0; rest.len()], vec![0.0; rest.len()]);
     for _ in 0..NOISE_FRAMES {

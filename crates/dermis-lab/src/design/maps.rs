@@ -1,4 +1,4 @@
-//! Maps of what a skin feels where: sensitivity, smallest amplitude, and the bounds on position and amplitude.
+//! Maps of a skin's sensitivity, its smallest detectable amplitude, and the bounds on position and amplitude.
 
 use dermis_tomo::mesh::{PixelGrid, PixelMap};
 use rayon::prelude::*;
@@ -7,54 +7,54 @@ use crate::Error;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 
-/// Standard deviations that count as detected (the limit of detection of paper P).
+/// Detection limit in standard deviations (the limit of detection of paper P).
 pub const DETECTED_SIGMA: f64 = 3.3;
-/// Share of the area, from the weakest places on, that "worst" leaves out: the rim itself, which no finger touches.
+/// Share of the weakest area that "worst" leaves out: the outer rim, which no finger touches.
 const OUTERMOST_SHARE: f64 = 0.1;
-/// Step of the differences in position, relative to the size of a touch: errors of its square.
+/// Step of the finite differences in position, relative to the size of a touch. The error grows with its square.
 const STEP_SHARE: f64 = 0.05;
 
-/// Maps over a skin: one value a place, in the order of [`Maps::places_m`].
+/// Maps over a skin: one value per place, in the order of [`Maps::places_m`].
 #[derive(Clone, Debug)]
 pub struct Maps {
-    /// Where.
+    /// Places, metres.
     pub places_m: Vec<[f64; 2]>,
-    /// Pixel of the map's grid that each place is in.
+    /// Pixel of each place.
     pub pixels: Vec<usize>,
-    /// The grid of the maps.
+    /// Grid of the maps.
     pub grid: PixelGrid,
     /// `|s| / noise`: signal-to-noise ratio of all channels together for a relative change of 1.
     pub sensitivity: Vec<f64>,
-    /// Smallest relative change that is detected.
+    /// Smallest detectable relative change.
     pub smallest: Vec<f64>,
-    /// Bound on the deviation of a position, the larger axis, metres, at [`Maps::amplitude`].
+    /// Bound on the standard deviation of a position along its worse axis, metres, at [`Maps::amplitude`].
     pub position_m: Vec<f64>,
-    /// Bound on the deviation of the amplitude, relative to it.
+    /// Bound on the standard deviation of the amplitude, relative to the amplitude.
     pub amplitude_share: Vec<f64>,
-    /// Amplitude that the bounds are for: a relative change of conductivity.
+    /// Amplitude that the bounds hold for: a relative change of conductivity.
     pub amplitude: f64,
 }
 
-/// One map in three numbers.
+/// A map summarised in three numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// The place that is worst but for the outermost tenth of the area.
+    /// The worst place, excluding the weakest tenth of the area.
     pub worst: f64,
-    /// Half of the skin is better.
+    /// The median place.
     pub median: f64,
     /// The best place.
     pub best: f64,
 }
 
-/// Noise of the channels to design with.
+/// Channel noise assumed by the design.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Noise {
-    /// The skin file's assumption: the same for every channel, a share of the largest voltage.
+    /// The skin file's assumption: equal for every channel, a share of the largest voltage.
     Assumed,
-    /// The same number of volts for every channel: an instrument that does not care what it reads.
+    /// Equal for every channel, volts: an instrument whose noise doesn't depend on the reading.
     Volts(f64),
-    /// In proportion to each channel's own voltage, `20 log10(|V| / deviation)` decibels, but at least the assumed
-    /// one's hundredth.
+    /// Proportional to each channel's own voltage, `20 log10(|V| / deviation)` decibels, but at least a hundredth of
+    /// the assumed noise.
     Decibels(f64),
 }
 
@@ -73,10 +73,10 @@ impl Noise {
 }
 
 impl Maps {
-    /// Maps of a prepared skin for touches of an amplitude, on a grid of at most `along` places a side.
+    /// Maps of a prepared skin for touches of the given amplitude, on a grid of at most `along` places per side.
     ///
     /// # Errors
-    /// An amplitude or noise that is not positive and finite; a grid that does not work out.
+    /// The amplitude or noise is not positive and finite, or the grid is invalid.
     pub fn new(prepared: &Prepared, noise: Noise, amplitude: f64, along: usize) -> Result<Self, Error> {
         let positive = |what: &str, value: f64| {
             if value > 0.0 && value.is_finite() {
@@ -116,7 +116,7 @@ impl Maps {
     }
 }
 
-/// The grid of a map with at most `along` places a side, and where the skin is on it.
+/// The grid of a map with at most `along` places per side, and the skin's pixels on it.
 pub(super) fn places(prepared: &Prepared, along: usize) -> Result<(PixelGrid, PixelMap), Error> {
     let (low, high) = prepared.body.outline.bounds_m();
     let mesh_error = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
@@ -135,7 +135,7 @@ pub(super) fn scattered(grid: &PixelGrid, pixels: &[usize], values: &[f64]) -> V
 }
 
 impl Summary {
-    /// Of a map of which small values are good.
+    /// Summarises a map in which smaller values are better.
     pub fn of(values: &[f64]) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -145,7 +145,7 @@ impl Summary {
     }
 }
 
-/// Sensitivity, smallest amplitude, position bound (larger axis, metres), amplitude bound (relative) at one place.
+/// Sensitivity, smallest amplitude, position bound (worse axis, metres) and relative amplitude bound at one place.
 fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: [f64; 2], step: f64, amplitude: f64) -> [f64; 4] {
     let places = [[x, y], [x + step, y], [x - step, y], [x, y + step], [x, y - step]];
     let rows = prepared.signatures(&places);
@@ -161,7 +161,8 @@ fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: [f64; 2], step: f6
     }
     let dot = |a: usize, b: usize| columns[a].iter().zip(&columns[b]).map(|(p, q)| p * q).sum::<f64>();
     let energy = dot(2, 2);
-    // What the unknown amplitude takes from the information about the position, and the other way round (Schur).
+    // Information about the position after accounting for the unknown amplitude, and the other way round (Schur
+    // complement).
     let left = |a: usize, b: usize| dot(a, b) - dot(a, 2) * dot(b, 2) / energy;
     let [xx, xy, yy] = [left(0, 0), left(0, 1), left(1, 1)];
     let half = 0.5 * (xx + yy);

@@ -1,6 +1,6 @@
-//! The search for a better skin: what the user frees is varied, the smallest bound on the position at the worst place
-//! wins. All candidates get the same time for a frame, so that reading more channels makes each noisier: noise power in
-//! proportion to the number of readings, from the skin file's assumed noise in volts on.
+//! Searches for a better skin: varies what the user frees, and keeps the candidate with the smallest position bound
+//! at its worst place. All candidates get the same frame time, so reading more channels makes each noisier: noise
+//! power grows in proportion to the number of readings, starting from the skin file's assumed noise in volts.
 
 use dermis_tomo::mesh::ElectrodeShape;
 
@@ -10,20 +10,20 @@ use crate::Error;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, Modality, Pad, Pair, RimElectrode, Skin};
 
-/// What a search may change.
+/// A property that a search may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
-    /// Distances of driving and of measuring pairs, together.
+    /// Spacing of the driving and the measuring pairs, in every combination.
     Protocol,
-    /// Distance of driving pairs only.
+    /// Spacing of the driving pairs only.
     Drive,
     /// Number of electrodes, placed by the skin file's rule.
     Count,
-    /// Where each electrode is.
+    /// Position of each electrode.
     Electrodes,
 }
 
-/// A skin and its figure.
+/// A skin and its position bound.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// The skin file.
@@ -32,35 +32,37 @@ pub struct Candidate {
     pub position_m: Summary,
 }
 
-/// What to look for.
+/// Settings of a search.
 #[derive(Clone, Debug)]
 pub struct Search {
-    /// What may change, in this order; each begins at the best found before it.
+    /// Properties to vary, in this order; each starts from the best skin found before.
     pub freed: Vec<Freedom>,
     /// Amplitude of the touch: a relative change of conductivity.
     pub amplitude: f64,
     /// Places along the longer side of the maps.
     pub along: usize,
-    /// Noise of a reading of the skin as it is.
+    /// Noise of a reading of the original skin.
     pub noise: Noise,
 }
 
-/// Share of the bound that a candidate must gain: less is the mesh, which differs from one candidate to the next.
+/// Minimum relative gain to accept a candidate. Anything smaller may come from the mesh, which differs between
+/// candidates.
 const LEAST_GAIN: f64 = 0.005;
-/// First step of an electrode, relative to the mean distance of neighbours; halved from round to round.
+/// First step of an electrode, relative to the mean spacing of neighbours; halved each round.
 const FIRST_STEP: f64 = 0.25;
 /// Rounds over all electrodes.
 const ROUNDS: u32 = 3;
-/// Numbers of electrodes on a rim that are tried.
+/// Numbers of rim electrodes to try.
 const RIM_COUNTS: [usize; 10] = [6, 8, 10, 12, 14, 16, 20, 24, 28, 32];
-/// Pads a side, or intervals a side of pads along a rim, that are tried.
+/// Pads per side to try, or intervals per side for pads along a rim.
 const PER_SIDE: std::ops::RangeInclusive<usize> = 2..=8;
 
-/// Searches. The skin as it is comes first, then the best. `progress` gets candidates judged and candidates in all.
+/// Runs a search and returns the original skin and the best one. `progress` gets the number of candidates judged and
+/// the total.
 ///
 /// # Errors
-/// A skin that does not work out as it is, or nothing that can be varied as asked for. Candidates that do not work out
-/// (electrodes that overlap or leave the skin, pairs of one electrode) are left out.
+/// The original skin is invalid, or nothing can be varied as requested. Invalid candidates (electrodes that overlap
+/// or leave the skin, pairs of one electrode) are skipped.
 pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize)) -> Result<[Candidate; 2], Error> {
     if skin.modality == Modality::Mit {
         return Err(Error::Frames {
@@ -92,7 +94,7 @@ pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize))
     Ok([own, state.best])
 }
 
-/// How candidates are compared.
+/// Evaluates candidates.
 struct Judge {
     instrument: SharedInstrument,
     amplitude: f64,
@@ -115,7 +117,7 @@ struct State<P> {
 }
 
 impl<P: FnMut(usize, usize)> State<P> {
-    /// Takes a candidate if it is better; true where it was.
+    /// Keeps a candidate if it is better; returns whether it was.
     fn consider(&mut self, skin: Skin) -> bool {
         let judged =
             Prepared::new(skin.clone()).map_err(Error::from).and_then(|prepared| self.judge.summary(&prepared));
@@ -154,7 +156,7 @@ impl<P: FnMut(usize, usize)> State<P> {
         Ok(())
     }
 
-    /// Moves one electrode after the other, as long as that helps.
+    /// Moves one electrode after the other, keeping every move that helps.
     fn places(&mut self) -> Result<(), Error> {
         let start = self.best.skin.clone();
         self.best.skin.frontend.electrodes = listed(&start)?;
@@ -173,7 +175,7 @@ impl<P: FnMut(usize, usize)> State<P> {
     }
 }
 
-/// How many candidates a freedom means.
+/// Number of candidates for a freedom.
 fn candidates(freedom: Freedom, skin: &Skin) -> Result<usize, Error> {
     let electrodes = skin.electrode_shapes().len();
     Ok(match freedom {
@@ -187,7 +189,7 @@ fn candidates(freedom: Freedom, skin: &Skin) -> Result<usize, Error> {
     })
 }
 
-/// Every distance round the skin, of driving pairs or of both.
+/// Every spacing around the skin, of the driving pairs or of both kinds of pairs.
 fn patterns(electrodes: usize, drive_only: bool) -> Vec<(usize, Option<usize>)> {
     let skips = 0..(electrodes / 2).max(1);
     let measure = |drive| {
@@ -197,7 +199,7 @@ fn patterns(electrodes: usize, drive_only: bool) -> Vec<(usize, Option<usize>)> 
     skips.clone().flat_map(measure).collect()
 }
 
-/// The skin's electrodes by its own rule, other numbers of them.
+/// The skin's electrodes placed by its own rule, in other numbers.
 fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
     let same = &skin.frontend.electrodes;
     let others: Vec<Electrodes> = match same {
@@ -209,7 +211,7 @@ fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
         Electrodes::RimPads { per_side, pitch_mm, size_mm } => {
             let (per_side, pitch_mm) = (per_side.both(), pitch_mm.both());
             let sides_mm = [0, 1].map(|axis| per_side[axis] as f64 * pitch_mm[axis]);
-            // As many along the other side as its length allows.
+            // As many pads on the other side as its length allows.
             let pads = |n: usize| {
                 let other = ((sides_mm[1] / sides_mm[0] * n as f64).round() as usize).max(1);
                 let pitch_mm = Pair::Two([sides_mm[0] / n as f64, sides_mm[1] / other as f64]);
@@ -265,7 +267,7 @@ fn listed(skin: &Skin) -> Result<Electrodes, Error> {
     })
 }
 
-/// Unit moves: along the rim, or along both axes.
+/// Directions to move in: along the rim, or along both axes.
 fn directions(skin: &Skin) -> &'static [[f64; 2]] {
     match skin.frontend.electrodes {
         Electrodes::RimList(_) => &[[1.0, 0.0], [-1.0, 0.0]],
@@ -273,7 +275,7 @@ fn directions(skin: &Skin) -> &'static [[f64; 2]] {
     }
 }
 
-/// Moves a listed electrode by a share of the mean distance of neighbours.
+/// Moves a listed electrode by a share of the mean spacing of neighbours.
 fn shift(skin: &mut Skin, electrode: usize, share: f64, direction: [f64; 2], count: usize) {
     let area_m2 = skin.outline().area_m2();
     match &mut skin.frontend.electrodes {

@@ -1,4 +1,4 @@
-//! How wide a point comes out in the image: the point-spread width of the skin's own operator.
+//! The width of a point in the image: the point-spread width of the skin's own operator.
 
 use dermis_live::imager::Imager;
 use dermis_live::reference::Reference;
@@ -8,13 +8,14 @@ use super::maps::Maps;
 use crate::Error;
 use dermis_live::prepare::Prepared;
 
-/// Width of the image of a point at each place of the maps, metres: the diameter of the disc that has the area of the
-/// region at half the peak or more (the resolution figure of GREIT, Adler et al., Physiol. Meas. 30, 2009, S35, as a
-/// length). The point is one pixel of the skin's image grid; the operator is the skin file's. NaN where the image has
-/// no peak of the right sign.
+/// Width of a point's image at each place of the maps, metres.
+///
+/// This is the diameter of a disc with the area of the region at half the peak or more (the resolution figure of
+/// GREIT, Adler et al., Physiol. Meas. 30, 2009, S35, as a length). The point is one pixel of the skin's image grid;
+/// the operator is the skin file's. NaN if the image has no peak of the right sign.
 ///
 /// # Errors
-/// An operator that cannot be made from the model alone.
+/// The operator cannot be built from the model alone.
 pub fn spread_width(prepared: &Prepared, maps: &Maps) -> Result<Vec<f64>, Error> {
     let reference = Reference::from_baseline(prepared, &prepared.voltages, None)?;
     let mut imager = Imager::new(prepared, &reference, &[prepared.signatures(&[[0.0, 0.0]])])?;

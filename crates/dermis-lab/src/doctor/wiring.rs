@@ -1,29 +1,30 @@
-//! Are two electrodes exchanged? The model's voltages with every pair of electrodes exchanged, by the transfer
-//! impedances of one solution, `v = m' Z s`, compared with the measured baseline.
+//! Checks for two exchanged electrodes. The model's voltages are computed for every pair exchanged, from the transfer
+//! impedances of one solution, `v = m' Z s`, and compared with the measured baseline.
 
 use dermis_tomo::eit::{ForwardModel, Pattern, correlation};
 
 use super::Seen;
 use dermis_skin::{Modality, Reads};
 
-/// How much better exchanged electrodes must fit.
+/// Minimum gain in correlation.
 const MARGIN: f64 = 0.02;
-/// Share of what the stated wiring leaves unexplained that may be left.
+/// Largest share of the stated wiring's unexplained part that may remain.
 const LEFT: f64 = 0.3;
-/// Pairs of more electrodes than this are not tried.
+/// Most electrodes for which pairs are tried.
 const MOST_ELECTRODES: usize = 64;
 
 /// Two electrodes whose exchange explains a baseline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Swap {
-    /// Indices from 0.
+    /// Electrode indices from 0.
     pub electrodes: [u32; 2],
-    /// Correlation of the baseline with the model then.
+    /// Correlation of the baseline with the model after the exchange.
     pub correlation: f64,
 }
 
 impl Seen {
-    /// The best exchange of two electrodes, if it fits clearly better than the stated wiring with its correlation.
+    /// The best exchange of two electrodes, if it fits clearly better than the stated wiring, whose correlation is
+    /// `stated`.
     pub(super) fn swapped(&self, stated: f64) -> Option<Swap> {
         let prepared = self.pipeline.prepared();
         let (protocol, skin) = (&prepared.protocol, &prepared.skin);

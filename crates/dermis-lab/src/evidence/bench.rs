@@ -1,4 +1,4 @@
-//! Where a set of measured data is worked on: its folder, how much is asked for, whom to tell, and what was found.
+//! The workbench of one data set: its folder, the extent of the run, the progress callback and the findings.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -6,21 +6,21 @@ use std::time::Instant;
 use super::finding::{Comparison, Figure, Finding};
 use crate::Error;
 
-/// How much is run.
+/// Extent of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Extent {
     /// Everything: five or three random draws, all levels, the finer mesh.
     #[default]
     Full,
-    /// One draw, the first level, the coarser mesh: seconds in place of minutes.
+    /// One draw, the first level, the coarser mesh: seconds instead of minutes.
     Quick,
 }
 
-/// Why a set ended before its end.
+/// Reason for stopping a set early.
 pub(super) enum Stop {
-    /// A file or folder is not there.
+    /// A file or folder is missing.
     Missing(PathBuf),
-    /// Files that are not what they should be, or work that failed.
+    /// A file has invalid content, or a computation failed.
     Failed(Error),
 }
 
@@ -30,7 +30,7 @@ impl<E: Into<Error>> From<E> for Stop {
     }
 }
 
-/// What is known and said of a row, beside its figures.
+/// A row of the table, without its time.
 pub(super) struct Row<'a> {
     pub(super) measured: &'a str,
     pub(super) known: &'a str,
@@ -39,7 +39,7 @@ pub(super) struct Row<'a> {
     pub(super) published: Comparison,
 }
 
-/// The desk of one set.
+/// The workbench of one set.
 pub(super) struct Bench<'a> {
     folder: PathBuf,
     extent: Extent,
@@ -62,18 +62,18 @@ impl<'a> Bench<'a> {
         self.extent == Extent::Quick
     }
 
-    /// Says what is being done.
+    /// Reports the current step.
     pub(super) fn say(&mut self, step: &str) {
         (self.tell)(step);
     }
 
-    /// A file or folder of the set.
+    /// Path of a file or folder of the set; an error if it is missing.
     pub(super) fn need(&self, name: &str) -> Result<PathBuf, Stop> {
         let path = self.folder.join(name);
         if path.exists() { Ok(path) } else { Err(Stop::Missing(path)) }
     }
 
-    /// Adds a row, which took the time since the last one.
+    /// Adds a row; its time is the time since the previous one.
     pub(super) fn add(&mut self, row: Row<'_>) {
         let Row { measured, known, here, plain, published } = row;
         let seconds = self.since.elapsed().as_secs_f64();

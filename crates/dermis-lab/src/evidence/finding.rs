@@ -1,5 +1,5 @@
-//! Rows of the tables: what was measured, under which conditions, and the figures of dermis, of a plain method and of
-//! what is published.
+//! Rows of the tables: what was measured, under which conditions, and the figures of dermis, of a plain method and
+//! from the literature.
 
 use std::fmt;
 
@@ -8,9 +8,9 @@ use serde::Serialize;
 /// A number with its name and unit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figure {
-    /// What it is, as in "median".
+    /// Name, as in "median".
     pub name: String,
-    /// The number; over several draws their mean.
+    /// The value; over several draws their mean.
     pub value: f64,
     /// Its unit; "of 500" for a count; empty for a ratio.
     pub unit: String,
@@ -25,12 +25,12 @@ impl Figure {
         Self { name: name.into(), value, unit: unit.into(), range: None }
     }
 
-    /// A count of so many.
+    /// A count out of a total.
     pub fn count(name: &str, count: usize, all: usize) -> Self {
         Self::new(name, count as f64, &format!("of {all}"))
     }
 
-    /// The mean over draws, with the smallest and the largest; NaN without any.
+    /// The mean over draws, with the smallest and the largest; NaN without draws.
     pub fn over(name: &str, values: &[f64], unit: &str) -> Self {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -64,56 +64,56 @@ impl fmt::Display for Figure {
     }
 }
 
-/// What stands beside the figures of dermis.
+/// A result to compare the figures of dermis with.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Which method, or whose.
+    /// The method, or its authors.
     pub what: String,
-    /// Computed in the same run.
+    /// Figures computed in the same run.
     pub figures: Vec<Figure>,
 }
 
 impl Comparison {
-    /// In words alone: cited, or that there is none.
+    /// A comparison in words only: a citation, or a statement that there is none.
     pub fn said(what: &str) -> Self {
         Self { what: what.into(), figures: Vec::new() }
     }
 
-    /// A method and what it gave in this run.
+    /// A method and its figures in this run.
     pub fn computed(what: &str, figures: Vec<Figure>) -> Self {
         Self { what: what.into(), figures }
     }
 
-    /// For a cell of a table.
+    /// Text for a table cell.
     pub fn text(&self) -> String {
         if self.figures.is_empty() { self.what.clone() } else { format!("{}: {}", self.what, joined(&self.figures)) }
     }
 }
 
-/// One row: something that was measured.
+/// One row: a measurement and the results on it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was measured.
+    /// The measurement.
     pub measured: String,
-    /// What dermis was told, or assumed.
+    /// Information that dermis was given, or assumed.
     pub known: String,
     /// Figures of dermis.
     pub here: Vec<Figure>,
     /// A plain method on the same data.
     pub plain: Comparison,
-    /// The best that is published on these data.
+    /// The best published result on these data.
     pub published: Comparison,
-    /// Time that it took here, plain method included, seconds.
+    /// Computing time including the plain method, seconds.
     pub seconds: f64,
 }
 
 impl Finding {
-    /// The figures of dermis for a cell of a table.
+    /// The figures of dermis as text for a table cell.
     pub fn here_text(&self) -> String {
         joined(&self.here)
     }
 
-    /// The figure of that name, where there is one.
+    /// The figure with this name, if there is one.
     pub fn figure(&self, name: &str) -> Option<f64> {
         self.here.iter().find(|figure| figure.name == name).map(|figure| figure.value)
     }

@@ -1,5 +1,5 @@
-//! `five-skins`: skins of one family that differ in the pattern cast into the gel, 2,500 presses each by a robot. Their
-//! electrodes are not published. Every folder of the set is a skin, also one that nobody has looked at yet.
+//! `five-skins`: skins of one family that differ in the pattern cast into the gel, each pressed 2,500 times by a
+//! robot. Their electrode positions are not published. Every folder of the set counts as a skin, even a new one.
 
 use std::path::{Path, PathBuf};
 
@@ -10,18 +10,18 @@ use super::finding::Comparison;
 use super::place_errors::{PlaceErrors, Presses, shuffled};
 use crate::Error;
 
-/// Presses that are judged, of a skin with enough.
+/// Presses to judge, if a skin has enough.
 const JUDGED: usize = 500;
 const FILES: [&str; 2] = ["differences.csv", "positions.csv"];
-/// The skins that the repository's tests know.
+/// Skins that the repository's tests use.
 const KNOWN: [&str; 2] = ["plain", "circles"];
-/// Side of the square that is guessed for the outline, millimetres.
+/// Side of the square assumed as the outline, millimetres.
 const SIDE_MM: f64 = 100.0;
 
-/// The presses of one skin's folder, of an outline with channels and nothing else.
+/// Reads the presses in one skin's folder. The skin has an outline and channels, but no electrodes.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit.
+/// The files cannot be read or don't match.
 pub fn presses(folder: &Path) -> Result<Presses, Error> {
     let [differences, places] = FILES.map(|name| folder.join(name));
     let table = dermis_device::instruments::csv::read_numbers(&differences)?;

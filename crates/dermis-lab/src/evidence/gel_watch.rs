@@ -1,4 +1,5 @@
-//! `hydrogel-damage`: a gel skin watched for two hours, with two disturbances of which the second leaves other levels.
+//! `hydrogel-damage`: a gel skin watched for two hours, with two disturbances. The second one changes the readings
+//! permanently.
 
 use dermis_device::{FileSpec, Frame, FrameTable, HostStamp, Layout};
 use dermis_live::pipeline::Pipeline;
@@ -11,36 +12,36 @@ use super::bench::{Bench, Row, Stop};
 use super::finding::{Comparison, Figure};
 use crate::Error;
 
-/// Frames of the watch come so far apart, seconds.
+/// Time between frames, seconds.
 pub const PERIOD_S: f64 = 8.0;
-/// The first frame of the first disturbance, counted from 0; before it the skin is untouched.
+/// First frame of the first disturbance, counted from 0. Until then the skin is untouched.
 pub const FIRST_DISTURBED: usize = 491;
 /// The last frame of the second disturbance, counted from 0.
 pub const LAST_DISTURBED: usize = 664;
-/// Readings that differ so much from the first ones count as changed, for the plain watch.
+/// Threshold of the plain watch, in standard deviations.
 const PLAIN_SIGMAS: f64 = 8.0;
-/// Frames that the plain watch takes its level and noise from.
+/// Frames from which the plain watch takes mean and noise.
 const PLAIN_FRAMES: usize = 64;
 
-/// What the pipeline told of a long watch.
+/// Record of a long watch.
 #[derive(Clone, Debug, Default)]
 pub struct Watched {
-    /// Frames watched.
+    /// Number of frames.
     pub frames: usize,
-    /// What happened to damages, with the frame in which it was told.
+    /// Changes of damages, each with the frame that reported it.
     pub events: Vec<(usize, DamageEvent)>,
     /// Frames with a touch.
     pub touched: Vec<usize>,
-    /// Mean change of the readings that was followed as drift, a share.
+    /// Mean relative change of the readings that was followed as drift.
     pub drift: f64,
-    /// Where the baselines in use came from, oldest first.
+    /// Origins of the baselines used, oldest first.
     pub origins: Vec<ReferenceOrigin>,
 }
 
-/// Runs the live pipeline of a skin that watches for damage over frames that come so far apart.
+/// Runs a skin's live pipeline, with its watch for damage, over frames that are `period_s` apart.
 ///
 /// # Errors
-/// A skin that cannot be prepared, frames that do not fit it.
+/// The skin cannot be prepared, or the frames don't fit it.
 pub fn watch(skin: Skin, table: &FrameTable, period_s: f64) -> Result<Watched, Error> {
     let prepared = Prepared::new(skin)?;
     let layout = Layout::Channels { count: prepared.channels() };
@@ -62,10 +63,10 @@ pub fn watch(skin: Skin, table: &FrameTable, period_s: f64) -> Result<Watched, E
     Ok(watched)
 }
 
-/// `hydrogel-disc` with the watch switched on.
+/// `hydrogel-disc` with the damage watch enabled.
 ///
 /// # Errors
-/// Never in practice: the skin is built in.
+/// None in practice, since the skin is built in.
 pub fn skin() -> Result<Skin, Error> {
     let mut skin = Skin::open("hydrogel-disc")?;
     skin.damage.watch = true;
@@ -106,7 +107,8 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
     Ok(())
 }
 
-/// The first frame whose readings are, in the root mean square over channels, this far from the first ones.
+/// The first frame whose normalised distance from the first frames (root mean square over channels) exceeds the
+/// threshold.
 fn plain_watch(table: &FrameTable) -> Option<usize> {
     let rows: Vec<&[f64]> = table.rows().collect();
     let first = rows.get(..PLAIN_FRAMES)?;

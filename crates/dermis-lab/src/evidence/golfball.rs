@@ -1,4 +1,4 @@
-//! `golfball`: balls in a saline tank of 30 cm (EIDORS sample data).
+//! `golfball`: balls in a 30 cm saline tank (EIDORS sample data).
 
 use dermis_skin::Skin;
 
@@ -7,19 +7,19 @@ use super::finding::{Comparison, Figure};
 use super::imaged::{Imaged, chosen, imaged};
 use crate::Error;
 
-/// A frame of the file and where its balls hang, millimetres, as measured with a ruler.
+/// Frames of the file with the positions of their balls, millimetres, measured with a ruler.
 pub const SETUPS: [(&str, &[[f64; 2]]); 3] =
     [("setup2", &[[0.0, 0.0]]), ("setup3", &[[0.0, 70.0]]), ("setup4", &[[0.0, 70.0], [-70.0, 0.0]])];
 
-/// A frame of the file against its reference.
+/// Images one frame of the file against its reference.
 ///
 /// # Errors
-/// A file that cannot be read or does not fit.
+/// The file cannot be read or doesn't fit.
 pub fn setup(file: &std::path::Path, frame: &str) -> Result<Imaged, Error> {
     imaged(Skin::open("golfball-tank")?, Some(chosen(file, "ref")?), chosen(file, frame)?, None)
 }
 
-/// Distance from a place to the nearest touch, millimetres; infinite without any.
+/// Distance from a place to the nearest touch, millimetres; infinite without touches.
 pub fn error_mm(found: &Imaged, place_mm: [f64; 2]) -> f64 {
     found.touches.iter().map(|touch| touch.distance_mm(place_mm)).fold(f64::INFINITY, f64::min)
 }

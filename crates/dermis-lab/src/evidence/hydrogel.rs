@@ -1,4 +1,4 @@
-//! `hydrogel`: the round gelatin skin of Hardman, Thuruthel and Iida, 500 presses by a robot.
+//! `hydrogel`: the round gelatin skin of Hardman, Thuruthel and Iida, pressed 500 times by a robot.
 
 use dermis_skin::{CircuitChoice, LearnCircuit, Skin};
 
@@ -7,14 +7,14 @@ use super::finding::Comparison;
 use super::place_errors::{PlaceErrors, Presses, shuffled};
 use crate::Error;
 
-/// Presses that are judged after a calibration.
+/// Presses to judge after a calibration.
 const JUDGED: usize = 100;
 const NONE_PUBLISHED: &str = "none published for these presses that we know of";
 
-/// The presses of a folder, of the built-in skin `hydrogel-disc`.
+/// Reads the presses in a folder, for the built-in skin `hydrogel-disc`.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit.
+/// The files cannot be read or don't match.
 pub fn presses(folder: &std::path::Path) -> Result<Presses, Error> {
     let [before, pressed, places] = FILES.map(|name| folder.join(name));
     Presses::read(Skin::open("hydrogel-disc")?, Some(&before), &pressed, &places)

@@ -1,4 +1,4 @@
-//! Files through the call behind `dermis reconstruct`, with touches and images kept in memory.
+//! Runs files through the function behind `dermis reconstruct`, keeping touches and images in memory.
 
 use dermis_device::{FileSpec, FrameSelect};
 use dermis_live::calibration::Calibration;
@@ -9,23 +9,23 @@ use dermis_skin::Skin;
 use crate::Error;
 use crate::reconstruct::{Report, Request, reconstruct_into};
 
-/// A touch of a frame.
+/// A touch in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchRow {
-    /// Frame, from 0.
+    /// Frame number, from 0.
     pub frame: usize,
     /// Identity.
     pub id: u64,
-    /// Place, millimetres.
+    /// Position, millimetres.
     pub at_mm: [f64; 2],
-    /// Standard deviations of the place, millimetres.
+    /// Standard deviations of the position, millimetres.
     pub sigma_mm: [f64; 2],
-    /// As in the table of touches.
+    /// Amplitude, as in the table of touches.
     pub amplitude: f64,
 }
 
 impl TouchRow {
-    /// Distance from a place, millimetres.
+    /// Distance from a position, millimetres.
     pub fn distance_mm(&self, place_mm: [f64; 2]) -> f64 {
         (self.at_mm[0] - place_mm[0]).hypot(self.at_mm[1] - place_mm[1])
     }
@@ -36,18 +36,18 @@ impl TouchRow {
 pub struct Images {
     /// Pixels from top to bottom.
     pub rows: usize,
-    /// Pixels in a row.
+    /// Pixels per row.
     pub columns: usize,
-    /// Row 0 at the top, NaN outside.
+    /// One image per frame, row 0 at the top, NaN outside the skin.
     pub frames: Vec<Vec<f32>>,
 }
 
-/// What came of the frames.
+/// Results of a reconstruction.
 #[derive(Clone, Debug)]
 pub struct Imaged {
-    /// How it went.
+    /// The report.
     pub report: Report,
-    /// Touches, in the order of the frames.
+    /// Touches, in frame order.
     pub touches: Vec<TouchRow>,
     /// Images.
     pub images: Images,
@@ -55,18 +55,19 @@ pub struct Imaged {
     pub change: Vec<f64>,
 }
 
-/// The chosen frames of a file, in the words of `FILE#FRAMES`.
+/// Selects frames of a file, in the syntax of `FILE#FRAMES`.
 ///
 /// # Errors
-/// Words that choose nothing.
+/// The selection is invalid.
 pub fn chosen(path: &std::path::Path, frames: &str) -> Result<FileSpec, Error> {
     Ok(FileSpec { path: path.to_path_buf(), select: frames.parse::<FrameSelect>()? })
 }
 
-/// As `dermis reconstruct SKIN --baseline --frames --calibration`; without a baseline the frames are differences.
+/// Does what `dermis reconstruct SKIN --baseline --frames --calibration` does. Without a baseline the frames are
+/// taken as differences.
 ///
 /// # Errors
-/// As [`reconstruct_into`].
+/// As for [`reconstruct_into`].
 pub fn imaged(
     skin: Skin,
     baseline: Option<FileSpec>,
@@ -122,8 +123,8 @@ impl Sink for Kept {
 }
 
 impl Images {
-    /// Bilinear value at a place given from -1 to 1 across the image, y up; pixels outside the skin count as the
-    /// nearest one inside.
+    /// Bilinear interpolation at a position given from -1 to 1 across the image, y up. Pixels outside the skin take
+    /// the value of the nearest one inside.
     pub fn at(&self, frame: usize, x: f64, y: f64) -> f64 {
         let column = 0.5 * (x + 1.0) * self.columns as f64 - 0.5;
         let row = 0.5 * (1.0 - y) * self.rows as f64 - 0.5;
@@ -137,7 +138,7 @@ impl Images {
             .sum()
     }
 
-    /// The pixel itself or, where it holds no number, the nearest of those around it that does.
+    /// The pixel itself or, if it holds NaN, the nearest finite pixel around it.
     fn nearest(&self, frame: usize, row: f64, column: f64) -> f64 {
         let mut best = (f64::INFINITY, f64::NAN);
         for dr in -3..=3 {
@@ -156,7 +157,7 @@ impl Images {
         best.1
     }
 
-    /// Number of pixels with their centre inside the inscribed disc that hold no number.
+    /// Number of NaN pixels whose centre lies inside the inscribed disc.
     pub fn holes(&self, frame: usize) -> usize {
         let centre = |k: usize, count: usize| (2.0 * k as f64 + 1.0) / count as f64 - 1.0;
         let inside =

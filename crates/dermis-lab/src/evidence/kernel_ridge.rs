@@ -1,16 +1,16 @@
-//! Gaussian kernel ridge regression of places on frames: what a user without any model of the skin would try first.
-//! Channels are divided by their noise, or by their
-//! standard deviation over the pokes, and frames brought to unit length; the kernel's
-//! length and the ridge are those with the smallest leave-one-out error, which has a closed form.
+//! Gaussian kernel ridge regression from frames to places: the first thing a user without a model of the skin would
+//! try. Channels are divided by their noise, or by their standard deviation over the pokes, and frames are scaled to
+//! unit length. The kernel's length scale and the ridge are those with the smallest leave-one-out error, which has a
+//! closed form.
 
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
-/// Lengths of the kernel that are tried; frames lie on the unit sphere.
+/// Length scales to try; frames lie on the unit sphere.
 const LENGTHS: [f64; 5] = [0.1, 0.2, 0.35, 0.6, 1.0];
-/// Ridges that are tried.
+/// Ridges to try.
 const RIDGES: [f64; 6] = [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1];
-/// Length and ridge are chosen on so many pokes at most.
+/// Most pokes used to choose length scale and ridge.
 const MOST_TO_CHOOSE: usize = 800;
 
 /// A fitted regression.
@@ -24,9 +24,9 @@ pub struct KernelRidge {
 }
 
 impl KernelRidge {
-    /// Fits places to frames, one a poke. Channels are divided by `scales`, or by their deviation over the pokes where
-    /// there are none. `None` for fewer than three pokes, frames of different lengths, or numbers
-    /// that are not finite.
+    /// Fits places to frames, one frame per poke. Channels are divided by `scales` or, if not given, by their
+    /// deviation over the pokes. `None` for fewer than three pokes, frames of different lengths, or values that are
+    /// not finite.
     pub fn fit(frames: &[&[f64]], places: &[[f64; 2]], scales: Option<&[f64]>) -> Option<Self> {
         let channels = frames.first()?.len();
         let fits = frames.len() >= 3
@@ -53,7 +53,7 @@ impl KernelRidge {
         Some(Self { scales, features, length, mean, weights })
     }
 
-    /// The place of a frame with as many channels.
+    /// Predicts the place of a frame, which must have the same number of channels.
     pub fn place(&self, frame: &[f64]) -> [f64; 2] {
         let own = feature(frame, &self.scales);
         let mut place = self.mean;
@@ -65,7 +65,7 @@ impl KernelRidge {
     }
 }
 
-/// Scaled, of unit length; channels that never change are left out.
+/// A frame scaled per channel and to unit length, without the channels that never change.
 fn feature(frame: &[f64], scales: &[f64]) -> Vec<f64> {
     let scaled: Vec<f64> =
         frame.iter().zip(scales).map(|(value, scale)| if *scale > 0.0 { value / scale } else { 0.0 }).collect();
@@ -73,7 +73,7 @@ fn feature(frame: &[f64], scales: &[f64]) -> Vec<f64> {
     scaled.into_iter().map(|value| value / norm).collect()
 }
 
-/// Of two frames of unit length.
+/// Kernel of two frames of unit length.
 fn likeness(one: &[f64], other: &[f64], length: f64) -> f64 {
     let product: f64 = one.iter().zip(other).map(|(a, b)| a * b).sum();
     ((product - 1.0) / (length * length)).exp()
@@ -86,7 +86,7 @@ fn kernel(features: &[Vec<f64>], length: f64) -> Mat<f64> {
     Mat::from_fn(count, count, |row, column| ((products[(row, column)] - 1.0) / (length * length)).exp())
 }
 
-/// Length and ridge of the smallest leave-one-out error (root mean square).
+/// Length scale and ridge with the smallest leave-one-out error (root mean square).
 fn chosen(features: &[Vec<f64>], sides: &Mat<f64>) -> Option<(f64, f64)> {
     let count = features.len();
     let mut best = (f64::INFINITY, None);

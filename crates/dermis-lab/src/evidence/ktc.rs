@@ -1,4 +1,5 @@
-//! `ktc`: the water tank of the Kuopio Tomography Challenge 2023, four training phantoms with photographed truth.
+//! `ktc`: the water tank of the Kuopio Tomography Challenge 2023, with four training phantoms and their photographed
+//! ground truth.
 
 use std::path::Path;
 
@@ -16,11 +17,11 @@ use crate::Error;
 use crate::learning::challenge_score;
 use crate::learning::segment::Segmenter;
 
-/// Pixels a side of the truth.
+/// Pixels per side of the ground truth.
 const SIDE: usize = 256;
-/// Training phantoms.
+/// Number of training phantoms.
 pub const PHANTOMS: usize = 4;
-/// Levels of the challenge; level k loses the first 2 (k - 1) electrodes.
+/// Number of levels in the challenge. Level k drops the first 2 (k - 1) electrodes.
 pub const LEVELS: u32 = 7;
 const TRUTHS: [&str; PHANTOMS] = ["truth_train1.csv", "truth_train2.csv", "truth_train3.csv", "truth_train4.csv"];
 const VOLTAGES: &str = "voltages.csv";
@@ -28,7 +29,7 @@ const VOLTAGES: &str = "voltages.csv";
 /// Photographed labels of a phantom from 1 to 4: 0 background, 1 resistive, 2 conductive; row 0 at the top.
 ///
 /// # Errors
-/// A file that is no image of 256 x 256 labels.
+/// The file is not an image of 256 x 256 labels.
 pub fn truth(folder: &Path, phantom: usize) -> Result<Vec<u8>, Error> {
     let file = folder.join(TRUTHS[(phantom - 1).min(PHANTOMS - 1)]);
     let table = dermis_device::instruments::csv::read_numbers(&file)?;
@@ -43,7 +44,8 @@ pub fn truth(folder: &Path, phantom: usize) -> Result<Vec<u8>, Error> {
     }
 }
 
-/// Correlation of an image with its truth (resistive -1, conductive +1) over the truth's pixels inside the tank.
+/// Correlation of an image with the ground truth (resistive -1, conductive +1) over the truth's pixels inside the
+/// tank.
 pub fn correlation(images: &Images, frame: usize, truth: &[u8]) -> f64 {
     let centre = |k: usize| (2.0 * k as f64 + 1.0) / SIDE as f64 - 1.0;
     let (mut found, mut expected) = (Vec::new(), Vec::new());
@@ -57,10 +59,10 @@ pub fn correlation(images: &Images, frame: usize, truth: &[u8]) -> f64 {
     eit::correlation(&found, &expected)
 }
 
-/// Correlations of the images of all phantoms with their truth, by the skin file's iterated images or by linear ones.
+/// Correlations of all phantoms' images with the ground truth, using the skin file's iterated images or linear ones.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit.
+/// The files cannot be read or don't fit.
 pub fn correlations(folder: &Path, is_refined: bool) -> Result<Vec<f64>, Error> {
     let mut skin = Skin::open("ktc-tank")?;
     if !is_refined {
@@ -71,11 +73,11 @@ pub fn correlations(folder: &Path, is_refined: bool) -> Result<Vec<f64>, Error> 
     (1..=PHANTOMS).map(|phantom| Ok(correlation(&found.images, phantom - 1, &truth(folder, phantom)?))).collect()
 }
 
-/// The challenge's scores of all phantoms at a level from 1 to 7, as `dermis segment` labels them: by a network, by
+/// The challenge's scores of all phantoms at a level from 1 to 7, as labelled by `dermis segment`: by a network, by
 /// thresholds on iterated images, or by thresholds on linear ones.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit.
+/// The files cannot be read or don't fit.
 pub fn scores(folder: &Path, level: u32, model: Option<&Model>, is_refined: bool) -> Result<Vec<f64>, Error> {
     let mut skin = Skin::open("ktc-tank")?;
     if !is_refined {

@@ -1,4 +1,4 @@
-//! Presses at known places: which pokes teach, which are judged, and how far off the touches are.
+//! Presses at known places: selects training and test pokes, and measures the error of the touches.
 
 use std::path::Path;
 
@@ -17,41 +17,42 @@ use super::imaged::imaged;
 use super::kernel_ridge::KernelRidge;
 use crate::Error;
 
-/// Presses of a skin at known places, in files.
+/// Presses of a skin at known places, stored in files.
 #[derive(Clone, Debug)]
 pub struct Presses {
     skin: Skin,
-    /// Where the untouched frames lie, one for each press; none where the frames are differences.
+    /// Frames without touch, one for each press; `None` if the frames are differences.
     baseline: Option<FileSpec>,
     frames: FileSpec,
-    /// In the protocol's order, without baselines where frames are differences.
+    /// Frames in the protocol's order; `before` is `None` if the frames are differences.
     before: Option<Vec<Vec<f64>>>,
     pressed: Vec<Vec<f64>>,
     pokes: Pokes,
 }
 
-/// How far touches are from the presses that they are of.
+/// Distances of touches from the presses that caused them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaceErrors {
-    /// Presses that were judged.
+    /// Number of presses judged.
     pub presses: usize,
-    /// Touches beyond one for each press.
+    /// Touches in excess of one per press.
     pub extra: usize,
-    /// Of the presses that were found, sorted, millimetres. Of several touches of a press the strongest counts.
+    /// Errors of the presses that were found, sorted, millimetres. If a press gave several touches, the strongest
+    /// counts.
     pub errors_mm: Vec<f64>,
-    /// Share of the errors within one standard deviation, x and y.
+    /// Shares of the errors within one standard deviation, x and y.
     pub within: [f64; 2],
 }
 
 impl PlaceErrors {
-    /// The error that this share of the presses found is below, millimetres; NaN where none was found.
+    /// Quantile of the errors of the presses found, millimetres; NaN if none was found.
     pub fn quantile_mm(&self, share: f64) -> f64 {
         let last = self.errors_mm.len().saturating_sub(1);
         let at = ((self.errors_mm.len() as f64 * share) as usize).min(last);
         self.errors_mm.get(at).copied().unwrap_or(f64::NAN)
     }
 
-    /// Figures over draws.
+    /// Figures over several draws.
     pub(super) fn figures(draws: &[Self]) -> Vec<Figure> {
         let over = |name: &str, unit: &str, of: &dyn Fn(&Self) -> f64| {
             Figure::over(name, &draws.iter().map(of).collect::<Vec<_>>(), unit)
@@ -62,7 +63,7 @@ impl PlaceErrors {
         figures
     }
 
-    /// Figures over draws, of a method that gives no standard deviations.
+    /// Figures over several draws, for a method without standard deviations.
     pub(super) fn without_sigmas(draws: &[Self]) -> Vec<Figure> {
         let over =
             |name: &str, of: &dyn Fn(&Self) -> f64| Figure::over(name, &draws.iter().map(of).collect::<Vec<_>>(), "mm");
@@ -81,7 +82,7 @@ impl PlaceErrors {
     }
 }
 
-/// Presses in a random order: the same for a seed on every machine, by this version.
+/// The presses in a random order. For this version, a seed gives the same order on every machine.
 pub fn shuffled(count: usize, seed: u64) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     order.shuffle(&mut StdRng::seed_from_u64(seed));
@@ -89,10 +90,11 @@ pub fn shuffled(count: usize, seed: u64) -> Vec<usize> {
 }
 
 impl Presses {
-    /// Reads frames, the frames before each (none: the frames are differences), and where the presses were.
+    /// Reads the frames, the frames before them (`None` if the frames are differences), and the places of the
+    /// presses.
     ///
     /// # Errors
-    /// Files that cannot be read or do not fit the skin or each other.
+    /// The files cannot be read, or don't fit the skin or each other.
     pub fn read(skin: Skin, before: Option<&Path>, pressed: &Path, places: &Path) -> Result<Self, Error> {
         let pokes = dermis_live::calibration::read_pokes(places)?;
         let prepared = Prepared::new(skin.clone())?;
@@ -112,28 +114,28 @@ impl Presses {
         Ok(Self { skin, baseline, frames, before: before_rows, pressed: pressed_rows, pokes })
     }
 
-    /// How many there are.
+    /// Number of presses.
     pub fn count(&self) -> usize {
         self.pressed.len()
     }
 
-    /// The same presses of a skin described otherwise.
+    /// The same presses with another description of the skin.
     pub fn with_skin(&self, skin: Skin) -> Self {
         Self { skin, ..self.clone() }
     }
 
-    /// As `dermis calibrate` on the presses of these rows.
+    /// Does what `dermis calibrate` does, on the presses in these rows.
     ///
     /// # Errors
-    /// As [`calibrate`].
+    /// As for [`calibrate`].
     pub fn calibrate(&self, rows: &[usize]) -> Result<Calibration, Error> {
         self.calibrate_from(rows, &[])
     }
 
-    /// As `dermis calibrate --start`: begins from calibrations of sister skins.
+    /// Does what `dermis calibrate --start` does: starts from calibrations of sister skins.
     ///
     /// # Errors
-    /// As [`calibrate`].
+    /// As for [`calibrate`].
     pub fn calibrate_from(&self, rows: &[usize], start: &[Calibration]) -> Result<Calibration, Error> {
         let prepared = Prepared::new(self.skin.clone())?;
         let pick = |all: &[Vec<f64>]| rows.iter().map(|&row| all[row].clone()).collect::<Vec<_>>();
@@ -153,10 +155,10 @@ impl Presses {
         })
     }
 
-    /// As `dermis reconstruct` on these rows, judged by where the presses were.
+    /// Does what `dermis reconstruct` does on these rows, and compares the touches with the presses.
     ///
     /// # Errors
-    /// As [`crate::reconstruct::reconstruct`].
+    /// As for [`crate::reconstruct::reconstruct`].
     pub fn judge(&self, rows: &[usize], calibration: Option<&Calibration>) -> Result<PlaceErrors, Error> {
         let select =
             FrameSelect::Listed(rows.iter().map(|&row| FrameItem::Range { first: row, end: Some(row + 1) }).collect());
@@ -179,7 +181,7 @@ impl Presses {
         Ok(PlaceErrors { presses: rows.len(), extra, errors_mm, within: within.map(|sum| sum / count) })
     }
 
-    /// Kernel ridge regression taught by some rows and judged on others; nothing where it cannot be fitted.
+    /// Kernel ridge regression trained on some rows and judged on others; empty if it cannot be fitted.
     pub fn judge_plain(&self, taught: &[usize], rows: &[usize]) -> PlaceErrors {
         let changes = self.changes();
         let views: Vec<&[f64]> = taught.iter().map(|&row| changes[row].as_slice()).collect();
@@ -195,7 +197,7 @@ impl Presses {
         PlaceErrors { presses: rows.len(), extra: 0, errors_mm, within: [f64::NAN; 2] }
     }
 
-    /// Always the middle of all presses.
+    /// The trivial predictor: always the mean position of all presses.
     pub fn judge_middle(&self) -> PlaceErrors {
         let count = self.count().max(1) as f64;
         let middle = [0, 1].map(|axis| self.pokes.positions_m.iter().map(|place| place[axis]).sum::<f64>() / count);
@@ -209,7 +211,7 @@ impl Presses {
         PlaceErrors { presses: self.count(), extra: 0, errors_mm, within: [f64::NAN; 2] }
     }
 
-    /// Of the channels, relative to their mean: by how much the untouched readings change from one press to the next.
+    /// Noise of each channel relative to its mean: the change of the untouched readings from one press to the next.
     fn noise(&self) -> Option<Vec<f64>> {
         let before = self.before.as_ref()?;
         let count = before.len() as f64;
@@ -221,7 +223,7 @@ impl Presses {
         Some((0..before.first()?.len()).map(of_channel).collect())
     }
 
-    /// Differences as they are, or relative to the mean of the frames before.
+    /// The frames as differences: unchanged if they already are, else relative to the mean of the frames before.
     fn changes(&self) -> Vec<Vec<f64>> {
         let Some(before) = &self.before else { return self.pressed.clone() };
         let channels = before.first().map_or(0, Vec::len);

@@ -1,4 +1,4 @@
-//! `pyeidors-tank`: metal and plastic near electrodes that the folders' names give (PyEIDORS sample data).
+//! `pyeidors-tank`: metal and plastic objects near the electrodes that the folder names state (PyEIDORS sample data).
 
 use std::path::{Path, PathBuf};
 
@@ -15,23 +15,23 @@ const PITCH_DEG: f64 = 22.5;
 /// An object at an electrode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
-    /// Electrode from 1 to 17, with fractions.
+    /// Electrode from 1 to 17, possibly fractional.
     pub electrode: f64,
     /// 1 for metal, -1 for plastic.
     pub sign: f64,
 }
 
 impl Object {
-    /// Distance in pitches of the electrodes, with its sign.
+    /// Signed distance from an electrode, in electrode pitches.
     pub fn pitches_from(&self, electrode: f64) -> f64 {
         (self.electrode - electrode + 8.0).rem_euclid(16.0) - 8.0
     }
 }
 
-/// `electrode05_plastic` parts of a folder's name.
+/// Objects from a folder's name, which has parts such as `electrode05_plastic`.
 ///
 /// # Errors
-/// Other names.
+/// The name has another form.
 pub fn objects(folder: &Path) -> Result<Vec<Object>, Error> {
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
     let words: Vec<&str> = name.split('_').collect();
@@ -52,15 +52,15 @@ pub fn objects(folder: &Path) -> Result<Vec<Object>, Error> {
     })
 }
 
-/// The target of a file against its reference.
+/// Images the target of a file against its reference.
 ///
 /// # Errors
-/// A file that cannot be read or does not fit.
+/// The file cannot be read or doesn't fit.
 pub fn target(file: &Path) -> Result<Imaged, Error> {
     imaged(Skin::open("pyeidors-tank")?, Some(chosen(file, "reference")?), chosen(file, "target")?, None)
 }
 
-/// The touches of a target as objects. Electrodes count counter-clockwise from the top; the skin is a disc of 200 mm.
+/// The touches in a target as objects. Electrodes count counter-clockwise from the top; the skin is a 200 mm disc.
 pub fn found(target: &Imaged) -> Vec<Object> {
     let object = |touch: &super::imaged::TouchRow| {
         let [x, y] = touch.at_mm;
@@ -70,10 +70,10 @@ pub fn found(target: &Imaged) -> Vec<Object> {
     target.touches.iter().map(object).collect()
 }
 
-/// Folders with the files in them, in the order of their names.
+/// The folders with their files, in the order of their names.
 ///
 /// # Errors
-/// Folders that cannot be read.
+/// A folder cannot be read.
 pub fn files(root: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Error> {
     let listed = |folder: &Path| -> Result<Vec<PathBuf>, Error> {
         let failed = |source| Error::Io { file: folder.into(), source };

@@ -1,5 +1,5 @@
-//! `sciospec`: a cup lowered into a tank, moved once around it by hand and taken out again, in the files of an
-//! instrument.
+//! `sciospec`: a cup is lowered into a tank, moved once around it by hand and taken out again, recorded in an
+//! instrument's own files.
 
 use std::path::Path;
 
@@ -10,23 +10,23 @@ use super::finding::{Comparison, Figure};
 use super::imaged::{Imaged, chosen, imaged};
 use crate::Error;
 
-/// Frames that are known to be without the cup.
+/// Number of frames known to be without the cup.
 const EMPTY: usize = 55;
-/// The frame at which the cup is said to enter, counted from 0, give or take two.
+/// Stated frame at which the cup enters, counted from 0, within two frames.
 const ENTERS: f64 = 60.0;
-/// The plain detector fires at so many times the change that the empty tank shows.
+/// Threshold of the plain detector, as a multiple of the change in the empty tank.
 const PLAIN_FACTOR: f64 = 5.0;
 
-/// All frames of a run against the first, which are empty.
+/// Images all frames of a run against the first ones, which are empty.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit.
+/// The files cannot be read or don't fit.
 pub fn run(folder: &Path) -> Result<Imaged, Error> {
     let empty = chosen(folder, &format!("0..{EMPTY}"))?;
     imaged(Skin::open("sciospec-tank")?, Some(empty), chosen(folder, "")?, None)
 }
 
-/// Largest step of the cup from one frame to the next, millimetres.
+/// Largest movement of the cup between two frames, millimetres.
 pub fn largest_step_mm(found: &Imaged) -> f64 {
     found.touches.windows(2).map(|pair| pair[1].distance_mm(pair[0].at_mm)).fold(0.0, f64::max)
 }

@@ -1,4 +1,4 @@
-//! All sets: what they are, what was tuned on them, and running one.
+//! All data sets: their descriptions, what was tuned on them, and a function to run each.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -10,46 +10,46 @@ use crate::Error;
 
 /// A set of measured data.
 pub struct Set {
-    /// Its folder, and its name for the command.
+    /// Name for the command, and of the folder.
     pub name: &'static str,
-    /// What was measured, in a line.
+    /// The measurement in one line.
     pub title: &'static str,
-    /// Whose it is.
+    /// Origin of the data.
     pub source: &'static str,
-    /// What in dermis was chosen while looking at these data.
+    /// Parts of dermis that were tuned on these data.
     pub tuned: &'static str,
-    /// What was not.
+    /// Parts that were not tuned on them.
     pub not_tuned: &'static str,
     measure: fn(&mut Bench<'_>) -> Result<(), Stop>,
 }
 
-/// What came of a set.
+/// Result of running a set.
 #[derive(Debug)]
 pub struct SetReport {
-    /// Rows, in the order in which they were made; those before a failure are kept.
+    /// Rows in the order in which they were made. Rows from before a failure are kept.
     pub findings: Vec<Finding>,
-    /// Files and folders that were looked for and are not there.
+    /// Files and folders that are missing.
     pub missing: Vec<PathBuf>,
-    /// Why it ended early.
+    /// The error that ended the run early.
     pub failed: Option<Error>,
-    /// Time that it took, seconds.
+    /// Duration of the run, seconds.
     pub seconds: f64,
 }
 
 impl SetReport {
-    /// Nothing of the set is there.
+    /// True if nothing of the set is present.
     pub fn is_missing(&self) -> bool {
         self.findings.is_empty() && self.failed.is_none()
     }
 }
 
 impl Set {
-    /// The set of that name.
+    /// The set with this name.
     pub fn named(name: &str) -> Option<&'static Set> {
         SETS.iter().find(|set| set.name == name)
     }
 
-    /// Runs dermis on the set, which lies in a folder of its name in `data`; `tell` is told each step.
+    /// Runs dermis on the set, which lies in the folder of its name inside `data`. `tell` is called with each step.
     pub fn measure(&self, data: &Path, extent: Extent, tell: &mut dyn FnMut(&str)) -> SetReport {
         let begun = Instant::now();
         let mut bench = Bench::new(data.join(self.name), extent, tell);

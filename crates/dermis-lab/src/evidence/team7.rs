@@ -1,5 +1,5 @@
-//! `team7`: TEAM Workshop Problem 7, measured flux density over a holed plate under a
-//! racetrack coil. Its current densities are not compared: the solver's potential is known up to a gradient.
+//! `team7`: TEAM Workshop Problem 7, the measured flux density over a plate with a hole under a racetrack coil.
+//! Current densities are not compared, because the solver determines the potential only up to a gradient.
 
 mod problem;
 
@@ -14,10 +14,10 @@ pub use problem::{X_MM, coil, flux_density, mesh};
 const FLUX: &str = "team7_Bz_gauss_50hz.csv";
 const FREQUENCY_HZ: f64 = 50.0;
 
-/// Measured values of a table: rows of x, mm, and two lines at phases 0 and 90 degrees.
+/// Measured values of a table: one row per x, with two lines at phases 0 and 90 degrees.
 ///
 /// # Errors
-/// A file that is no table of five numbers a row at the places of [`X_MM`].
+/// The file is not a table with five numbers per row at the places of [`X_MM`].
 pub fn measured(file: &Path) -> Result<Vec<[f64; 4]>, Error> {
     let table = dermis_device::instruments::csv::read_numbers(file)?;
     let rows: Vec<&[f64]> = (0..table.rows()).filter_map(|row| table.row(row)).collect();

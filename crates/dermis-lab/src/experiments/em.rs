@@ -1,6 +1,6 @@
-//! Experiments E1 to E11 of the EM-skins (paper E: magnetic induction tomography) on the twins of eight and sixteen
-//! coils, and two that the paper could not do: which frequency is best, and metal nearby. The paper shows images and
-//! gives few numbers; its elements are "either at rest or displaced proximal to the coils", which a hard press does
+//! Experiments E1 to E11 of the EM-skins (paper E: magnetic induction tomography) on the twins with eight and sixteen
+//! coils, and two that the paper could not do: finding the best frequency, and metal nearby. The paper shows images
+//! and gives few numbers. Its elements are "either at rest or displaced proximal to the coils", which is a hard press
 //! here.
 
 mod array;
@@ -11,7 +11,7 @@ mod touches;
 
 use crate::report::Experiment;
 
-/// All of them.
+/// All experiments of the paper.
 pub(super) const EXPERIMENTS: [Experiment; 13] = [
     touches::SINGLE,
     touches::ADJACENT,

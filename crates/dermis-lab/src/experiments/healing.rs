@@ -1,6 +1,6 @@
-//! Experiments H1 to H6 of the self-healing sandwich (paper H: two-step imaging, touch told from damage) on its twin,
-//! whose two sheets, mesh and noise are not the reconstruction's. Every case is read off one frame at the published
-//! noise.
+//! Experiments H1 to H6 of the self-healing sandwich (paper H: two-step imaging, touch distinguished from damage) on
+//! its twin. The twin has two sheets, and its mesh and noise differ from the reconstruction's. Every case is read
+//! from a single frame at the published noise.
 
 mod bench;
 mod damage;
@@ -9,7 +9,7 @@ mod touches;
 
 use crate::report::Experiment;
 
-/// All of them.
+/// All experiments of the paper.
 pub(super) const EXPERIMENTS: [Experiment; 6] = [
     touches::SINGLE,
     touches::POSITIONS,

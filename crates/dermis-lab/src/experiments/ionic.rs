@@ -1,5 +1,5 @@
-//! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Weights are 6.5
-//! g each on a disc of 20 mm, which makes the paper's pressures: 64 mN on 314 mm^2 are 0.203 kPa.
+//! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Each weight
+//! is 6.5 g on a 20 mm disc, which gives the paper's pressures: 64 mN on 314 mm^2 is 0.203 kPa.
 
 mod bench;
 mod noise;
@@ -16,7 +16,7 @@ use crate::twin_bench::{Rig, grams_n};
 use crate::twin_bench::{disc, distance_mm};
 use dermis_skin::{Layer, Skin};
 
-/// All of them.
+/// All experiments of the paper.
 pub(super) const EXPERIMENTS: [Experiment; 11] = [
     Experiment { id: "I1", title: "two to six touches of 0.255 N at equal radius", run: several_touches },
     Experiment { id: "I2", title: "position error at three radii, 1 to 9 weights, 4 repeats", run: positions },
@@ -32,20 +32,20 @@ pub(super) const EXPERIMENTS: [Experiment; 11] = [
 ];
 
 const WEIGHT_G: f64 = 6.5;
-/// Radii of the paper's three places.
+/// Radii of the three places in the paper.
 const RADII_MM: [f64; 3] = [0.0, 30.0, 60.0];
 
 fn weights(centre_m: [f64; 2], count: usize) -> Indenter {
     disc(centre_m, DIAMETER_MM, grams_n(WEIGHT_G * count as f64))
 }
 
-/// `count` places evenly at a radius, the first a little off the x axis.
+/// `count` places evenly spaced on a circle, the first slightly off the x axis.
 fn around(count: usize, radius_mm: f64) -> Vec<[f64; 2]> {
     let angle = |k: usize| 0.3 + std::f64::consts::TAU * k as f64 / count as f64;
     (0..count).map(|k| [1e-3 * radius_mm * angle(k).cos(), 1e-3 * radius_mm * angle(k).sin()]).collect()
 }
 
-/// I1: the paper tells two, three and four touches apart; here also five and six.
+/// I1: the paper distinguishes two, three and four touches; five and six are added here.
 fn several_touches() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let (mut rows, mut panels) = (Vec::new(), Vec::new());
@@ -134,7 +134,7 @@ fn positions() -> Result<Report, Error> {
     Ok(Report { id: "I2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
 }
 
-/// I3: how far the smallest weights stand out of the image's noise.
+/// I3: the smallest weights relative to the image's noise.
 fn smallest_force() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let (mut rows, mut panels) = (Vec::new(), Vec::new());
@@ -166,7 +166,8 @@ fn smallest_force() -> Result<Report, Error> {
     Ok(Report { id: "I3", title: EXPERIMENTS[2].title, rows, figures, notes })
 }
 
-/// I4: an annular load, closed and with a hole; a touch inside it against rest, the unloaded ring, the loaded ring.
+/// I4: an annular load, closed and with a hole, and a touch inside it, measured against rest, the unloaded ring and
+/// the loaded ring.
 fn ring() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let shape = Shape::Ring { inner_m: 35e-3, outer_m: 45e-3 };
@@ -206,7 +207,7 @@ fn ring() -> Result<Report, Error> {
     Ok(Report { id: "I4", title: EXPERIMENTS[3].title, rows, figures, notes: Vec::new() })
 }
 
-/// I5: the skin stands, +y up; the liquid's weight bulges its lower half, which the baseline holds.
+/// I5: the skin stands upright, +y up. The liquid's weight bulges its lower half; the baseline includes this.
 fn upright() -> Result<Report, Error> {
     let skin = Skin::open(SKIN)?;
     let mut standing = skin.clone();
@@ -234,7 +235,7 @@ fn upright() -> Result<Report, Error> {
     Ok(Report { id: "I5", title: EXPERIMENTS[4].title, rows, figures, notes: Vec::new() })
 }
 
-/// I6: the larger square skin sees the same weights.
+/// I6: the larger square skin under the same weights.
 fn square() -> Result<Report, Error> {
     let mut rig = Rig::new("ionic-square")?;
     let place = [25e-3, 15e-3];
@@ -273,7 +274,7 @@ fn force_curve(rig: &mut Rig, radius_mm: f64) -> Result<Vec<[f64; 3]>, Error> {
     Ok(points)
 }
 
-/// Slope through the origin and share of the variance that the straight line (with offset) explains.
+/// Slope through the origin, and the share of variance explained by the straight line (with offset).
 fn straight(points: &[[f64; 2]]) -> (f64, f64) {
     let count = points.len() as f64;
     let mean = |axis: usize| points.iter().map(|p| p[axis]).sum::<f64>() / count;
@@ -284,7 +285,7 @@ fn straight(points: &[[f64; 2]]) -> (f64, f64) {
     (sum(&|p| p[0] * p[1]) / sum(&|p| p[0] * p[0]), xy * xy / (xx * yy))
 }
 
-/// I7: near linear at all three places.
+/// I7: nearly linear at all three places.
 fn force_curves() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
@@ -308,7 +309,8 @@ fn force_curves() -> Result<Report, Error> {
     Ok(Report { id: "I7", title: EXPERIMENTS[6].title, rows, figures, notes })
 }
 
-/// I8: the slope at the touch's radius, interpolated between the three places, makes one line of all.
+/// I8: dividing by the slope at the touch's radius, interpolated between the three places, collapses all curves onto
+/// one line.
 fn one_line() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let mut curves: Vec<Vec<[f64; 2]>> = Vec::new();
@@ -317,7 +319,7 @@ fn one_line() -> Result<Report, Error> {
     }
     let slopes: Vec<f64> = curves.iter().map(|curve| straight(curve).0).collect();
     let mean = slopes.iter().sum::<f64>() / slopes.len() as f64;
-    // Between the places of the calibration: radii at which nothing was fitted.
+    // Radii between the calibrated places, where nothing was fitted.
     let slope_at = |radius: f64| {
         let k = usize::from(radius > RADII_MM[1]);
         let share = (radius - RADII_MM[k]) / (RADII_MM[k + 1] - RADII_MM[k]);
@@ -360,7 +362,7 @@ fn ratio(values: &[f64]) -> f64 {
     high / low
 }
 
-/// I9: up and down in the centre.
+/// I9: loading and unloading at the centre.
 fn hysteresis() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let (mut up, mut down) = (Vec::new(), Vec::new());

@@ -1,25 +1,25 @@
-//! What stands behind the figures of each paper's replays: which skins, and what was given, fitted and assumed.
+//! Background of the figures in each paper's replays: the skins used, and what was given, fitted and assumed.
 
 /// How a paper's experiments are replayed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Method {
     /// The paper's letter, as in [`super::PAPERS`].
     pub letter: &'static str,
-    /// Authors, title, where it appeared.
+    /// Authors, title and venue.
     pub source: &'static str,
-    /// Its digital object identifier, where it has one.
+    /// DOI, if there is one.
     pub doi: Option<&'static str>,
-    /// Built-in skins whose twins are pressed.
+    /// Built-in skins whose twins are used.
     pub skins: &'static [&'static str],
-    /// What the paper gives and the twins take over.
+    /// Values taken from the paper.
     pub given: &'static str,
-    /// Which parameters were chosen so that a figure of the paper comes out.
+    /// Parameters chosen to reproduce one of the paper's figures.
     pub fitted: &'static str,
-    /// What the paper does not say.
+    /// Values missing from the paper.
     pub assumed: &'static str,
 }
 
-/// Of every paper.
+/// The methods of every paper.
 pub const METHODS: [Method; 4] = [
     Method {
         letter: "E",

@@ -1,5 +1,5 @@
 //! Experiments P1 to P3 of the piezoresistive skins (paper P: one backend for frontends of several shapes). The
-//! contact's one free parameter is fitted on the square's P1; the disc's and both of P2 follow.
+//! contact's one free parameter is fitted on P1 of the square; P1 of the disc and both P2 results are predictions.
 
 use dermis_skin::Skin;
 use dermis_twin::from_skin::{instrument_options, patched_options};
@@ -10,7 +10,7 @@ use crate::report::{Curve, Experiment, Figure, Kind, Look, Report, Row};
 use crate::twin_bench::Rig;
 use crate::twin_bench::{disc, distance_mm};
 
-/// All of them.
+/// All experiments of the paper.
 pub(super) const EXPERIMENTS: [Experiment; 3] = [
     Experiment { id: "P1", title: "limit of detection, 22 mm indenter under 1.8 to 31.8 g", run: detection },
     Experiment { id: "P2", title: "minimum discernible distance, 10 g shifted by up to 40 mm", run: discernment },
@@ -26,14 +26,14 @@ fn row(quantity: impl Into<String>, unit: &'static str, paper: Option<f64>, here
     Row { quantity: quantity.into(), unit, paper, here, kind }
 }
 
-/// The protocol on the square and the disc.
+/// The paper's protocol on the square and the disc.
 fn published() -> Result<PaperP, Error> {
     let [square, disc] = [Skin::open("piezo-square")?, Skin::open("piezo-disc")?];
     let instrument = instrument_options(&square, 0.0);
     Ok(PaperP::new(patched_options(&square)?, patched_options(&disc)?, instrument, SEED)?)
 }
 
-/// P1 of both skins.
+/// P1 on both skins.
 fn detection() -> Result<Report, Error> {
     let facts = published()?.facts()?;
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
@@ -42,7 +42,8 @@ fn detection() -> Result<Report, Error> {
         let kind = if name == "square" { Kind::Fitted } else { Kind::Predicted };
         let [paper, here] = [published, *limit_pa].map(|pa| pa * PA_TO_N_PER_MM2);
         rows.push(row(format!("{name}: limit of detection"), "N/mm^2", Some(paper), here, kind));
-        // Decades, in which the repeats near the limit can be seen; no change at all is a hundredth of a deviation.
+        // Log scale, so that the repeats near the limit can be seen; no change at all is drawn as a hundredth of a
+        // deviation.
         let decades = |change: f64| (change / noise_v).abs().max(0.01).log10();
         let repeats = points.iter().flat_map(|p| p.change_v.map(|change| [p.pressure_pa, decades(change)]));
         curves.push(Curve { name: name.into(), points: repeats.collect(), look: Look::Repeats });
@@ -67,7 +68,7 @@ fn detection() -> Result<Report, Error> {
     Ok(Report { id: "P1", title: EXPERIMENTS[0].title, rows, figures, notes })
 }
 
-/// P2 of both skins.
+/// P2 on both skins.
 fn discernment() -> Result<Report, Error> {
     let facts = published()?.facts()?;
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
@@ -94,7 +95,7 @@ fn discernment() -> Result<Report, Error> {
     Ok(Report { id: "P2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
 }
 
-/// P3: positions are those of the unrolled sheet.
+/// P3: positions are given on the unrolled sheet.
 fn cylinder() -> Result<Report, Error> {
     let mut rig = Rig::new("piezo-cylinder")?;
     let place = [0.02, -0.015];

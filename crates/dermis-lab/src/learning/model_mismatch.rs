@@ -1,5 +1,5 @@
-//! Skins as they are built: electrodes a little off their places and of other widths, contacts of other impedances,
-//! meshed differently from the model that images are made with, so that no simulation is ever inverted by itself.
+//! Skins as actually built: electrodes slightly displaced and of other widths, other contact impedances, and a mesh
+//! that differs from the imaging model's. This way no simulation is inverted with the model that made it.
 
 use dermis_tomo::mesh::ElectrodeShape;
 use rand::Rng;
@@ -10,21 +10,21 @@ use serde::{Deserialize, Serialize};
 use crate::Error;
 use dermis_skin::{Skin, SkinBody};
 
-/// How far skins and instruments stray from the skin file, as standard deviations.
+/// Deviations of skins and instruments from the skin file, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Jitter {
-    /// Electrodes' places, relative to half the shorter side of the skin.
+    /// Electrode position, relative to half the shorter side of the skin.
     pub place: f64,
-    /// Electrodes' widths, relative.
+    /// Electrode width, relative.
     pub width: f64,
-    /// Logarithm of contact impedances.
+    /// Logarithm of the contact impedances.
     pub contact: f64,
-    /// Gain of the instrument, relative; the same in baseline and frame.
+    /// Gain of the instrument, relative; the same for baseline and frame.
     pub gain: f64,
-    /// Change of the gain of each drive between baseline and frame, relative.
+    /// Change of each drive's gain between baseline and frame, relative.
     pub drift: f64,
-    /// Logarithm of the conductivity of the whole body, between baseline and frame.
+    /// Change of the whole body's log conductivity between baseline and frame.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub background: f64,
     /// Noise, dB below the root mean square of a frame.
@@ -37,22 +37,23 @@ impl Default for Jitter {
     }
 }
 
-// A reference, since serde asks for one.
+// Takes a reference because serde requires one.
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-/// Least gap between a pad and the rim, as a share of half the shorter side of the skin.
+/// Smallest step of the gap between a pad and the rim, as a share of half the skin's shorter side.
 const GRAIN: f64 = 0.005;
 
-/// A normal distribution of mean 0; no spread is no randomness.
+/// A draw from a normal distribution with mean 0; a deviation of 0 gives 0.
 pub(super) fn normal(deviation: f64, random: &mut StdRng) -> f64 {
     Normal::new(0.0, deviation.max(0.0)).map_or(0.0, |normal| normal.sample(random))
 }
 
-/// A jittered body, of 0.55 to 0.9 times the reconstruction's elements: another mesh, and a quick one. Where electrodes
-/// would leave the skin or touch each other, they are moved half as far, and so on.
+/// A jittered body with 0.55 to 0.9 times the reconstruction's number of elements, so that its mesh differs and is
+/// quick to make. If electrodes would leave the skin or touch each other, the displacement is halved until they
+/// don't.
 pub(super) fn body(skin: &Skin, jitter: &Jitter, random: &mut StdRng) -> Result<SkinBody, Error> {
     let elements = (skin.imaging.elements as f64 * random.random_range(0.55..0.9)) as usize;
     let (low, high) = skin.outline().bounds_m();
@@ -90,8 +91,9 @@ fn moved(shape: &ElectrodeShape, draw: &[f64; 3], share: f64, half_m: f64) -> El
             ElectrodeShape::PadCircle { centre_m: [x + along, y + across], radius_m: factor * radius_m }
         }
         ElectrodeShape::PadRectangle { centre_m: [x, y], width_m, height_m, angle_rad } => {
-            // Pads may lie flush with the rim: smaller ones, moved inward, never leave the skin. What is left between
-            // pad and rim is a multiple of a step, since a mesh that fills a sliver has any number of elements.
+            // Pads may lie flush with the rim. They only shrink and move inward, so they never leave the skin. The
+            // gap between pad and rim is rounded to multiples of a step, because meshing a thin sliver could take any
+            // number of elements.
             let factor = factor.min(1.0);
             let grain_m = GRAIN * half_m;
             let inward = |at: f64, side_m: f64, step: f64| {

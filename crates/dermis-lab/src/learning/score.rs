@@ -1,7 +1,7 @@
-//! The score of the Kuopio Tomography Challenge 2023: for each of the two classes the structural similarity (Wang et
-//! al., IEEE Trans. Image Processing 13, 2004, eq. 13) between true and found mask, its local means and variances
-//! weighted by a Gaussian of 80 pixels cut at 160 and normalised by its sum inside the image, averaged over all pixels;
-//! the mean of both.
+//! The score of the Kuopio Tomography Challenge 2023. It is the mean over both classes of the structural similarity
+//! (Wang et al., IEEE Trans. Image Processing 13, 2004, eq. 13) between true and found mask, averaged over all
+//! pixels. Local means and variances are weighted by a Gaussian of 80 pixels, cut off at 160 and normalised by its
+//! sum inside the image.
 
 use dermis_learn::scene::{LOWERED, RAISED};
 
@@ -10,7 +10,8 @@ const REACH_PIXELS: isize = 160;
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 
-/// 1 for equal labels; `columns` pixels a row. `None` for images of different or ragged length.
+/// The score; 1 for equal labels. `columns` is the number of pixels per row. `None` for images of different or ragged
+/// length.
 pub fn challenge_score(truth: &[u8], found: &[u8], columns: usize) -> Option<f64> {
     let rows = truth.len().checked_div(columns)?;
     if rows * columns != truth.len() || truth.len() != found.len() || truth.is_empty() {
@@ -25,7 +26,7 @@ pub fn challenge_score(truth: &[u8], found: &[u8], columns: usize) -> Option<f64
 
 fn similarity(truth: &[f64], found: &[f64], rows: usize, columns: usize) -> f64 {
     let product: Vec<f64> = truth.iter().zip(found).map(|(t, f)| t * f).collect();
-    // Masks are 0 or 1, so that their squares are themselves.
+    // Masks are 0 or 1, so they equal their squares.
     let [mean_t, mean_f, cross] = [truth, found, &product].map(|values| local_mean(values, rows, columns));
     let sum: f64 = (0..truth.len())
         .map(|k| {
@@ -55,7 +56,7 @@ fn local_mean(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
         }
         out
     };
-    // The window is a product, and so is its sum inside the image.
+    // The window is separable, and so is its sum inside the image.
     let rows_done = along(values, rows, columns, columns, 1);
     along(&rows_done, columns, rows, 1, columns)
 }
@@ -78,7 +79,7 @@ mod tests {
     fn equal_labels_score_one_and_a_class_missed_half_at_most() {
         let truth = disc(1, 100.0, 120.0, 30.0);
         assert!((challenge_score(&truth, &truth, 256).unwrap() - 1.0).abs() < 1e-12);
-        // The other class is rightly absent, which scores 1; this one is missed, which scores nearly nothing.
+        // The other class is rightly absent and scores 1; this one is missed and scores nearly 0.
         let nothing = vec![0; 65536];
         let missed = challenge_score(&truth, &nothing, 256).unwrap();
         assert!((0.5..0.53).contains(&missed), "{missed}");

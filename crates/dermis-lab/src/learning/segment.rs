@@ -1,5 +1,5 @@
-//! Recorded frames to labels, offline: what `dermis segment` does. With a model, the network's probabilities decide; a
-//! frame unlike those that it was trained on, and every frame where there is no model, is labelled by thresholds on its
+//! Labels recorded frames offline; the work behind `dermis segment`. With a model, the network's probabilities
+//! decide. Frames unlike the training data, and all frames if there is no model, are labelled by thresholds on their
 //! image.
 
 use dermis_live::imager::Imager;
@@ -21,35 +21,36 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::Skin;
 
-/// What to segment and where to put it.
+/// Input and output of a segmentation.
 #[derive(Clone, Debug)]
 pub struct SegmentRequest {
     /// The skin.
     pub skin: Skin,
-    /// Frames of the untouched skin, which are averaged; missing channels are NaN.
+    /// Frames of the untouched skin, to be averaged; missing channels are NaN.
     pub reference: FileSpec,
-    /// The frames; missing channels are NaN.
+    /// Frames to label; missing channels are NaN.
     pub frames: FileSpec,
-    /// How both files are read.
+    /// How to read both files.
     pub read: ReadOptions,
-    /// Which network labels the frames.
+    /// The network to use.
     pub network: NetworkChoice,
     /// Pixels along the longer side of the label images.
     pub size: usize,
-    /// Where the labels go: NPY, u8, rows x columns (frames x rows x columns for several frames), row 0 at the top.
+    /// Output file of the labels: NPY, u8, rows x columns (frames x rows x columns for several frames), row 0 at the
+    /// top.
     pub labels: Option<PathBuf>,
-    /// Where the probabilities go: NPY, f32, frames x classes x rows x columns; needs a network.
+    /// Output file of the probabilities: NPY, f32, frames x classes x rows x columns; needs a network.
     pub probabilities: Option<PathBuf>,
 }
 
-/// Which network labels frames.
+/// Selects the network that labels frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum NetworkChoice {
-    /// The one that ships with the skin, if one does and nothing that images depend on was changed; else none.
+    /// The network shipped with the skin, if there is one and nothing that affects images was changed; else none.
     Shipped,
     /// A model card made by `dermis train`.
     File(PathBuf),
-    /// None: thresholds alone.
+    /// No network, only thresholds.
     None,
 }
 
@@ -63,42 +64,42 @@ impl NetworkChoice {
     }
 }
 
-/// How a frame was labelled.
+/// The method used for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
-    /// By the network; its novelty score, where the model has one, was at most 1.
+    /// The network. The novelty score, if the model has one, was at most 1.
     Network {
         /// The score.
         novelty: Option<f32>,
     },
-    /// By thresholds, since the novelty score was above [`UNLIKE`].
+    /// Thresholds, because the novelty score exceeded [`UNLIKE`].
     UnlikeTraining {
         /// The score.
         novelty: f32,
     },
-    /// By thresholds, since there is no model.
+    /// Thresholds, because there is no model.
     Thresholds,
 }
 
 /// One labelled frame.
 #[derive(Clone, Debug)]
 pub struct Segmented {
-    /// Classes of the pixels, row 0 at the top, 0 outside the skin.
+    /// Class of each pixel, row 0 at the top, 0 outside the skin.
     pub labels: Vec<u8>,
-    /// Classes x pixels; of frames that a network labelled, where they are kept.
+    /// Classes x pixels; only for frames labelled by a network, and only if probabilities are kept.
     pub probabilities: Option<Vec<f32>>,
-    /// How.
+    /// The method used.
     pub method: Method,
 }
 
-/// More pixels a side than this are a typing error.
+/// Most pixels per side; more would be a typing error.
 const MOST_PIXELS: usize = 4096;
 
-/// Labels all frames and writes what was asked for; `progress` is told how many of how many steps are done.
+/// Labels all frames and writes the requested files. `progress` gets the number of steps done and the total.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit the skin, a model of another skin or damaged, outputs that cannot be
-/// written.
+/// Files cannot be read or don't fit the skin, the model is damaged or belongs to another skin, or an output cannot
+/// be written.
 pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> Result<Vec<Segmented>, Error> {
     let refuse = |what: &str, expected: &str, got: String| {
         Err(Error::Frames { what: what.into(), expected: expected.into(), got })
@@ -149,7 +150,7 @@ fn write(request: &SegmentRequest, [rows, columns]: [usize; 2], frames: &[Segmen
     Ok(())
 }
 
-/// Labels difference frames of one skin against one reference.
+/// Labels difference frames of one skin, taken against one reference.
 pub struct Segmenter<'a> {
     prepared: &'a Prepared,
     reference: &'a Reference,
@@ -160,10 +161,10 @@ pub struct Segmenter<'a> {
 }
 
 impl<'a> Segmenter<'a> {
-    /// Prepares operators and network.
+    /// Prepares the operators and the network.
     ///
     /// # Errors
-    /// A model of another skin, or whose inputs are not known here.
+    /// The model belongs to another skin or needs unknown inputs.
     pub fn new(
         prepared: &'a Prepared,
         reference: &'a Reference,
@@ -180,8 +181,8 @@ impl<'a> Segmenter<'a> {
         Ok(Self { prepared, reference, network, label_size, outside, keeps_probabilities: false })
     }
 
-    /// Keeps the probabilities of labelled frames, classes x pixels of the labels; they take much more memory than
-    /// labels.
+    /// Keeps the probabilities of labelled frames (classes x pixels of the labels). They take much more memory than
+    /// the labels.
     pub fn keep_probabilities(&mut self) {
         self.keeps_probabilities = true;
     }
@@ -194,7 +195,7 @@ impl<'a> Segmenter<'a> {
     /// Labels difference frames (model volts, `NaN` where missing).
     ///
     /// # Errors
-    /// Frames of another length, without any channel, or whose forward problem cannot be solved.
+    /// A frame has the wrong length or no valid channel, or its forward problem cannot be solved.
     pub fn label(
         &mut self,
         differences: &[Vec<f64>],
@@ -223,7 +224,7 @@ impl<'a> Segmenter<'a> {
         Ok(segmented.into_iter().flatten().collect())
     }
 
-    /// The network's probabilities, enlarged, and labels by them.
+    /// The network's probabilities scaled up to the label size, and the labels that follow from them.
     fn labelled(&self, small: &[f32], (rows, columns): (usize, usize), novelty: Option<f32>) -> Segmented {
         let classes = dermis_live::network::CLASSES.len();
         let pixels = self.label_size[0] * self.label_size[1];

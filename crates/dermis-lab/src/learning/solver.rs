@@ -1,6 +1,6 @@
-//! What solves a scene for the voltages of a simulated skin: one sheet whose conductivity inclusions change, or, for
-//! sandwich skins, a sheet that touches a floating shortcut where it is pressed, cut where it is cut. There two touches
-//! are joined through the shortcut, which no change of the sheet's conductivity can imitate.
+//! Computes the voltages of a simulated scene. Most skins are one sheet whose conductivity changes at inclusions. A
+//! sandwich skin is a sheet that is pressed against a floating shortcut and may be cut. In a sandwich two touches are
+//! connected through the shortcut, which no change of the sheet's conductivity can imitate.
 
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
@@ -14,23 +14,23 @@ use rand::rngs::StdRng;
 use crate::Error;
 use dermis_skin::{Layer, SandwichLayer, Skin};
 
-/// The lightest and the hardest touch, as shares of the pressure that the skin is made for.
+/// The lightest and the hardest touch, as shares of the skin's nominal pressure.
 const PRESSURES: [f64; 2] = [0.1, 2.5];
-/// What the contact law of a sample strays by from the skin file's: factors up to this on its pressures, on its
-/// saturation and on the length over which pressure spreads; and on its exponent.
+/// Largest deviation of a sample's contact law from the skin file's: a factor on its pressures, its saturation and
+/// the length over which pressure spreads, and another on its exponent.
 const LAW_FACTOR: f64 = 2.0;
 const EXPONENT_FACTOR: f64 = 1.3;
-/// Width of a cut as a share of the stroke that it is labelled with, and the decades by which it conducts less.
+/// Width of a cut as a share of the stroke that labels it, and the decades by which its conductance is reduced.
 const CUT_WIDTH: [f64; 2] = [0.02, 0.3];
 const CUT_DECADES: f64 = 3.0;
-/// Factors on the conductivity between which a scene's touches are drawn.
+/// Range of conductivity factors that a scene's touches are drawn from.
 const FACTORS: [f64; 2] = [1.2, 5.0];
 
-/// Solves scenes on one body; each thread has its own.
+/// Solves scenes on one body; every thread has its own.
 pub(super) enum Solver {
     /// Inclusions change the conductivity.
     OneSheet { model: Box<ForwardModel>, elements: Elements, conductance_s: f64 },
-    /// Touches are contacts with a floating shortcut, cuts are cut.
+    /// Touches are contacts with a floating shortcut, and cuts are slits in the sheet.
     TwoSheets {
         sheets: Box<TwoSheets>,
         paths: Box<SlitPaths>,
@@ -42,7 +42,7 @@ pub(super) enum Solver {
 }
 
 impl Solver {
-    /// The layer whose scenes are solved with a shortcut sheet: that of sandwiches with pads.
+    /// The layer of a sandwich skin with pads. Its scenes are solved with a shortcut sheet.
     fn sandwich<'a>(skin: &'a Skin, body: &ElectrodedMesh) -> Option<&'a SandwichLayer> {
         let pads = body.electrodes.iter().all(|electrode| matches!(electrode.contact, Contact::Area(_)));
         match &skin.frontend.layer {
@@ -54,7 +54,7 @@ impl Solver {
     /// Prepares the body.
     ///
     /// # Errors
-    /// A body that cannot be solved.
+    /// The body's model cannot be solved.
     pub(super) fn new(skin: &Skin, body: &ElectrodedMesh, protocol: &Protocol) -> Result<Self, Error> {
         let conductance_s = skin.sheet_conductance_s();
         let Some(layer) = Self::sandwich(skin, body) else {
@@ -77,11 +77,11 @@ impl Solver {
         Ok(Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s, touching })
     }
 
-    /// Voltages of the protocol's channels. How firm touches are and how wide cuts gape is drawn where the scene leaves
-    /// it open.
+    /// Voltages of the protocol's channels. Properties that the scene leaves open, such as the firmness of touches
+    /// and the width of cuts, are drawn at random.
     ///
     /// # Errors
-    /// A problem that cannot be solved, as when a cut isolates an electrode.
+    /// The problem cannot be solved, for example because a cut isolates an electrode.
     pub(super) fn voltages(&mut self, scene: &Scene, random: &mut StdRng) -> Result<Vec<f64>, Error> {
         match self {
             Self::OneSheet { model, elements, conductance_s } => {
@@ -105,8 +105,8 @@ impl Solver {
     }
 }
 
-/// What lowers the sheet's conductance: strokes are cuts, which slit it where its edges can follow them and are blocked
-/// where not; other figures conduct a share.
+/// Collects what lowers the sheet's conductance. Strokes are cuts: slits where mesh edges can follow them, and
+/// otherwise elements of low conductance. Other figures conduct a share.
 fn damaged(
     scene: &Scene,
     paths: &SlitPaths,
@@ -150,15 +150,15 @@ fn damaged(
 /// How touches close the gap of a sandwich.
 #[derive(Clone, Copy)]
 pub(super) struct Touching {
-    /// That the skin is made for.
+    /// Nominal pressure of the skin.
     pressure_pa: f64,
     contact: ContactLaw,
-    /// Standard deviation of the Gaussian by which pressure spreads on its way to the gap.
+    /// Standard deviation of the Gaussian spread of pressure on its way to the gap.
     spread_m: f64,
 }
 
 impl Touching {
-    /// That of another skin of the kind.
+    /// The parameters of another skin of this kind, drawn at random.
     fn strayed(&self, random: &mut StdRng) -> Self {
         let mut factor = |most: f64| most.powf(random.random_range(-1.0..1.0));
         Self {
@@ -175,7 +175,7 @@ impl Touching {
 
     /// Contact conductance at each node, S/m^2.
     fn contact_s_per_m2(&self, scene: &Scene, positions_m: &[[f64; 2]]) -> Vec<f64> {
-        /// Standard deviations beyond which pressure is none.
+        /// Cut-off of the pressure's spread, in standard deviations.
         const REACH: f64 = 4.0;
         let mut pressure_pa = vec![0.0; positions_m.len()];
         for inclusion in scene.inclusions.iter().filter(|inclusion| inclusion.class == RAISED) {
@@ -194,9 +194,9 @@ impl Touching {
     }
 }
 
-/// Where elements are asked for their conductivity.
+/// Points at which elements sample the conductivity.
 pub(super) struct Elements {
-    /// Centroid and the points halfway from it to the corners.
+    /// Centroid, and the points halfway from it to the corners.
     samples: Vec<[[f64; 2]; 4]>,
 }
 
@@ -218,7 +218,7 @@ impl Elements {
         Self { samples }
     }
 
-    /// Geometric means over each element's points.
+    /// Geometric mean over each element's sample points.
     fn conductivity(&self, scene: &Scene, rest: f64) -> Vec<f64> {
         let lookup = scene.lookup();
         let of_element = |points: &[[f64; 2]; 4]| {

@@ -1,6 +1,6 @@
-//! Training sets: random scenes on jittered skins, solved on another mesh than the reconstruction's, read by an
-//! instrument with gain, drift and noise, some electrodes lost, and imaged as live frames are. Each shard has a skin,
-//! an instrument and a set of lost electrodes of its own; it depends on the seed and its number only.
+//! Simulates training sets: random scenes on jittered skins, solved on a mesh other than the reconstruction's,
+//! read by an instrument with gain, drift, noise and some lost electrodes, and imaged like live frames. Each shard
+//! has its own skin, instrument and set of lost electrodes, and depends only on the seed and its number.
 
 use dermis_live::reference::Reference;
 use std::path::Path;
@@ -23,11 +23,11 @@ use dermis_skin::{Modality, Skin};
 
 pub use super::model_mismatch::Jitter;
 
-/// Which electrodes a shard loses; always an even number of them, each number alike.
+/// Which electrodes a shard loses. Their number is always even, and all even numbers are equally likely.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LostElectrodes {
-    /// Half of the time the first ones, a quarter of the time a run that begins anywhere, a quarter single ones.
+    /// The first ones in half of the shards, a run that starts anywhere in a quarter, scattered ones in a quarter.
     #[default]
     Mixed,
     /// The first ones.
@@ -35,42 +35,42 @@ pub enum LostElectrodes {
 }
 
 impl LostElectrodes {
-    // A reference, since serde asks for one.
+    // Takes a reference because serde requires one.
     fn is_mixed(&self) -> bool {
         *self == Self::Mixed
     }
 }
 
-/// What to simulate.
+/// Settings of a simulation.
 #[derive(Clone, Debug)]
 pub struct TrainSetRequest {
     /// The skin.
     pub skin: Skin,
-    /// Samples in all.
+    /// Total number of samples.
     pub samples: usize,
-    /// Samples that share a skin, an instrument and lost electrodes.
+    /// Samples that share one skin, instrument and set of lost electrodes.
     pub shard_samples: usize,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// What scenes are made of; by the skin's layer where `None`.
+    /// Kind of scenes; chosen by the skin's layer if `None`.
     pub scenes: Option<SceneKind>,
-    /// What the network will be shown.
+    /// Images to give the network as input.
     pub inputs: Vec<InputImage>,
-    /// Most electrodes lost.
+    /// Largest number of lost electrodes.
     pub most_lost: usize,
-    /// Which ones.
+    /// Which electrodes are lost.
     pub lost: LostElectrodes,
-    /// How far skins and instruments stray.
+    /// Deviations of skins and instruments.
     pub jitter: Jitter,
-    /// Least and largest contrast of objects in a tank, factors on the conductivity or its inverse; those that scenes
-    /// are drawn with where `None`.
+    /// Range of the contrast of objects in a tank: factors on the conductivity or its inverse. `None` uses the
+    /// scenes' own range.
     pub contrasts: Option<[f64; 2]>,
-    /// The network that looks first, of sets that are shown what it sees.
+    /// First-stage network, for sets whose inputs include its output.
     pub first: Option<Model>,
 }
 
 impl TrainSetRequest {
-    /// Samples of one first-step image and all electrodes.
+    /// A request with one first-step image as input and all electrodes present.
     pub fn new(skin: Skin, samples: usize) -> Self {
         Self {
             skin,
@@ -116,10 +116,10 @@ impl TrainSetRequest {
         Ok(())
     }
 
-    /// What the folder of this set says about it, with images on this grid.
+    /// The manifest of this set, for images on the given grid.
     ///
     /// # Errors
-    /// A request that makes no sense.
+    /// The request is invalid.
     pub fn checked_manifest(&self, grid: &PixelGrid) -> Result<Manifest, Error> {
         self.check()?;
         Ok(self.manifest(grid))
@@ -162,12 +162,12 @@ impl TrainSetRequest {
     }
 }
 
-/// Simulates a training set into a folder, or what is missing of it; `progress` is told the samples done and all
-/// samples.
+/// Simulates a training set into a folder, or completes one. `progress` gets the number of samples done and the
+/// total.
 ///
 /// # Errors
-/// A request that makes no sense, a folder that holds another set or cannot be written, forward problems that cannot be
-/// solved. Shards that are whole stay.
+/// The request is invalid, the folder holds another set or cannot be written, or a forward problem cannot be solved.
+/// Complete shards stay.
 pub fn simulate(
     request: &TrainSetRequest,
     folder: &Path,
@@ -205,17 +205,17 @@ impl<'a> Simulator<'a> {
     /// Prepares the operators.
     ///
     /// # Errors
-    /// As [`FirstStep::with_first`].
+    /// As for [`FirstStep::with_first`].
     pub fn new(request: &'a TrainSetRequest, prepared: &'a Prepared) -> Result<Self, Error> {
         let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
         let first_step = FirstStep::with_first(prepared, &reference, &request.inputs, request.first.as_ref())?;
         Ok(Self { request, prepared, first_step })
     }
 
-    /// One shard.
+    /// Simulates one shard.
     ///
     /// # Errors
-    /// Forward problems that cannot be solved.
+    /// A forward problem cannot be solved.
     pub fn shard(&mut self, number: usize, samples: usize) -> Result<Shard, Error> {
         let frames = SimulatedFrames::new(self.request, self.prepared, number, samples)?;
         let reference = Reference::of(self.prepared, std::slice::from_ref(&frames.baseline))?;
@@ -227,24 +227,24 @@ impl<'a> Simulator<'a> {
     }
 }
 
-/// Frames as an instrument on a jittered skin would read them, with the truth.
+/// Frames that an instrument on a jittered skin would read, with the ground truth.
 #[derive(Clone, Debug)]
 pub struct SimulatedFrames {
-    /// The untouched skin, volts, channels in the protocol's order; `NaN` where an electrode is lost.
+    /// The untouched skin, volts, channels in the protocol's order; `NaN` at lost electrodes.
     pub baseline: Vec<f64>,
-    /// One frame a scene.
+    /// One frame per scene.
     pub frames: Vec<Vec<f64>>,
-    /// What is where.
+    /// The scenes themselves.
     pub scenes: Vec<Scene>,
     /// Class of each pixel of the image grid.
     pub labels: Vec<Vec<u8>>,
 }
 
 impl SimulatedFrames {
-    /// Frames of one shard; the scenes are solved in parallel.
+    /// Simulates the frames of one shard; the scenes are solved in parallel.
     ///
     /// # Errors
-    /// A jittered skin that cannot be meshed or solved.
+    /// A jittered skin cannot be meshed or solved.
     pub fn new(request: &TrainSetRequest, prepared: &Prepared, number: usize, samples: usize) -> Result<Self, Error> {
         let mut random = StdRng::seed_from_u64(mixed(request.seed, number as u64));
         let body = model_mismatch::body(&request.skin, &request.jitter, &mut random)?;
@@ -271,7 +271,7 @@ impl SimulatedFrames {
             let labels = (0..grid.len()).map(label).collect();
             Ok((frame, scene, labels))
         };
-        // Every thread has a solver of its own; a scene depends on its seed alone.
+        // Every thread has its own solver; a scene depends only on its seed.
         let share = samples.div_ceil(rayon::current_num_threads()).max(1);
         let of_thread = |seeds: &[u64]| {
             let mut solver = Solver::new(&request.skin, &body.mesh, &prepared.protocol)?;
@@ -291,7 +291,7 @@ impl SimulatedFrames {
 /// Frame, scene and labels.
 type Solved = (Vec<f64>, Scene, Vec<u8>);
 
-/// A seed of its own for each shard (the finaliser of SplitMix64).
+/// A separate seed for each shard (the finaliser of SplitMix64).
 fn mixed(seed: u64, number: u64) -> u64 {
     let mut z = seed.wrapping_add((number + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -299,7 +299,7 @@ fn mixed(seed: u64, number: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Gain, drift, noise, and what is lost.
+/// Gain, drift, noise and lost electrodes.
 struct Instrument {
     gain: Vec<f64>,
     drift: Vec<f64>,
@@ -329,9 +329,9 @@ impl Instrument {
 
     fn read(&self, voltages: &[f64], drifted: bool, random: &mut StdRng) -> Vec<f64> {
         let square: f64 = voltages.iter().map(|v| v * v).sum::<f64>() / voltages.len().max(1) as f64;
-        // A baseline is the mean of many frames.
+        // The baseline is a mean of many frames.
         let noise = self.noise_share * square.sqrt() * if drifted { 1.0 } else { 0.2 };
-        // Nothing is drawn for bodies that stay as they are.
+        // Draw no number if the background stays fixed, to keep the sequence of the others.
         let strays = drifted && self.background > 0.0;
         let background = if strays { normal(self.background, random).exp() } else { 1.0 };
         voltages
@@ -347,7 +347,7 @@ impl Instrument {
     }
 }
 
-/// An even number of electrodes up to `most` (or `most` itself).
+/// A random even number of electrodes up to `most`, or exactly `most`.
 fn lost_electrodes(which: LostElectrodes, electrodes: usize, most: usize, random: &mut StdRng) -> Vec<u32> {
     if most == 0 {
         return Vec::new();

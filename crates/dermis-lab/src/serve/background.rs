@@ -1,4 +1,4 @@
-//! A twin that is served to this very process, for commands that talk to instruments and are given a twin.
+//! Serves a twin to the process itself, for commands that talk to instruments but are given a twin.
 
 use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::Error;
 use crate::twin_source::TwinSource;
 use dermis_skin::Skin;
 
-/// A twin behind a loopback socket, until this is dropped.
+/// A twin behind a loopback socket; stops when dropped.
 #[derive(Debug)]
 pub struct Background {
     selector: SourceSelector,
@@ -22,10 +22,10 @@ pub struct Background {
 }
 
 impl Background {
-    /// Serves the twin of a skin.
+    /// Starts serving the twin of a skin.
     ///
     /// # Errors
-    /// A skin without twin, or a socket that the system refuses.
+    /// The skin has no twin, or the operating system refuses a socket.
     pub fn start(skin: &Skin) -> Result<Self, Error> {
         let failed = |source| Error::Io { file: "loopback socket".into(), source };
         let (twin, _) = TwinSource::new(skin)?;
@@ -45,7 +45,7 @@ impl Background {
         Ok(Self { selector, stop, thread: Some(thread) })
     }
 
-    /// Where it is.
+    /// The selector that reaches the twin.
     pub fn selector(&self) -> &SourceSelector {
         &self.selector
     }
@@ -55,7 +55,7 @@ impl Drop for Background {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // Its panic has been printed by the runtime.
+            // The runtime has already printed its panic.
             let _ = thread.join();
         }
     }

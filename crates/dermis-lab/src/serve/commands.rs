@@ -1,4 +1,4 @@
-//! What can be done to a served twin, a line each, in words or as JSON: press, let go, break, repair, cut, heal.
+//! Commands for a served twin, one per line, in words or as JSON: press, release, break, repair, cut, heal.
 
 use dermis_twin::instrument::Fault;
 use serde::Deserialize;
@@ -7,7 +7,7 @@ use crate::twin_source::TwinCommand;
 use dermis_skin::TwinAction;
 use dermis_twin::PressRange;
 
-/// The lines there are, for people.
+/// The available commands, for people.
 pub const WORDS: &str = "\
 press X_MM Y_MM FORCE_N [RADIUS_MM]   press there, or go on pressing there
 release                               let go
@@ -26,7 +26,7 @@ drift PERCENT                         its conductivity rises as a whole by so mu
 renew                                 a new sheet
 or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}}, {\"fault\": {\"electrode_open\": 3}}, \"repair\"";
 
-/// A line as JSON.
+/// A command as JSON.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum Said {
@@ -35,7 +35,7 @@ enum Said {
         y_mm: f64,
         force_n: f64,
         radius_mm: Option<f64>,
-        /// Several may press at once.
+        /// Several pointers may press at once.
         #[serde(default)]
         pointer: u64,
     },
@@ -75,11 +75,13 @@ enum SaidFault {
     FramesRepeated(f64),
 }
 
-/// The command that a line means; none for an empty one. Forces spread evenly over the indenter, of the skin's usual
-/// radius where none is given. Whether the skin and its instrument have what a command names, the twin says.
+/// Parses a line into a command; `None` for an empty line.
+///
+/// Forces are spread evenly over the indenter, which has the skin's usual radius unless the line gives one. The twin
+/// itself checks that its skin and instrument have what the command names.
 ///
 /// # Errors
-/// What was expected instead, with the line.
+/// A message with the line and what was expected.
 ///
 /// ```
 /// use dermis_lab::serve::command_of;
@@ -178,7 +180,7 @@ fn treatment(action: TwinAction) -> Result<TwinCommand, String> {
     Ok(TwinCommand::Treat(treatment))
 }
 
-/// People count from 1.
+/// Converts a fault from user numbering, which starts at 1.
 fn broken(fault: SaidFault) -> Result<Fault, String> {
     let expected = || "electrodes and channels counted from 1".to_owned();
     let electrode = |n: u32| n.checked_sub(1).ok_or_else(expected);

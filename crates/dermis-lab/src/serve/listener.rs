@@ -1,4 +1,4 @@
-//! Where hosts of a served twin come in: a socket, or a pseudo-terminal. Neither ever waits.
+//! Accepts hosts of a served twin on a socket or a pseudo-terminal. No call ever blocks.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -8,38 +8,38 @@ use dermis_device::instruments::wire::WireDevice;
 #[cfg(unix)]
 use dermis_device::stream::Pty;
 
-/// A host that takes nothing for so long has gone.
+/// Drop a host that has accepted no data for this long.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// A host that says nothing at all for so long is none.
+/// Drop a host that hasn't sent a single byte for this long.
 const MUTE: Duration = Duration::from_secs(5);
-/// A host that asks for no frames may be silent for so long.
+/// Drop a silent host that requests no frames after this time.
 const IDLE: Duration = Duration::from_secs(60);
-/// Hosts at a socket at once.
+/// Most hosts on a socket at once.
 const MOST_HOSTS: usize = 8;
-/// Bytes taken at once.
+/// Bytes per read.
 const CHUNK: usize = 4096;
 
-/// Where hosts come in.
+/// The entry point for hosts.
 #[derive(Debug)]
 pub enum Door {
-    /// A socket; hosts connect, a few at a time.
+    /// A socket; several hosts may connect.
     Tcp(TcpListener),
-    /// A pseudo-terminal; whoever opens its other end and speaks is the host.
+    /// A pseudo-terminal; the program that opens its other end and speaks first is the host.
     #[cfg(unix)]
     Pty(Pty),
 }
 
 impl Door {
-    /// A socket that listens.
+    /// A listening socket.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error from the operating system.
     pub fn tcp(listener: TcpListener) -> io::Result<Self> {
         listener.set_nonblocking(true)?;
         Ok(Self::Tcp(listener))
     }
 
-    /// A host that has come; where so many are here already that there is no room, it is sent away.
+    /// Returns a newly connected host, if any. If all places are taken, the connection is closed.
     pub(super) fn knock(&mut self, here: usize) -> io::Result<Option<Host>> {
         match self {
             Self::Tcp(listener) => match listener.accept() {
@@ -53,7 +53,7 @@ impl Door {
                     stream.set_nodelay(true)?;
                     Ok(Some(Host::new(Some(stream), Vec::new())))
                 }
-                // Whoever knocked has gone again, or nobody did.
+                // Nobody connected, or the connection was aborted again.
                 Err(error) if is_passing(error.kind()) || error.kind() == ErrorKind::ConnectionAborted => Ok(None),
                 Err(error) => Err(error),
             },
@@ -76,18 +76,18 @@ fn is_passing(kind: ErrorKind) -> bool {
     matches!(kind, ErrorKind::WouldBlock | ErrorKind::Interrupted | ErrorKind::TimedOut)
 }
 
-/// The connected host.
+/// A connected host.
 #[derive(Debug)]
 pub(super) struct Host {
-    /// Its own connection; none where the door is the line.
+    /// Its own connection; `None` if it talks through the pseudo-terminal.
     stream: Option<TcpStream>,
-    /// What it said before it was taken for a host.
+    /// Bytes received before the host was accepted.
     said: Vec<u8>,
-    /// Bytes not sent yet.
+    /// Bytes not yet sent.
     waiting: Vec<u8>,
-    /// When it last took any.
+    /// Time of the last successful write.
     took: Instant,
-    /// When it last said anything; none before its first word.
+    /// Time of the last received byte; `None` before the first.
     spoke: Option<Instant>,
     since: Instant,
     gone: bool,
@@ -100,7 +100,7 @@ impl Host {
         Self { stream, said, waiting: Vec::new(), took: now, spoke, since: now, gone: false }
     }
 
-    /// Whether it holds a place for nothing: it has never said a word, or none for long and takes no frames.
+    /// True if the host wastes its place: it has never sent anything, or it has long been silent and takes no frames.
     pub(super) fn is_mute(&self, device: &WireDevice) -> bool {
         let mute = match self.spoke {
             None => self.since.elapsed() > MUTE,
@@ -112,12 +112,12 @@ impl Host {
         mute
     }
 
-    /// Bytes that it has not taken yet.
+    /// Number of bytes not yet sent.
     pub(super) fn waiting(&self) -> usize {
         self.waiting.len()
     }
 
-    /// Hears and answers; false when the host has gone.
+    /// Reads from the host and answers it; returns false once the host has gone.
     pub(super) fn serve(&mut self, door: &mut Door, device: &mut WireDevice) -> bool {
         device.receive(&std::mem::take(&mut self.said), &mut self.waiting);
         let mut buffer = [0; CHUNK];
@@ -133,7 +133,7 @@ impl Host {
         !self.gone
     }
 
-    /// Sends what `fill` appends, as far as the host takes it.
+    /// Sends the bytes that `fill` appends, as far as the host accepts them.
     pub(super) fn send(&mut self, door: &mut Door, fill: impl FnOnce(&mut Vec<u8>)) {
         fill(&mut self.waiting);
         self.flush(door);
@@ -167,7 +167,7 @@ impl Host {
     }
 }
 
-/// Something to read and write.
+/// A stream that can be read and written.
 trait Line: Read + Write {}
 
 impl<T: Read + Write> Line for T {}

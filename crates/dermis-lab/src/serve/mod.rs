@@ -1,6 +1,7 @@
-//! A twin behind the real wire: on a socket or a pseudo-terminal it answers and streams as an instrument with firmware
-//! does, so that everything between port and picture is tried without hardware. Up to eight hosts at a time, one that
-//! says nothing is sent away; frames that a slow host does not take are skipped and show in its sequence numbers.
+//! Serves a twin over the real wire protocol, on a socket or a pseudo-terminal. It answers and streams like an
+//! instrument with firmware, so that the whole path from port to picture can be tried without hardware. It takes up
+//! to eight hosts at a time and disconnects silent ones. Frames that a slow host doesn't accept are skipped, which
+//! shows in its sequence numbers.
 
 mod background;
 mod commands;

@@ -1,4 +1,4 @@
-//! Serving a twin to its hosts.
+//! Serves a twin to its hosts.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -13,28 +13,28 @@ use crate::Error;
 use crate::twin_source::TwinSource;
 use dermis_skin::{Reads, Skin};
 
-/// Time between two looks at the port.
+/// Time between polls of the port.
 const NAP: Duration = Duration::from_millis(2);
-/// Bytes that may wait for a host before frames are skipped.
+/// Bytes queued for a host above which frames are skipped.
 const MOST_WAITING: usize = 256 * 1024;
-/// Rate of a twin whose skin file gives none.
+/// Frame rate of a twin whose skin file states none.
 const FRAMES_PER_S: f64 = 50.0;
 
-/// What became of a served twin's frames.
+/// Frame counts of a served twin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Served {
     /// Frames taken, sent or not.
     pub frames: u64,
-    /// Frames skipped because the host was too slow.
+    /// Frames skipped because a host was too slow.
     pub skipped: u64,
     /// Hosts that connected.
     pub hosts: u64,
 }
 
-/// What a twin says of itself on the wire. Every call gives another boot number.
+/// The device information that a twin sends over the wire. Every call gives a new boot number.
 ///
 /// # Errors
-/// A skin whose electrodes or protocol cannot be made, or with more channels than a frame can hold.
+/// The skin's electrodes or protocol are invalid, or it has more channels than a frame can hold.
 pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
     let protocol = skin.protocol()?;
     let count = |what: &str, count: usize| {
@@ -61,7 +61,7 @@ pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
     })
 }
 
-/// A host and the instrument that it talks to: each has its own link, all have the same frames.
+/// A host with its own device end of the link. All guests get the same frames.
 struct Guest {
     host: Host,
     device: WireDevice,
@@ -69,13 +69,15 @@ struct Guest {
     overrun: bool,
 }
 
-/// Serves a twin until `stop` is set or, if given, `most` frames have been taken. The twin begins to measure when a
-/// host first asks for frames (at once where `most` is given), so that this host sees it untouched; from then on it
-/// goes on, host or not, as an instrument does. To a self-test it answers with the number of faults in its instrument,
-/// to an impedance check with the impedances of its electrodes' contacts, NaN where one is open.
+/// Serves a twin until `stop` is set or, if `most` is given, that many frames have been taken.
+///
+/// The twin starts measuring when a host first asks for frames (at once if `most` is given), so this host sees it
+/// untouched. From then on it keeps measuring with or without hosts, as an instrument does. It answers a self-test
+/// with the number of faults in its instrument, and an impedance check with the contact impedances of its electrodes,
+/// NaN for an open one.
 ///
 /// # Errors
-/// When the twin cannot go on, or the door fails.
+/// The twin cannot go on, or the port fails.
 pub fn serve(
     door: &mut Door,
     mut twin: TwinSource,
@@ -100,7 +102,7 @@ pub fn serve(
         if let Some(host) = door.knock(guests.len()).map_err(failed)? {
             let mut device = WireDevice::new(info.clone());
             device.set_measured(&measured.0, &measured.1);
-            // Whoever is here sees the demonstration go on; the first wants a skin at rest.
+            // Hosts already connected keep seeing the demonstration; the first host needs a skin at rest.
             if guests.is_empty() {
                 twin.calm()?;
             }

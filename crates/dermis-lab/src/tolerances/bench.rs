@@ -1,5 +1,5 @@
-//! One sample on the bench: baseline, presses, images and touches, all by the model of the skin file, as the running
-//! skin does it. What does not depend on the sample is made once.
+//! One sample on the bench: baseline, presses, images and touches, all computed with the model of the skin file, as a
+//! running skin does it. Everything that doesn't depend on the sample is computed once.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -23,46 +23,47 @@ use super::{Cause, Tolerances, places, workshop};
 use crate::Error;
 use crate::twin_bench::distance_mm;
 
-/// Frames of a baseline.
+/// Frames in a baseline.
 const BASELINE_FRAMES: usize = 32;
-/// Presses are held until all mechanics have settled, seconds.
+/// Time that presses are held, seconds, so that all mechanics settle.
 const SETTLED_S: f64 = 1e4;
-/// Where pokes begin in the sequence of places: none is at a place that is pressed.
+/// First index of pokes in the sequence of places, so that no poke is at a pressed place.
 const FIRST_POKE: usize = 5000;
-/// Elements of the twins, relative to those of a skin's usual twin: a third of the time, at an error of their own that
-/// the skin as drawn shows too.
+/// Element size of the twins, relative to a skin's usual twin. This takes a third of the time; the extra error also
+/// appears in the skin as drawn.
 const COARSER: f64 = 1.5;
-/// Pokes that tell what amplitude a typical one has.
+/// Number of pokes used to find a typical amplitude.
 const TYPICAL_POKES: usize = 20;
-/// Between frames that have nothing to do with each other, nanoseconds.
+/// Time between unrelated frames, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
 /// A poke: its place, metres, and its frame.
 type Poked = ([f64; 2], Vec<f64>);
 
-/// What reads a sample.
+/// How a sample is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Reader {
-    /// The skin file's model alone.
+    /// With the skin file's model alone.
     Model,
-    /// Calibrations by so many pokes each of that very sample, the first ones of the largest number.
+    /// With calibrations on the sample itself, one for each of these numbers of pokes. All use the first pokes of the
+    /// same sequence.
     Pokes(Vec<usize>),
 }
 
-/// One press as it was seen.
+/// The result of one press.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Press {
-    /// Which place.
+    /// Index of the place.
     pub place: usize,
-    /// Distance of the nearest touch, millimetres; none where no touch was near.
+    /// Distance to the nearest touch, millimetres; `None` if there was none nearby.
     pub error_mm: Option<f64>,
-    /// Its amplitude; on a calibrated sample relative to that of a typical poke.
+    /// Amplitude of that touch; on a calibrated sample relative to a typical poke's.
     pub amplitude: Option<f64>,
-    /// Touches that nobody made.
+    /// Number of false touches.
     pub false_touches: usize,
 }
 
-/// A skin's model, and how it is pressed.
+/// A skin's model and its presses.
 #[derive(Debug)]
 pub(super) struct Bench {
     pub skin: Skin,
@@ -70,37 +71,37 @@ pub(super) struct Bench {
     pub places_m: Vec<[f64; 2]>,
     press: PressRange,
     frame_s: f64,
-    /// Made once where it depends on nothing measured.
+    /// Built once, if it doesn't depend on measurements.
     imager: Option<Imager>,
-    /// Refinements that nobody uses at the moment; making one takes seconds.
+    /// Refinements free for reuse; building one takes seconds.
     refinements: Mutex<Vec<Refinement>>,
-    /// The skin as drawn. Samples in which only the instrument goes wrong are read from its frames.
+    /// The skin as drawn. Samples whose errors are all in the instrument are read from its frames.
     drawn: Drawn,
 }
 
-/// A skin as drawn, pressed at every place.
+/// A skin as drawn, with its frames for every place.
 #[derive(Debug)]
 struct Drawn {
-    /// To wire instruments to.
+    /// Connected to the instruments of samples.
     frontend: Mutex<Box<dyn Frontend>>,
     instrument: InstrumentOptions,
-    /// At rest, and pressed at each place, volts.
+    /// Voltages at rest and under a press at each place.
     rest_v: Vec<f64>,
     pressed_v: Vec<Vec<f64>>,
 }
 
-/// What is read.
+/// The body being read.
 enum Body<'a> {
     Drawn(&'a Drawn),
     Built(Box<dyn Frontend>),
 }
 
-/// What is done to it.
+/// The action before a frame.
 enum Act {
     Rest,
-    /// Pressed at one of the bench's places.
+    /// Press at one of the bench's places.
     Press(usize, Indenter),
-    /// Pressed elsewhere.
+    /// Press elsewhere.
     Poke(Indenter),
 }
 
@@ -142,12 +143,12 @@ impl Sample<'_> {
     }
 }
 
-/// What presses: the skin's usual press.
+/// The skin's usual press.
 fn usual_press(press: &PressRange, place_m: [f64; 2]) -> Indenter {
     Indenter::disc(place_m, press.initial_radius_m, press.initial_pressure_pa)
 }
 
-/// A frame under these indenters once all mechanics have settled.
+/// A frame under these indenters after all mechanics have settled.
 fn settled(frontend: &mut dyn Frontend, indenters: &[Indenter]) -> Result<Vec<f64>, Error> {
     indenters.iter().try_for_each(|indenter| frontend.check_indenter(indenter))?;
     let mut frame = vec![0.0; frontend.channel_count()];
@@ -167,13 +168,13 @@ impl Drawn {
 }
 
 impl Bench {
-    /// Of a skin, to be pressed at so many places.
+    /// A bench for a skin, with this number of places to press.
     pub fn new(skin: &Skin, place_count: usize) -> Result<Self, Error> {
         let mut skin = skin.clone();
-        // Every frame counts at once: presses have nothing to do with each other.
+        // Presses are independent, so every frame counts by itself.
         skin.touch.least_frames = 1;
-        // A board that loads the skin is known to the model only in kind, and what that costs is not asked here: both
-        // are read by an ideal voltmeter.
+        // The model knows only the kind of a board that loads the skin. The cost of that is not studied here, so twin
+        // and model both use an ideal voltmeter.
         skin.backend.circuit = None;
         if skin.frontend.coils.is_none() {
             skin.twin.element_mm = Some(1e3 * COARSER * MeshSizes::of(&skin).element_m);
@@ -199,13 +200,15 @@ impl Bench {
         Ok(bench)
     }
 
-    /// A sample in which these causes go wrong.
+    /// Builds a sample with errors from these causes.
     pub fn build(&self, tolerances: &Tolerances, causes: &[Cause], seeds: [u64; 2]) -> Result<Built, Error> {
         workshop::build(&self.skin, self.prepared.channels(), tolerances, causes, seeds)
     }
 
-    /// Presses a sample at these places, and looks at it by the skin file's model alone, or as often as there are
-    /// numbers of pokes that it is calibrated with: one list of presses for each. `is_exact`: presses without noise.
+    /// Presses a sample at these places and reads the presses.
+    ///
+    /// Returns one list of presses with the skin file's model, or one list for each number of calibration pokes. With
+    /// `is_exact` the presses have no noise.
     pub fn press(
         &self,
         built: &Built,
@@ -255,7 +258,7 @@ impl Bench {
         }
     }
 
-    /// A frame without noise, with the signs that the instrument leaves.
+    /// A frame without noise, with signs as the instrument delivers them.
     fn rectified(&self, mut frame: Vec<f64>) -> Vec<f64> {
         if self.skin.backend.reads == Reads::Magnitude {
             frame.iter_mut().for_each(|voltage| *voltage = voltage.abs());
@@ -263,7 +266,7 @@ impl Bench {
         frame
     }
 
-    /// What is seen of presses: their places, and a frame of each.
+    /// Results of presses, each given by its place and a frame.
     fn look(
         &self,
         reconstructor: &mut Reconstructor,
@@ -278,7 +281,7 @@ impl Bench {
         Ok(presses)
     }
 
-    /// Looks at a frame that has nothing to do with the one before.
+    /// Processes a frame that is unrelated to the previous one.
     fn look_at(
         &self,
         reconstructor: &mut Reconstructor,
@@ -296,8 +299,8 @@ impl Bench {
         Ok(())
     }
 
-    /// The amplitude that a reader shows of a typical poke; NaN where it sees none. In what amplitudes count depends on
-    /// whether the model or the pokes place touches, which may differ from sample to sample.
+    /// Amplitude that a reader gives a typical poke; NaN if it detects none. The unit of amplitudes depends
+    /// on whether the model or the pokes place touches, which may differ between samples.
     fn typical_amplitude(
         &self,
         reconstructor: &mut Reconstructor,
@@ -306,7 +309,7 @@ impl Bench {
     ) -> Result<f64, Error> {
         let mut amplitudes = Vec::new();
         for (number, (_, frame)) in pokes.iter().take(TYPICAL_POKES).enumerate() {
-            // Times go on where those of the presses end.
+            // Times continue after those of the presses.
             self.look_at(reconstructor, reference, self.places_m.len() + number, frame)?;
             let contacts = reconstructor.touches.contacts().iter().map(|contact| contact.amplitude);
             amplitudes.extend(contacts.max_by(f64::total_cmp));
@@ -315,7 +318,7 @@ impl Bench {
         Ok(amplitudes.get(amplitudes.len() / 2).copied().unwrap_or(f64::NAN))
     }
 
-    /// Distance beyond which a touch is none of the press's, millimetres: a quarter of the shorter side.
+    /// Largest distance at which a touch still belongs to the press, millimetres: a quarter of the shorter side.
     pub fn near_mm(&self) -> f64 {
         0.5e3 * self.prepared.half_width_m()
     }
@@ -341,7 +344,7 @@ impl Bench {
         Ok(Sample { body, instrument, gains: built.gains.clone(), absent, frame_s: self.frame_s })
     }
 
-    /// Channels that an electrode or coil has a part in.
+    /// Channels that use an electrode or coil.
     fn channels_of(&self, electrode: u32) -> Vec<u32> {
         let protocol = &self.prepared.protocol;
         let uses = |measurement: &dermis_tomo::eit::Measurement| {
@@ -388,7 +391,7 @@ impl Bench {
         Ok(refinement)
     }
 
-    /// Keeps what refines touches for the next sample.
+    /// Returns the refinement to the pool for the next sample.
     fn keep(&self, reconstructor: &mut Reconstructor) {
         if reconstructor.refinement.refines() {
             let refinement = std::mem::replace(&mut reconstructor.refinement, Refinement::none());
@@ -396,7 +399,7 @@ impl Bench {
         }
     }
 
-    /// Pokes as the skin file's model alone sees them.
+    /// The pokes as placed by the skin file's model alone.
     fn seen_pokes(&self, baseline: &[Vec<f64>], poked: &[Poked], absent: &[u32]) -> Result<Vec<PokeSight>, Error> {
         let (mut reconstructor, reference) = self.by_model(baseline, absent)?;
         let differences: Vec<Vec<f64>> = poked.iter().map(|(_, frame)| reference.difference(frame, None)).collect();
@@ -410,7 +413,7 @@ impl Bench {
         Ok(seen)
     }
 
-    /// Pokes at the first so many places of their own, with the frame of each.
+    /// Makes the first `count` pokes of their own sequence, and reads a frame of each.
     fn poke(&self, sample: &mut Sample<'_>, count: usize) -> Result<Vec<Poked>, Error> {
         let places_m = places::pressed(&self.skin.outline(), count, FIRST_POKE)?;
         let mut poked = Vec::with_capacity(count);
@@ -428,7 +431,8 @@ impl Bench {
     ) -> Result<(Reconstructor, Reference), Error> {
         let (positions_m, frames): (Vec<[f64; 2]>, Vec<Vec<f64>>) = poked.iter().cloned().unzip();
         let pokes = Pokes { positions_m, loads: None };
-        // One frame too few to be taken for the pokes' own baselines.
+        // Drop a frame if the numbers are equal, or the baselines would be taken as belonging to the pokes one by
+        // one.
         let baseline = if frames.len() == baseline.len() { &baseline[1..] } else { baseline };
         let mut calibration = Calibration::fit(&self.prepared, baseline, &frames, &pokes)?;
         calibration.try_model(seen, &self.prepared)?;

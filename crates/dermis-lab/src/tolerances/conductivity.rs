@@ -1,17 +1,17 @@
-//! Conductivity that varies from place to place: white noise on a grid, smoothed with a Gaussian of `L / sqrt(2)`, has
-//! the correlation `exp(-d^2 / (2 L^2))`; its exponential is the factor.
+//! Conductivity that varies over the sheet. White noise on a grid, smoothed with a Gaussian of width `L / sqrt(2)`,
+//! has the correlation `exp(-d^2 / (2 L^2))`; its exponential is the conductivity factor.
 
 use dermis_tomo::mesh::Outline;
 use dermis_twin::physics::ConductanceMap;
 
 use dermis_skin::Dice;
 
-/// Steps of the grid to a correlation length.
+/// Grid steps per correlation length.
 const STEPS: f64 = 3.0;
-/// The smoothing ends so many of its deviations away.
+/// Cut-off of the smoothing, in its standard deviations.
 const REACH: f64 = 3.0;
 
-/// A random map of this deviation (of the logarithm) and correlation length.
+/// A random map with this standard deviation (of the logarithm) and correlation length.
 pub(super) fn map(outline: &Outline, deviation: f64, length_m: f64, dice: &mut Dice) -> ConductanceMap {
     if deviation == 0.0 {
         return ConductanceMap::Even;
@@ -24,7 +24,7 @@ pub(super) fn map(outline: &Outline, deviation: f64, length_m: f64, dice: &mut D
     let reach = (REACH * width).ceil() as usize;
     let kernel: Vec<f64> =
         (0..=2 * reach).map(|k| (-0.5 * ((k as f64 - reach as f64) / width).powi(2)).exp()).collect();
-    // Sums of squares of the weights along both axes make the deviation 1 everywhere.
+    // The normalisation along both axes makes the standard deviation 1 everywhere.
     let norm: f64 = kernel.iter().map(|w| w * w).sum();
     let (wide, high) = (columns + 2 * reach, rows + 2 * reach);
     let white: Vec<f64> = (0..wide * high).map(|_| dice.normal()).collect();
@@ -55,12 +55,13 @@ mod tests {
         const MAPS: u32 = 600;
         for seed in 0..MAPS {
             let map = map(&outline, 0.1, 0.02, &mut Dice::new(u64::from(seed), 0, 0));
-            // Both on the grid, whose first value is at the bottom left corner: steps of 20/3 mm, here three of them.
+            // Two points on the grid, whose first value is at the bottom left corner. Steps are 20/3 mm, so they are
+            // three steps apart.
             let (a, b) = (map.at([-0.05, -0.05]).ln(), map.at([-0.03, -0.05]).ln());
             squares += (a * a + b * b) / 2.0 / f64::from(MAPS);
             products += a * b / f64::from(MAPS);
         }
-        // 600 maps determine a deviation within 3 %, the correlation of exp(-1/2) = 0.607 within 0.03.
+        // 600 maps determine the deviation within 3 %, and the correlation exp(-1/2) = 0.607 within 0.03.
         assert!((squares.sqrt() / 0.1 - 1.0).abs() < 0.1, "{squares}");
         assert!((products / squares - 0.607).abs() < 0.1, "{}", products / squares);
     }

@@ -1,18 +1,18 @@
-//! Where a skin is pressed: evenly over what lies inside 85 % of its outline, in the order of a Halton sequence.
+//! Places to press: spread evenly over the inner 85 % of the outline, in the order of a Halton sequence.
 
 use dermis_tomo::mesh::Outline;
 
 use crate::Error;
 
-/// Share of the way from the rim to the middle that is not pressed.
+/// Share of the way from rim to centre that is not pressed.
 const MARGIN: f64 = 0.15;
-/// Points of the sequence looked at for each place wanted.
+/// Points of the sequence to examine for each place wanted.
 const LOOKED_AT: usize = 400;
 
-/// So many places from a point of the sequence on, metres.
+/// `count` places, starting from a point of the sequence, metres.
 ///
 /// # Errors
-/// A skin with hardly any inside.
+/// The skin has hardly any interior.
 pub(super) fn pressed(outline: &Outline, count: usize, from: usize) -> Result<Vec<[f64; 2]>, Error> {
     let (low, high) = outline.bounds_m();
     let at = |k: usize| {

@@ -1,4 +1,4 @@
-//! Samples of every kind, and what they come to.
+//! Runs samples of every kind and summarises them.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -8,32 +8,32 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::bench::{Bench, Press, Reader};
-use super::{Cause, Tolerances};
+use super::{Cause, Tolerances, causes};
 use crate::Error;
 
-/// Places over the skin that samples are pressed at; each sample takes some of them.
+/// Number of places over the skin. Each sample presses some of them.
 const PLACES: usize = 64;
 /// Pixels along the longer side of the map.
 const MAP: usize = 32;
-/// Most samples of rows with calibrations, where there are more samples than [`ALL_CALIBRATED`]: a share of them.
+/// With more than [`ALL_CALIBRATED`] samples, only one in this many is calibrated.
 const CALIBRATED_SHARE: usize = 10;
-/// So many samples are all calibrated.
+/// Up to this number, all samples are calibrated.
 const ALL_CALIBRATED: usize = 20;
-/// Sample number of the nominal twin that amplitudes are compared with.
+/// Sample number of the nominal twin, whose amplitudes are the reference.
 const NOMINAL: u64 = u64::MAX;
 /// Purpose of the random numbers that choose places.
 const PLACES_DICE: u64 = 1000;
 
-/// How much is tried.
+/// Size of the study.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Extent {
-    /// Samples of every row, 1 to 10,000.
+    /// Samples per row, 1 to 10,000.
     pub samples: usize,
-    /// Presses of every sample, 1 to 64.
+    /// Presses per sample, 1 to 64.
     pub presses: usize,
-    /// Numbers of pokes to calibrate with, 3 to 1000 each; none for no such rows.
+    /// Numbers of calibration pokes, 3 to 1000 each; empty for no calibrated rows.
     pub pokes: Vec<usize>,
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -59,47 +59,48 @@ impl Extent {
     }
 }
 
-/// What one kind of error comes to.
+/// Results for one kind of error.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ToleranceRow {
-    /// What goes wrong.
+    /// Name of the cause.
     pub name: String,
-    /// Samples behind it.
+    /// Number of samples.
     pub samples: usize,
-    /// Presses behind it.
+    /// Number of presses.
     pub presses: usize,
-    /// Position error of presses that were seen: median and 90th percentile, millimetres; NaN where none was.
+    /// Position error of detected presses: median and 90th percentile, millimetres; NaN if none was detected.
     pub position_mm: [f64; 2],
-    /// Error of their amplitude relative to the nominal twin's at the same place, read the same way: median and 90th
-    /// percentile, percent.
+    /// Amplitude error of detected presses, relative to the nominal twin at the same place read the same way: median
+    /// and 90th percentile, per cent.
     pub amplitude_percent: [f64; 2],
-    /// Presses without a touch within a quarter of the shorter side, percent.
+    /// Presses without a touch within a quarter of the shorter side, per cent.
     pub misses_percent: f64,
-    /// Touches that nobody made, per press.
+    /// False touches per press.
     pub false_per_press: f64,
-    /// Mean position error, a miss counted as a quarter of the shorter side, millimetres: what rows are compared by.
+    /// Mean position error, millimetres, counting a miss as a quarter of the shorter side. Rows are compared by it.
     pub mean_mm: f64,
 }
 
 /// Position error at one place.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PlaceError {
-    /// Where, metres.
+    /// Position, metres.
     pub place_m: [f64; 2],
-    /// Presses there, over all samples.
+    /// Number of presses there, over all samples.
     pub presses: usize,
-    /// Their median position error, a miss counted as a quarter of the shorter side, millimetres; NaN without presses.
+    /// Median position error of these presses, millimetres, counting a miss as a quarter of the shorter side; NaN
+    /// without presses.
     pub median_mm: f64,
-    /// Presses that were missed.
+    /// Number of missed presses.
     pub misses: usize,
 }
 
-/// What workshop errors come to.
+/// Results of a tolerance study.
 #[derive(Clone, Debug)]
 pub struct ToleranceReport {
     /// Name of the skin.
     pub skin: String,
-    /// What was tried.
+    /// Size of the study.
     pub extent: Extent,
     /// The skin as drawn.
     pub nominal: ToleranceRow,
@@ -107,24 +108,24 @@ pub struct ToleranceReport {
     pub causes: Vec<ToleranceRow>,
     /// All causes together.
     pub together: ToleranceRow,
-    /// All causes together, each sample calibrated by pokes.
+    /// All causes together, with each sample calibrated by pokes.
     pub calibrated: Vec<ToleranceRow>,
-    /// Position error over the skin, all causes together.
+    /// Position error over the skin with all causes together.
     pub places: Vec<PlaceError>,
     /// The grid of the map.
     pub grid: PixelGrid,
-    /// The map, row by row from the top, millimetres, NaN off the skin.
+    /// The map row by row from the top, millimetres; NaN off the skin.
     pub map_mm: Vec<f32>,
 }
 
 impl ToleranceReport {
-    /// All rows, in the order of a table.
+    /// All rows, in table order.
     pub fn rows(&self) -> impl Iterator<Item = &ToleranceRow> {
         let alone = std::iter::once(&self.nominal).chain(&self.causes);
         alone.chain(std::iter::once(&self.together)).chain(&self.calibrated)
     }
 
-    /// What costs most, in a few sentences.
+    /// The causes that cost most, in a few sentences.
     pub fn verdict(&self) -> String {
         let own = self.nominal.mean_mm;
         let worst = |key: fn(&ToleranceRow) -> f64| self.causes.iter().max_by(|a, b| key(a).total_cmp(&key(b)));
@@ -151,7 +152,7 @@ impl ToleranceReport {
     }
 }
 
-/// Samples to be tried, and the rows that they make.
+/// Samples to try, and the rows that they contribute to.
 struct Task {
     rows: Vec<String>,
     causes: Vec<Cause>,
@@ -159,11 +160,12 @@ struct Task {
     samples: usize,
 }
 
-/// Tries a skin with these tolerances. `progress` is told how many samples are done and how many there are, and says
-/// whether to go on.
+/// Studies a skin with these tolerances. `progress` gets the number of samples done and the total, and
+/// returns whether to go on.
 ///
 /// # Errors
-/// Numbers out of range, a skin that cannot be meshed or solved; [`Error::Interrupted`] where `progress` says no.
+/// A number is out of range, the skin cannot be meshed or solved, or [`Error::Interrupted`] because `progress`
+/// returned false.
 pub fn run(
     skin: &Skin,
     tolerances: &Tolerances,
@@ -178,7 +180,7 @@ pub fn run(
     let all: usize = tasks.iter().map(|task| task.samples).sum();
     let done = AtomicUsize::new(0);
     let every: Vec<usize> = (0..PLACES).collect();
-    // One for each reader that a task may have: what amplitudes are compared with.
+    // Reference amplitudes, one set for each reader that a task may use.
     let nominal: Vec<Vec<Vec<Press>>> = [Reader::Model, Reader::Pokes(extent.pokes.clone())]
         .par_iter()
         .map(|reader| {
@@ -259,7 +261,7 @@ fn tasks(causes: &[Cause], extent: &Extent) -> Vec<Task> {
     tasks
 }
 
-/// The places that a sample is pressed at: the same in every row.
+/// The places at which a sample is pressed; the same in every row.
 fn some_places(extent: &Extent, sample: u64) -> Vec<usize> {
     let mut dice = Dice::new(extent.seed, sample, PLACES_DICE);
     let mut places: Vec<usize> = (0..PLACES).collect();
@@ -314,7 +316,7 @@ fn by_place(bench: &Bench, presses: &[Press]) -> Vec<PlaceError> {
     bench.places_m.iter().enumerate().map(place).collect()
 }
 
-/// Errors between places: means weighted with a Gaussian of the places' distance.
+/// Interpolates errors between places by means weighted with a Gaussian of the distance.
 fn map(bench: &Bench, places: &[PlaceError]) -> Result<(PixelGrid, Vec<f32>), Error> {
     let outline = bench.skin.outline();
     let (low, high) = outline.bounds_m();
@@ -328,7 +330,7 @@ fn map(bench: &Bench, places: &[PlaceError]) -> Result<(PixelGrid, Vec<f32>), Er
             return f32::NAN;
         }
         let squares = |place: &PlaceError| (place.place_m[0] - x).powi(2) + (place.place_m[1] - y).powi(2);
-        // Relative to the nearest: weights do not vanish far from all places.
+        // Distances are relative to the nearest place, so that the weights don't vanish far from all places.
         let nearest = seen.iter().map(|place| squares(place)).fold(f64::INFINITY, f64::min);
         let (sum, total) = seen.iter().fold((0.0, 0.0), |(sum, total), place| {
             let weight = (-0.5 * (squares(place) - nearest) / (width_m * width_m)).exp();

@@ -36,9 +36,9 @@ fn larger_errors_are_not_better() {
     assert!(large.verdict().contains("costs most"), "{}", large.verdict());
 }
 
-/// Samples are placed by the model or by the pokes, whichever is nearer, and both count amplitudes in units of their
-/// own. A mistaken unit makes a hundred per cent, amplitudes that are read off images where pokes place touches make
-/// some forty, the workshop's errors seven.
+/// Samples are placed by the model or by the pokes, whichever is more accurate, and each counts amplitudes in its own
+/// unit. A wrong unit causes an error of a hundred per cent, amplitudes read from images although pokes place the
+/// touches about forty, and the workshop's errors seven.
 #[test]
 fn amplitudes_of_calibrated_samples_count_in_pokes() {
     let report = tried("healing-square", &Tolerances::default(), &Extent { pokes: vec![20], ..extent(2) });
@@ -86,7 +86,7 @@ fn nobody_waits_for_what_is_wanted_no_longer() {
         done < 3
     });
     assert!(matches!(stopped, Err(crate::Error::Interrupted)));
-    // Those that were under way on other threads are ended.
+    // Samples already running on other threads are completed.
     let most = most.into_inner();
     assert!((3..100).contains(&most), "{most}");
 }
@@ -108,7 +108,7 @@ fn a_tank_without_membrane_has_no_answer_to_pressure() {
     assert!(causes("ionic-disc").contains(&Cause::ContactLaw));
 }
 
-/// What amplitudes are compared with is read as an instrument that knows no signs reads: otherwise no touch is seen.
+/// The reference amplitudes must be read as the instrument reads, without signs; otherwise no touch is detected.
 #[test]
 fn amplitudes_of_rectified_readings_are_compared() {
     let report = tried("hydrogel-disc", &Tolerances::default(), &extent(1));

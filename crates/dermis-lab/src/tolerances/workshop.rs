@@ -1,4 +1,4 @@
-//! One skin as a workshop builds it: errors drawn, and put into the skin file's numbers or beside them.
+//! One skin as a workshop builds it: draws the errors and applies them to the skin file's numbers or next to them.
 
 use dermis_skin::{CoilPlaces, ContactLaw, Dice, Layer, Skin, Winding, built_electrodes};
 use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
@@ -8,29 +8,29 @@ use super::{Cause, Tolerances, causes, conductivity};
 use crate::Error;
 
 const MM: f64 = 1e-3;
-/// Scatter of element heights where the file of tolerances says nothing, to which the skin's own is added.
+/// Scatter of element heights if the file of tolerances doesn't state it; the skin's own scatter is added.
 const ELEMENT_HEIGHT_MM: f64 = 0.3;
-/// Share of the gap between coils that is left at least.
+/// Minimum share of the gap between coils to keep.
 const LEAST_COIL_GAP: f64 = 0.2;
 
 /// A skin as built.
 #[derive(Debug)]
 pub(super) struct Built {
-    /// Material and mechanics as they came out.
+    /// Skin with the actual material and mechanics.
     pub skin: Skin,
-    /// Geometry as it came out.
+    /// Actual geometry.
     pub as_built: AsBuilt,
-    /// Factor on each channel.
+    /// Gain factor of each channel.
     pub gains: Vec<f64>,
     /// Factor on the instrument's noise.
     pub noise: f64,
     /// Electrode or coil without contact, from 0.
     pub bad: Option<u32>,
-    /// True where nothing but the instrument and its wires went wrong.
+    /// True if only the instrument and its wires have errors.
     pub is_as_drawn: bool,
 }
 
-/// Builds a sample in which these causes go wrong.
+/// Builds a sample with errors from these causes.
 pub(super) fn build(
     skin: &Skin,
     channels: usize,
@@ -112,7 +112,7 @@ pub(crate) fn frontend_of(skin: &Skin, number: u64) -> Result<(Box<dyn Frontend>
     Ok((frontend, instrument, built.gains))
 }
 
-/// The skin without the scatter that its own file gives its elements, and without what its file breaks later.
+/// The skin without the element scatter and later faults that its own file specifies.
 pub(super) fn as_drawn(skin: &Skin) -> Skin {
     let mut drawn = skin.clone();
     drawn.twin.faults.clear();
@@ -164,7 +164,8 @@ fn scatter_heights(built: &mut Skin, drawn: &Skin, height_mm: Option<f64>, dice:
     built.twin.seed = Some(dice.seed());
 }
 
-/// Coils keep a fifth of the gap to their neighbours; those that lie over each other as drawn may do so still.
+/// Moves the coils. Each keeps a fifth of the gap to its neighbours; coils that overlap in the drawing may still do
+/// so.
 fn move_coils(skin: &mut Skin, place_mm: f64, dice: &mut Dice) -> Result<(), Error> {
     let Some(coils) = skin.frontend.coils.as_mut().filter(|_| place_mm > 0.0) else { return Ok(()) };
     let drawn: Vec<[f64; 3]> = coils.places_m()?.iter().map(|place| place.map(|m| m / MM)).collect();

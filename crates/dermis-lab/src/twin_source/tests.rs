@@ -1,6 +1,6 @@
 use super::*;
 
-/// Frames of the twin of a built-in skin until it has obeyed, and what it said.
+/// Runs the twin of a built-in skin until it has obeyed the commands, and returns its notices.
 fn told(skin: &str, commands: &[TwinCommand]) -> Vec<String> {
     let (source, sender) = TwinSource::new(&Skin::open(skin).unwrap()).unwrap();
     let (mut source, mut frame) = (source.unpaced(), Frame::default());
@@ -60,7 +60,7 @@ fn a_demonstration_that_is_not_wanted_ends_and_may_begin_again() {
         }
         largest
     };
-    // Noise is below a thousandth of the readings, a touch is far above.
+    // Noise is below a thousandth of the readings, a touch far above.
     assert!(changes(30) < 5e-3);
     assert!(changes(120) > 2e-2, "it demonstrates by itself");
     sender.send(TwinCommand::Demonstrate(false)).unwrap();
@@ -74,7 +74,7 @@ fn a_demonstration_that_is_not_wanted_ends_and_may_begin_again() {
 fn equal_cuts_heals_and_cuts_of_any_length_leave_a_skin_that_runs() {
     let cut = |from_m, to_m| TwinCommand::Treat(Treatment::Cut(dermis_twin::physics::Cut::open(from_m, to_m)));
     let middle = cut([0.0, 0.0], [0.02, 0.0]);
-    // In one frame and in one after the other.
+    // Both within one frame and in successive frames.
     assert_eq!(told("healing-square", &[middle, middle, middle, middle]), [""; 0]);
     let far = told("healing-square", &[cut([-50.0, 0.0], [50.0, 0.0]), middle]);
     assert!(far.len() == 1 && far[0].contains("no farther from the skin than the skin is long"), "{far:?}");

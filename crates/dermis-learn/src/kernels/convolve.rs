@@ -1,5 +1,5 @@
-//! The 3x3 convolution: four output channels by three vectors of pixels are summed in registers while the taps of all
-//! input channels go by, so that every value loaded is used four times and every tap three times a vector.
+//! The 3x3 convolution. Sums for four output channels and three vectors of pixels stay in registers while the taps of
+//! all input channels are applied, so every loaded value is used four times and every tap three times per vector.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -7,30 +7,30 @@ use super::Layout;
 
 /// Output channels summed together.
 const BLOCK: usize = 4;
-/// Vectors of pixels summed together: with [`BLOCK`] and the values loaded, all sixteen registers of AVX2.
+/// Vectors of pixels summed together. With [`BLOCK`] and the loaded values this fills all sixteen registers of AVX2.
 const VECTORS: usize = 3;
 
-/// Weights in the order in which they are used: blocks of four output channels, in each the taps of all inputs.
+/// Weights in order of use: blocks of four output channels, each with the taps of all inputs.
 #[derive(Clone, Debug)]
 pub(crate) struct Taps {
     inputs: usize,
     outputs: usize,
-    /// One set of four a tap; zeros after the last channel.
+    /// Four weights per tap, one per output channel of the block; padded with zeros after the last channel.
     values: Vec<[f32; BLOCK]>,
 }
 
 impl Taps {
-    /// No weights yet.
+    /// All-zero weights.
     pub(crate) fn new(inputs: usize, outputs: usize) -> Self {
         Self { inputs, outputs, values: vec![[0.0; BLOCK]; outputs.div_ceil(BLOCK) * inputs * 9] }
     }
 
-    /// Output channels.
+    /// Number of output channels.
     pub(crate) fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// Takes a kernel of outputs x inputs x 3 x 3, each output channel times its gain.
+    /// Loads a kernel of outputs x inputs x 3 x 3, with each output channel multiplied by its gain.
     pub(crate) fn set(&mut self, kernel: &[f32], gain: impl Fn(usize) -> f32) {
         for (output, kernel) in kernel.chunks_exact(9 * self.inputs).enumerate() {
             let block = &mut self.values[output / BLOCK * 9 * self.inputs..][..9 * self.inputs];
@@ -41,8 +41,8 @@ impl Taps {
         }
     }
 
-    /// Takes the kernel that brings slopes back: that of inputs x outputs x 3 x 3, turned by half a turn, its channels
-    /// exchanged.
+    /// Loads the kernel that propagates gradients back: the inputs x outputs x 3 x 3 kernel, rotated by half a turn,
+    /// with inputs and outputs exchanged.
     pub(crate) fn set_turned(&mut self, kernel: &[f32]) {
         for (input, kernel) in kernel.chunks_exact(9 * self.outputs).enumerate() {
             for (output, kernel) in kernel.chunks_exact(9).enumerate() {
@@ -55,16 +55,16 @@ impl Taps {
     }
 }
 
-/// What is done with the sums.
+/// Operation applied to the sums.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Finish<'a> {
-    /// Softsign of the sum and each output channel's offset.
+    /// Softsign of the sum plus each output channel's offset.
     Softsign(&'a [f32]),
-    /// Nothing.
+    /// No operation.
     Plain,
 }
 
-/// Convolves `from` (inputs channels) into `to` (outputs channels), both of the same layout. What was in `to` is lost.
+/// Convolves `from` (inputs channels) into `to` (outputs channels), both with the same layout. Overwrites `to`.
 pub(crate) fn convolve(arch: Arch, layout: Layout, taps: &Taps, finish: Finish<'_>, from: &[f32], to: &mut [f32]) {
     debug_assert_eq!(from.len(), taps.inputs * layout.pitch());
     debug_assert_eq!(to.len(), taps.outputs * layout.pitch());
@@ -105,7 +105,7 @@ impl WithSimd for Pass<'_> {
 }
 
 impl Pass<'_> {
-    /// `N` vectors of pixels from `place` on, one block of output channels.
+    /// Computes `N` vectors of pixels from `place` on, for one block of output channels.
     #[inline(always)]
     fn tile<S: Simd, const N: usize>(&mut self, simd: S, block: usize, place: usize) {
         let (pitch, stride, inputs) = (self.layout.pitch(), self.layout.stride(), self.taps.inputs);

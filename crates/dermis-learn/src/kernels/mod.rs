@@ -1,6 +1,6 @@
-//! What inference and training compute with: images channel by channel, each with a border of zeros, and 3x3
-//! convolutions over them as runs of pixels in vector registers. Rows follow each other with two zeros between, so that
-//! an image is one run of pixels without special cases at its rim, whatever the width of the registers.
+//! Kernels for inference and training: images stored channel by channel, each with a border of zeros, and 3x3
+//! convolutions over them as runs of pixels in vector registers. Rows are separated by two zeros, so an image is one
+//! run of pixels with no special cases at its rim, whatever the register width.
 
 mod convolve;
 mod plane;

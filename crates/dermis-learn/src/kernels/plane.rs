@@ -1,9 +1,9 @@
-//! Where the pixels of a channel lie, and what moves images between two sizes.
+//! Memory layout of a channel's pixels, and resampling between two sizes.
 
-/// Values after the last row that vectors may run over: the widest run of a kernel.
+/// Padding after the last row for vectors that overrun it: the widest run of a kernel.
 const SLACK: usize = 64;
 
-/// Places of the pixels of one channel within its values. The border and what is after it is zero.
+/// Positions of a channel's pixels within its values. The border and the padding are zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Layout {
     pub(crate) rows: usize,
@@ -11,43 +11,43 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Values from one row to the next.
+    /// Number of values from one row to the next.
     pub(crate) fn stride(self) -> usize {
         self.columns + 2
     }
 
-    /// The first pixel.
+    /// Index of the first pixel.
     pub(crate) fn first(self) -> usize {
         self.stride() + 1
     }
 
-    /// Values from the first pixel to the last, both included, and what is between rows.
+    /// Number of values from the first pixel to the last, inclusive, with the zeros between rows.
     pub(crate) fn run(self) -> usize {
         (self.rows - 1) * self.stride() + self.columns
     }
 
-    /// Values of a channel.
+    /// Number of values in a channel.
     pub(crate) fn pitch(self) -> usize {
         (self.rows + 2) * self.stride() + SLACK
     }
 
-    /// The pixels of a row.
+    /// Indices of the pixels in a row.
     pub(crate) fn row(self, row: usize) -> std::ops::Range<usize> {
         let start = self.first() + row * self.stride();
         start..start + self.columns
     }
 
-    /// Pixels.
+    /// Number of pixels.
     pub(crate) fn pixels(self) -> usize {
         self.rows * self.columns
     }
 
-    /// Twice as many rows and columns.
+    /// The layout with twice as many rows and columns.
     pub(crate) fn finer(self) -> Self {
         Self { rows: 2 * self.rows, columns: 2 * self.columns }
     }
 
-    /// Zeros everywhere but at the pixels of a channel.
+    /// Sets everything except the pixels of a channel to zero.
     pub(crate) fn clear_border(self, channel: &mut [f32]) {
         channel[..self.first()].fill(0.0);
         for row in 0..self.rows - 1 {
@@ -58,7 +58,7 @@ impl Layout {
     }
 }
 
-/// Largest of every four pixels; `from` has twice the rows and columns of `to`, whose layout is given.
+/// 2x2 max-pooling. `layout` is that of `to`; `from` has twice the rows and columns.
 pub(crate) fn pool(layout: Layout, from: &[f32], to: &mut [f32]) {
     let finer = layout.finer();
     for (from, to) in from.chunks_exact(finer.pitch()).zip(to.chunks_exact_mut(layout.pitch())) {
@@ -72,7 +72,8 @@ pub(crate) fn pool(layout: Layout, from: &[f32], to: &mut [f32]) {
     }
 }
 
-/// Slopes of [`pool`]: those of `to` are added to the first largest of each four pixels.
+/// Backward pass of [`pool`]: adds each gradient in `to_slope` to the first largest of its four pixels in
+/// `from_slope`.
 pub(crate) fn pool_back(layout: Layout, from: &[f32], to: &[f32], to_slope: &[f32], from_slope: &mut [f32]) {
     let finer = layout.finer();
     let channels = from.chunks_exact(finer.pitch()).zip(from_slope.chunks_exact_mut(finer.pitch()));
@@ -91,7 +92,7 @@ pub(crate) fn pool_back(layout: Layout, from: &[f32], to: &[f32], to_slope: &[f3
     }
 }
 
-/// Every pixel four times; `from`, whose layout is given, has half the rows and columns of `to`.
+/// Repeats every pixel four times. `layout` is that of `from`; `to` has twice the rows and columns.
 pub(crate) fn repeat(layout: Layout, from: &[f32], to: &mut [f32]) {
     let finer = layout.finer();
     for (from, to) in from.chunks_exact(layout.pitch()).zip(to.chunks_exact_mut(finer.pitch())) {
@@ -105,7 +106,7 @@ pub(crate) fn repeat(layout: Layout, from: &[f32], to: &mut [f32]) {
     }
 }
 
-/// Slopes of [`repeat`]: of every pixel the sum of its four, replacing what was in `from_slope`.
+/// Backward pass of [`repeat`]: sums the gradients of each pixel's four copies. Overwrites `from_slope`.
 pub(crate) fn repeat_back(layout: Layout, to_slope: &[f32], from_slope: &mut [f32]) {
     let finer = layout.finer();
     for (from, to) in from_slope.chunks_exact_mut(layout.pitch()).zip(to_slope.chunks_exact(finer.pitch())) {

@@ -1,14 +1,15 @@
-//! Slopes of a loss by the taps of a 3x3 convolution: the correlation of what went in with the slopes of what came out.
+//! Gradient of a loss with respect to the taps of a 3x3 convolution: the correlation of its input with the gradient
+//! of its output.
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::Layout;
 
-/// Output channels taken together.
+/// Output channels processed together.
 const BLOCK: usize = 4;
 
-/// Adds the slopes by a kernel (outputs x inputs x 3 x 3); `from` is what was convolved, `to_slope` the slopes by the
-/// result, whose border must be zero.
+/// Adds the gradient of a kernel (outputs x inputs x 3 x 3) to `kernel_slope`. `from` is the input of the
+/// convolution, `to_slope` the gradient of its output, whose border must be zero.
 pub(crate) fn add_kernel_slopes(arch: Arch, layout: Layout, from: &[f32], to_slope: &[f32], kernel_slope: &mut [f32]) {
     arch.dispatch(Pass { layout, from, to_slope, kernel_slope });
 }
@@ -40,7 +41,7 @@ impl WithSimd for Pass<'_> {
 }
 
 impl Pass<'_> {
-    /// `N` output channels from `output` on.
+    /// Processes `N` output channels starting at `output`.
     #[inline(always)]
     fn block<S: Simd, const N: usize>(&mut self, simd: S, output: usize) {
         let (pitch, stride, first) = (self.layout.pitch(), self.layout.stride(), self.layout.first());
@@ -66,7 +67,7 @@ impl Pass<'_> {
     }
 }
 
-/// Sums over a run of the products of `N` channels of slopes with a line of values at three shifts.
+/// Sums, over a run, of the products of `N` channels of gradients with a line of values at three shifts.
 #[inline(always)]
 fn correlate<S: Simd, const N: usize>(
     simd: S,

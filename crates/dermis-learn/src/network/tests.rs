@@ -1,4 +1,5 @@
-//! Against the definition written out pixel by pixel in double precision, and without a heap in sight.
+//! Compares the network with its definition, written out pixel by pixel in double precision, and checks that it does
+//! not allocate.
 
 use super::*;
 use rand::rngs::StdRng;
@@ -6,7 +7,7 @@ use rand::{Rng, SeedableRng};
 
 use crate::shape::TensorRole;
 
-/// Random weights of the size that training gives.
+/// Random weights of the magnitude that training produces.
 pub(crate) fn random_tensors(shape: &UNetShape, seed: u64) -> Tensors {
     let mut random = StdRng::seed_from_u64(seed);
     let mut tensors = Tensors::default();
@@ -80,7 +81,7 @@ fn block(tensors: &Tensors, prefix: &str, number: usize, image: &Image) -> Image
     })
 }
 
-/// The network by its definition.
+/// The network according to its definition.
 fn by_definition(shape: &UNetShape, tensors: &Tensors, input: Image) -> Image {
     let both = |prefix: &str, image: &Image| block(tensors, prefix, 2, &block(tensors, prefix, 1, image));
     let mut image = input;
@@ -115,7 +116,7 @@ fn by_definition(shape: &UNetShape, tensors: &Tensors, input: Image) -> Image {
 
 #[test]
 fn logits_are_those_of_the_definition() {
-    // Widths below, at and between the blocks of output channels; one level; images that are not square.
+    // Widths below, at and between the blocks of output channels; one level; non-square images.
     for (inputs, classes, width, levels, rows, columns) in
         [(1, 3, 8, 4, 16, 24), (3, 2, 5, 3, 12, 8), (2, 4, 12, 2, 6, 10), (1, 3, 3, 1, 5, 7)]
     {
@@ -127,10 +128,10 @@ fn logits_are_those_of_the_definition() {
         let expected = by_definition(&shape, &tensors, Image { channels: inputs, rows, columns, values });
         let mut network = Network::new(shape, &tensors, rows, columns).unwrap();
         let mut logits = vec![f32::NAN; classes * rows * columns];
-        // The second frame finds the memory as the first left it.
+        // The second frame reuses the memory of the first.
         network.logits(&vec![9.0; input.len()], &mut logits).unwrap();
         network.logits(&input, &mut logits).unwrap();
-        // Single precision through at most 14 blocks whose outputs are below 1.
+        // Error of single precision through at most 14 blocks with outputs below 1.
         for (found, expected) in logits.iter().zip(&expected.values) {
             assert!((f64::from(*found) - expected).abs() < 2e-5, "{shape:?}: {found} {expected}");
         }

@@ -1,6 +1,6 @@
-//! What a training needs to go on: weights, Adam's moments, the best weights so far, and the numbers beside them, in
-//! one safetensors file and one JSON file that names its hash. Two tensor files take turns and the JSON is written
-//! last, so that a training that is killed while it writes goes on from the checkpoint before.
+//! Everything needed to resume a training: weights, Adam's moments and the best weights in one safetensors
+//! file, and the scalars in a JSON file that also holds the hash of the tensors. Two tensor files alternate and the
+//! JSON is written last, so a training killed during a write resumes from the previous checkpoint.
 
 use std::path::{Path, PathBuf};
 
@@ -14,13 +14,13 @@ use crate::weights::Tensors;
 
 const LARGEST_BYTES: u64 = 2 << 30;
 
-/// Where a training stands.
+/// State of a training.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct State {
     pub(super) tensors: Tensors,
     pub(super) moments: Tensors,
     pub(super) best: Tensors,
-    /// Passes made.
+    /// Passes completed.
     pub(super) epoch: usize,
     pub(super) best_epoch: usize,
     pub(super) best_loss: f64,
@@ -43,7 +43,7 @@ impl State {
         }
     }
 
-    /// After a pass: are these the best weights?
+    /// Keeps the weights if this pass is the best yet; returns whether it is.
     pub(super) fn keep_if_best(&mut self, loss: f64) -> bool {
         let better = loss < self.best_loss;
         if better {
@@ -55,7 +55,7 @@ impl State {
     }
 }
 
-/// The numbers of a checkpoint.
+/// The scalars of a checkpoint.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Head {
@@ -81,7 +81,7 @@ impl Checkpoint {
         Self { folder: folder.to_path_buf(), data_sha256: data_sha256.into(), options: options.clone() }
     }
 
-    /// Two files that are written in turn: the one before stays whole until the new one is named.
+    /// Alternates between two files: the previous one stays complete until the JSON names the new one.
     fn tensors_file(&self, epoch: usize) -> PathBuf {
         self.folder.join(format!("checkpoint-{}.safetensors", epoch % 2))
     }
@@ -90,7 +90,7 @@ impl Checkpoint {
         self.folder.join("checkpoint.json")
     }
 
-    /// The checkpoint that is there, if one is.
+    /// The existing checkpoint, if any.
     pub(super) fn read(&self, shape: &UNetShape) -> Result<Option<State>, LearnError> {
         let file = self.head_file();
         if !file.exists() {

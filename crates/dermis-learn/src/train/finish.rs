@@ -1,4 +1,4 @@
-//! From the best weights to a model: temperature, novelty score, and the figures for the card.
+//! From the best weights to a model: temperature, novelty score and the metrics for the card.
 
 use super::split::{Split, scaled};
 use super::{TrainOptions, Training};
@@ -11,12 +11,12 @@ use crate::shape::UNetShape;
 use crate::train::checkpoint::State;
 use crate::weights::Tensors;
 
-/// Most frames that features are gathered from.
+/// Maximum number of frames used for features.
 const MOST_FEATURE_FRAMES: usize = 2000;
-/// Most frames that the temperature is fitted to.
+/// Maximum number of frames used to fit the temperature.
 const MOST_TEMPERATURE_FRAMES: usize = 200;
 
-/// Frames of some shards run through the network.
+/// Runs the frames of some shards through the network.
 struct Run<'a> {
     training: &'a Training<'a>,
     scale: &'a [f32],
@@ -24,7 +24,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Hands every frame's logits, truth and features to `each` until it returns false.
+    /// Passes the logits, truth and features of every frame to `each` until it returns false.
     fn over(
         &mut self,
         shards: &[usize],
@@ -47,9 +47,9 @@ impl Run<'_> {
     }
 }
 
-/// Takes the classes' weights in the loss out of the logits. What is learnt with weights w is proportional to `w_c p_c`
-/// in place of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq. 2.4), so
-/// that `ln w_c` less is what makes probabilities of it.
+/// Removes the class weights of the loss from the logits. Training with weights w yields outputs proportional to
+/// `w_c p_c` instead of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq.
+/// 2.4), so subtracting `ln w_c` restores probabilities.
 fn unweigh(tensors: &mut Tensors, weights: &[f32]) -> Result<(), LearnError> {
     let Some((dims, bias)) = tensors.get("head.bias").filter(|(_, bias)| bias.len() == weights.len()) else {
         return Ok(());
@@ -75,7 +75,7 @@ pub(super) fn model(
         features.push(frame.to_vec());
         Ok(features.len() < MOST_FEATURE_FRAMES)
     })?;
-    // Frames held out take turns: those of even number fit the temperature, the others say how good it is.
+    // Held-out frames alternate: even ones fit the temperature, odd ones measure the calibration error.
     let mut held_out = HeldOut { classes: shape.classes, logits: Vec::new(), truth: Vec::new() };
     let (mut held_out_features, mut number) = (Vec::new(), 0_usize);
     run.over(&split.held_out, |logits, truth, frame| {
@@ -155,13 +155,13 @@ mod tests {
     #[test]
     fn weights_of_classes_are_taken_out_of_the_probabilities() {
         let mut tensors = Tensors::default();
-        // What is learnt with weights 1, 4 where the classes have probabilities 0.8 and 0.2: as 0.8 to 0.8.
+        // With weights 1 and 4 and class probabilities 0.8 and 0.2, the network learns 0.8 to 0.8.
         tensors.insert("head.bias", vec![2], vec![0.3, 0.3]).unwrap();
         unweigh(&mut tensors, &[1.0, 4.0]).unwrap();
         let mut values = tensors.get("head.bias").unwrap().1.to_vec();
         softmax(&mut values, 2, 1.0);
         assert!((values[0] - 0.8).abs() < 1e-6 && (values[1] - 0.2).abs() < 1e-6, "{values:?}");
-        // Equal weights need not be given, and change nothing.
+        // Equal weights may be omitted and change nothing.
         unweigh(&mut tensors, &[]).unwrap();
         assert_eq!(tensors.get("head.bias").unwrap().1, [0.3, 0.3 - 4.0_f32.ln()]);
     }

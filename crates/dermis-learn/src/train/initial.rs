@@ -1,4 +1,4 @@
-//! Weights to begin with.
+//! Initial weights.
 
 use rand::Rng;
 

@@ -1,6 +1,6 @@
-//! Training: Adam on the cross-entropy of a training set's shards, with frames held out for early stopping, for the
-//! temperature and for the figures on the model card. Every pass over the samples ends in a checkpoint, from which an
-//! interrupted training goes on as if it had not been.
+//! Training: Adam on the cross-entropy of a training set's shards, with held-out frames for early stopping, for the
+//! temperature and for the metrics on the model card. Every pass over the samples ends with a checkpoint, and a
+//! resumed training gives the same result as an uninterrupted one.
 
 mod batch;
 mod checkpoint;
@@ -32,36 +32,36 @@ use checkpoint::{Checkpoint, State};
 use native::NativeUNet;
 use split::{SHARDS_AT_ONCE, Split, scaled};
 
-/// What training tells while it runs.
+/// Progress reports during training.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub enum Progress {
-    /// A step was made: samples done in this pass, samples in a pass, mean loss so far in the pass.
+    /// After a step: samples done in this pass, samples per pass, mean loss of those samples.
     Step(usize, usize, f64),
-    /// A pass was made.
+    /// After a pass.
     Epoch(EpochReport),
 }
 
-/// One pass over the samples.
+/// Report on one pass over the samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpochReport {
     /// Counted from 1.
     pub epoch: usize,
     /// Mean cross-entropy of the batches.
     pub loss: f64,
-    /// Mean cross-entropy of the frames held out.
+    /// Mean cross-entropy of the held-out frames.
     pub held_out_loss: f64,
-    /// Intersection over union of each class on frames held out; `None` where it does not occur.
+    /// Intersection over union of each class on held-out frames; `None` for a class that does not occur.
     pub held_out_iou: Vec<Option<f64>>,
-    /// True where this is the best pass so far.
+    /// True if this is the best pass up to now.
     pub best: bool,
 }
 
-/// Trains, or goes on training, and returns the finished model (not yet saved).
+/// Trains, or resumes a training, and returns the finished model (not yet saved).
 ///
 /// # Errors
-/// Options or a training set that make no sense, shards that are missing or damaged, a checkpoint of another training,
-/// a checkpoint that cannot be written, a loss that is no longer finite.
+/// Fails if the options or the training set are invalid, shards are missing or damaged, the checkpoint belongs to
+/// another training or cannot be written, or the loss is no longer finite.
 pub fn train(training: &Training<'_>, mut progress: impl FnMut(&Progress)) -> Result<Model, LearnError> {
     let (set, options) = (training.set, training.options);
     options.check()?;
@@ -110,7 +110,7 @@ pub fn train(training: &Training<'_>, mut progress: impl FnMut(&Progress)) -> Re
     finish::model(training, shape, &split, &scale, &state)
 }
 
-/// The network of a state.
+/// The network for a training state.
 fn descent(shape: UNetShape, state: &State, options: &TrainOptions) -> Result<NativeUNet, LearnError> {
     let moments = (state.steps > 0).then_some((&state.moments, state.steps));
     let class_weights = options.weights_of(shape.classes)?;
@@ -127,7 +127,7 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// The mean loss.
+    /// Runs the pass and returns the mean loss.
     fn run(&mut self, network: &mut NativeUNet, progress: &mut impl FnMut(&Progress)) -> Result<f64, LearnError> {
         let manifest = self.set.manifest();
         let rate = self.options.rate(self.state.epoch);
@@ -183,7 +183,7 @@ fn gather(pool: &Shard, chosen: &[usize], input_len: usize, pixels: usize) -> (V
     (inputs, labels)
 }
 
-/// Turns and mirrors every sample at random.
+/// Rotates and mirrors every sample at random.
 fn turn(inputs: &mut [f32], labels: &mut [u8], manifest: &Manifest, random: &mut StdRng) {
     let (pixels, side) = (manifest.pixels(), manifest.rows);
     let (mut image, mut truth) = (vec![0.0; pixels], vec![0; pixels]);
@@ -198,8 +198,8 @@ fn turn(inputs: &mut [f32], labels: &mut [u8], manifest: &Manifest, random: &mut
     }
 }
 
-/// The pixel that one of a square's symmetries brings to a place: columns exchanged, rows exchanged, both with each
-/// other.
+/// Source index of the pixel that a symmetry of the square moves to `place`. The bits of `symmetry` mirror the
+/// columns, mirror the rows and transpose.
 fn turned(place: usize, side: usize, symmetry: u8) -> usize {
     let (mut row, mut column) = (place / side, place % side);
     if symmetry & 1 != 0 {
@@ -214,7 +214,7 @@ fn turned(place: usize, side: usize, symmetry: u8) -> usize {
     row * side + column
 }
 
-/// Mean cross-entropy and counts of the frames held out, by the network that will run live.
+/// Mean cross-entropy and confusion matrix of the held-out frames, by the network that runs live.
 fn held_out(
     set: &TrainingSet,
     split: &Split,

@@ -1,36 +1,36 @@
-//! How a training goes.
+//! Training options.
 
 use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 
-/// Share of the first step that the last one has; between them a half cosine.
+/// Learning rate of the last pass relative to the first; half a cosine in between.
 const LAST_RATE: f64 = 0.02;
 
-/// How to train.
+/// Training options.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainOptions {
     /// Channels of the finest level.
     pub width: usize,
-    /// Levels.
+    /// Number of levels.
     pub levels: usize,
-    /// Most passes over the samples; with none, the weights to begin with are judged and given a card.
+    /// Maximum number of passes over the samples. With 0, the initial weights are evaluated and given a card.
     pub epochs: usize,
-    /// Samples a step.
+    /// Batch size.
     pub batch: usize,
-    /// Adam's first step; it falls to a fiftieth along a half cosine.
+    /// Adam's initial learning rate; falls to a fiftieth along half a cosine.
     pub learning_rate: f64,
-    /// Passes without improvement on the frames held out after which training stops.
+    /// Stop after this many passes without improvement on the held-out frames.
     pub patience: usize,
-    /// Share of the shards that are held out, the last ones.
+    /// Share of the shards held out, taken from the end.
     pub held_out: f64,
-    /// Seed of the initial weights and of the order of samples.
+    /// Seed of the initial weights and of the sample order.
     pub seed: u64,
-    /// Weights of the classes in the loss; none for equal ones.
+    /// Class weights in the loss; empty for equal weights.
     pub class_weights: Vec<f32>,
-    /// Turn and mirror samples at random, by the eight symmetries of the square: for skins that have them in outline,
-    /// electrodes and protocol, whose images of a turned scene are turned images.
+    /// Rotate and mirror samples at random by the eight symmetries of the square. For skins whose outline, electrodes
+    /// and protocol have these symmetries, so that the image of a rotated scene is the rotated image.
     pub symmetries: bool,
 }
 
@@ -51,22 +51,23 @@ impl Default for TrainOptions {
     }
 }
 
-/// Single-precision numbers kept for each number of an image on its way through a block, and its gradient: convolution,
-/// norm, Softsign. Two blocks on the way down and two on the way up.
+/// Single-precision values kept per image value on its way through a block, including gradients: convolution, norm,
+/// Softsign. Two blocks on the way down and two on the way up.
 const OF_A_BLOCK: f64 = 4.0;
 const BLOCKS: f64 = 4.0;
-/// Copies of every weight: value, gradient, two moments of Adam, best value so far.
+/// Copies of every weight: value, gradient, Adam's two moments, best value.
 const OF_A_WEIGHT: f64 = 5.0;
 
 impl TrainOptions {
-    /// Bytes that a training on images of this size takes at once, about: a batch on its way through all levels, and
-    /// the weights.
+    /// Approximate peak memory of a training on images of this size, bytes: a batch on its way through all levels,
+    /// plus the weights.
     pub fn bytes(&self, inputs: usize, rows: usize, columns: usize) -> f64 {
         let (width, pixels) = (self.width as f64, rows as f64 * columns as f64);
         let levels = self.levels.min(64) as i32;
         let level = |level: i32| width * 2_f64.powi(level) * pixels / 4_f64.powi(level);
         let images: f64 = (0..levels).map(level).sum::<f64>() * OF_A_BLOCK * BLOCKS + inputs as f64 * pixels;
-        // The coarsest level has most weights: four 3x3 convolutions. A third is added for the finer levels.
+        // The coarsest level has most of the weights, in four 3x3 convolutions. A third is added for the finer
+        // levels.
         let weights = 9.0 * 4.0 * (width * 2_f64.powi(levels - 1)).powi(2) * 4.0 / 3.0;
         4.0 * (self.batch as f64 * images + OF_A_WEIGHT * weights)
     }
@@ -88,7 +89,7 @@ impl TrainOptions {
         Ok(())
     }
 
-    /// Weights of so many classes.
+    /// Weights of `classes` classes.
     pub(super) fn weights_of(&self, classes: usize) -> Result<Vec<f32>, LearnError> {
         let weights = if self.class_weights.is_empty() { vec![1.0; classes] } else { self.class_weights.clone() };
         if weights.len() != classes {
@@ -102,7 +103,7 @@ impl TrainOptions {
         Ok(weights)
     }
 
-    /// Adam's step in a pass counted from 0.
+    /// Adam's learning rate in a pass, counted from 0.
     pub(super) fn rate(&self, epoch: usize) -> f64 {
         let along = epoch as f64 / self.epochs as f64;
         let cosine = 0.5 * (1.0 + (std::f64::consts::PI * along).cos());

@@ -1,12 +1,12 @@
-//! Shards to train on and shards held out, and the size of their values.
+//! Split into training and held-out shards, and scaling of the inputs.
 
 use crate::LearnError;
 use crate::shards::{Shard, TrainingSet};
 
-/// Shards whose samples are mixed: their number bounds the memory.
+/// Number of shards whose samples are shuffled together; bounds the memory.
 pub(super) const SHARDS_AT_ONCE: usize = 8;
 
-/// Shards to train on and shards held out.
+/// Shards for training and held-out shards.
 pub(super) struct Split {
     pub(super) training: Vec<usize>,
     pub(super) held_out: Vec<usize>,
@@ -28,7 +28,7 @@ impl Split {
     }
 }
 
-/// Factors that bring each input image to a root mean square of 1 over a few shards.
+/// Factors that scale each input image to a root mean square of 1 over a few shards.
 pub(super) fn input_scale(set: &TrainingSet, split: &Split) -> Result<Vec<f32>, LearnError> {
     let manifest = set.manifest();
     let (images, pixels) = (manifest.inputs.len(), manifest.pixels());

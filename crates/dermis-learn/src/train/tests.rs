@@ -1,5 +1,5 @@
-//! Training on discs in noise: the gradient network and the one that runs live agree, the loss falls, a training that
-//! was interrupted ends where the uninterrupted one does.
+//! Training on discs in noise: the training network and the live network agree, the loss falls, and a resumed
+//! training gives the same result as an uninterrupted one.
 
 use std::path::Path;
 
@@ -52,7 +52,7 @@ fn the_network_that_runs_live_has_the_loss_of_the_one_that_descends() {
     let inputs: Vec<f32> = (0..2 * 8 * 12).map(|_| random.random_range(-1.0..1.0)).collect();
     let labels: Vec<u8> = (0..8 * 12).map(|_| random.random_range(0..3)).collect();
     let batch = Batch { count: 1, rows: 8, columns: 12, inputs: &inputs, labels: &labels };
-    // Many steps of rate 0 bring the running means to those of this batch, and the weights stay.
+    // Many steps with rate 0 move the running means to those of this batch without changing the weights.
     let mut loss = 0.0;
     for _ in 0..400 {
         loss = trainable.step(&batch, 0.0);
@@ -64,14 +64,14 @@ fn the_network_that_runs_live_has_the_loss_of_the_one_that_descends() {
     network.probabilities(&inputs, 1.0, &mut values).unwrap();
     let own = labels.iter().enumerate().map(|(k, label)| -f64::from(values[usize::from(*label) * 96 + k]).ln());
     let own = own.sum::<f64>() / 96.0;
-    // 0.9^400 of the initial statistics are left; single precision through ten blocks.
+    // 0.9^400 of the initial statistics remain; single precision through ten blocks.
     assert!((own - loss).abs() < 1e-5 * loss.max(1.0), "{own} {loss}");
 }
 
 #[test]
 fn the_symmetries_are_the_eight_of_the_square() {
     let images: Vec<Vec<usize>> = (0..8).map(|k| (0..9).map(|place| turned(place, 3, k)).collect()).collect();
-    // A quarter turn: the top right corner comes from the top left one, neighbours stay neighbours.
+    // A quarter turn: the top left corner moves to the top right, and neighbours stay neighbours.
     assert_eq!(images[5], [6, 3, 0, 7, 4, 1, 8, 5, 2]);
     for (k, image) in images.iter().enumerate() {
         let mut sorted = image.clone();
@@ -127,7 +127,7 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     assert_eq!(resumed.tensors, whole.tensors);
     assert_eq!(resumed.card.training.best_epoch, whole.card.training.best_epoch);
 
-    // Turned samples and unlike weights of the classes change the training, and it goes on.
+    // Random symmetries and unequal class weights change the training, which can still be resumed.
     let options_turned = TrainOptions { symmetries: true, class_weights: vec![1.0, 2.0], ..options(2) };
     let other = folder.path().join("turned");
     let training = Training {
@@ -142,7 +142,7 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     assert!(turned.card.training.held_out_iou[1].unwrap() > 0.3, "{:?}", turned.card.training);
     assert_ne!(turned.tensors, whole.tensors);
 
-    // A training that begins with finished weights begins where they are.
+    // A training started from finished weights begins at their loss.
     let (better, other) = (options(1), folder.path().join("further"));
     let start = Some(&whole.tensors);
     let training =
@@ -150,7 +150,7 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     let further = train(&training, |_| {}).unwrap().card.training;
     assert!(further.held_out_loss < 0.8 * reports[0].held_out_loss, "{further:?} {reports:?}");
 
-    // Another training does not take the checkpoint for its own; a damaged one is named.
+    // Another training rejects the checkpoint; a damaged checkpoint is reported.
     let other = TrainOptions { seed: 9, ..options(4) };
     let checkpoint = folder.path().join("whole");
     let training = Training {

@@ -1,4 +1,4 @@
-//! What is trained, and what it begins with.
+//! Inputs and starting point of a training.
 
 use std::path::Path;
 
@@ -13,19 +13,19 @@ use crate::shape::UNetShape;
 use crate::shards::TrainingSet;
 use crate::weights::Tensors;
 
-/// What is trained, and where it is kept meanwhile.
+/// Inputs of a training, and where its checkpoints go.
 pub struct Training<'a> {
-    /// The samples.
+    /// The training set.
     pub set: &'a TrainingSet,
-    /// How.
+    /// Training options.
     pub options: &'a TrainOptions,
-    /// Folder of the checkpoint; training goes on from what is there.
+    /// Folder of the checkpoint; training resumes from an existing one.
     pub checkpoint: &'a Path,
-    /// The command, for the card.
+    /// The command line, for the card.
     pub command: &'a str,
-    /// Weights to begin with; random ones where `None`.
+    /// Initial weights; random if `None`.
     pub start: Option<&'a Tensors>,
-    /// Factors that the input images are multiplied by; where `None`, those that bring each to a root mean square of 1.
+    /// Factors applied to the input images; if `None`, each is scaled to a root mean square of 1.
     pub input_scale: Option<&'a [f32]>,
 }
 
@@ -48,7 +48,7 @@ impl Training<'_> {
             return initial(shape, &mut StdRng::seed_from_u64(self.options.seed));
         };
         start.check(shape, Path::new("weights to begin with"))?;
-        // What is beside them, a novelty score, is of another training.
+        // Leave out other tensors such as a novelty score, which belongs to another training.
         let mut tensors = Tensors::default();
         for spec in shape.tensors() {
             let values = start.get(&spec.name).map(|(_, values)| values.to_vec()).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! The imager of a skin with or without calibration, and what places its touches.
+//! The imager of a skin with or without calibration, and the finder that locates its touches.
 
 use dermis_tomo::inverse::{Hyperparameter, LinearProblem};
 
@@ -10,19 +10,20 @@ use crate::imager::{Imager, weighting};
 use crate::prepare::Prepared;
 use crate::reference::{NoiseSource, Reference};
 
-/// What an operator for a reference consists of, with or without calibration.
+/// Imager, reference and placement finder, with or without calibration.
 #[derive(Debug)]
 pub struct CalibratedImager {
     /// Difference data to images.
     pub imager: Imager,
-    /// The reference that the difference data are to be made with.
+    /// The reference for making difference data.
     pub reference: Reference,
-    /// Places single touches, if the skin is calibrated.
+    /// Locates single touches, if the skin is calibrated.
     pub placement: Option<PlacementFinder>,
 }
 
 impl CalibratedImager {
-    /// The imager for a reference: on the measured Jacobian where a calibration places touches, else on the model's.
+    /// The imager for a reference: on the measured Jacobian if a calibration locates touches, otherwise on the
+    /// model's.
     ///
     /// # Errors
     /// As [`Imager::new`]; a calibration of another skin.
@@ -59,7 +60,7 @@ impl CalibratedImager {
     }
 }
 
-/// What places touches by a calibration, at the noise of this reference.
+/// The finder that locates touches by a calibration, at the noise of this reference.
 pub(crate) fn learnt_finder(
     prepared: &Prepared,
     calibration: &Calibration,
@@ -71,7 +72,7 @@ pub(crate) fn learnt_finder(
     Ok(PlacementFinder::Learnt(Box::new(finder)))
 }
 
-/// Refuses a skin whose wiring is unknown: without a calibration nothing can be said of it.
+/// Rejects a skin with unknown wiring, which needs a calibration.
 pub(crate) fn check_wiring(prepared: &Prepared) -> Result<(), Error> {
     if prepared.skin.backend.wiring.is_known() {
         return Ok(());

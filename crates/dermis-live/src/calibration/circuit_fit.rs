@@ -1,29 +1,29 @@
-//! What a search for a readout's circuit has come to, in numbers and in words.
+//! Result of a search for a readout's circuit, in numbers and in words.
 
 use dermis_skin::Circuit;
 
-/// Below this score the model is doubted: another circuit, another order or another layout.
+/// Below this score the model is doubtful: another circuit, channel order or layout.
 pub const TRUSTED_SCORE: f64 = 0.75;
-/// A circuit that reads other lines must be less likely by this, nats a reading. On a measured skin, draws of 20
-/// presses tell them apart by 0.07 to 0.11, and choose well.
+/// Minimum margin by which a circuit that reads other lines must be less likely, nats per reading. On a measured
+/// skin, draws of 20 presses separate them by 0.07 to 0.11, and choose well.
 pub const CLEAR_BY: f64 = 0.03;
 
-/// What was found.
+/// Result of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CircuitFit {
-    /// The best circuit; `None` where an ideal voltmeter explains the frames as well.
+    /// The best circuit; `None` if an ideal voltmeter explains the frames as well.
     pub circuit: Option<Circuit>,
     /// Its score on all frames.
     pub score: f64,
-    /// The score of the skin file's own circuit, or of an ideal voltmeter where it has none.
+    /// The score of the skin file's own circuit, or of an ideal voltmeter if it has none.
     pub score_before: f64,
-    /// By how much likelier the circuit makes the frames than that one, nats a reading.
+    /// Log-likelihood gain over the circuit of `score_before`, nats per reading.
     pub gain: f64,
-    /// The best circuit that reads other lines: how clear the choice is.
+    /// The best circuit that reads other lines, which shows how clear the choice is.
     pub runner_up: Option<RunnerUp>,
-    /// Frames that took part.
+    /// Number of frames used.
     pub frames: usize,
-    /// Circuits tried.
+    /// Number of circuits tried.
     pub tried: usize,
 }
 
@@ -34,27 +34,27 @@ pub struct RunnerUp {
     pub circuit: Circuit,
     /// Its score on all frames.
     pub score: f64,
-    /// How much less likely it makes the frames, nats a reading.
+    /// Log-likelihood deficit, nats per reading.
     pub behind: f64,
 }
 
 impl CircuitFit {
-    /// Whether the frames look like single touches on the model at all.
+    /// True if the frames look like single touches on the model.
     pub fn fits(&self) -> bool {
         self.score >= TRUSTED_SCORE
     }
 
-    /// Whether no circuit that reads other lines fits nearly as well.
+    /// True if no circuit that reads other lines fits nearly as well.
     pub fn is_clear(&self) -> bool {
         self.runner_up.is_none_or(|other| other.behind >= CLEAR_BY)
     }
 
-    /// Whether the circuit is to be relied on: it fits, and no other does.
+    /// True if the circuit is reliable: it fits, and no other fits nearly as well.
     pub fn is_trusted(&self) -> bool {
         self.fits() && self.is_clear()
     }
 
-    /// Whether it is to be relied on, in words, and why not.
+    /// Statement on the circuit's reliability, with the reason.
     pub fn trust(&self) -> String {
         if self.is_trusted() {
             "trusted: yes; a turn or mirror of the layout that leaves the skin alike cannot be told from frames".into()
@@ -67,7 +67,7 @@ impl CircuitFit {
     }
 }
 
-/// A circuit as it stands in a skin file, behind `circuit = `.
+/// A circuit as written in a skin file after `circuit = `.
 pub fn circuit_words(circuit: Option<&Circuit>) -> String {
     match circuit {
         Some(Circuit { load, idle, reading: [plus, minus, sink] }) => {
@@ -77,17 +77,17 @@ pub fn circuit_words(circuit: Option<&Circuit>) -> String {
     }
 }
 
-/// What a search beside the stream has come to.
+/// Result of a background search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CircuitNews {
-    /// What was found.
+    /// The result of the search.
     pub fit: CircuitFit,
-    /// Whether that is another circuit than the one in use so far, and used from this frame on.
+    /// True if it is a different circuit from the current one, and used from this frame on.
     pub is_new: bool,
 }
 
 impl CircuitNews {
-    /// In words, with the line for the skin file.
+    /// Description in words, with the line for the skin file.
     pub fn describe(&self) -> String {
         let Self { fit: CircuitFit { score, score_before, frames, circuit, .. }, is_new } = self;
         if !is_new {

@@ -1,11 +1,11 @@
-//! Finds what a readout does to the potentials (loads of its lines, what a reading is made of) from frames of unknown
-//! touches. Circuits are ranked by the likelihood of the frames as single touches at their best places, once each
-//! channel's scale, sign and weight have been found ([`SelfCalibration`]): no label takes part. What is told of a
-//! circuit is its score, the median correlation of frames with the best of its touch templates.
+//! Finds the effect of a readout on the potentials (loads of its lines, composition of a reading) from frames of
+//! unknown touches. For each circuit, the scale, sign and weight of each channel are fitted ([`SelfCalibration`]).
+//! Circuits are then ranked by the likelihood of the frames as single touches at their best positions, without using
+//! labels. The reported score of a circuit is the median correlation of frames with the best of its touch templates.
 //!
 //! With currents I and readings K of a channel's effective patterns, its Jacobian is bilinear,
-//! `J = sum_ab I_a K_b J_ab`, with J_ab of one unit current from electrode 0 to a, read between 0 and b. The J_ab are
-//! computed once, and every circuit costs one product of matrices.
+//! `J = sum_ab I_a K_b J_ab`, with J_ab for a unit current from electrode 0 to a, read between 0 and b. The J_ab are
+//! computed once, and every circuit costs one matrix product.
 
 use dermis_skin::{Circuit, CircuitChoice, Polarity};
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, Solution};
@@ -20,16 +20,17 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{Reference, are_pairs, check_frames};
 
-/// A circuit must be likelier than what the file has by this much to take its place, nats a reading.
+/// Minimum gain in log-likelihood over the skin file's circuit to replace it, nats per reading.
 const LEAST_GAIN: f64 = 0.005;
-/// At most so many frames take part in the search; all judge what it ends with.
+/// Maximum number of frames used in the search. All frames judge its result.
 const SEARCH_FRAMES: usize = 150;
-/// Most channels and electrodes that are searched for: the products of electrodes are kept for every place.
+/// Maximum number of channels and electrodes for a search, since it stores the products of electrodes for every
+/// position.
 const MOST_CHANNELS: usize = 2048;
 const MOST_ELECTRODES: usize = 64;
-/// At most so many places.
+/// Maximum number of positions.
 const MOST_PLACES: usize = 700;
-/// Readings to begin with: weights of the positive, the negative and the sink line.
+/// Initial readings: weights of the positive, the negative and the sink line.
 const READINGS: [[f64; 3]; 8] = [
     [1.0, -1.0, 0.0],
     [-0.5, 1.0, -0.5],
@@ -40,23 +41,24 @@ const READINGS: [[f64; 3]; 8] = [
     [1.0, 0.0, 0.0],
     [0.0, 1.0, 0.0],
 ];
-/// Loads of connected and idle lines to begin with.
+/// Initial loads of connected and idle lines.
 const LOADS: [[f64; 2]; 5] = [[0.1, 0.03], [0.5, 0.15], [2.0, 0.5], [0.5, 0.01], [0.1, 0.1]];
-/// So many of these are improved, in steps of the logarithm of loads and of the direction of readings, halved so often.
+/// Number of initial circuits that are improved. Steps are in the logarithm of the loads and the direction of the
+/// readings, halved `HALVINGS` times.
 const IMPROVED: usize = 3;
 const LOAD_STEP: f64 = 0.8;
 const READING_STEP: f64 = 0.3;
 const HALVINGS: usize = 3;
-/// Frames that change less than this part of what most do show no touch.
+/// Frames that change by less than this share of the larger changes show no touch.
 const LEAST_CHANGE: f64 = 0.1;
-/// Loads stay within these bounds.
+/// Bounds on the loads.
 const LOAD_BOUNDS: [f64; 2] = [1e-3, 1e2];
 
-/// Relative changes `(v - v_0) / mean(v_0)` of frames against their own baselines (as many) or the mean of all; of
-/// successive baselines where there are no frames.
+/// Relative changes `(v - v_0) / mean(v_0)` of frames against their own baselines (if equally many) or the mean of
+/// all. Without frames, the changes between successive baselines.
 ///
 /// # Errors
-/// Frames of another length, or too few of them.
+/// Frames of the wrong length, or too few of them.
 pub fn relative_changes(
     prepared: &Prepared,
     baselines: &[Vec<f64>],
@@ -78,7 +80,7 @@ pub fn relative_changes(
     Ok(frames.iter().enumerate().map(change).collect())
 }
 
-/// Frames whose change is large enough to be a touch, relative to the larger ones.
+/// Frames with a change large enough for a touch, relative to the larger changes.
 fn touched(frames: &[Vec<f64>]) -> Vec<&Vec<f64>> {
     let size = |frame: &Vec<f64>| {
         let finite: Vec<f64> = frame.iter().copied().filter(|v| v.is_finite()).map(f64::abs).collect();
@@ -92,7 +94,7 @@ fn touched(frames: &[Vec<f64>]) -> Vec<&Vec<f64>> {
 }
 
 /// Searches for the circuit under which the frames (relative changes, see [`relative_changes`]) look most like single
-/// touches. `progress` is told how many circuits were tried.
+/// touches. `progress` receives the number of circuits tried.
 ///
 /// # Errors
 /// A skin without electrodes in pairs, with too many of them, or too few frames.
@@ -110,10 +112,10 @@ pub fn find_circuit(
     fit.ok_or_else(|| too_few(frames.len()))
 }
 
-/// Refuses a skin whose circuit cannot be searched for.
+/// Rejects a skin whose circuit cannot be searched for.
 ///
 /// # Errors
-/// As said.
+/// A skin with coils, unknown wiring, or too many channels or electrodes.
 pub(crate) fn check_searchable(prepared: &Prepared) -> Result<(), Error> {
     let refuse = |expected: String, got: String| {
         let what = format!("finding the circuit of skin {}", prepared.skin.name);
@@ -135,8 +137,8 @@ fn too_few(got: usize) -> Error {
     Error::Frames { what: "frames to find the circuit from".into(), expected, got: got.to_string() }
 }
 
-/// As [`find_circuit`], of frames that are all touches; `None` where `go_on`, which is told how many circuits were
-/// tried, has ended the search.
+/// As [`find_circuit`], for frames that are all touches. `None` if `go_on`, which receives the number of circuits
+/// tried, ended the search.
 ///
 /// # Errors
 /// Too few frames.
@@ -167,7 +169,7 @@ pub(crate) fn find_circuit_while(
     for reading in READINGS {
         let tries = LOADS.map(|[load, idle]| Point { load, idle, reading: unit(reading) });
         let ranked = tries.map(|point| (likelihood(Some(&point.circuit())), point));
-        // One of each kind of reading is kept, so that the search does not begin thrice at one place.
+        // Keep only the best of each kind of reading, so that the search starts from different points.
         begun.extend(ranked.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)));
     }
     begun.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -192,7 +194,7 @@ pub(crate) fn find_circuit_while(
         RunnerUp { circuit: point.circuit(), score: judged.score, behind }
     });
     let candidates = [(own, before), (None, ideal), (Some(best.circuit()), found)];
-    // What stands in the file stays unless another is likelier, and scores higher as well.
+    // Keep the skin file's circuit unless another one is more likely and also scores higher.
     let beats =
         |next: &Judged, least: &Judged| next.likelihood > least.likelihood + LEAST_GAIN && next.score > least.score;
     let winner = candidates.iter().fold(candidates[0], |best, next| if beats(&next.1, &best.1) { *next } else { best });
@@ -202,17 +204,17 @@ pub(crate) fn find_circuit_while(
     Ok(Some(CircuitFit { circuit: winner.0, score, score_before: before.score, gain, runner_up, frames, tried }))
 }
 
-/// A circuit on its way.
+/// A circuit during the search.
 #[derive(Clone, Copy, Debug)]
 struct Point {
     load: f64,
     idle: f64,
-    /// Of unit length.
+    /// Normalised to unit length.
     reading: [f64; 3],
 }
 
 impl Point {
-    /// Rounded to three digits, as it stands in a file; the largest weight is 1.
+    /// Rounded to three digits, as in a file; the largest weight is 1.
     fn circuit(self) -> Circuit {
         let round = |v: f64| if v == 0.0 { 0.0 } else { format!("{v:.2e}").parse().unwrap_or(v) };
         let largest = self.reading.iter().fold(0.0, |most: f64, w| if w.abs() > most.abs() { *w } else { most });
@@ -220,7 +222,7 @@ impl Point {
         Circuit { load: round(self.load), idle: round(self.idle), reading }
     }
 
-    /// Its neighbours at a share of the first steps.
+    /// Its neighbours at a share of the initial steps.
     fn neighbours(self, share: f64) -> Vec<Self> {
         let mut all = Vec::with_capacity(10);
         for sign in [1.0, -1.0] {
@@ -240,7 +242,7 @@ impl Point {
     }
 }
 
-/// Goes to better neighbours as long as there are any, in ever smaller steps.
+/// Moves to better neighbours while there are any, in ever smaller steps.
 fn climb(start: (f64, Point), likelihood: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Point) {
     let mut best = start;
     for halving in 0..=HALVINGS {
@@ -270,7 +272,7 @@ fn unit(v: [f64; 3]) -> [f64; 3] {
     v.map(|w| w / length)
 }
 
-/// What scores circuits.
+/// Scores circuits.
 struct Judge<'a> {
     prepared: &'a Prepared,
     solution: &'a Solution<'a>,
@@ -282,17 +284,17 @@ struct Judge<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Judged {
     score: f64,
-    /// Nats a reading.
+    /// In nats per reading.
     likelihood: f64,
 }
 
 impl Judged {
-    /// Of a circuit that cannot be.
+    /// Result for an impossible circuit.
     const NOTHING: Self = Self { score: -1.0, likelihood: -1e3 };
 }
 
 impl Judge<'_> {
-    /// How well a circuit explains frames, an ideal voltmeter for `None`.
+    /// Measures how well a circuit explains frames; `None` is an ideal voltmeter.
     fn judge(&mut self, circuit: Option<&Circuit>, frames: &[Vec<f64>]) -> Judged {
         self.tried += 1;
         self.calibrate(circuit, frames).map_or(Judged::NOTHING, |calibration| Judged {
@@ -315,7 +317,7 @@ impl Judge<'_> {
     }
 }
 
-/// What a touch of this skin does.
+/// The effect of a touch on this skin.
 pub(super) fn touch_effect(prepared: &Prepared) -> TouchEffect {
     match prepared.skin.imaging.polarity {
         Polarity::LowersConductivity => TouchEffect::LowersConductivity,
@@ -323,10 +325,11 @@ pub(super) fn touch_effect(prepared: &Prepared) -> TouchEffect {
     }
 }
 
-/// Templates of unit currents from electrode 0 to a, read between 0 and b: what every circuit's templates are sums of.
+/// Templates for unit currents from electrode 0 to a, read between 0 and b. Every circuit's templates are sums of
+/// these.
 struct Products {
     electrodes: usize,
-    /// (electrodes - 1)^2 rows, a-major, by places.
+    /// (electrodes - 1)^2 rows, a-major, by positions.
     rows: Mat<f64>,
     places_m: Vec<[f64; 2]>,
 }

@@ -1,4 +1,4 @@
-//! The matched filter that places touches of a skin calibrated without labels.
+//! The matched filter that locates touches on a skin calibrated without labels.
 
 use dermis_tomo::inverse::{MatchedPair, PairSearch, SelfCalibration};
 use dermis_touch::{PlaceHypotheses, PlaceModes};
@@ -7,39 +7,38 @@ use crate::Error;
 use crate::reference::Reference;
 use crate::stages::placement::{Placement, SecondTouch};
 
-/// Below this correlation with the best place's signature, a frame is doubted to be a single touch.
+/// Below this correlation with the best position's signature, a frame may not be a single touch.
 const LEAST_SCORE: f64 = 0.5;
 
-/// A frame of which the best place leaves more than this share of what it typically leaves is looked at for two
-/// touches.
+/// Test a frame for two touches if its best single position leaves more than this share of the usual residual.
 const LEAST_LEFT: f64 = 0.7;
-/// Two touches are believed where they leave at most this share of what the best place leaves, and the weaker presses
-/// at least this share as hard. Single presses leave 0.70 of it or more on the measured gel (475 frames), and on its
-/// twin at least 0.66 where the weaker of two would press this hard (240); two presses 0.1 to 0.5, and up to 0.7 where
-/// the channels were weighed by frames of two presses alone.
+/// Accept two touches if they leave at most `LEFT_BY_TWO` times the residual of the best single position, and the
+/// weaker press is at least `LEAST_ALIKE` times as strong. Single presses leave 0.70 or more of it on the measured
+/// gel (475 frames), and at least 0.66 on its twin if the weaker of two presses is this strong (240). Two presses
+/// leave 0.1 to 0.5, and up to 0.7 if the channels were weighted using frames of two presses alone.
 const LEFT_BY_TWO: f64 = 0.6;
 const LEAST_ALIKE: f64 = 0.4;
-/// They are so many times as far apart as two explanations of a frame at least: a press wider than the templates looks
-/// like two beside each other.
+/// Minimum distance of two touches, in multiples of the distance between two explanations of a frame: a press wider
+/// than the templates looks like two adjacent presses.
 pub(super) const TOUCHES_APART: f64 = 1.5;
 
-/// What one sigma of a coordinate is made of, beside each other: of the deviation of places that are all alike within a
-/// cell of the grid this share, and the share of the frame's energy that its touches leave times so many sizes of a
-/// touch. Twin and measured gel leave 5 and 31 % of a press, and place it 1.2 and 4.7 mm off (68 % of errors).
+/// A coordinate's sigma has two parts: `OF_GRAIN` times the standard deviation of positions spread evenly over a grid
+/// cell, and `SIZES` touch sizes times the share of the frame's energy that its touches leave. The twin and the
+/// measured gel leave 5 and 31 % of a press, and locate it to 1.2 and 4.7 mm (68 % of errors).
 const OF_GRAIN: f64 = 0.8;
 const SIZES: f64 = 1.5;
 
-/// What positions are off by.
+/// Error model of positions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlaceError {
     /// Side of the grid's cells, metres.
     pub cell_m: f64,
-    /// Standard deviation of the Gaussian that a touch is taken for, metres.
+    /// Standard deviation of the Gaussian that represents a touch, metres.
     pub size_m: f64,
 }
 
 impl PlaceError {
-    /// Covariance of touches that leave this share of a frame's weighted energy.
+    /// Covariance of touches that leave this share of a frame's weighted energy unexplained.
     fn covariance_m2(&self, left: f64) -> [[f64; 2]; 2] {
         let grain_m2 = OF_GRAIN.powi(2) * self.cell_m.powi(2) / 12.0;
         let variance_m2 = grain_m2 + (SIZES * left.clamp(0.0, 1.0) * self.size_m).powi(2);
@@ -47,13 +46,13 @@ impl PlaceError {
     }
 }
 
-/// Whether two touches are believed: of a frame's energy the best place leaves one share, the best two places another,
-/// and the weaker presses so many times as hard.
+/// True if two touches are accepted, given the shares of a frame's energy that the best position and the best two
+/// positions leave, and the strength of the weaker press relative to the stronger.
 pub(super) fn are_two(left_by_one: f64, left_by_two: f64, alike: f64) -> bool {
     left_by_two <= LEFT_BY_TWO * left_by_one && alike >= LEAST_ALIKE
 }
 
-/// The matched filter and what it needs to read difference data.
+/// The matched filter and the parameters for reading difference data.
 #[derive(Clone, Debug)]
 pub struct MatchedFinder {
     calibration: SelfCalibration,
@@ -68,9 +67,8 @@ pub struct MatchedFinder {
 }
 
 impl MatchedFinder {
-    /// Frames whose root mean square in units of the noise is below `smallest_amplitude` show no touch. Without a
-    /// reference yet: [`MatchedFinder::adapt`]. Places at least `separation_m` apart may be two explanations of a
-    /// frame.
+    /// Frames with an RMS below `smallest_amplitude`, in units of the noise, show no touch. Positions at least
+    /// `separation_m` apart may be two explanations of a frame. Call [`MatchedFinder::adapt`] to set the reference.
     pub(super) fn new(
         calibration: SelfCalibration,
         smallest_amplitude: f64,
@@ -92,13 +90,13 @@ impl MatchedFinder {
         }
     }
 
-    /// The next frame has nothing to do with this one.
+    /// Forgets the current press: the next frame is unrelated.
     pub(super) fn forget(&mut self) {
         self.hypotheses.forget();
     }
 
-    /// Reads differences from this baseline from now on: the reference with the scales of the calibration, in whose
-    /// units its noise is as well.
+    /// Switches to differences from this baseline. Returns the reference with the scales of the calibration, and with
+    /// noise in the same units.
     pub(crate) fn adapt(&mut self, mut reference: Reference) -> Reference {
         for (channel, data_scale) in self.calibration.data_scale().iter().enumerate() {
             let scale = 1.0 / (reference.baseline[channel] * data_scale);
@@ -112,7 +110,7 @@ impl MatchedFinder {
     }
 
     pub(super) fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
-        // Root mean square of the frame in units of its noise: is there a touch at all?
+        // RMS of the frame in units of its noise, to decide whether there is a touch at all.
         let in_noise = difference.iter().zip(&self.noise).filter(|(d, noise)| d.is_finite() && **noise > 0.0);
         let (count, sum) = in_noise.fold((0, 0.0), |(n, sum), (d, noise)| (n + 1, sum + (d / noise).powi(2)));
         if count == 0 || (sum / f64::from(count)).sqrt() < self.smallest_amplitude {
@@ -138,7 +136,7 @@ impl MatchedFinder {
             self.forget();
             let [position_m, other_m] = positions_m;
             let second = Some(SecondTouch { position_m: other_m, share: amplitudes[1] / amplitudes[0] });
-            // What is left, over the energy of the weaker alone.
+            // Residual energy relative to the weaker touch alone.
             let of_weaker = left * (1.0 + (amplitudes[0] / amplitudes[1]).powi(2));
             let covariance_m2 = self.error.covariance_m2(of_weaker);
             return Ok(Some(Placement { position_m, covariance_m2, second, doubtful: false, ..placed }));
@@ -157,7 +155,7 @@ impl MatchedFinder {
         }))
     }
 
-    /// The two touches of the frame at hand, whose best place has this score, where two are believed.
+    /// The two touches of the current frame, if accepted. `score` is that of its best single position.
     fn pair(&self, score: f64) -> Result<Option<MatchedPair>, Error> {
         let [left, typical] = [score, self.calibration.score()].map(|score| 1.0 - score * score);
         if left <= LEAST_LEFT * typical {
@@ -177,9 +175,9 @@ mod tests {
     use dermis_skin::{Skin, builtin_text};
     use dermis_tomo::inverse::{CalibrationOptions, TouchTemplates};
 
-    /// The gel skin with an ideal voltmeter, all of whose pairs are of opposite electrodes. Half a turn only exchanges
-    /// the electrodes of every pair, which changes the sign of current and voltage both: a press reads as one at the
-    /// point opposite.
+    /// The gel skin with an ideal voltmeter, all of whose pairs are of opposite electrodes. Half a turn merely swaps
+    /// the electrodes of every pair, which flips the sign of both current and voltage. A press then reads like one at
+    /// the opposite point.
     fn ambiguous() -> Prepared {
         let text = builtin_text("hydrogel-disc").unwrap();
         let lines = text.lines().filter(|line| !line.starts_with("circuit")).map(|line| match line.split(' ').next() {
@@ -211,7 +209,7 @@ mod tests {
 
     impl Desk {
         fn new(prepared: Prepared) -> Self {
-            // All angles, from the middle to three quarters of the radius.
+            // All angles, from the centre to three quarters of the radius.
             let places: Vec<[f64; 2]> = (0..60)
                 .map(|n| {
                     let (r, angle) = (0.064 * ((f64::from(n) + 0.5) / 60.0).sqrt(), 2.399_963 * f64::from(n));
@@ -233,7 +231,7 @@ mod tests {
             Self { prepared, places, signatures, reference, finder }
         }
 
-        /// What the finder makes of presses at these places, read with the noise of this number.
+        /// Result of the finder for presses at these positions, read with noise number `noise`.
         fn place(&mut self, time_ns: u64, presses: &[usize], noise: usize) -> Placement {
             let changes = changes(&self.prepared, &self.signatures, presses, noise);
             let read: Vec<f64> =
@@ -242,7 +240,8 @@ mod tests {
         }
     }
 
-    /// Readings of presses in relative changes, with noise of a fifth of their size; channels at zero have none.
+    /// Readings of presses as relative changes, with noise of a fifth of their size. Channels that read zero at rest
+    /// are NaN.
     fn changes(prepared: &Prepared, signatures: &[f64], presses: &[usize], noise: usize) -> Vec<f64> {
         let channels = prepared.channels();
         let largest = prepared.voltages.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
@@ -258,7 +257,7 @@ mod tests {
         let off = |at: [f64; 2], place: [f64; 2]| distance_mm(at, place).min(distance_mm(at, place.map(|v| -v)));
         let mut told = 0;
         for (number, truth) in desk.places.clone().iter().enumerate().filter(|(_, at)| at[0].hypot(at[1]) > 0.035) {
-            // A minute apart: no press follows another.
+            // A minute apart, so that presses are unrelated.
             let found = desk.place(60_000_000_000 * number as u64, &[number], number);
             let other = found.other_place.unwrap_or_else(|| panic!("no other place for {truth:?}: {found:?}"));
             assert!(
@@ -266,12 +265,12 @@ mod tests {
                 "{truth:?}: {found:?}"
             );
             assert!(distance_mm(other.position_m, found.position_m) > 45.0, "{truth:?}: {found:?}");
-            // The meshes are not symmetric, so that neither is exactly a half.
+            // The meshes are not symmetric, so neither probability is exactly a half.
             assert!((0.3..=0.65).contains(&other.probability), "{truth:?}: {found:?}");
             told += 1;
         }
         assert!(told > 30, "{told}");
-        // One press that lasts, each frame with noise of its own that turns the balance.
+        // One lasting press, with noise in each frame that tips the balance.
         let mut before: Option<[f64; 2]> = None;
         for frame in 0..100 {
             let found = desk.place(10_000_000_000_000 + 20_000_000 * frame as u64, &[50], 100 + frame);

@@ -1,19 +1,19 @@
-//! The locator of a calibration: of two experts, or of one in files that an earlier version wrote.
+//! The locator of a calibration: with two experts, or with one in files written by an earlier version.
 
 use dermis_touch::locator::{
     FusedLocator, FusedScratch, LeaveOneOut, Located, Locator, LocatorError, LocatorScratch, SuggestedPoke,
 };
 
-/// What places single touches.
+/// Locates single touches.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum PlaceLocator {
-    /// Of one expert.
+    /// With one expert.
     Single(Box<Locator>),
-    /// Of two.
+    /// With two experts.
     Fused(Box<FusedLocator>),
 }
 
-/// Its memory between frames.
+/// Working memory of a locator.
 #[derive(Clone, Debug)]
 pub(super) enum PlaceScratch {
     Single(Box<LocatorScratch>),
@@ -50,7 +50,7 @@ impl PlaceLocator {
         }
     }
 
-    /// Locates the touch behind a frame of difference data; memory of the other kind is replaced.
+    /// Locates the touch in a frame of difference data. Scratch memory of the other kind is replaced.
     pub fn locate(&self, frame: &[f64], scratch: &mut PlaceScratch) -> Result<Located, LocatorError> {
         match (self, &mut *scratch) {
             (Self::Single(locator), PlaceScratch::Single(scratch)) => locator.predict_into(frame, scratch),

@@ -1,4 +1,4 @@
-//! What places the single touch of a frame in a calibrated skin.
+//! Locates the single touch of a frame on a calibrated skin.
 
 use dermis_touch::locator::{PlaceCorrection, TypicalAmplitude};
 use dermis_touch::{LoadQuantity, TouchLoad};
@@ -10,15 +10,15 @@ use crate::Error;
 use crate::reference::Reference;
 use crate::stages::placement::Placement;
 
-/// Above this novelty a frame is doubted to be a single touch, and several contacts of the image stand against it.
+/// Above this novelty a frame may not be a single touch, and several contacts in the image count against it.
 const MOST_NOVELTY: f64 = 3.0;
-/// Above this standard deviation, relative to half the shorter side, a frame does not tell where it is touched.
+/// Above this standard deviation, relative to half the shorter side, the position of a touch is unknown.
 const VAGUE: f64 = 0.5;
 
-/// Finds the place of the single touch of a frame.
+/// Locates the single touch of a frame.
 #[derive(Clone, Debug)]
 pub enum PlacementFinder {
-    /// A locator learnt from pokes.
+    /// A locator learned from pokes.
     Learnt(Box<LearntFinder>),
     /// The matched filter of a skin calibrated without labels.
     Matched(Box<MatchedFinder>),
@@ -29,23 +29,23 @@ pub enum PlacementFinder {
 pub struct LearntFinder {
     locator: PlaceLocator,
     scratch: PlaceScratch,
-    /// Where the model places touches: what corrects it.
+    /// Corrects the model's positions, if the model locates touches.
     correction: Option<PlaceCorrection>,
-    /// What amplitudes are divided by.
+    /// Divisor for amplitudes.
     typical: Option<TypicalAmplitude>,
-    /// What the pokes' loads were measured as.
+    /// Quantity in which the pokes' loads were measured.
     load: Option<LoadQuantity>,
-    /// Root mean squares of the noise-weighted frame below which there is no touch.
+    /// RMS values of the noise-weighted frame below which there is no touch.
     smallest_amplitude: SmallestAmplitude,
     half_width_m: f64,
 }
 
 impl PlacementFinder {
-    /// Where the single touch of a frame is, `None` where the frame is too weak. The matched filter follows two places
-    /// that explain it about equally well over the frames of a press; `time_ns` is that of the frame.
+    /// Locates the single touch of a frame; `None` if the frame is too weak. The matched filter follows two positions
+    /// that explain it about equally well over the frames of a press. `time_ns` is the frame's time.
     ///
     /// # Errors
-    /// A frame of another length, or without enough channels.
+    /// A frame of the wrong length, or without enough channels.
     pub fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
         match self {
             PlacementFinder::Learnt(finder) => finder.place(difference),
@@ -53,15 +53,15 @@ impl PlacementFinder {
         }
     }
 
-    /// The next frame has nothing to do with this one.
+    /// Forgets the current press: the next frame is unrelated.
     pub fn forget(&mut self) {
         if let PlacementFinder::Matched(finder) = self {
             finder.forget();
         }
     }
 
-    /// The reference of a new baseline, in the units that frames are read in from now on: those of a skin that has
-    /// calibrated itself, else as it is.
+    /// Adapts the reference of a new baseline to the units in which frames are read from now on. Only a skin that
+    /// calibrated itself needs this; otherwise the reference is unchanged.
     pub(crate) fn adapt(&mut self, reference: Reference) -> Reference {
         match self {
             PlacementFinder::Learnt(_) => reference,
@@ -69,8 +69,8 @@ impl PlacementFinder {
         }
     }
 
-    /// What corrects the places of the model, where that places touches: what is placed here then tells loads, and where
-    /// a touch is that the model does not see.
+    /// The correction of the model's positions, if the model locates touches. This finder then only estimates loads,
+    /// and locates touches that the model does not see.
     pub fn correction(&self) -> Option<&PlaceCorrection> {
         match self {
             PlacementFinder::Learnt(finder) => finder.correction.as_ref(),
@@ -80,7 +80,7 @@ impl PlacementFinder {
 }
 
 impl LearntFinder {
-    /// What places touches of frames whose noise-weighted root mean square is at least `smallest_amplitude`.
+    /// Locates touches in frames whose noise-weighted RMS is at least `smallest_amplitude`.
     ///
     /// # Errors
     /// As [`Calibration::typical_amplitude`].
@@ -96,8 +96,8 @@ impl LearntFinder {
         Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude, half_width_m })
     }
 
-    /// The mean of the locator's posterior, also where that has several modes: a single mode of a posterior learnt from
-    /// few pokes is the worse guess.
+    /// Uses the mean of the locator's posterior even if that has several modes: with a posterior learned from few
+    /// pokes, a single mode is the worse guess.
     fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
         if difference.iter().all(|v| !v.is_finite() || *v == 0.0) {
             return Ok(None);

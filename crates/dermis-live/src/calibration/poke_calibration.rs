@@ -1,6 +1,6 @@
-//! A calibration by pokes at known positions: a measured Jacobian, on which images are made, and a locator, which
-//! places single touches with an honest sigma. With few pokes the locator leans on the physics or on sister skins, with
-//! many on the pokes alone.
+//! A calibration by pokes at known positions. It consists of a measured Jacobian, on which images are made, and a
+//! locator, which locates single touches with a calibrated sigma. With few pokes the locator relies on physics or on
+//! sister skins, with many on the pokes alone.
 
 mod frames;
 mod map;
@@ -32,25 +32,26 @@ use crate::prepare::Prepared;
 
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
-/// So many pokes, evenly drawn, are kept for the measured Jacobian, whose time grows with their cube.
+/// Maximum number of pokes, evenly drawn, kept for the measured Jacobian; its time grows with their cube.
 const MOST_KEPT: usize = 800;
-/// So many pokes, evenly drawn, tell how weak a touch may be.
+/// Maximum number of pokes, evenly drawn, that determine how weak a touch may be.
 const MOST_WEIGHED: usize = 500;
-/// At most so many pokes say how strong a typical one is.
+/// Maximum number of pokes that determine the amplitude of a typical one.
 const MOST_TYPICAL: usize = 200;
-/// The model places touches only where it shows at most this part of the pokes as several touches,
+/// Maximum share of the pokes that the model may see as several touches, if it is to locate touches.
 const MOST_SEVERAL: f64 = 0.1;
-/// and sees at least this part of them. The locator places the others.
+/// Minimum share of the pokes that the model must see. The locator locates the others.
 const LEAST_SEEN: f64 = 0.5;
-/// Fewest pokes in the order they were made that tell of drift.
+/// Minimum number of pokes, in the order they were made, for measuring drift.
 const FEWEST_FOR_DRIFT: usize = 40;
 
-/// What is used beside the pokes.
+/// Additional information used with the pokes.
 #[derive(Clone, Copy, Debug)]
 pub struct CalibrationOptions<'a> {
-    /// The skin file's physics, where it predicts left-out pokes better. Never where its wiring is unknown.
+    /// Use the skin file's physics if it improves the prediction of left-out pokes. Never used if the wiring is
+    /// unknown.
     pub physics: bool,
-    /// Calibrations of sister skins: the one that predicts left-out pokes best lends what helps.
+    /// Calibrations of sister skins. The one that predicts left-out pokes best provides prior information.
     pub start: &'a [Calibration],
 }
 
@@ -60,22 +61,22 @@ impl Default for CalibrationOptions<'_> {
     }
 }
 
-/// What was found out about the pokes beside where they are located.
+/// Findings about the pokes, other than their locations.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PokeReview {
-    /// Pokes that repeat another one exactly, value by value; they were left out.
+    /// Number of pokes excluded because they repeat another one exactly, value by value.
     pub repeated: usize,
     /// Channels that read the same in every poke, or nothing.
     pub dead_channels: Vec<u32>,
-    /// Drift over the session, where the pokes are in the order they were made and enough.
+    /// Drift over the session, if the pokes are in the order they were made and numerous enough.
     pub drift: Option<SessionDrift>,
-    /// Channels that jump while nothing touches the skin, where each poke had a baseline of its own; they were left
-    /// out.
+    /// Channels excluded because they jump while nothing touches the skin. Determined only if each poke has its own
+    /// baseline.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unsound_channels: Vec<u32>,
-    /// Scatter of each channel over those baselines, jumps left aside, in the unit of the readings; 0
-    /// for a channel that never read.
+    /// Scatter of each channel over these baselines, without jumps, in the unit of the readings; 0 for a channel that
+    /// never read anything.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rest_scatter: Vec<f64>,
 }
@@ -85,44 +86,44 @@ pub struct PokeReview {
 #[serde(try_from = "stored::StoredCalibration", into = "stored::StoredCalibration")]
 pub struct Calibration {
     skin: String,
-    /// Fingerprint of the skin ([`crate::same_skin`]); `None` of files of earlier versions.
+    /// Fingerprint of the skin ([`crate::same_skin`]); `None` in files of earlier versions.
     skin_sha256: Option<String>,
     channels: usize,
     load: Option<LoadQuantity>,
-    /// Difference data of each poke, model volts, divided by nothing; some of them where they are very many.
+    /// Difference data of each poke, model volts, not divided by loads. Only a subset if there are very many pokes.
     frames: Vec<Vec<f64>>,
     positions_m: Vec<[f64; 2]>,
     loads: Option<Vec<f64>>,
     locator: PlaceLocator,
-    /// Corrects the places of the skin's model, where that puts pokes nearer than the locator does: the model then
-    /// places touches, and the locator says how hard they are.
+    /// Corrects the positions of the skin's model, if these are better than the locator's. The model then locates
+    /// touches, and the locator estimates their load.
     by_model: Option<PlaceCorrection>,
-    /// Pokes that it was fitted to.
+    /// Number of pokes used in the fit.
     pokes: usize,
     strength: TouchStrength,
     review: PokeReview,
 }
 
-/// How hard each poke was relative to a typical one, by its index; 1 where loads are not known.
+/// Load of each poke relative to a typical one, by its index; 1 if loads are unknown.
 pub(crate) fn load_shares(loads: Option<&[f64]>) -> impl Fn(usize) -> f64 + '_ {
     let loads = loads.map(|loads| (loads, loads.iter().sum::<f64>() / loads.len() as f64));
     move |index| loads.map_or(1.0, |(loads, mean)| loads[index] / mean)
 }
 
 impl Calibration {
-    /// Fits a calibration to pokes. `baselines` has one frame for all pokes or one for each; frames in the protocol's
-    /// order.
+    /// Fits a calibration to pokes. `baselines` has one frame for all pokes or one for each; frames are in the
+    /// protocol's order.
     ///
     /// # Errors
-    /// Counts that disagree, positions off the skin, or pokes from which nothing can be learnt.
+    /// Inconsistent counts, positions off the skin, or pokes from which nothing can be learned.
     pub fn fit(prepared: &Prepared, baselines: &[Vec<f64>], frames: &[Vec<f64>], pokes: &Pokes) -> Result<Self, Error> {
         Self::fit_with(prepared, PokeFrames::Readings { baselines, frames }, pokes, &CalibrationOptions::default())
     }
 
-    /// As [`Calibration::fit`], from readings or differences, and with a choice of what is used beside them.
+    /// As [`Calibration::fit`], from readings or differences, with a choice of additional information.
     ///
     /// # Errors
-    /// As [`Calibration::fit`]; a sister with another number of channels.
+    /// As [`Calibration::fit`]; a sister with a different number of channels.
     pub fn fit_with(
         prepared: &Prepared,
         measured: PokeFrames<'_>,
@@ -138,7 +139,7 @@ impl Calibration {
         let places = |rows: &[usize]| rows.iter().map(|&i| pokes.positions_m[i]).collect::<Vec<_>>();
         let frames = rows.iter().flat_map(|&i| differences[i].iter().copied()).collect();
         let mut examples = Examples::new(prepared.channels(), frames, places(&rows))?;
-        // Differences of many places tell no noise of the channels: all count alike.
+        // Differences do not reveal the noise of the channels, so all have equal weight.
         if matches!(measured, PokeFrames::Readings { .. }) {
             examples = examples.with_channel_noise(reference.noise.clone())?;
         }
@@ -157,7 +158,7 @@ impl Calibration {
             picked(MOST_WEIGHED).map(|i| Ok(weigh(&differences[i])?.amplitude)).collect();
         let resting = match measured {
             PokeFrames::Readings { baselines, .. } if baselines.len() > 1 => {
-                // Two frames differ by more noise than a frame does from the mean of all.
+                // The difference of two frames is noisier than a frame's difference from the mean of all.
                 let of_a_poke = if measured.has_pairs() { 1.0 } else { (0.5 + 0.5 / baselines.len() as f64).sqrt() };
                 baselines
                     .windows(2)
@@ -190,12 +191,12 @@ impl Calibration {
         })
     }
 
-    /// Lets the skin's model place touches, corrected by the pokes, and the locator those that the model does not see,
-    /// unless left-out pokes are clearly nearer by the locator alone (median and 90th percentile together). `seen`:
-    /// pokes as the model sees them. Says whether the model places touches now.
+    /// Lets the skin's model locate touches, corrected by the pokes, with the locator for those that the model does
+    /// not see. Keeps the locator instead if its left-out errors are clearly smaller (median plus 90th percentile).
+    /// `seen` are the pokes as the model sees them. Returns true if the model now locates touches.
     ///
     /// # Errors
-    /// Places, amplitudes or loads that are not finite.
+    /// Positions, amplitudes or loads that are not finite.
     pub fn try_model(&mut self, seen: &[PokeSight], prepared: &Prepared) -> Result<bool, Error> {
         self.by_model = None;
         let pokes: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();
@@ -206,29 +207,29 @@ impl Calibration {
         }
         let correction = match PlaceCorrection::fit(&pokes, prepared.half_width_m()) {
             Ok(correction) => correction.beside(self.locator.leave_one_out(), seen),
-            // Too few pokes near where the model has them: it knows nothing of them.
+            // Too few pokes are near where the model puts them, so it does not explain them.
             Err(LocatorError::Count { .. }) => return Ok(false),
             Err(error) => return Err(error.into()),
         };
         let total = |report: &LeaveOneOut| report.median_error_m + report.p90_error_m;
-        // The model knows more than these pokes: they have to show that they are better, within what they can tell.
+        // The model has more information than these pokes, so the locator must be significantly better.
         let clearly = 1.0 - 1.0 / all.sqrt();
         let locator = total(self.locator.leave_one_out());
         self.by_model = Some(correction).filter(|c| clearly * total(c.leave_one_out()) < locator);
         Ok(self.by_model.is_some())
     }
 
-    /// What corrects the places of the skin's model, where the model places touches; `None` where the locator does.
+    /// The correction of the model's positions, if the model locates touches; `None` if the locator does.
     pub fn correction(&self) -> Option<&PlaceCorrection> {
         self.by_model.as_ref()
     }
 
-    /// How well each poke is located by the others.
+    /// Accuracy of each poke as located from the others.
     pub fn leave_one_out(&self) -> &LeaveOneOut {
         self.by_model.as_ref().map_or_else(|| self.locator.leave_one_out(), PlaceCorrection::leave_one_out)
     }
 
-    /// What each expert makes of the pokes and what physics and sister skins brought; `None` of a file of version 1.
+    /// The experts' results on the pokes and the use of physics and sister skins; `None` for a file of version 1.
     pub fn experts(&self) -> Option<&FusedReport> {
         match &self.locator {
             PlaceLocator::Fused(fused) => Some(fused.report()),
@@ -236,9 +237,9 @@ impl Calibration {
         }
     }
 
-    /// Channels to leave out of frames that were taken with these baselines, each with its own: those that the
-    /// calibration left out, that jump, or that scatter well above what they did then. None where there are too few
-    /// baselines to say, or nearly all channels would go.
+    /// Channels to exclude from frames taken with these baselines, one for each frame: those that the calibration
+    /// excluded, those that jump, and those that scatter well above their earlier level. Empty with too few
+    /// baselines. If nearly all channels jump or scatter, only those that the calibration excluded.
     pub fn unsound_channels(&self, baselines: &[Vec<f64>]) -> Vec<u32> {
         let Some(scatter) = RestScatter::of(baselines) else { return Vec::new() };
         let mut unsound = scatter.unsound(Some(&self.review.rest_scatter));
@@ -248,12 +249,13 @@ impl Calibration {
         unsound
     }
 
-    /// The calibration of a skin on which these channels say nothing any more: fitted anew to its pokes without them,
-    /// or to the 800 of them that it keeps. `noise`: that of the channels now, in the unit of difference data. The
-    /// places are the locator's.
+    /// The calibration of a skin on which these channels no longer work. It is refitted without them to its pokes, or
+    /// to the 800 of them that it keeps. `noise` is the current channel noise, in the unit of difference data. The
+    /// locator then locates touches.
     ///
     /// # Errors
-    /// A channel that does not exist, noise of another length, or pokes from which nothing can be learnt without them.
+    /// A channel that does not exist, noise of the wrong length, or pokes from which nothing can be learned without
+    /// them.
     pub fn without_channels(&self, prepared: &Prepared, channels: &[u32], noise: &[f64]) -> Result<Self, Error> {
         if let Some(&channel) = channels.iter().find(|channel| **channel as usize >= self.channels) {
             return Err(Error::Frames {
@@ -280,17 +282,17 @@ impl Calibration {
         Ok(silent)
     }
 
-    /// What was found out about the pokes beside where they are located.
+    /// Findings about the pokes, other than their locations.
     pub fn review(&self) -> &PokeReview {
         &self.review
     }
 
-    /// What the loads of its pokes were measured as, where they were and frames tell them: touches then have one too.
+    /// Quantity in which the pokes' loads were measured, if frames reveal it. Touches then have a load too.
     pub fn load_quantity(&self) -> Option<LoadQuantity> {
         self.load.filter(|_| self.leave_one_out().load_error.is_some())
     }
 
-    /// Whether the pokes had loads that frames do not tell.
+    /// True if the pokes had loads that frames do not reveal.
     pub fn has_silent_loads(&self) -> bool {
         self.load.is_some() && self.leave_one_out().load_error.is_none()
     }
@@ -300,7 +302,7 @@ impl Calibration {
         &self.skin
     }
 
-    /// What tells a touch from rest; of a file of version 1 without what it did not keep.
+    /// Thresholds that separate a touch from rest. A file of version 1 lacks some of them.
     fn strength(&self) -> Result<TouchStrength, Error> {
         if self.strength.weak.is_some() {
             return Ok(self.strength);
@@ -314,14 +316,14 @@ impl Calibration {
         Ok(TouchStrength::of_all(amplitudes))
     }
 
-    /// What places single touches.
+    /// The locator for single touches.
     pub(super) fn locator(&self) -> &PlaceLocator {
         &self.locator
     }
 
-    /// How strong the locator shows a typical poke over a skin of which half the shorter side is `half_width_m`,
-    /// metres; `None` of a file of version 1, whose touches keep the amplitudes of images, and of pokes that are all
-    /// silent.
+    /// Amplitude that the locator gives a typical poke, over a skin whose shorter side is twice `half_width_m`,
+    /// metres. `None` for a file of version 1, whose touches keep the amplitudes of images, and if no poke has an
+    /// amplitude.
     ///
     /// # Errors
     /// As [`TypicalAmplitude::fit`].
@@ -333,7 +335,7 @@ impl Calibration {
         let load_share = load_shares(self.loads.as_deref());
         let (mut places_m, mut amplitudes) = (Vec::new(), Vec::new());
         for i in (0..self.frames.len()).step_by(self.frames.len().div_ceil(MOST_TYPICAL).max(1)) {
-            // A poke that cannot be placed says nothing.
+            // Skip pokes that cannot be located.
             let Ok(located) = self.locator.locate(&self.frames[i], &mut scratch) else { continue };
             let amplitude = located.amplitude / load_share(i);
             if amplitude.is_finite() && amplitude > 0.0 {
@@ -352,7 +354,7 @@ impl Calibration {
         self.pokes
     }
 
-    /// Where more pokes would help most.
+    /// Positions where more pokes would help most.
     ///
     /// # Errors
     /// A count of zero.
@@ -360,7 +362,7 @@ impl Calibration {
         Ok(self.locator.suggest_pokes(count)?)
     }
 
-    /// The Jacobian that the pokes measured, per unit load (or per poke), on the skin's image grid.
+    /// The Jacobian measured by the pokes, per unit load (or per poke), on the skin's image grid.
     ///
     /// # Errors
     /// Fewer than three complete pokes.
@@ -376,9 +378,9 @@ impl Calibration {
         Ok(MeasuredJacobian::interpolate(&frames, &positions, &prepared.map.inside_centres_m(), &lengths)?)
     }
 
-    /// The amplitudes below which a frame shows no touch: see [`TouchStrength::smallest`]. `session_noise`: difference
-    /// data, where it is known. Where the model places touches, this is for those that it does not see, and weak pokes
-    /// that it sees say nothing of them.
+    /// The amplitudes below which a frame shows no touch: see [`TouchStrength::smallest`]. `session_noise` is the
+    /// noise of difference data, if known. If the model locates touches, these thresholds are for the touches it does
+    /// not see, and weak pokes that it does see are irrelevant.
     pub(super) fn smallest_amplitude(
         &self,
         prepared: &Prepared,
@@ -395,7 +397,7 @@ impl Calibration {
         Ok(SmallestAmplitude { placed, ..smallest })
     }
 
-    /// Is this a calibration of this skin?
+    /// Checks that this is a calibration of this skin.
     ///
     /// # Errors
     /// Another skin's name or number of channels.
@@ -410,7 +412,7 @@ impl Calibration {
         crate::same_skin::check_print("calibration", (&self.skin, self.skin_sha256.as_deref()), &prepared.skin)
     }
 
-    /// Uses it for a skin of the same name whatever its fingerprint says.
+    /// Accepts it for a skin of the same name regardless of its fingerprint.
     pub fn insist(self) -> Self {
         Self { skin_sha256: None, ..self }
     }
@@ -427,7 +429,7 @@ impl Calibration {
     /// Reads a calibration.
     ///
     /// # Errors
-    /// No such file, not a calibration, one of another version, or one whose parts do not fit each other.
+    /// No such file, not a calibration, a different version, or inconsistent contents.
     pub fn load(path: &Path) -> Result<Self, Error> {
         Self::parse(&dermis_device::instruments::read_bytes(path)?, path)
     }

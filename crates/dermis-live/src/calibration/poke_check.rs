@@ -1,5 +1,5 @@
-//! What can be wrong with pokes before anything is learnt from them: counts, places off the skin or in another unit,
-//! repetitions, channels that say nothing.
+//! Checks pokes before learning from them: counts, positions off the skin or in another unit, repetitions, channels
+//! without information.
 
 use std::collections::HashSet;
 
@@ -9,16 +9,16 @@ use super::pokes::Pokes;
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// Pokes that span less than this part of the skin's half width are in another unit.
+/// Minimum extent of pokes relative to the skin's half width; less means another unit.
 const LEAST_SPREAD: f64 = 0.005;
-/// A place this far out, relative to the middle, may lie on the rim.
+/// A position this far out, relative to the centre, may be on the rim.
 const RIM: f64 = 0.97;
 
-/// Pokes that can be learnt from.
+/// Usable pokes.
 pub(super) struct Sound {
-    /// Indices of the pokes, repetitions left out.
+    /// Indices of the pokes, without repetitions.
     pub rows: Vec<usize>,
-    /// How many were repetitions.
+    /// Number of repetitions.
     pub repeated: usize,
     /// Channels that read the same in every poke, or nothing.
     pub dead_channels: Vec<u32>,

@@ -9,17 +9,17 @@ use crate::Error;
 /// Pokes at known positions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pokes {
-    /// Where, metres.
+    /// Positions, metres.
     pub positions_m: Vec<[f64; 2]>,
-    /// How hard, if it was measured.
+    /// Loads, if measured.
     pub loads: Option<(LoadQuantity, Vec<f64>)>,
 }
 
-/// Reads a table of pokes: columns x_m, y_m and, if there is a third, depth_m or force_n (by header, also x_mm, y_mm and
-/// depth_mm; without one, metres and metres of depth).
+/// Reads a table of pokes with columns x_m, y_m and optionally depth_m or force_n. The header may also say x_mm, y_mm
+/// and depth_mm. Without a header, the units are metres and metres of depth.
 ///
 /// # Errors
-/// A file that is no table of numbers, other columns, or values that are missing.
+/// A file that is not a table of numbers, other columns, or missing values.
 pub fn read_pokes(path: &Path) -> Result<Pokes, Error> {
     let table = dermis_device::instruments::csv::read_numbers(path)?.in_metres();
     let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };

@@ -1,5 +1,5 @@
-//! Skins whose readout circuit is known only in kind: the sign and the weight of every channel are found from frames
-//! without labels, best from the drift between successive baselines, where nothing was pressed at all.
+//! Skins whose readout circuit is known only in kind. The sign and weight of every channel are found from frames
+//! without labels, preferably from the drift between successive baselines, where nothing was pressed at all.
 
 use dermis_skin::{HyperparameterChoice, Polarity};
 use dermis_tomo::inverse::{
@@ -12,18 +12,18 @@ use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
-/// From so many differences of successive baselines, no pressed frame is looked at.
+/// With this many differences of successive baselines, pressed frames are not used.
 const ENOUGH_BASELINES: usize = 60;
-/// Fewest frames to calibrate on.
+/// Minimum number of frames for a calibration.
 const FEWEST: usize = 20;
-/// Touches are looked for at least this far from the rim, in sizes of a touch: nearer, model and skin part.
+/// Minimum distance of touches from the rim, in touch sizes: closer to it, model and skin disagree.
 pub(super) const RIM_SIZES: f64 = 1.2;
 
-/// Root mean square of a frame, in units of the noise, above which it shows a touch: over a hundred channels that of
-/// noise is 1 to within 0.1.
+/// RMS of a frame, in units of the noise, above which it shows a touch. For noise alone it is 1 to within 0.1 over a
+/// hundred channels.
 const TOUCHED: f64 = 2.0;
 
-/// What a skin has calibrated itself to.
+/// Result of a self-calibration.
 #[derive(Debug)]
 pub(crate) struct SelfCalibrated {
     pub imager: Imager,
@@ -33,8 +33,8 @@ pub(crate) struct SelfCalibrated {
 }
 
 impl SelfCalibrated {
-    /// The imager of a skin with a readout circuit, calibrated without labels; `None` for other skins, and where there
-    /// are too few frames to calibrate on. `data` are difference data made with `reference`.
+    /// The imager of a skin with a readout circuit, calibrated without labels. `None` for other skins, and if there
+    /// are too few frames. `data` are difference data made with `reference`.
     pub fn fit(prepared: &Prepared, reference: &Reference, data: &[Vec<f64>]) -> Result<Option<Self>, Error> {
         let relative = |frame: &Vec<f64>, unscale: bool| -> Vec<f64> {
             let factor = |c: usize| if unscale { reference.scale[c] } else { 1.0 } * reference.baseline[c];
@@ -51,8 +51,8 @@ impl SelfCalibrated {
         Self::of_changes(prepared, reference.clone(), &frames, TOUCHED).map(Some)
     }
 
-    /// Calibrated on frames of relative changes from their baselines. Frames whose root mean square in units of the
-    /// noise is below `smallest_amplitude` show no touch.
+    /// Calibrates on frames of relative changes from their baselines. Frames with an RMS below `smallest_amplitude`,
+    /// in units of the noise, show no touch.
     pub fn of_changes(
         prepared: &Prepared,
         reference: Reference,

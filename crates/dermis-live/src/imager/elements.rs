@@ -1,6 +1,6 @@
-//! Images of conducting elements by their heights: the travel of every element is solved for directly
-//! ([`dermis_mit::LiftOff`]) and painted around its place, so that neighbours stay apart. The model keeps degrees 1 to
-//! 3 of an element's answer, passes dipoles on between neighbours, and takes all heights at rest as alike.
+//! Images of conducting elements by their heights. The travel of every element is solved for directly
+//! ([`dermis_mit::LiftOff`]) and painted around its position, so that neighbours remain separate. The model keeps
+//! degrees 1 to 3 of an element's response, couples neighbours by dipoles, and assumes equal heights at rest.
 
 use dermis_mit::{CoilTables, Coupling, LiftOff, LiftOffFit, LiftOffOptions, MultipoleArray};
 
@@ -9,54 +9,54 @@ use crate::magnetic_model::{ELEMENT_WIDTH, MagneticModel};
 use crate::prepare::Prepared;
 
 const MM: f64 = 1e-3;
-/// Degrees kept of an element's answer.
+/// Degrees kept of an element's response.
 const DEGREE: usize = 3;
 /// Neighbours within this many pitches excite each other.
 const REACH: f64 = 1.5;
-/// Mean travel of the prior that lets few elements move, as a share of the full travel.
+/// Mean travel in the sparse prior, as a share of the full travel.
 const MEAN: f64 = 0.25;
-/// Mean squared residual above which a fit is tried again from rest.
+/// Mean squared residual above which a fit is repeated from rest.
 const BAD_MISFIT: f64 = 2.0;
-/// How much noisier than it is a channel without a reading counts as.
+/// Factor on the noise of a channel without a reading.
 const ABSENT: f64 = 1e6;
-/// Travels that change by less are settled, metres.
+/// A travel that changes by less than this has converged, metres.
 const TOLERANCE_M: f64 = 1e-5;
-/// How far beyond rest and full travel fields are tabulated, metres.
+/// Margin beyond rest and full travel over which fields are tabulated, metres.
 const SLACK_M: f64 = 1e-4;
 
-/// A frame of changes of magnitudes, and the model that they are read by.
+/// A frame of changes of magnitudes, and the model for interpreting it.
 pub(crate) struct ElementFrame<'a> {
-    /// What elements at other heights would read.
+    /// Predicts the readings for elements at other heights.
     pub coils: &'a mut LiftOff,
     /// Changes from rest, henries.
     pub differences_h: &'a [f64],
-    /// Inverse variances of these by noise and the model's error.
+    /// Inverse variances of these changes, from noise and model error.
     pub weights: Vec<f64>,
 }
 
-/// Solves one frame after the other.
+/// Solves one frame after another.
 #[derive(Clone, Debug)]
 pub(crate) struct ElementImager {
     heights: LiftOff,
     options: LiftOffOptions,
-    /// Henries of this model for a volt of difference data, channel by channel.
+    /// Henries of this model per volt of difference data, for each channel.
     h_per_volt: Vec<f64>,
     /// Standard deviations of the channels, henries.
     noise_h: Vec<f64>,
-    /// Of every inside pixel: the nearest element and the share of its travel that is shown.
+    /// For every inside pixel, the nearest element and the share of its travel to show.
     paint: Vec<(u32, f32)>,
     limit_m: f64,
     differences_h: Vec<f64>,
-    /// As `noise_h`, for the frame at hand.
+    /// Like `noise_h`, for the current frame.
     deviations_h: Vec<f64>,
-    /// No travel at all.
+    /// Zero travel.
     rest_m: Vec<f64>,
-    /// The last frame's.
+    /// The last frame's fit.
     fit: Option<LiftOffFit>,
 }
 
 impl ElementImager {
-    /// What solves for heights at this noise of the channels (model volts).
+    /// Solves for heights at this noise of the channels (model volts).
     pub(crate) fn new(prepared: &Prepared, noise: &[f64]) -> Result<Self, Error> {
         let model = MagneticModel::of(&prepared.skin)?;
         let elements = model.elements;
@@ -68,8 +68,8 @@ impl ElementImager {
         let coupling = Coupling { degree: 1, reach_m: REACH * pitch_m, sweeps: 1 };
         let bodies = MultipoleArray::new(vec![body; places.len()], tables, Some(coupling))?;
         let heights = LiftOff::new(bodies, model.array.mutuals_h(), vec![rest_m; places.len()], limit_m)?;
-        // Difference data are in volts of the model of images, whose readings at rest differ a little from these; each
-        // channel's relative change is what was measured.
+        // Difference data are in volts of the imaging model, whose readings at rest differ slightly from these. The
+        // measured quantity is each channel's relative change.
         let h_per_volt: Vec<f64> = heights.rest_h().iter().zip(&prepared.voltages).map(|(h, v)| h / v).collect();
         let paint =
             prepared.map.inside_centres_m().iter().map(|at| nearest(&places, *at, ELEMENT_WIDTH * pitch_m)).collect();
@@ -94,8 +94,8 @@ impl ElementImager {
         self.noise_h = noise.iter().zip(&self.h_per_volt).map(|(sigma, h)| (sigma * h).abs()).collect();
     }
 
-    /// Solves for a frame of difference data (model volts, something finite in absent channels, which do not count) and
-    /// paints the inside pixels: shares of the full travel.
+    /// Solves for a frame of difference data (model volts; absent channels are ignored but must be finite) and paints
+    /// the inside pixels with shares of the full travel.
     pub(crate) fn image(&mut self, difference: &[f64], absent: &[u32], inside: &mut [f32]) -> Result<(), Error> {
         self.deviations_h.clone_from(&self.noise_h);
         for channel in absent {
@@ -105,7 +105,7 @@ impl ElementImager {
         self.differences_h.extend(difference.iter().zip(&self.h_per_volt).map(|(d, h)| d * h));
         let start = self.fit.as_ref().map_or(&self.rest_m[..], |fit| &fit.travel_m);
         let mut fit = self.heights.solve_from(start, &self.differences_h, &self.deviations_h, &self.options)?;
-        // A fit that begins where other elements were pressed may end beside the best one.
+        // A fit that starts from other pressed elements may end in a local minimum.
         if fit.misfit > BAD_MISFIT && self.fit.is_some() {
             let anew = self.heights.solve(&self.differences_h, &self.deviations_h, &self.options)?;
             if anew.misfit < fit.misfit {
@@ -119,7 +119,7 @@ impl ElementImager {
         Ok(())
     }
 
-    /// Noise of the inside pixels on a skin at rest: of each element as if it alone could move.
+    /// Noise of the inside pixels on a skin at rest, as if each element alone could move.
     pub(crate) fn noise_of_pixels(&mut self) -> Result<Vec<f32>, Error> {
         let rest = self.heights.solve(&vec![0.0; self.noise_h.len()], &self.noise_h, &self.options)?;
         let share = |(element, share): &(u32, f32)| share * (rest.deviation_m[*element as usize] / self.limit_m) as f32;
@@ -146,7 +146,7 @@ impl ElementImager {
     }
 }
 
-/// The nearest of the places, and a Gaussian of the distance from it.
+/// The nearest of the positions, and a Gaussian of the distance to it.
 fn nearest(places: &[[f64; 2]], [x, y]: [f64; 2], width_m: f64) -> (u32, f32) {
     let distance = |p: &[f64; 2]| (p[0] - x).hypot(p[1] - y);
     let found = places.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));

@@ -1,5 +1,5 @@
 //! Offline images of large contrasts: Gauss-Newton steps in log conductivity on the same mesh, weights, prior and
-//! lambda as the live image ([`dermis_tomo::inverse::NonlinearProblem`]), frames in parallel.
+//! lambda as the live image ([`dermis_tomo::inverse::NonlinearProblem`]), with frames in parallel.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -22,18 +22,18 @@ pub struct Refiner {
     pub(super) polarity: f64,
     pub(super) pixels: usize,
     pub(super) inside: Vec<u32>,
-    /// Data sides of the sets of missing channels met so far.
+    /// Reduced data for each set of missing channels seen.
     pub(super) reduced: HashMap<Vec<u32>, ReducedChannels>,
 }
 
-/// More sets of missing channels than this are not remembered (each takes some 10 MB with 32 electrodes).
+/// Maximum number of sets of missing channels that are cached (each takes some 10 MB with 32 electrodes).
 const MOST_SETS: usize = 16;
 
 impl Refiner {
-    /// What refines frames as the skin file says, at a live image's lambda.
+    /// A refiner with the skin file's settings, at a live image's lambda.
     ///
     /// # Errors
-    /// Weights that the reference cannot give, or a body that cannot be solved.
+    /// Weights that the reference cannot provide, or a body that cannot be solved.
     pub fn new(
         prepared: &Prepared,
         refinement: &Refinement,
@@ -67,7 +67,7 @@ impl Refiner {
         std::thread::scope(|scope| {
             let worker = scope.spawn(|| {
                 let image = |done: &mut mpsc::Sender<()>, frame: &Vec<f64>| {
-                    // The receiver lives as long as this scope; a progress report lost would not matter.
+                    // The receiver lives as long as this scope, and a lost progress report would not matter.
                     let report = |_| {
                         let _ = done.send(());
                     };
@@ -86,7 +86,7 @@ impl Refiner {
         })
     }
 
-    /// One reduction for each set of missing channels that occurs.
+    /// Computes one reduction for each set of missing channels.
     pub(super) fn reduce(&mut self, differences: &[Vec<f64>]) -> Result<(), Error> {
         if self.reduced.len() >= MOST_SETS {
             self.reduced.clear();

@@ -1,6 +1,6 @@
-//! Offline images about a network's first look at a frame: its probabilities give a guess at the conductivity and how
-//! it may be wrong, and Gauss-Newton steps linearised there show what of the data the guess leaves unexplained
-//! ([`dermis_tomo::inverse::NonlinearProblem::solve_about`]).
+//! Offline images starting from a network's classification of a frame. Its probabilities give an initial conductivity
+//! and its uncertainty. Gauss-Newton steps linearised there fit the part of the data that this guess leaves
+//! unexplained ([`dermis_tomo::inverse::NonlinearProblem::solve_about`]).
 
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_tomo::inverse::{GaussNewton, Guess, GuessCorrelations, SmoothCovariance};
@@ -10,21 +10,21 @@ use super::refine::{Refiner, absent};
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// Log conductivity of what surely conducts better or worse than the liquid: a factor of 20.
+/// Log conductivity contrast of regions that certainly conduct better or worse than the liquid: a factor of 20.
 const CONTRAST: f64 = 3.0;
-/// Least variance of a pixel's log conductivity, however sure the network is.
+/// Minimum variance of a pixel's log conductivity, however certain the network is.
 const LEAST_VARIANCE: f64 = 0.01;
-/// Correlation length of what a guess misses, as a share of half the skin's width, and the share of its variance that
-/// the factor of the correlations may leave out.
+/// Correlation length of the guess's error, as a share of half the skin's width, and the share of its variance that
+/// the factor of the correlations may neglect.
 const LENGTH: f64 = 0.1;
 const NEGLECTED: f64 = 0.01;
-/// Standard deviation of the logarithm of the liquid's conductivity between baseline and frame: it warms, and objects
+/// Standard deviation of the log conductivity of the liquid between baseline and frame: it warms up, and objects
 /// raise its level.
 const COMMON_DEVIATION: f64 = 0.04;
-/// Two steps; lambda says how far weighted data may be from the model.
+/// Two steps; lambda sets how far weighted data may be from the model.
 const STEPS: GaussNewton = GaussNewton { steps: 2, hyperparameter: 0.17, largest_step: 1.5, limit: 4.0 };
 
-/// Refines frames about a network's probabilities.
+/// Refines frames starting from a network's probabilities.
 #[derive(Debug)]
 pub(crate) struct GuessRefiner {
     refiner: Refiner,
@@ -32,7 +32,7 @@ pub(crate) struct GuessRefiner {
 }
 
 impl GuessRefiner {
-    /// On the problem of a refiner.
+    /// Uses the problem of a refiner.
     ///
     /// # Errors
     /// Pixels too coarse for the correlations.
@@ -42,7 +42,7 @@ impl GuessRefiner {
         Ok(Self { refiner, correlations: GuessCorrelations::new(&covariance, NEGLECTED)? })
     }
 
-    /// For each difference frame (model volts, `NaN` where missing) and its probabilities (classes x pixels) a
+    /// For each difference frame (model volts, `NaN` where missing) and its probabilities (classes x pixels), a
     /// row-major image of `log(sigma / sigma at rest)`, polarity included, 0 outside.
     ///
     /// # Errors
@@ -89,7 +89,8 @@ mod tests {
 
     #[test]
     fn a_guess_is_sure_where_the_network_is() {
-        // Three pixels, the second outside: surely lowered, and raised or background alike.
+        // Three pixels, the second outside: the first certainly lowered, the third raised or background with equal
+        // probability.
         let (mean, deviation) = guess(&[0.0, 1.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5], 3, &[0, 2]);
         assert_eq!(mean, [-3.0, 1.5]);
         assert!((deviation[0] - 0.1).abs() < 1e-12 && (deviation[1] - (2.25_f64 + 0.01).sqrt()).abs() < 1e-12);

@@ -1,5 +1,4 @@
-//! What the operator is made of beside the Jacobian: the weights of channels, the prior of pixels, and whether either
-//! has to wait for measurements.
+//! The weights of channels and the prior of pixels for the operator, and whether either depends on measurements.
 
 use dermis_skin::{HyperparameterChoice, WeightChoice};
 use dermis_tomo::inverse::{PriorMatrix, Weighting};
@@ -9,8 +8,8 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
-/// True where neither weights nor hyperparameter are taken from measurements, so that the operator can be built before
-/// there are any.
+/// True if neither weights nor hyperparameter depend on measurements, so that the operator can be built before any
+/// exist.
 pub fn operator_needs_no_baseline(prepared: &Prepared) -> bool {
     let rule = matches!(
         prepared.skin.imaging.hyperparameter,
@@ -19,12 +18,12 @@ pub fn operator_needs_no_baseline(prepared: &Prepared) -> bool {
     weights_need_no_baseline(prepared) && rule && prepared.skin.backend.circuit.is_none()
 }
 
-/// True where weights, and with them the whole problem but for its hyperparameter, follow from the skin file.
+/// True if the weights, and with them the whole problem except its hyperparameter, follow from the skin file.
 pub(crate) fn weights_need_no_baseline(prepared: &Prepared) -> bool {
     matches!(prepared.skin.imaging.weights, WeightChoice::Identity | WeightChoice::FloorAndShare { .. })
 }
 
-/// The weights of the skin file, from this reference where they are measured.
+/// The weights according to the skin file, from this reference if they are measured.
 pub(crate) fn weighting(prepared: &Prepared, reference: &Reference) -> Result<Weighting, Error> {
     let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
     let from_variances = |variances: Vec<f64>| Weighting::Diagonal(variances.iter().map(|v| 1.0 / v).collect());
@@ -58,9 +57,9 @@ pub(crate) fn weighting(prepared: &Prepared, reference: &Reference) -> Result<We
     })
 }
 
-/// The prior of the skin file. Priors that look at the sensitivity of pixels are shown that of a small spot: the pixel
-/// and those beside it, per area. A single pixel may be cut by the rim or lie under an electrode, where no channel
-/// sees anything; it must not be allowed larger values for that.
+/// The prior according to the skin file. A prior that depends on the sensitivity of pixels gets the sensitivity of a
+/// small spot per area: the pixel and its neighbours. A single pixel may be cut off by the rim or lie under an
+/// electrode, where no channel is sensitive, and must not be allowed larger values because of that.
 pub(crate) fn prior_matrix(prepared: &Prepared, weighting: &Weighting) -> Result<PriorMatrix, Error> {
     let (jacobian, areas) = (&prepared.jacobian, prepared.map.pixel_measures());
     let mut spot_areas = areas.to_vec();
@@ -71,7 +70,7 @@ pub(crate) fn prior_matrix(prepared: &Prepared, weighting: &Weighting) -> Result
     }
     let pixel_area = prepared.map.grid().pixel_m.powi(2);
     let scale: Vec<f64> = spot_areas.iter().map(|area| pixel_area / area).collect();
-    // A channel at a time, as the Jacobian is stored.
+    // One channel at a time, as the Jacobian is stored.
     let mut spots = vec![0.0; jacobian.values.len()];
     for channel in 0..jacobian.rows {
         let (row, spots) = (jacobian.row(channel), &mut spots[channel * jacobian.columns..][..jacobian.columns]);
@@ -86,7 +85,7 @@ pub(crate) fn prior_matrix(prepared: &Prepared, weighting: &Weighting) -> Result
     Ok(prepared.prior().matrix(spots, weighting, &prepared.basis)?)
 }
 
-/// Difference data of a small touch in the middle of the skin, for the noise figure.
+/// Difference data of a small touch at the centre of the skin, for the noise figure.
 pub(crate) fn central_touch(prepared: &Prepared) -> Vec<f64> {
     let (low, high) = prepared.body.outline.bounds_m();
     let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];

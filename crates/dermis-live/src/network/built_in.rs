@@ -1,13 +1,13 @@
-//! Trained networks that ship with dermis: those of the crate's `models/`, embedded. `docs/src/learning.md` has the
+//! Trained networks that ship with dermis, embedded from the crate's `models/`. `docs/src/learning.md` has the
 //! commands that made them.
 
 use dermis_learn::{LearnError, Model};
 
-/// The network of a built-in skin; `None` where none ships. It fits the skin only as long as nothing that its images
-/// depend on is changed ([`Model::check_skin`]).
+/// The network of a built-in skin; `None` if the skin has none. It is valid only while nothing changes that the
+/// skin's images depend on ([`Model::check_skin`]).
 ///
 /// # Errors
-/// Never for models as they were committed; damage is named as for files.
+/// Never for models as committed; damage is reported as for files.
 pub fn built_in(skin: &str) -> Result<Option<Model>, LearnError> {
     let (card, weights): (&str, &[u8]) = match skin {
         "healing-square" => (

@@ -4,8 +4,8 @@ use dermis_learn::scene::BACKGROUND;
 
 /// Names of the classes, in the order of the labels.
 pub const CLASSES: [&str; 3] = ["background", "lowered", "raised"];
-/// Novelty score above which a frame is not labelled by the network: half as far again from the training set as all but
-/// a thousandth of the frames held out. Those are simulated, and measured ones are a little farther out.
+/// Novelty score above which the network does not label a frame: 1.5 times as far from the training set as all but a
+/// thousandth of the held-out frames. Those are simulated; measured frames are slightly further out.
 pub const UNLIKE: f32 = 1.5;
 
 /// Classes of one frame.
@@ -16,19 +16,21 @@ pub struct Classes {
     /// Columns of the images.
     pub columns: usize,
     /// Probability of each class in each pixel, classes (in the order of [`CLASSES`]) x rows x columns. Background
-    /// outside the skin. Where the frame falls back, 1 for the label and 0 for the others: thresholds give none.
+    /// outside the skin. If the frame falls back to thresholds, which give no probabilities: 1 for the label, 0 for
+    /// the others.
     pub probabilities: Vec<f32>,
     /// The most likely class of each pixel, rows x columns; background outside the skin.
     pub labels: Vec<u8>,
-    /// How far the frame is from the training set; above [`UNLIKE`] it is unlike it. `None` where the model has no
-    /// score.
+    /// Distance of the frame from the training set; above [`UNLIKE`] the frame is too different. `None` if the model
+    /// has no score.
     pub novelty: Option<f32>,
-    /// True where the frame is unlike the training set: the labels are those of thresholds on its first-step image.
+    /// True if the frame is too different from the training set. The labels then come from thresholds on its
+    /// first-step image.
     pub falls_back: bool,
 }
 
 impl Classes {
-    /// Background everywhere, of images of this size.
+    /// Background everywhere, for images of this size.
     pub fn new(rows: usize, columns: usize) -> Self {
         let pixels = rows * columns;
         let mut probabilities = vec![0.0; CLASSES.len() * pixels];
@@ -37,7 +39,7 @@ impl Classes {
         Self { rows, columns, probabilities, labels, novelty: None, falls_back: false }
     }
 
-    /// Probabilities of one class, rows x columns; `None` for a label that is no class.
+    /// Probabilities of one class, rows x columns; `None` for an invalid label.
     pub fn of_class(&self, class: u8) -> Option<&[f32]> {
         self.probabilities.chunks_exact(self.labels.len().max(1)).nth(usize::from(class))
     }

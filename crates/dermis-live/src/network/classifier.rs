@@ -1,5 +1,5 @@
-//! The second step live: difference data in, the class of every pixel out, with probabilities, a novelty score, and a
-//! fall-back to thresholds on the first-step image where a frame is unlike those that the network was trained on.
+//! The second step in live use: difference data in, the class of every pixel out, with probabilities and a novelty
+//! score. For a frame too different from the training set, it falls back to thresholds on the first-step image.
 //! Allocates nothing per frame while the set of missing channels stays the same.
 
 use dermis_learn::metrics::most_likely;
@@ -18,10 +18,10 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
-/// Of a batch of frames: probabilities, and novelty where the model knows it.
+/// Results for one frame of a batch: probabilities, and novelty if the model has a score.
 pub type Seen = (Vec<f32>, Option<f32>);
 
-/// A network with what it is shown, for one skin.
+/// A network with the images it needs, for one skin.
 #[derive(Debug)]
 pub struct Classifier {
     first_step: FirstStep,
@@ -29,9 +29,10 @@ pub struct Classifier {
     novelty: Option<Novelty>,
     scale: Vec<f32>,
     temperature: f32,
-    /// Where among the inputs a first network's probabilities are: lowered, raised.
+    /// Indices among the inputs of a first network's probabilities: lowered, raised.
     first: Option<[usize; 2]>,
-    /// The image that thresholds fall back to, its place among the inputs, and the sign that makes it of conductivity.
+    /// Index among the inputs of the image for the fallback thresholds, and the sign that makes it one of
+    /// conductivity.
     step: usize,
     polarity: f32,
     rule: MaskRule,
@@ -41,7 +42,7 @@ pub struct Classifier {
 }
 
 impl Classifier {
-    /// As [`Classifier::new`], for frames that bring along what was fitted to them ([`Classifier::classify_fitted`]).
+    /// As [`Classifier::new`], for frames that already carry their fits ([`Classifier::classify_fitted`]).
     ///
     /// # Errors
     /// As [`Classifier::new`].
@@ -51,12 +52,13 @@ impl Classifier {
         Self::of(prepared, model, |inputs| FirstStep::beside_fits(prepared, &reference, inputs))
     }
 
-    /// For frames of any reference: the operators are those of a skin's own model. What the skin file takes from a
-    /// measured baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
+    /// For frames of any reference: the operators are those of a skin's own model. Quantities that the skin file
+    /// takes from a measured baseline (weights by noise) are taken from the model here; use
+    /// [`Classifier::with_reference`] for those.
     ///
     /// # Errors
-    /// As [`Classifier::with_reference`], and a network that is shown refined images, which live frames have no time
-    /// for.
+    /// As [`Classifier::with_reference`], and a network that needs refined images, for which live frames have no
+    /// time.
     pub fn new(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
         refuse_refined(model)?;
         let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
@@ -66,7 +68,7 @@ impl Classifier {
     /// With operators for one reference.
     ///
     /// # Errors
-    /// A model of another skin, or whose inputs, classes or image size do not fit it.
+    /// A model of another skin, or with inputs, classes or image size that do not match it.
     pub fn with_reference(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
         let first = model.first()?;
         Self::of(prepared, model, |inputs| FirstStep::with_first(prepared, reference, inputs, first.as_ref()))
@@ -116,17 +118,17 @@ impl Classifier {
         self.network.image_size()
     }
 
-    /// Classes of one frame of difference data (model volts, `NaN` where missing), as `Reference::difference` gives it.
-    /// `out` takes the size of the images where it has another.
+    /// Classifies one frame of difference data (model volts, `NaN` where missing), as from `Reference::difference`.
+    /// `out` is resized to the images if necessary.
     ///
     /// # Errors
-    /// A frame of another length or without any channel.
+    /// A frame of the wrong length or without any channel.
     pub fn classify(&mut self, difference: &[f64], out: &mut Classes) -> Result<(), Error> {
         self.first_step.images_of(difference, &mut self.input)?;
         self.classify_input(out)
     }
 
-    /// As [`Classifier::classify`] of a frame to which this has been fitted.
+    /// As [`Classifier::classify`], for a frame with its fit.
     ///
     /// # Errors
     /// As [`Classifier::classify`].
@@ -150,7 +152,7 @@ impl Classifier {
         let pixels = rows * columns;
         if out.falls_back {
             let image = &self.input[self.step * pixels..(self.step + 1) * pixels];
-            // Multiplied by the network's scale; thresholds are of the image itself.
+            // The image was multiplied by the network's scale; the thresholds are for the image itself.
             label_image(image, self.polarity / self.scale[self.step], &self.rule, &mut out.labels);
             for (class, probabilities) in out.probabilities.chunks_exact_mut(pixels).enumerate() {
                 for (probability, label) in probabilities.iter_mut().zip(&out.labels) {
@@ -169,7 +171,8 @@ impl Classifier {
         Ok(())
     }
 
-    /// The network's probabilities, outside the skin too, are left in `self.probabilities`; the novelty score.
+    /// Runs the network and leaves its probabilities, including those outside the skin, in `self.probabilities`.
+    /// Returns the novelty score.
     fn run(&mut self) -> Result<Option<f32>, Error> {
         rescale(&mut self.input, &self.scale);
         self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
@@ -177,8 +180,8 @@ impl Classifier {
         Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
     }
 
-    /// The network's probabilities (classes x rows x columns, outside the skin too) and novelty scores of many frames,
-    /// on all threads; `done` is told after each batch how many frames it had.
+    /// The network's probabilities (classes x rows x columns, including outside the skin) and novelty scores of many
+    /// frames, on all threads. `done` is called after each batch with its number of frames.
     ///
     /// # Errors
     /// As [`Classifier::classify`].
@@ -204,11 +207,11 @@ impl Classifier {
     }
 }
 
-/// Least probability that a network is believed to be sure by.
+/// Lower bound on a network's probability.
 const LEAST_PROBABILITY: f32 = 1e-6;
 
-/// The geometric mean of the probabilities of a second network and of the first one, where its are among the inputs: of
-/// objects unlike those of its training set the second is surer than it should be.
+/// Replaces a second network's probabilities by their geometric mean with the first network's, if those are among the
+/// inputs. For objects unlike its training set, the second network is overconfident.
 fn agree(first: Option<[usize; 2]>, scale: &[f32], input: &[f32], probabilities: &mut [f32]) {
     let Some(places) = first else { return };
     let pixels = probabilities.len() / CLASSES.len();
@@ -226,7 +229,7 @@ fn agree(first: Option<[usize; 2]>, scale: &[f32], input: &[f32], probabilities:
     }
 }
 
-/// Refined images, and what a first network makes of them, are nothing for live frames.
+/// Rejects refined images and a first network's results as inputs, since live frames have no time for them.
 fn refuse_refined(model: &Model) -> Result<(), Error> {
     if let Some(image) = inputs_of(model)?.iter().find(|image| image.takes_long()) {
         let (expected, got) = ("inputs that a live frame has time for".into(), image.to_string());

@@ -1,6 +1,6 @@
-//! The touches that the forward model fits to a frame, drawn as discs, and the image of what they leave: what a network
-//! is shown of a sandwich, whose touches are joined by the copper, so that the linear image of two of them is one bar,
-//! and whose cuts are faint beside them.
+//! The touches that the forward model fits to a frame, drawn as discs, and the image of the residual. A network uses
+//! these for a sandwich skin. There the copper connects touches, so that the linear image of two touches is a single
+//! bar, and cuts are faint next to them.
 
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::Contact;
@@ -12,20 +12,21 @@ use crate::reference::Reference;
 use crate::stages::refinement::Refinement;
 use crate::stages::touches::TouchStage;
 
-/// Frames have nothing to do with each other: so far apart, nanoseconds.
+/// Time between unrelated frames, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
-/// What the forward model has fitted to a frame.
+/// Result of the forward model's fit to a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FittedTouches {
-    /// Centres and radii of the touches, metres; none where none is believed.
+    /// Centres and radii of the touches, metres; empty if no fit was accepted.
     pub discs: Vec<([f64; 2], f64)>,
-    /// What they leave of the frame, model volts, `NaN` where missing: all of it where none is believed.
+    /// Residual of the frame, model volts, `NaN` where missing: the whole frame if no fit was accepted.
     pub left: Vec<f64>,
 }
 
 impl FittedTouches {
-    /// Of a frame (model volts, `NaN` where missing) with these contacts, of which so much is `explained`.
+    /// Sets the result for a frame (model volts, `NaN` where missing) with these contacts. `explained` is their part
+    /// of the frame.
     pub(crate) fn set(&mut self, frame: &[f64], contacts: &[Contact], explained: Option<&[f64]>) {
         self.discs.clear();
         self.left.clear();
@@ -37,7 +38,7 @@ impl FittedTouches {
     }
 }
 
-/// Fits touches to frames that have nothing to do with each other.
+/// Fits touches to unrelated frames.
 #[derive(Debug)]
 pub(super) struct ContactFitter {
     imager: Imager,
@@ -48,11 +49,11 @@ pub(super) struct ContactFitter {
 }
 
 impl ContactFitter {
-    /// Of a skin whose file refines touches. The noise is what the skin file assumes, whatever the instrument's is, so
-    /// that a network sees of a recording what it was trained on.
+    /// A fitter for a skin whose file refines touches. It uses the noise assumed in the skin file, whatever the
+    /// instrument's, so that a recording looks to the network like its training data.
     ///
     /// # Errors
-    /// Operators that cannot be made.
+    /// Operators that cannot be built.
     pub(super) fn new(prepared: &Prepared) -> Result<Self, Error> {
         let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
         let imager = Imager::new(prepared, &reference, &[])?;
@@ -81,9 +82,9 @@ impl ContactFitter {
     }
 }
 
-/// The share of each of these pixels that lies in any of the discs (centre, radius; metres).
+/// Draws discs (centre, radius; metres): each of these pixels gets the share of its area within any disc.
 pub fn draw_discs(grid: &PixelGrid, inside: &[u32], discs: &[([f64; 2], f64)], image: &mut [f32]) {
-    /// Points a pixel's side.
+    /// Sampling points per side of a pixel.
     const POINTS: usize = 8;
     let step = |k: usize| (k as f64 + 0.5) / POINTS as f64;
     for &pixel in inside {

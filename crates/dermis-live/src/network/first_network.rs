@@ -1,5 +1,6 @@
-//! What a second network is shown of a first one: its probabilities, and the image of the data about them. A network
-//! looks at images linearised where nothing is; about its own guess the same data say where the guess is wrong.
+//! Inputs of a second network that come from a first one: its probabilities, and the image of the data linearised
+//! about them. A network normally sees images linearised about an empty skin. Linearised about its own guess, the
+//! same data show where the guess is wrong.
 
 use dermis_learn::{Model, Network};
 use rayon::prelude::*;
@@ -12,18 +13,18 @@ use crate::imager::GuessRefiner;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
-/// An image of a first network's look at a frame.
+/// An image from a first network's evaluation of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Look {
-    /// One of the images that the first network was shown.
+    /// One of the first network's input images.
     Input(usize),
     /// Its probability of a class.
     Class(u8),
-    /// The image about its guess.
+    /// The image linearised about its guess.
     About,
 }
 
-/// A first network with what it is shown, and what is made of its guess.
+/// A first network with its input images, and the refinement of its guess.
 #[derive(Debug)]
 pub(super) struct FirstNetwork {
     inputs: Vec<InputImage>,
@@ -38,7 +39,7 @@ pub(super) struct FirstNetwork {
 
 impl FirstNetwork {
     /// # Errors
-    /// A model whose inputs do not fit the skin; a skin without `imaging.refinement`.
+    /// A model whose inputs do not match the skin; a skin without `imaging.refinement`.
     pub(super) fn new(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
         let inputs = inputs_of(model)?;
         let plain = PlainImages::new(prepared, reference, &inputs, &[], false)?;
@@ -55,7 +56,7 @@ impl FirstNetwork {
         })
     }
 
-    /// Where an image can be taken from, if it is of the first network or was made for it at some expense.
+    /// Source of an image, if it comes from the first network or was computed for it at some expense.
     pub(super) fn look(&self, image: InputImage) -> Option<Look> {
         match image {
             InputImage::First(class) => Some(Look::Class(class)),
@@ -65,7 +66,7 @@ impl FirstNetwork {
         }
     }
 
-    /// Writes images of frames into their places, `images` of them to a frame.
+    /// Writes images of frames into their places; each frame has `images` of them.
     ///
     /// # Errors
     /// As [`PlainImages::images_of_all`].

@@ -1,4 +1,4 @@
-//! The images that a network is shown, by name.
+//! The input images of a network, by name.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use dermis_learn::scene::{LOWERED, RAISED};
 
 use crate::Error;
 
-/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3), `refined`, `contacts`, `left`,
+/// One input image of a network, written `image`, `image*0.3` (lambda times 0.3), `refined`, `contacts`, `left`,
 /// `coverage`, `first-lowered`, `first-raised` or `about-first`.
 ///
 /// ```
@@ -22,29 +22,29 @@ use crate::Error;
 pub enum InputImage {
     /// The linear image at the skin's lambda times this.
     Step(f64),
-    /// The Gauss-Newton image that the skin file asks for (`imaging.refinement`): log conductivity. It takes some
-    /// tenths of a second, so that a network that is shown it labels recordings, not live frames.
+    /// The Gauss-Newton image requested by the skin file (`imaging.refinement`): log conductivity. It takes some
+    /// tenths of a second, so a network that uses it labels recordings, not live frames.
     Refined,
-    /// The touches that the forward model fits, as discs: the share of each pixel that they cover.
+    /// The touches fitted by the forward model, as discs: the share of each pixel that they cover.
     Contacts,
-    /// The linear image of what these touches leave of the frame, of a sandwich: cuts, and what is no touch.
+    /// For a sandwich, the linear image of the residual after fitting these touches: cuts, and anything that is not a
+    /// touch.
     Left,
-    /// Sensitivity of the channels that are there relative to that of all: 1 where nothing is lost, 0 where nothing is
-    /// left.
+    /// Sensitivity of the available channels relative to that of all: 1 if nothing is lost, 0 if nothing is left.
     Coverage,
-    /// The probability that a first network gives a class: [`LOWERED`] or [`RAISED`].
+    /// A first network's probability of a class: [`LOWERED`] or [`RAISED`].
     First(u8),
-    /// The Gauss-Newton image about what a first network makes of the frame: log conductivity.
+    /// The Gauss-Newton image linearised about a first network's result: log conductivity.
     AboutFirst,
 }
 
 impl InputImage {
-    /// Whether only a first network can give it.
+    /// True if it requires a first network.
     pub fn is_of_first(self) -> bool {
         matches!(self, Self::First(_) | Self::AboutFirst)
     }
 
-    /// Whether live frames have no time for it.
+    /// True if it takes too long for live frames.
     pub fn takes_long(self) -> bool {
         self == Self::Refined || self.is_of_first()
     }

@@ -1,19 +1,19 @@
-//! Labels from an image without a network: a threshold for each sign, in the manner of the challenge organisers' two
-//! thresholds, but relative to the image's own extremes, so that a weak inclusion keeps its size; and a sign whose
-//! extreme is no more than the side lobe of the other is left out.
+//! Labels from an image without a network: a threshold for each sign. This resembles the two thresholds of the
+//! challenge organisers, but is relative to the image's own extremes, so that a weak inclusion keeps its size. A sign
+//! whose extreme is no more than a side lobe of the other is ignored.
 
 use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED};
 
-/// When a pixel belongs to an inclusion.
+/// Conditions for a pixel to belong to an inclusion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaskRule {
     /// A sign whose extreme is below this is absent.
     pub least_extreme: f64,
-    /// As is one whose extreme is below this share of the other's: side lobes reach it.
+    /// A sign whose extreme is below this share of the other's is absent too: side lobes can reach it.
     pub side_lobe_share: f64,
-    /// Pixels above this share of their sign's extreme are inside,
+    /// Minimum value of an inside pixel, as a share of its sign's extreme.
     pub inside_share: f64,
-    /// and above this.
+    /// Minimum value of an inside pixel.
     pub least_value: f64,
 }
 
@@ -23,32 +23,32 @@ impl MaskRule {
     pub const LOG_CONDUCTIVITY: Self =
         Self { least_extreme: 0.7, side_lobe_share: 0.3, inside_share: 0.35, least_value: 0.7 };
 
-    /// For linear images of relative changes, with the smallest amplitude that counts.
+    /// For linear images of relative changes, given the smallest amplitude that counts.
     pub fn linear(smallest: f64) -> Self {
         Self { least_extreme: smallest, side_lobe_share: 0.4, inside_share: 0.45, least_value: 0.0 }
     }
 }
 
-/// Which pixels belong to a class of which a network gives probabilities. Where the network is unsure of an object's
-/// rim, as behind lost electrodes, few pixels are likelier than background although the object is surely there; the
-/// most likely class of every pixel makes it too small.
+/// Assigns pixels to classes by a network's probabilities. If the network is unsure of an object's rim, for example
+/// behind lost electrodes, few pixels are more likely object than background although the object is certainly there.
+/// Taking the most likely class of every pixel would then make it too small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PresenceRule {
-    /// A class is there if its largest probability reaches this;
+    /// A class is present if its largest probability reaches this.
     pub least_peak: f32,
-    /// its pixels are those above this share of that,
+    /// Minimum probability of a pixel in the class, as a share of the largest.
     pub inside_share: f32,
-    /// and above this.
+    /// Minimum probability of a pixel in the class.
     pub least_probability: f32,
 }
 
-/// Of 15 rules tried on 500 simulated frames that `ktc-tank`'s network has not seen, the best: a mean challenge score
-/// of 0.781, where the others have 0.776 to 0.780 and the most likely classes 0.755.
+/// The best of 15 rules on 500 simulated frames that the network of `ktc-tank` has not seen: a mean challenge score
+/// of 0.781. The others reach 0.776 to 0.780, and the most likely classes 0.755.
 pub const PRESENCE: PresenceRule = PresenceRule { least_peak: 0.4, inside_share: 0.4, least_probability: 0.2 };
 
 impl PresenceRule {
-    /// Labels by probabilities, classes x pixels, the first class being the background; where several classes claim a
-    /// pixel, the likeliest has it.
+    /// Labels pixels by probabilities, classes x pixels, with the background as the first class. If several classes
+    /// claim a pixel, the most likely one gets it.
     pub fn label(&self, probabilities: &[f32], labels: &mut [u8]) {
         labels.fill(BACKGROUND);
         let mut won = vec![0.0; labels.len()];
@@ -74,7 +74,7 @@ pub fn masks_of_image(image: &[f32], rule: &MaskRule) -> Vec<u8> {
     labels
 }
 
-/// As [`masks_of_image`] for the image times `factor`, into as many labels.
+/// As [`masks_of_image`] for the image times `factor`, into the given labels.
 pub(super) fn label_image(image: &[f32], factor: f32, rule: &MaskRule, labels: &mut [u8]) {
     let value = |value: &f32| f64::from(factor * *value);
     let finite = || image.iter().map(value).filter(|value| value.is_finite());
@@ -94,9 +94,9 @@ pub(super) fn label_image(image: &[f32], factor: f32, rule: &MaskRule, labels: &
     }
 }
 
-/// An image of `from` = rows, columns at `to` = rows, columns, bilinear between pixel centres, edges repeated; pixels
-/// outside the skin (`NaN`) count as their neighbours of value, and become `NaN` again where `outside` says so of the
-/// new pixels (row-major; empty: nowhere).
+/// Resamples an image from `from` = rows, columns to `to` = rows, columns, bilinear between pixel centres, with
+/// repeated edges. Pixels outside the skin (`NaN`) take the value of their neighbours, and become `NaN` again where
+/// `outside` is true for the new pixels (row-major; empty: nowhere).
 pub fn enlarge(image: &[f32], from: [usize; 2], to: [usize; 2], outside: &[bool]) -> Vec<f32> {
     let ([rows, columns], [to_rows, to_columns]) = (from, to);
     let filled = fill_outside(image, rows, columns);
@@ -121,7 +121,7 @@ pub fn enlarge(image: &[f32], from: [usize; 2], to: [usize; 2], outside: &[bool]
     out
 }
 
-/// Grows the values outward, ring by ring, each new pixel the mean of its neighbours that have one.
+/// Extends the values outwards, ring by ring; each new pixel is the mean of its neighbours that have a value.
 fn fill_outside(image: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     let mut filled = image.to_vec();
     for _ in 0..rows.max(columns) {
@@ -162,7 +162,7 @@ mod tests {
         // A strong resistive inclusion with a conductive side lobe of a fifth.
         let labels = masks_of_image(&[-3.0, -2.0, -0.5, 0.6, f32::NAN], &rule);
         assert_eq!(labels, [1, 1, 0, 0, 0]);
-        // A weak conductive one beside it: 0.35 of its own extreme.
+        // A weak conductive one next to it: 0.35 of its own extreme.
         let labels = masks_of_image(&[-3.0, 0.0, 1.2, 0.75, 0.65], &rule);
         assert_eq!(labels, [1, 0, 2, 2, 0]);
         assert_eq!(masks_of_image(&[0.3, -0.2, f32::NAN], &rule), [0, 0, 0]);
@@ -170,14 +170,14 @@ mod tests {
 
     #[test]
     fn an_object_with_an_unsure_rim_keeps_it() {
-        // One pixel likelier than background, the others of its object not; and a class that is not there.
+        // One pixel more likely than background, the others of its object not; and an absent class.
         let raised = [0.05, 0.25, 0.52, 0.4, 0.15, 0.02];
         let lowered = [0.2, 0.1, 0.0, 0.05, 0.29, 0.1];
         let background: Vec<f32> = raised.iter().zip(&lowered).map(|(a, b)| 1.0 - a - b).collect();
         let mut labels = [9; 6];
         PRESENCE.label(&[&background[..], &lowered, &raised].concat(), &mut labels);
         assert_eq!(labels, [0, 2, 2, 2, 0, 0]);
-        // Where both claim a pixel the likelier has it.
+        // If both claim a pixel, the more likely one gets it.
         PRESENCE.label(&[0.0, 0.1, 0.55, 0.1, 0.45, 0.8], &mut labels[..2]);
         assert_eq!(labels[..2], [1, 2]);
     }

@@ -1,4 +1,4 @@
-//! What a network is shown of a frame: images of the frame alone, and what a first network makes of it.
+//! Input images of a network: those made from the frame alone, and those from a first network.
 
 use dermis_learn::Model;
 
@@ -10,15 +10,15 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
-/// Makes a network's input images of difference frames.
+/// Makes a network's input images from difference frames.
 #[derive(Debug)]
 pub struct FirstStep {
     plain: PlainImages,
-    /// Looks first, where what it sees is shown.
+    /// A first network, if its results are among the images.
     first: Option<Box<FirstLook>>,
 }
 
-/// A first network, and where among the images what it sees is shown.
+/// A first network, and the indices of the images that show its results.
 #[derive(Debug)]
 struct FirstLook {
     network: FirstNetwork,
@@ -29,15 +29,15 @@ impl FirstStep {
     /// Prepares the operators. They do not depend on measurements unless the skin's weights or hyperparameter do.
     ///
     /// # Errors
-    /// Images that the skin has not, or that only a first network gives; as [`crate::imager::Imager::new`].
+    /// Images that the skin does not have, or that require a first network; as [`crate::imager::Imager::new`].
     pub fn new(prepared: &Prepared, reference: &Reference, images: &[InputImage]) -> Result<Self, Error> {
         Self::with_first(prepared, reference, images, None)
     }
 
-    /// As [`FirstStep::new`], with a network that looks first, for images of what it sees.
+    /// As [`FirstStep::new`], with a first network for images of its results.
     ///
     /// # Errors
-    /// As [`FirstStep::new`]; a first network that does not fit the skin.
+    /// As [`FirstStep::new`]; a first network that does not match the skin.
     pub fn with_first(
         prepared: &Prepared,
         reference: &Reference,
@@ -55,8 +55,7 @@ impl FirstStep {
         Ok(Self { plain: PlainImages::new(prepared, reference, images, &others, false)?, first })
     }
 
-    /// As [`FirstStep::new`], for frames that bring along what was fitted to them
-    /// ([`FirstStep::images_of_fitted`]).
+    /// As [`FirstStep::new`], for frames that already carry their fits ([`FirstStep::images_of_fitted`]).
     ///
     /// # Errors
     /// As [`FirstStep::new`].
@@ -70,10 +69,10 @@ impl FirstStep {
     }
 
     /// Images of one frame of difference data (model volts, `NaN` where missing), into images x rows x columns; 0
-    /// outside the skin. Allocates only when the set of missing channels changes, and where a first network looks.
+    /// outside the skin. Allocates only if the set of missing channels changes, or for a first network.
     ///
     /// # Errors
-    /// A slice of another length; as [`crate::imager::Imager::image`].
+    /// A slice of the wrong length; as [`crate::imager::Imager::image`].
     pub fn images_of(&mut self, difference: &[f64], out: &mut [f32]) -> Result<(), Error> {
         self.plain.images_of(difference, out)?;
         if self.first.is_some() {
@@ -82,8 +81,8 @@ impl FirstStep {
         Ok(())
     }
 
-    /// As [`FirstStep::images_of`] of a frame to which this has been fitted; refined images, for which live frames have
-    /// no time, are left as they are.
+    /// As [`FirstStep::images_of`] for a frame with its fit. Refined images, for which live frames have no time, are
+    /// left unchanged.
     ///
     /// # Errors
     /// As [`FirstStep::images_of`].
@@ -96,7 +95,7 @@ impl FirstStep {
         self.plain.images_of_fitted(difference, fitted, out)
     }
 
-    /// As [`FirstStep::images_of`] for many frames, one after the other in `out`, refined on all threads.
+    /// As [`FirstStep::images_of`] for many frames, one after another in `out`, refined on all threads.
     ///
     /// # Errors
     /// As [`FirstStep::images_of`].
@@ -107,7 +106,7 @@ impl FirstStep {
         self.look(differences, out)
     }
 
-    /// What a first network sees in frames, into its places.
+    /// Writes a first network's results on frames into their places.
     fn look(&mut self, differences: &[Vec<f64>], out: &mut [f32]) -> Result<(), Error> {
         let images = self.images();
         let Some(FirstLook { network, places }) = self.first.as_deref_mut() else { return Ok(()) };

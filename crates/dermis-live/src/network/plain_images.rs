@@ -1,6 +1,6 @@
-//! What a network is shown of a frame alone: first-step images at one or more hyperparameters, the refined image where
-//! the skin file asks for one, and how well the channels that are left see each place. The coverage image is what makes
-//! one network serve all sets of lost electrodes.
+//! Input images made from a frame alone: first-step images at one or more hyperparameters, the refined image if the
+//! skin file requests it, and the sensitivity of the remaining channels at each position. This coverage image lets
+//! one network handle all sets of lost electrodes.
 
 use dermis_tomo::mesh::PixelGrid;
 
@@ -11,15 +11,15 @@ use crate::imager::{Imager, Refiner};
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
-/// Model error that weights are made of, as in the skins' default: a floor and a share of the channel's voltage.
+/// Model error used for weights, as in the skins' default: a floor and a share of the channel's voltage.
 const FLOOR: f64 = 0.02;
 const SHARE: f64 = 0.1;
 
-/// Makes images of difference frames, all but those of a first network.
+/// Makes all images of difference frames except those of a first network.
 #[derive(Debug)]
 pub(super) struct PlainImages {
     sources: Vec<Source>,
-    /// Fits the touches of frames, where these or what they leave are shown and frames do not bring them along.
+    /// Fits the touches of frames, if these or the residual are shown and frames do not carry their fits.
     fitter: Option<Box<ContactFitter>>,
     fitted: FittedTouches,
     grid: PixelGrid,
@@ -34,25 +34,25 @@ pub(super) struct PlainImages {
 
 #[derive(Debug)]
 enum Source {
-    /// The linear image at so many times lambda.
+    /// The linear image at this multiple of lambda.
     Imager(f64, Box<Imager>),
     Refiner(Box<Refiner>),
     Contacts,
     Left,
     Coverage,
-    /// Somebody else's.
+    /// An image made elsewhere.
     Other,
 }
 
-/// Frames of a batch that are worked on at a time: bounds memory.
+/// Number of frames processed at a time in a batch, to limit memory.
 pub const BATCH: usize = 64;
 
 impl PlainImages {
-    /// Prepares the operators. They do not depend on measurements unless the skin's weights or hyperparameter do. Where
-    /// frames do not bring along what was fitted to them, it is fitted here. The images at `others` are left alone.
+    /// Prepares the operators. They do not depend on measurements unless the skin's weights or hyperparameter do.
+    /// Touches are fitted here if frames do not carry their fits. The images at indices `others` are left unchanged.
     ///
     /// # Errors
-    /// As [`Imager::new`]; images that the skin has not.
+    /// As [`Imager::new`]; images that the skin does not have.
     pub(super) fn new(
         prepared: &Prepared,
         reference: &Reference,
@@ -127,13 +127,13 @@ impl PlainImages {
         self.sources.len()
     }
 
-    /// Values of the images of one frame.
+    /// Number of values in the images of one frame.
     pub(super) fn values(&self) -> usize {
         self.images() * self.pixels
     }
 
     /// Images of one frame of difference data (model volts, `NaN` where missing), into images x rows x columns; 0
-    /// outside the skin. Allocates only when the set of missing channels changes.
+    /// outside the skin. Allocates only if the set of missing channels changes.
     ///
     /// # Errors
     /// As [`Imager::image`].
@@ -145,7 +145,7 @@ impl PlainImages {
         self.image(difference, out)
     }
 
-    /// The same of a frame to which this has been fitted; refined images are left as they are.
+    /// As [`PlainImages::images_of`] for a frame with its fit; refined images are left unchanged.
     ///
     /// # Errors
     /// As [`PlainImages::images_of`].
@@ -159,7 +159,7 @@ impl PlainImages {
         self.draw(difference, fitted, out)
     }
 
-    /// The same of many frames, one after the other, refined on all threads.
+    /// As [`PlainImages::images_of`] for many frames, one after another, refined on all threads.
     ///
     /// # Errors
     /// As [`PlainImages::images_of`].
@@ -179,7 +179,7 @@ impl PlainImages {
         Ok(())
     }
 
-    /// The refined images of frames, into their places.
+    /// Writes the refined images of frames into their places.
     fn refine(&mut self, differences: &[Vec<f64>], out: &mut [f32]) -> Result<(), Error> {
         let values = self.values();
         for (place, source) in self.sources.iter_mut().enumerate() {
@@ -193,7 +193,7 @@ impl PlainImages {
         Ok(())
     }
 
-    /// The other images of a frame, and all cleared outside the skin.
+    /// Makes the other images of a frame, and clears all outside the skin.
     fn image(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
         let mut fitted = std::mem::take(&mut self.fitted);
         let is_fitted = self.fitter.as_mut().map_or(Ok(()), |fitter| fitter.fit(difference, &mut fitted));
@@ -242,7 +242,7 @@ impl PlainImages {
     }
 }
 
-/// As the skin file says, at the live image's lambda.
+/// A refiner with the skin file's settings, at the live image's lambda.
 pub(super) fn refiner(prepared: &Prepared, reference: &Reference) -> Result<Refiner, Error> {
     let Some(refinement) = &prepared.skin.imaging.refinement else {
         let (expected, got) = ("imaging.refinement in the skin file".into(), prepared.skin.name.clone());

@@ -1,5 +1,5 @@
-//! Goes on with the readout's circuit that was found beside the stream. Until one explains the presses better, images
-//! are those of an ideal voltmeter.
+//! Switches to the readout's circuit found in the background. Until a circuit explains the presses better, images are
+//! those of an ideal voltmeter.
 
 use super::state::{Running, State};
 use super::{Operators, Pipeline};
@@ -7,7 +7,7 @@ use crate::Error;
 use crate::calibration::{PlacementFinder, SelfCalibrated};
 
 impl Pipeline {
-    /// Lets the frame just seen be gathered.
+    /// Adds the current frame to the presses.
     pub(super) fn gather_presses(&mut self, time_ns: u64, is_believed: bool) {
         let (Some(circuit), State::Running(running)) = (&mut self.circuit, &self.state) else { return };
         if is_believed {
@@ -18,8 +18,8 @@ impl Pipeline {
         }
     }
 
-    /// Takes up the circuit that a search has found, if its time has come. Touches end and begin anew: they were seen
-    /// elsewhere.
+    /// Switches to the circuit that a search has found, if it is due. Touches end and begin again, since their
+    /// positions change.
     pub(super) fn take_up_circuit(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
         let Some((prepared, calibrated)) = self.circuit.as_mut().and_then(|circuit| circuit.take(time_ns)) else {
             return Ok(());
@@ -27,7 +27,7 @@ impl Pipeline {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         self.prepared = prepared.into();
         let SelfCalibrated { imager, finder, .. } = calibrated;
-        // Channels are weighed otherwise now: a lambda that was asked for stays as many times what the rule gives.
+        // The channel weights have changed. Keep a requested lambda at the same multiple of the rule's value.
         let times = imager.rule_hyperparameter() / running.reconstructor.imager.rule_hyperparameter();
         self.choices.hyperparameter = self.choices.hyperparameter.map(|lambda| times * lambda);
         running.reconstructor.imager = imager;
@@ -47,8 +47,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// The watches for damage go on with the model that makes the images now: levels, intact skin and damages stay, and
-    /// the damages lie where their images have them now.
+    /// Switches damage monitoring to the model that now makes the images. Levels, intact skin and damage sites are
+    /// kept; the sites move to their positions in the new images.
     fn see_damage_anew(&mut self) -> Result<(), Error> {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         let Running { reference, reconstructor } = &mut **running;

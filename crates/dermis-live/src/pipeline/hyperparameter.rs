@@ -1,4 +1,4 @@
-//! Images at another lambda: its operator is made beside the stream, and taken up when its time has come.
+//! Images at another lambda: the operator is built in the background, and used when it is due.
 
 use dermis_tomo::inverse::check_hyperparameter;
 
@@ -7,20 +7,20 @@ use super::state::State;
 use crate::Error;
 use crate::reconstructor::Reconstructor;
 
-/// An operator for another lambda is in use so much later, nanoseconds of the frames' time: several times what it takes
-/// to make one on one slow core.
+/// Delay until an operator for another lambda is used, nanoseconds of the frames' time: several times what it takes
+/// to build one on one slow core.
 const OPERATOR_READY_NS: u64 = 300_000_000;
 
 impl Pipeline {
-    /// Asks for images at another lambda. Its operator is made beside the stream and is in use from 0.3 seconds of the
-    /// frames' time on; of several that are asked for meanwhile, the last is made next. One that cannot be made, for a
-    /// lambda that is too small, is said in the log, and the one before stays. Before the first baseline, the lambda is
-    /// kept for it; once a circuit has been found, it stays as many times the lambda of the skin file's rule.
+    /// Requests images at another lambda. The operator is built in the background and used 0.3 seconds of the frames'
+    /// time later. If several are requested meanwhile, the last is built next. If one cannot be built, because lambda
+    /// is too small, this is logged and the previous one stays. Before the first baseline, lambda is stored until
+    /// then. If a circuit is found later, it stays the same multiple of the lambda of the skin file's rule.
     ///
     /// # Errors
     /// A lambda that is not positive and finite.
     pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
-        // Before the start it is only kept: what is wrong with it has to be said now.
+        // Before the start it is only stored, so an invalid value must be reported now.
         check_hyperparameter(lambda)?;
         self.choices.hyperparameter = Some(lambda);
         if self.operators.making.is_some() {
@@ -31,7 +31,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Begins to make the operator at another lambda.
+    /// Starts building the operator at another lambda.
     pub(super) fn make_operator(&mut self, lambda: f64) {
         let State::Running(running) = &self.state else { return };
         let work = running.reconstructor.imager.work_out(lambda);
@@ -40,7 +40,7 @@ impl Pipeline {
         self.operators.coming.begin(due_ns, move |_| Some(work()));
     }
 
-    /// Takes up an operator that was made, if its time has come.
+    /// Switches to an operator that was built, if it is due.
     pub(super) fn take_up_operator(&mut self, time_ns: u64) -> Result<(), Error> {
         let Some(made) = self.operators.coming.take(time_ns) else { return Ok(()) };
         let lambda = self.operators.making.take().unwrap_or(f64::NAN);

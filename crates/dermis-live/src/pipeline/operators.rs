@@ -1,4 +1,4 @@
-//! What is kept of operators that are made beside the stream.
+//! State of operators built in the background.
 
 use crate::Error;
 use crate::beside::Beside;
@@ -7,17 +7,17 @@ use crate::imager::NewOperator;
 /// Operators for other hyperparameters.
 #[derive(Debug)]
 pub(super) struct Operators {
-    /// The lambda of the one that is being made.
+    /// The lambda of the operator being built.
     pub making: Option<f64>,
     pub coming: Beside<Result<NewOperator, Error>>,
-    /// What was asked for last, while another one is being made.
+    /// The last lambda requested while another operator is being built.
     pub next: Option<f64>,
-    /// Frames that have waited for operators of a model that is no longer in use.
+    /// Frames that waited for operators of an earlier model.
     waited: u64,
 }
 
 impl Operators {
-    /// None is being made; so many frames have waited before.
+    /// No operator in progress, and this many frames that waited before.
     pub fn after(waited: u64) -> Self {
         Self { making: None, coming: Beside::new(), next: None, waited }
     }

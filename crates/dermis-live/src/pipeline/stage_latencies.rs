@@ -1,4 +1,4 @@
-//! Times of the stages.
+//! Processing times of the stages.
 
 use crate::latency::LatencyHistogram;
 

@@ -1,4 +1,4 @@
-//! What the pipeline is made of before and after its first baseline.
+//! Contents of the pipeline before and after its first baseline.
 
 use dermis_touch::DriftCompensation;
 use dermis_touch::force::ForceCalibration;
@@ -12,31 +12,31 @@ use crate::reference::Reference;
 use crate::stages::damage::LevelStage;
 use crate::stages::refinement::Refinement;
 
-/// Where the pipeline is in its life.
+/// Phase of the pipeline.
 #[derive(Debug)]
 pub(super) enum State {
-    /// Frames make the first baseline.
+    /// Collecting frames for the first baseline.
     Starting(Box<Starting>),
-    /// Frames are compared with a baseline.
+    /// Comparing frames with a baseline.
     Running(Box<Running>),
 }
 
-/// What is made before any frame has to wait for it.
+/// Parts built before any frame has to wait for them.
 #[derive(Debug)]
 pub(super) struct Starting {
-    /// The operator, where it does not depend on the baseline.
+    /// The operator, if it does not depend on the baseline.
     imager: Option<Imager>,
     refinement: Refinement,
 }
 
-/// What frames are compared with and made into touches by.
+/// The reference that frames are compared with, and the reconstructor that turns them into touches.
 #[derive(Debug)]
 pub(super) struct Running {
     pub reference: Reference,
     pub reconstructor: Reconstructor,
 }
 
-/// What the user has chosen beside the skin file.
+/// The user's choices in addition to the skin file.
 #[derive(Debug, Default)]
 pub(super) struct Choices {
     pub calibration: Option<Calibration>,
@@ -47,7 +47,7 @@ pub(super) struct Choices {
 impl Starting {
     pub fn new(prepared: &Prepared, calibration: Option<&Calibration>) -> Result<Self, Error> {
         let by_model = calibration.is_none_or(|calibration| calibration.correction().is_some());
-        // Neither needs the other.
+        // The two are independent.
         let imager = || -> Result<_, Error> {
             if !by_model || !operator_needs_no_baseline(prepared) {
                 return Ok(None);
@@ -67,8 +67,8 @@ impl Starting {
         Ok(Self { imager, refinement })
     }
 
-    /// What follows the first baseline. A hyperparameter that this baseline's system cannot be solved at is dropped
-    /// from the choices with a warning: the stream goes on at the skin file's.
+    /// Makes the state after the first baseline. If the system cannot be solved at the requested hyperparameter, that
+    /// is dropped with a warning, and the stream continues with the skin file's value.
     pub fn run(&mut self, prepared: &Prepared, choices: &mut Choices, reference: Reference) -> Result<Running, Error> {
         let CalibratedImager { mut imager, reference, placement } = match self.imager.take() {
             Some(mut imager) => {
@@ -98,8 +98,8 @@ impl Starting {
     }
 }
 
-/// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.
-/// Where it is told by levels, these are the baseline.
+/// Drift compensation according to the skin file. If damage is monitored, drift is one factor for all channels, which
+/// damage does not resemble. If damage is detected by levels, these are the baseline.
 pub(super) fn drift_compensation(prepared: &Prepared) -> DriftCompensation {
     if LevelStage::is_wanted(prepared) {
         return DriftCompensation::Off;

@@ -1,5 +1,5 @@
-//! Finds the readout's circuit of a skin whose file asks for it (`backend.circuit = "learn"`) from the presses of the
-//! session, beside the stream.
+//! Finds the readout's circuit of a skin whose file requests it (`backend.circuit = "learn"`) from the presses of the
+//! session, in the background.
 
 use dermis_skin::{CircuitChoice, Skin};
 use dermis_touch::Baseline;
@@ -11,17 +11,17 @@ use crate::prepare::Prepared;
 use crate::reference::{MeasuredNoise, Reference};
 use crate::stages::press_frames::PressFrames;
 
-/// The circuit is searched for when so many different presses have been gathered, and what was found counts so many
-/// nanoseconds later of the frames' time: some three times what a search takes on one slow core.
+/// Number of different presses that starts each search, and the delay until its result counts, nanoseconds of the
+/// frames' time: about three times what a search takes on one slow core.
 const SEARCHES: [(usize, u64); 3] = [(20, 30_000_000_000), (60, 60_000_000_000), (MOST_PRESSES, 60_000_000_000)];
-/// No more presses than these are gathered.
+/// Maximum number of presses collected.
 const MOST_PRESSES: usize = 150;
-/// With more channels a search would take minutes, and frames would wait for it.
+/// Maximum number of channels: with more, a search would take minutes, and frames would wait for it.
 const MOST_CHANNELS: usize = 256;
-/// Frames weaker than this share of the weak presses show no touch to the skin that has calibrated itself.
+/// Frames weaker than this share of the weak presses show no touch on the self-calibrated skin.
 const LEAST_SHARE: f64 = 0.5;
 
-/// Presses, and the search that is under way.
+/// Presses, and the current search.
 #[derive(Debug)]
 pub(crate) struct CircuitStage {
     presses: PressFrames,
@@ -31,14 +31,14 @@ pub(crate) struct CircuitStage {
     news: Option<CircuitNews>,
 }
 
-/// What a search comes to: the fit, and the skin calibrated with a circuit, where one is to be used.
+/// Result of a search: the fit, and the skin calibrated with a circuit if one should be used.
 #[derive(Debug)]
 struct Found {
     news: CircuitNews,
     skin: Option<Box<(Prepared, SelfCalibrated)>>,
 }
 
-/// What a search is made of.
+/// Inputs of a search.
 struct Search {
     skin: Skin,
     changes: Vec<Vec<f64>>,
@@ -48,7 +48,7 @@ struct Search {
 }
 
 impl Search {
-    /// Searches, and calibrates the skin with what is found; `None` where nobody waits for it any more.
+    /// Searches, and calibrates the skin with the result. `None` if the result is no longer wanted.
     fn run(self, wanted: &Wanted) -> Option<Result<Found, Error>> {
         self.result(wanted).transpose()
     }
@@ -59,7 +59,7 @@ impl Search {
         let mut prepared = Prepared::new(skin)?;
         let go_on = |_| wanted.go_on().is_some();
         let Some(fit) = find_circuit_while(&prepared, &changes, go_on)? else { return Ok(None) };
-        // An ideal voltmeter in place of a circuit found before is not gone back to.
+        // Never return from a circuit found earlier to an ideal voltmeter.
         let in_use = fit.circuit.or(own);
         let news = CircuitNews { fit, is_new: in_use != own };
         let Some(circuit) = in_use else { return Ok(Some(Found { news, skin: None })) };
@@ -68,7 +68,7 @@ impl Search {
             skin.backend.circuit = Some(CircuitChoice::Known(circuit));
             prepared = Prepared::new(skin)?;
         }
-        // With more presses than before the channels are weighed anew, also behind the same circuit.
+        // With more presses than before, reweight the channels even for the same circuit.
         let noise = MeasuredNoise::of_start(&noise_std);
         let reference = Reference::from_baseline(&prepared, &baseline, Some(noise))?;
         let calibrated = SelfCalibrated::of_changes(&prepared, reference, &changes, smallest_amplitude)?;
@@ -77,10 +77,10 @@ impl Search {
 }
 
 impl CircuitStage {
-    /// For a skin whose circuit is to be found; `None` for others.
+    /// A stage for a skin that asks for a search of its circuit; `None` for others.
     ///
     /// # Errors
-    /// A skin whose circuit cannot be found beside the stream.
+    /// A skin whose circuit cannot be found in the background.
     pub fn new(prepared: &Prepared) -> Result<Option<Self>, Error> {
         let Skin { name, backend, touch, .. } = &prepared.skin;
         if !matches!(backend.circuit, Some(CircuitChoice::ToLearn(_))) {
@@ -103,23 +103,23 @@ impl CircuitStage {
         Err(Error::Frames { what, expected, got: format!("{} channels", prepared.channels()) })
     }
 
-    /// Frames that have waited for a search.
+    /// Number of frames that waited for a search.
     pub fn waits(&self) -> u64 {
         self.coming.waits()
     }
 
-    /// What a search has come to with the frame at hand.
+    /// Result of a search that was completed with the current frame.
     pub fn news(&self) -> Option<&CircuitNews> {
         self.news.as_ref()
     }
 
-    /// The frame just seen was not to be believed: a press under way is none.
+    /// Discards the current press, since the current frame is not reliable.
     pub fn forget(&mut self) {
         self.presses.forget();
     }
 
-    /// Gathers the frame just seen (difference data and their noise in one unit), and begins a search where there are
-    /// presses enough.
+    /// Adds the current frame (difference data and their noise in one unit), and starts a search if there are enough
+    /// presses.
     pub fn gather(
         &mut self,
         time_ns: u64,
@@ -144,8 +144,8 @@ impl CircuitStage {
         self.coming.begin(time_ns.saturating_add(after_ns), move |wanted| search.run(wanted));
     }
 
-    /// What a search has found, in the first frame whose time has come: the skin calibrated with a circuit, where one
-    /// is to be used from this frame on.
+    /// Result of a search, in the first frame at or after its due time: the skin calibrated with a circuit, if one
+    /// should be used from this frame on.
     pub fn take(&mut self, time_ns: u64) -> Option<(Prepared, SelfCalibrated)> {
         self.news = None;
         let found = self.coming.take(time_ns)?;

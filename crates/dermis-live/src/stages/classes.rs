@@ -1,6 +1,6 @@
-//! The network's word beside the live image: classes of the pixels. A network takes some milliseconds, which touches
-//! must not wait for; so it works on a thread of its own, at most so many times a second, and its classes come a little
-//! after their frame.
+//! Classes of the pixels from a network, in addition to the live image. A network takes some milliseconds, and
+//! touches must not wait for it. It therefore runs on its own thread, at a limited rate, and its classes arrive
+//! slightly after their frame.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -12,44 +12,45 @@ use crate::Error;
 use crate::network::{Classes, Classifier, FittedTouches};
 use crate::prepare::Prepared;
 
-/// When a network is asked.
+/// When the network runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClassPace {
     /// In every frame, which waits for it.
     EveryFrame,
-    /// Beside the frames, at most 25 times a second of theirs: a frame's classes are seen some frames later.
+    /// In the background, at most 25 times per second of the frames' time. A frame's classes appear some frames
+    /// later.
     Background,
 }
 
-/// What a network made of a frame.
+/// A network's classes for a frame.
 #[derive(Clone, Copy, Debug)]
 pub struct SeenClasses<'a> {
     /// Classes of the pixels.
     pub classes: &'a Classes,
-    /// Number of the frame that they are of: the present one, or one a little before.
+    /// Number of the frame they belong to: the current one, or a slightly earlier one.
     pub sequence: u64,
 }
 
-/// A frame with what the forward model has fitted to it; voltages of the model.
+/// A frame with the forward model's fit, in model volts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FittedFrame<'a> {
     /// `NaN` where missing.
     pub difference: &'a [f64],
-    /// Those of them that were fitted have a radius.
+    /// The contacts; those that were fitted have a radius.
     pub contacts: &'a [Contact],
-    /// What these explain of it.
+    /// The part of the frame that they explain.
     pub explained: Option<&'a [f64]>,
 }
 
-/// Least time between two frames that are looked at beside the others, nanoseconds.
+/// Minimum time between two frames in the background, nanoseconds.
 const INTERVAL_NS: u64 = 40_000_000;
 
-/// A network with the classes that it saw last.
+/// A network with its latest classes.
 #[derive(Debug)]
 pub(crate) struct ClassStage {
     worker: Worker,
     classes: Classes,
-    /// The frame that they are of.
+    /// The frame they belong to.
     sequence: Option<u64>,
 }
 
@@ -63,13 +64,13 @@ enum Worker {
 struct Background {
     mailbox: Arc<Mailbox>,
     thread: Option<JoinHandle<()>>,
-    /// When a frame was last handed over.
+    /// Time when a frame was last handed over.
     asked_ns: Option<u64>,
     /// Results for frames before this one are discarded.
     from_sequence: u64,
 }
 
-/// Where frames are left for the network, and its classes for the pipeline.
+/// Passes frames to the network, and its classes to the pipeline.
 #[derive(Debug)]
 struct Mailbox {
     slot: Mutex<Slot>,
@@ -93,19 +94,19 @@ enum State {
     Idle,
     /// A frame is waiting.
     Asked,
-    /// The network works on it.
+    /// The network is running.
     Busy,
     /// Its classes are ready.
     Done,
 }
 
 impl Mailbox {
-    /// Nothing panics while holding the slot; if something did, its contents would be as good as before.
+    /// Nothing panics while holding the slot; if something did, its contents would still be valid.
     fn slot(&self) -> MutexGuard<'_, Slot> {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Looks at one frame after the other.
+    /// Processes one frame after another.
     fn work(&self, mut classifier: Classifier) {
         let (mut difference, mut fitted, mut classes) = (Vec::new(), FittedTouches::default(), Classes::new(0, 0));
         loop {
@@ -136,7 +137,7 @@ impl Drop for Background {
         self.mailbox.slot().ended = true;
         self.mailbox.arrived.notify_one();
         if let Some(thread) = self.thread.take() {
-            // A panic there was reported by its own thread.
+            // Its own thread has already reported any panic.
             let _ = thread.join();
         }
     }
@@ -154,7 +155,7 @@ impl ClassStage {
         Ok(Self { worker, classes, sequence: None })
     }
 
-    /// Classifies a frame at a time on the skin's clock.
+    /// Classifies a frame, at a time on the skin's clock.
     pub(crate) fn classify(&mut self, sequence: u64, time_ns: u64, frame: &FittedFrame<'_>) -> Result<(), Error> {
         let anything = frame.difference.iter().any(|value| value.is_finite());
         match &mut self.worker {
@@ -177,7 +178,7 @@ impl ClassStage {
         Ok(())
     }
 
-    /// Nothing was seen in this frame.
+    /// Reports that nothing was seen in this frame.
     pub(crate) fn forget(&mut self, sequence: u64) {
         self.sequence = None;
         if let Worker::Background(background) = &mut self.worker {
@@ -211,8 +212,8 @@ impl Background {
         Ok(Self { mailbox, thread: Some(thread), asked_ns: None, from_sequence: 0 })
     }
 
-    /// Takes what the network is done with, and leaves it this frame if it is free; the number of the frame whose
-    /// classes were put into `classes`.
+    /// Collects finished classes into `classes`, and hands over this frame if the network is free. Returns the
+    /// sequence number of these classes' frame.
     fn exchange(
         &mut self,
         sequence: u64,
@@ -220,7 +221,7 @@ impl Background {
         frame: &FittedFrame<'_>,
         classes: &mut Classes,
     ) -> Result<Option<u64>, Error> {
-        // Never waits: the network holds the slot for a moment at a time, and the next frame comes soon.
+        // Never wait: the network holds the slot only briefly, and the next frame comes soon.
         let Ok(mut slot) = self.mailbox.slot.try_lock() else { return Ok(None) };
         if let Some(error) = slot.failed.take() {
             return Err(error);

@@ -1,8 +1,8 @@
-//! Damage in the live pipeline: each frame is imaged a second time, against the intact skin, and
-//! [`dermis_touch::damage`] tells from that image what is damaged. Once a damage is believed, touches are found against
-//! a baseline that includes it; the intact reference stays as it was until nothing is damaged any more. When the skin
-//! has rested for long enough at other values than its baseline's, a new baseline is proposed, never taken. Of skins
-//! that conduct less where they are pressed, damage is told by levels instead.
+//! Damage in the live pipeline. Each frame is imaged a second time, against the intact skin, and
+//! [`dermis_touch::damage`] detects damage in that image. Once damage is confirmed, touches are measured against a
+//! baseline that includes it. The intact reference stays unchanged until no damage is left. If the skin has rested
+//! for long enough at values other than its baseline's, a new baseline is proposed, never adopted automatically. On
+//! skins that conduct less where they are pressed, damage is detected by levels instead.
 
 mod crack;
 mod cuts;

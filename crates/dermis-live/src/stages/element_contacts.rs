@@ -1,9 +1,10 @@
-//! Touches of a skin of elements over coils, placed by the forces that move the elements: a press between elements
-//! moves several of them and is one touch.
+//! Touches on a skin of elements over coils, located by the forces that move the elements. A press between elements
+//! moves several of them and is a single touch.
 //!
-//! With x the travel that a linear spring would have, each element carries `F = k x + c sum (x - x_beside)` (stiffness
-//! k, coupling c to the elements beside it): what a neighbour drags along carries nothing. A touch lies at the centroid
-//! of the forces about its elements. Elements whose forces lie in a line are those of several touches.
+//! With x the travel that a linear spring would have, each element carries `F = k x + c sum (x - x_beside)`
+//! (stiffness k, coupling c to the adjacent elements): an element that is merely dragged along by a neighbour carries
+//! no force. A touch is located at the centroid of the forces on its elements. Elements whose forces form a line
+//! belong to several touches.
 
 use dermis_mit::LiftOffFit;
 use dermis_skin::{Layer, Solve};
@@ -11,33 +12,34 @@ use dermis_touch::{Contact, ContactSign};
 
 use crate::prepare::Prepared;
 
-/// Forces below this share of the largest, or below so many standard deviations, are none.
+/// Forces below this share of the largest, or below this many standard deviations, are ignored.
 const LEAST_SHARE: f64 = 0.05;
 const LEAST_SIGMA: f64 = 3.0;
-/// Elements within so many cells of a touch's own belong to it.
+/// Elements within this many cells of a touch's own belong to it.
 const REACH_CELLS: f64 = 1.1;
-/// Elements that carry this share of the largest force are pressed, and what lies beside them belongs to the same
-/// presses.
+/// Elements that carry this share of the largest force are pressed, and their neighbours belong to the same presses.
 const PRESSED_SHARE: f64 = 0.25;
-/// Forces whose variance along one axis exceeds that across it by so much, cells squared, are those of several presses.
+/// Forces belong to several presses if their variance along one axis exceeds that across it by this much, cells
+/// squared.
 const ELONGATED_CELLS2: f64 = 0.4;
-/// Presses that forces are divided into: least share of the force, and least distance in cells.
+/// When forces are divided into presses: minimum share of the force, and minimum distance in cells.
 const LEAST_PART: f64 = 0.15;
 const LEAST_APART_CELLS: f64 = 1.25;
-/// Rounds in which elements find their press.
+/// Maximum number of rounds for assigning elements to presses.
 const MOST_ROUNDS: usize = 12;
-/// Springs near their end say little of the force: the share of the travel at which it is read at most.
+/// Maximum share of the travel at which forces are evaluated, since springs near their end say little about the
+/// force.
 const MOST_SHARE: f64 = 0.98;
-/// What the centroid of forces misses of a press's place, a standard deviation in cells: how a round face spreads over
-/// cells.
+/// Standard deviation of a press's position about the centroid of forces, in cells: the effect of how a round face
+/// covers cells.
 const MODEL_ERROR_CELLS: f64 = 0.06;
 
-/// Joins contacts of elements that one press moves.
+/// Merges contacts of elements moved by one press.
 #[derive(Debug)]
 pub(crate) struct ElementContacts {
     places_m: Vec<[f64; 2]>,
     cell_m: [f64; 2],
-    /// Numbers of the elements beside each.
+    /// Indices of the elements adjacent to each.
     beside: Vec<Vec<usize>>,
     stiffness_n_per_m: f64,
     sharpness: f64,
@@ -48,16 +50,16 @@ pub(crate) struct ElementContacts {
     deviations_n: Vec<f64>,
 }
 
-/// What one press may have moved, or several beside each other.
+/// Elements moved by one press, or by several adjacent ones.
 struct Group {
-    /// Elements that contacts of the image show.
+    /// Elements shown by contacts in the image.
     contacts: Vec<usize>,
     /// All elements that carry a force.
     about: Vec<usize>,
 }
 
 impl ElementContacts {
-    /// `None` where the skin file does not ask for it, or images are not solved for elements.
+    /// `None` unless the skin file requests it and images are solved for elements.
     pub fn new(prepared: &Prepared) -> Option<Self> {
         let skin = &prepared.skin;
         let (Layer::Elements(layer), Some(elements)) = (&skin.frontend.layer, &skin.frontend.elements) else {
@@ -81,7 +83,7 @@ impl ElementContacts {
         })
     }
 
-    /// Joins the contacts of one frame and places them by its elements' travels.
+    /// Merges the contacts of one frame and locates them by the travels of their elements.
     pub fn place(&mut self, fit: &LiftOffFit, contacts: &mut Vec<Contact>) {
         self.read_forces(fit);
         let own: Vec<usize> = contacts.iter().map(|contact| self.nearest(contact.peak_m)).collect();
@@ -105,8 +107,8 @@ impl ElementContacts {
         *contacts = kept;
     }
 
-    /// The contact of one press: of its members among the contacts of the image, or of all members of a group where the
-    /// image shows none of its own.
+    /// The contact of one press. It comes from the image's contacts in this part, or from all contacts of the group
+    /// if the image shows none here.
     fn contact(
         &self,
         of_part: &[usize],
@@ -124,7 +126,7 @@ impl ElementContacts {
             contact.area_m2 = of_part.iter().map(|&k| contacts[k].area_m2).sum();
             contact.volume = of_part.iter().map(|&k| contacts[k].volume).sum();
         } else {
-            // Its peak is hidden beside a higher one: as high as its elements moved.
+            // The peak is hidden next to a higher one; scale it by how far its elements moved.
             let strongest = strongest_of(members)?;
             let deepest = part.iter().copied().max_by(|&a, &b| fit.travel_m[a].total_cmp(&fit.travel_m[b]))?;
             let share = (fit.travel_m[deepest] / fit.travel_m[own[strongest]]).clamp(0.0, 1.0);
@@ -142,7 +144,7 @@ impl ElementContacts {
         Some(contact)
     }
 
-    /// Force on every element, newtons, and its standard deviation.
+    /// Computes the force on every element, newtons, and its standard deviation.
     fn read_forces(&mut self, fit: &LiftOffFit) {
         let linear = |travel_m: f64| {
             let share = (travel_m / self.limit_m).clamp(0.0, MOST_SHARE);
@@ -156,8 +158,8 @@ impl ElementContacts {
         }
     }
 
-    /// Elements that contacts show, in groups of those that one press may move: no farther apart than so many cells, or
-    /// with pressed elements in common.
+    /// Groups the elements shown by contacts that one press may have moved: at most `join_cells` apart, or with
+    /// pressed elements in common.
     fn groups(&self, shown: &[usize]) -> Vec<Group> {
         let mut linked: Vec<Vec<usize>> = Vec::new();
         for &element in shown {
@@ -167,7 +169,7 @@ impl ElementContacts {
             apart.push(near.concat().into_iter().chain([element]).collect());
             linked = apart;
         }
-        // What the contacts show, and their pressed elements.
+        // The elements shown by contacts, and their pressed elements.
         let mut cores: Vec<(Vec<usize>, Vec<usize>)> = Vec::new();
         for contacts in linked {
             let core = self.pressed(&contacts);
@@ -189,7 +191,7 @@ impl ElementContacts {
         cores.into_iter().zip(abouts).map(|((contacts, _), about)| Group { contacts, about }).collect()
     }
 
-    /// These elements, and whoever carries much of a force beside one of them, in turn.
+    /// These elements, and recursively any neighbour that carries a large force.
     fn pressed(&self, shown: &[usize]) -> Vec<usize> {
         let largest = shown.iter().map(|&k| self.forces_n[k]).fold(0.0, f64::max);
         let mut core: Vec<usize> = shown.to_vec();
@@ -207,13 +209,13 @@ impl ElementContacts {
         core
     }
 
-    /// Whether an element carries more than a force, and more than noise.
+    /// True if an element carries more than a given force, and more than noise.
     fn carries(&self, element: usize, least_n: f64) -> bool {
         let force = self.forces_n[element];
         force > least_n && force > LEAST_SIGMA * self.deviations_n[element]
     }
 
-    /// The elements beside pressed ones that carry a force, nearer to them than to those of others.
+    /// The elements next to pressed ones that carry a force, closer to them than to those of other groups.
     fn about(&self, core: &[usize], others: &[usize]) -> Vec<usize> {
         let nearest =
             |k: usize, of: &[usize]| of.iter().map(|&m| self.cells_between(k, m)).fold(f64::INFINITY, f64::min);
@@ -225,9 +227,9 @@ impl ElementContacts {
         (0..self.places_m.len()).filter(counts).collect()
     }
 
-    /// The elements of each press. A round face, wherever it lies, spreads its force alike along all directions, but
-    /// for a quarter of a cell squared that the elements' grid adds; forces that are spread further along one axis than
-    /// across it are those of several presses, and are divided there, however level the forces are between them.
+    /// The elements of each press. Wherever a round face lies, it spreads its force equally in all directions, except
+    /// for a quarter of a cell squared due to the elements' grid. Forces that extend further along one axis than
+    /// across it belong to several presses and are divided, however uniform the forces between them.
     fn parts(&self, about: Vec<usize>) -> Vec<Vec<usize>> {
         match self.divided(&about) {
             Some(parts) => parts.into_iter().flat_map(|part| self.parts(part)).collect(),
@@ -307,7 +309,7 @@ impl ElementContacts {
     }
 }
 
-/// Numbers of the elements one cell away along x or y, within a tenth of a cell, of each.
+/// For each element, the indices of those one cell away along x or y, to within a tenth of a cell.
 pub(crate) fn beside(places_m: &[[f64; 2]], cell_m: [f64; 2]) -> Vec<Vec<usize>> {
     let is_beside = |a: [f64; 2], b: [f64; 2]| {
         let [x, y] = [0, 1].map(|axis| ((a[axis] - b[axis]) / cell_m[axis]).abs());
@@ -322,7 +324,7 @@ mod tests {
 
     const COLUMNS: usize = 8;
 
-    /// Elements of 6 x 8 unit cells with the forces of round faces of these middles and radii, in cells.
+    /// Elements in 6 x 8 unit cells, with the forces of round faces of given centres and radii, in cells.
     fn pressed(faces: &[([f64; 2], f64)]) -> ElementContacts {
         let places_m: Vec<[f64; 2]> = (0..48).map(|k| [(k % COLUMNS) as f64, (k / COLUMNS) as f64]).collect();
         const FINE: usize = 20;
@@ -346,7 +348,7 @@ mod tests {
         }
     }
 
-    /// Where presses are found, if the image shows the elements that carry most as contacts.
+    /// Positions of the presses found, if the image shows the elements with the largest forces as contacts.
     fn presses(faces: &[([f64; 2], f64)]) -> Vec<[f64; 2]> {
         let contacts = pressed(faces);
         let largest = contacts.forces_n.iter().copied().fold(0.0, f64::max);
@@ -355,7 +357,7 @@ mod tests {
         parts.map(|part| contacts.centroid(&part).unwrap().0).collect()
     }
 
-    /// Middles between 2 and 3 cells from the left and below.
+    /// Centres between 2 and 3 cells from the left and below.
     fn middles() -> impl Iterator<Item = [f64; 2]> {
         (0..36).map(|k| [2.0 + (k % 6) as f64 / 6.0, 2.0 + (k / 6) as f64 / 6.0])
     }

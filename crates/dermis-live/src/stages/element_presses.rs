@@ -1,6 +1,6 @@
-//! Touches of a skin of elements over coils, placed by a model of presses: each is a round face of even pressure that
-//! moves the elements beneath it, and all are fitted together to the readings of the coils. The elements' travels, of
-//! which there are more than readings tell, are only where a fit begins.
+//! Touches on a skin of elements over coils, located by a model of presses. Each press is a round face of uniform
+//! pressure that moves the elements beneath it, and all presses are fitted together to the readings of the coils. The
+//! travels of the elements, which outnumber the readings' information, serve only as a starting point.
 
 mod fit;
 mod mechanics;
@@ -22,29 +22,29 @@ use crate::stages::element_contacts::beside;
 /// Radius of a usual press in cells, and the share of the travel by which it moves an element beneath it.
 const USUAL_RADIUS_CELLS: f64 = 0.44;
 const USUAL_SHARE: f64 = 0.5;
-/// Presses at most.
+/// Maximum number of presses.
 const MOST_PRESSES: usize = 6;
-/// By so much must a further press lower the cost.
+/// Minimum drop in cost to accept another press.
 const WORTH: f64 = 16.0;
-/// Without one that lowers it by so much where the others stand the others need not be fitted anew.
+/// Keep a press without refitting the others if removing it raises the cost by more than this.
 const SURELY_WORTH: f64 = 160.0;
-/// Two presses nearer than so many cells may be one.
+/// Two presses closer than this many cells may be a single one.
 const NEAR_CELLS: f64 = 2.5;
-/// Where a press is divided, its halves begin so many cells from its middle.
+/// Distance from the centre, in cells, at which the halves of a divided press start.
 const HALF_APART_CELLS: f64 = 0.6;
-/// While such divisions are compared with each other, a fit has so many trials.
+/// Maximum number of trials of a fit while such divisions are compared.
 const FEW_TRIALS: usize = 5;
-/// A fit is believed where it leaves at most this share of the frame beyond so much of each channel, both in units of
-/// noise and model error squared. Noise that few frames at rest tell is itself uncertain.
+/// Accept a fit if its residual is at most this share of the frame's energy plus `BELIEVED` per channel, in units of
+/// noise and model error squared. Noise estimated from few frames at rest is itself uncertain.
 const MOST_LEFT: f64 = 0.02;
 const BELIEVED: f64 = 2.0;
-/// What noise leaves: so many standard deviations above its mean.
+/// Maximum residual from noise, in standard deviations above its mean.
 const NOISE_DEVIATIONS: f64 = 1.5;
-/// A contact begins where the last frame had a press no farther than so many cells away.
+/// A contact starts from a press of the last frame if that is within this many cells.
 const SAME_CELLS: f64 = 0.5;
-/// Where a place is less sure than so many cells, it is where all that is possible has its middle.
+/// If a position is less certain than this many cells, use the mean of all possible positions.
 const UNSURE_CELLS: f64 = 0.15;
-/// Within so many cells of where no element is felt, a place is looked for likewise.
+/// Also do so within this many cells of the edge of the elements.
 const RIM_CELLS: f64 = 0.75;
 
 /// Fits presses to frames.
@@ -52,15 +52,15 @@ const RIM_CELLS: f64 = 0.75;
 pub(crate) struct ElementPresses {
     mechanics: Mechanics,
     usual: Usual,
-    /// Those of the last frame.
+    /// The presses of the last frame.
     last: Vec<Press>,
 }
 
 impl ElementPresses {
-    /// Of a skin whose images are solved for elements and whose contacts are joined.
+    /// A fitter for a skin whose images are solved for elements and whose contacts are merged.
     ///
     /// # Errors
-    /// Springs that make no sense.
+    /// Springs with invalid parameters.
     pub fn new(prepared: &Prepared) -> Result<Option<Self>, Error> {
         let skin = &prepared.skin;
         let (Layer::Elements(layer), Some(elements)) = (&skin.frontend.layer, &skin.frontend.elements) else {
@@ -75,10 +75,10 @@ impl ElementPresses {
         Ok(Some(Self { mechanics, usual, last: Vec::new() }))
     }
 
-    /// Places the contacts of a frame, and parts or joins them where other numbers of presses explain it better.
+    /// Locates the contacts of a frame, and splits or merges them if another number of presses explains it better.
     ///
     /// # Errors
-    /// Readings that the model of the coils refuses.
+    /// Readings that the model of the coils rejects.
     pub fn place(&mut self, mut frame: ElementFrame<'_>, contacts: &mut Vec<Contact>) -> Result<(), Error> {
         let centres: Vec<[f64; 2]> = contacts
             .iter()
@@ -100,7 +100,7 @@ impl ElementPresses {
         Ok(())
     }
 
-    /// The next frame has nothing to do with the last one.
+    /// Forgets the last frame: the next one is unrelated.
     pub fn forget(&mut self) {
         self.last.clear();
     }
@@ -113,13 +113,13 @@ impl ElementPresses {
         Ok(fit(&self.mechanics, &self.usual, frame, starts, most_trials)?)
     }
 
-    /// What a right fit leaves of a frame at most, in units of noise and model error squared.
+    /// Maximum residual of a correct fit, in units of noise and model error squared.
     fn noise_leaves(&self, frame: &ElementFrame<'_>) -> f64 {
         let channels = frame.weights.len() as f64;
         channels + NOISE_DEVIATIONS * (2.0 * channels).sqrt()
     }
 
-    /// The number of presses that explains a frame whose contacts are here, and these.
+    /// Finds the number of presses that explains a frame with contacts at these positions, and their parameters.
     fn explain(&self, frame: &mut ElementFrame<'_>, centres: &[[f64; 2]]) -> Result<FittedPresses, Error> {
         let mut best = self.fit(frame, &self.starts(centres), MOST_TRIALS)?;
         while let Some(fewer) = self.with_fewer(frame, &best)? {
@@ -139,7 +139,7 @@ impl ElementPresses {
         Ok(best)
     }
 
-    /// The presses of the last frame, where each contact is one of them; else usual ones at the contacts.
+    /// The presses of the last frame, if each contact is one of them; otherwise usual ones at the contacts.
     fn starts(&self, centres: &[[f64; 2]]) -> Vec<Press> {
         let is_known = |centre: &[f64; 2]| {
             let at = self.start_at(*centre);
@@ -151,8 +151,8 @@ impl ElementPresses {
         centres.iter().map(|centre| self.start_at(*centre)).collect()
     }
 
-    /// The same with places that are not sure where all that is possible has its middle, and the covariance of x and y
-    /// of each, square metres.
+    /// Moves uncertain positions to the mean of all possible ones, and computes the covariance of x and y of each
+    /// press, square metres.
     fn with_moments(
         &self,
         frame: &mut ElementFrame<'_>,
@@ -169,7 +169,7 @@ impl ElementPresses {
                 if variances[k] > unsure_m2 || self.is_at_rim(found.presses[number].centre_m, along) {
                     let (mean_m, variance_m2) =
                         moments_along(&self.mechanics, &self.usual, frame, &found, number, along)?;
-                    // What is surer than the steps are fine lies between two of them.
+                    // A position more certain than the step size lies between two steps.
                     if variance_m2 > step_m2 {
                         variances[k] = variance_m2;
                         (0..2).for_each(|axis| moved[axis] += mean_m * along[axis]);
@@ -186,13 +186,13 @@ impl ElementPresses {
         Ok((found, covariance_m2))
     }
 
-    /// The same with a press less, or with two joined, that explain the frame as well.
+    /// A fit with one press less, or with two merged, that explains the frame as well.
     fn with_fewer(&self, frame: &mut ElementFrame<'_>, best: &FittedPresses) -> Result<Option<FittedPresses>, Error> {
         let presses = &best.presses;
         if presses.len() < 2 {
             return Ok(None);
         }
-        // What explains nothing that the others leave is none.
+        // Drop a press that explains nothing the others leave.
         for number in 0..presses.len() {
             let mut others = presses.clone();
             others.remove(number);
@@ -221,7 +221,7 @@ impl ElementPresses {
         Ok(None)
     }
 
-    /// The same with one press divided, or one more where elements lie that none moves, if that is worth it.
+    /// A fit with one press divided, or with one more where the presses move no element, if that is worth it.
     fn with_more(&self, frame: &mut ElementFrame<'_>, best: &FittedPresses) -> Result<Option<FittedPresses>, Error> {
         let mut more: Option<FittedPresses> = None;
         let mut consider = |starts: &[Press]| -> Result<(), Error> {
@@ -249,7 +249,7 @@ impl ElementPresses {
         Ok((more.cost < best.cost - WORTH).then_some(more))
     }
 
-    /// Whether a place lies near where nothing is felt, one way or the other along a direction.
+    /// True if a position is close to the edge of the elements, in either sense along a direction.
     fn is_at_rim(&self, at_m: [f64; 2], along: [f64; 2]) -> bool {
         let cell_m = self.mechanics.cell_m;
         [-RIM_CELLS, RIM_CELLS].iter().any(|cells| {
@@ -263,7 +263,8 @@ impl ElementPresses {
         x.hypot(y)
     }
 
-    /// Contacts at these presses: each is the nearest one of the image, or like the strongest where none is left.
+    /// Turns these presses into contacts: each takes the nearest contact in the image, or is like the strongest if
+    /// none is left.
     fn turn_into(&self, found: &FittedPresses, covariance_m2: &[Covariance], contacts: &mut Vec<Contact>) {
         let (mut of_image, mut kept): (Vec<Contact>, Vec<Contact>) =
             contacts.drain(..).partition(|contact| contact.sign == ContactSign::Positive);
@@ -288,7 +289,7 @@ impl ElementPresses {
     }
 }
 
-/// Variances along the principal axes of a covariance, the larger first, and the direction of that.
+/// Variances along the principal axes of a covariance, the larger first, and the direction of the larger.
 fn principal([[xx, xy], [_, yy]]: [[f64; 2]; 2]) -> ((f64, f64), [f64; 2]) {
     let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
     let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
@@ -320,13 +321,13 @@ mod tests {
         }
     }
 
-    /// The contacts found where the image showed these, under presses of these places and radii (mm) and pressures
+    /// The contacts found if the image showed these, under presses with these positions and radii (mm) and pressures
     /// (kPa).
     fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]]) -> Vec<Contact> {
         found_in_noise(name, pressed, shown_mm, 0.0)
     }
 
-    /// The same with so many times the noise that the readings are said to have.
+    /// As `found`, with `noise` times the stated noise of the readings.
     fn found_in_noise(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]], noise: f64) -> Vec<Contact> {
         let (mut stage, mut coils, noise_h) = bench(name);
         let press = |[x, y, radius, pressure]: &[f64; 4]| Press {
@@ -361,7 +362,7 @@ mod tests {
             let contacts = found("em-8", &[press], &[near]);
             assert_eq!(contacts.len(), 1);
             let off = nearest_mm(&contacts, press);
-            // The prior of the radius pulls as much as the model's error allows.
+            // The prior of the radius has as much influence as the model error allows.
             assert!(off < 1.5, "{press:?}: {off} mm");
             assert!(contacts[0].covariance_m2[0][0].sqrt() < 2e-3 && contacts[0].radius_m.is_some());
         }
@@ -376,7 +377,7 @@ mod tests {
         assert!(contacts[0].centroid_m[0] > 0.044, "{:?}", contacts[0].centroid_m);
     }
 
-    /// Of 32 frames at rest the noise of a channel is known to an eighth, and readings may be noisier than they were.
+    /// With 32 frames at rest the noise of a channel is known to an eighth, and readings may be noisier than before.
     #[test]
     fn a_faint_press_is_fitted_though_noise_is_a_quarter_more_than_it_was() {
         let press = [7.0, 4.0, 15.0, 1.5];

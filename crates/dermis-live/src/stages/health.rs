@@ -1,5 +1,5 @@
-//! Channel health in the live pipeline: what [`dermis_touch::health`] finds broken is left out of image and touches,
-//! and taken back when it is good again. Everything here follows from the frames alone, in their order, so that a
+//! Channel health in the live pipeline. Channels that [`dermis_touch::health`] finds broken are excluded from image
+//! and touches, and restored when they recover. Everything here depends only on the frames and their order, so a
 //! replay gives the same result as the live run.
 
 mod changes;

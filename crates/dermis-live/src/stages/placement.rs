@@ -1,4 +1,4 @@
-//! The place that a calibration gives the single touch of a frame.
+//! The position of a frame's single touch according to a calibration.
 
 use dermis_touch::{PlaceHypothesis, TouchLoad};
 
@@ -7,27 +7,27 @@ use dermis_touch::{PlaceHypothesis, TouchLoad};
 pub struct SecondTouch {
     /// Position, metres.
     pub position_m: [f64; 2],
-    /// How strong it is, relative to the first, 0 to 1.
+    /// Strength relative to the first, 0 to 1.
     pub share: f64,
 }
 
-/// Where a touch lies according to a calibration, in place of the image's own position.
+/// The position of a touch according to a calibration, replacing the image's own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Position, metres.
     pub position_m: [f64; 2],
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
-    /// How strong it is, in typical pokes at that place; `None` leaves that to the image.
+    /// Strength in typical pokes at that position; `None` leaves it to the image.
     pub amplitude: Option<f64>,
-    /// How deep or hard it is pressed, where the calibration's pokes had depths or forces.
+    /// Depth or force of the press, if the calibration's pokes had depths or forces.
     pub load: Option<TouchLoad>,
-    /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
+    /// The frame is unlike any single touch in the training data. If the image shows several contacts, use those.
     pub doubtful: bool,
-    /// Where it is nobody can tell: that is no touch where the model places touches and sees none.
+    /// The position is unknown. Not reported as a touch when the model locates touches and sees none.
     pub vague: bool,
-    /// Where else the touch may be, where the frame does not tell.
+    /// Another possible position, if the frame cannot decide.
     pub other_place: Option<PlaceHypothesis>,
-    /// The frame is of two touches; the position is that of the stronger.
+    /// The second touch, if the frame shows two. The position above is then the stronger one's.
     pub second: Option<SecondTouch>,
 }

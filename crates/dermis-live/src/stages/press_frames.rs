@@ -1,13 +1,13 @@
-//! Gathers frames of a session's presses, one of each, for what is to be learnt of the skin without labels. Whether a
-//! frame is touched is judged by the noise of its channels alone, since the image may be wrong.
+//! Collects one frame of each press in a session, for learning about the skin without labels. Touch is detected from
+//! the noise of the channels alone, since the image may be wrong.
 
-/// The next press has begun where a frame is less like the strongest of the last than this: it slid away.
+/// Minimum likeness to the strongest frame of a press; below it, the press has slid away and the next one has begun.
 const SLID: f64 = 0.9;
-/// A press is over where a frame is weaker than this share of its strongest.
+/// A press is over when a frame is weaker than this share of its strongest.
 const OVER: f64 = 0.5;
-/// A press whose frame is more like one gathered before than this tells nothing new.
+/// A press whose frame resembles an earlier one more than this gives no new information.
 const ALIKE: f64 = 0.98;
-/// No frame of less than this strength is touched: what is left of it without noise would be next to nothing.
+/// Minimum strength of a touched frame: subtracting the noise would leave almost nothing of a weaker one.
 const LEAST_STRENGTH: f64 = 1.5;
 
 /// A frame of a press.
@@ -15,33 +15,33 @@ const LEAST_STRENGTH: f64 = 1.5;
 struct Press {
     /// Changes relative to the baseline, `NaN` where missing.
     change: Vec<f64>,
-    /// The difference in units of the channels' noise, at unit length; 0 where missing.
+    /// The difference in units of the channels' noise, scaled to unit length; 0 where missing.
     direction: Vec<f64>,
-    /// Root mean square of the difference in units of the noise.
+    /// RMS of the difference in units of the noise.
     strength: f64,
 }
 
-/// The strongest frame of each press, at most so many.
+/// The strongest frame of each press, up to a maximum number.
 #[derive(Debug)]
 pub(crate) struct PressFrames {
     presses: Vec<Press>,
-    /// The strongest frame of the press under way.
+    /// The strongest frame of the current press.
     under_way: Option<Press>,
-    /// The frame at hand.
+    /// The current frame.
     now: Press,
-    /// A frame is touched from this root mean square on, in units of the noise.
+    /// RMS above which a frame is touched, in units of the noise.
     least_strength: f64,
     most: usize,
 }
 
 impl PressFrames {
-    /// Without any.
+    /// A collection without presses.
     pub fn new(least_strength: f64, most: usize) -> Self {
         let least_strength = least_strength.max(LEAST_STRENGTH);
         Self { presses: Vec::new(), under_way: None, now: Press::default(), least_strength, most }
     }
 
-    /// Presses gathered.
+    /// Number of presses collected.
     pub fn len(&self) -> usize {
         self.presses.len()
     }
@@ -51,15 +51,15 @@ impl PressFrames {
         self.presses.iter().map(|press| press.change.clone()).collect()
     }
 
-    /// What nine in ten of the presses were stronger than: root mean square in units of the noise. 0 without presses.
+    /// Strength that nine in ten of the presses exceed: RMS in units of the noise. 0 without presses.
     pub fn weak(&self) -> f64 {
         let mut strengths: Vec<f64> = self.presses.iter().map(|press| press.strength).collect();
         strengths.sort_by(f64::total_cmp);
         strengths.get(strengths.len() / 10).copied().unwrap_or(0.0)
     }
 
-    /// Takes in a frame: readings minus `baseline`, and `difference` and `noise` of the channels in one unit, `NaN` in
-    /// either where a channel is missing. Allocates for each press that is gathered.
+    /// Takes a frame: readings minus `baseline`, and `difference` and `noise` of the channels in one unit, `NaN` in
+    /// either where a channel is missing. Allocates for each press that is collected.
     pub fn offer(&mut self, compensated: &[f64], baseline: &[f64], difference: &[f64], noise: &[f64]) {
         if self.presses.len() >= self.most {
             return;
@@ -76,7 +76,7 @@ impl PressFrames {
         }
     }
 
-    /// The press under way has been looked away from: it is none.
+    /// Discards the current press.
     pub fn forget(&mut self) {
         self.under_way = None;
     }
@@ -111,7 +111,7 @@ impl PressFrames {
     }
 }
 
-/// The cosine between two frames, relative to what noise of their own makes of that between two frames of one press.
+/// Cosine between two frames, relative to its expected value for two noisy frames of one press.
 fn likeness(a: &Press, b: &Press) -> f64 {
     let cosine: f64 = a.direction.iter().zip(&b.direction).map(|(a, b)| a * b).sum();
     let signal = |press: &Press| 1.0 - press.strength.powi(-2);
@@ -122,7 +122,7 @@ fn likeness(a: &Press, b: &Press) -> f64 {
 mod tests {
     use super::*;
 
-    /// Offers a frame whose channels differ from a baseline of 2 by these, at a noise of 0.1.
+    /// Offers a frame whose channels differ from a baseline of 2 by these values, at a noise of 0.1.
     fn offer(frames: &mut PressFrames, difference: [f64; 3]) {
         frames.offer(&difference, &[2.0; 3], &difference, &[0.1; 3]);
     }
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(frames.len(), 1);
         assert_eq!(frames.changes()[0][..2], [2.0, 0.0]);
         assert!(frames.changes()[0][2].is_nan());
-        // The same again is nothing new; one that slides elsewhere is two.
+        // The same press again is not new; one that slides elsewhere counts as two.
         for share in [0.5, 1.0, 0.1] {
             offer(&mut frames, [4.0 * share, 0.0, 0.0]);
         }
@@ -147,7 +147,7 @@ mod tests {
         offer(&mut frames, [0.0; 3]);
         assert_eq!(frames.len(), 3);
         assert!((frames.weak() - 40.0 / 2_f64.sqrt()).abs() < 10.0, "{}", frames.weak());
-        // No more than asked for.
+        // No more than the maximum.
         offer(&mut frames, [0.0, -4.0, 0.0]);
         offer(&mut frames, [0.0; 3]);
         assert_eq!(frames.len(), 3);

@@ -1,8 +1,8 @@
-//! Touches of a sandwich skin by its own physics: patches of contact with the layer above, which joins them to each
-//! other. Linear images show several touches as one bar between them; here places, radii and conductances of all
-//! patches are fitted to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search
-//! on a coarser mesh where these do not do. A fit takes the better part of a millisecond: of frames that come faster
-//! than every 5 ms, the mean is fitted.
+//! Touches on a sandwich skin by its own physics: patches of contact with the layer above, which connects them to
+//! each other. Linear images show several touches as a single bar between them. Here the positions, radii and
+//! conductances of all patches are fitted to the frame ([`dermis_tomo::eit::contacts`]), starting from those of the
+//! previous frame, or from a search on a coarser mesh if these do not fit. A fit takes most of a millisecond. If
+//! frames arrive faster than every 5 ms, their mean is fitted.
 
 mod gathered;
 mod plausible;
@@ -17,7 +17,7 @@ pub(crate) use stage::{PatchStage, ReleaseLook, Released};
 
 use crate::prepare::Prepared;
 
-/// Whether touches make contact with a layer above.
+/// True if touches make contact with a layer above.
 pub(crate) fn is_sandwich(prepared: &Prepared) -> bool {
     matches!(prepared.skin.frontend.layer, dermis_skin::Layer::Sandwich(_))
 }

@@ -14,7 +14,8 @@ use crate::stages::model_error::ModelError;
 use crate::stages::placement::{Placement, SecondTouch};
 use crate::stages::workshop_error::BuiltError;
 
-/// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
+/// After a gap in the frames this long, nanoseconds, a touch cannot be distinguished from another at the same
+/// position.
 const INTERRUPTION_NS: u64 = 250_000_000;
 
 /// A touch that is not seen for this long has ended, seconds.
@@ -27,23 +28,23 @@ pub struct TouchStage {
     tracker: Tracker,
     contacts: Vec<Contact>,
     events: Vec<TouchEvent>,
-    /// Ends of touches that an interruption of the stream has ended, until the next frame.
+    /// End events of touches ended by an interruption of the stream, held until the next frame.
     ended: Vec<TouchEvent>,
     noise: Vec<f32>,
     forces: Option<ForceCalibration>,
-    /// Contacts of a smaller amplitude in the next image are none.
+    /// Contacts of a smaller amplitude in the next image are ignored.
     floor: f64,
     model_error: ModelError,
     /// Errors of a skin that is not as drawn.
     built: Option<BuiltError>,
-    /// A calibration has placed the contacts of this frame, and their sigmas hold the model's error.
+    /// A calibration has located the contacts of this frame, and their sigmas include the model error.
     is_placed: bool,
-    /// The touch being followed is one that only the calibration sees.
+    /// The current touch is visible only to the calibration.
     follows_unseen: bool,
 }
 
 impl TouchStage {
-    /// Sets up both from the skin file; `noise` is the image noise of each pixel (row-major, NaN outside).
+    /// Sets up both from the skin file. `noise` is the image noise of each pixel (row-major, NaN outside).
     ///
     /// # Errors
     /// Thresholds out of range.
@@ -68,7 +69,7 @@ impl TouchStage {
             gate_max_m: 0.5 * half_width,
             max_missed_frames: match prepared.skin.fits_touches() {
                 true => missed_frames(prepared.skin.backend.frame_rate_hz()),
-                // What the image alone places comes and goes.
+                // Touches located by the image alone flicker.
                 false => TrackerParams::default().max_missed_frames,
             },
             ..TrackerParams::default()
@@ -89,12 +90,12 @@ impl TouchStage {
         })
     }
 
-    /// Reads the force of every contact by a calibration from now on.
+    /// Sets the calibration that estimates the force of every contact.
     pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
         self.forces = forces;
     }
 
-    /// Contacts of a smaller amplitude in the next image are lobes of something else.
+    /// Sets the amplitude below which contacts in the next image are side lobes.
     pub fn set_floor(&mut self, amplitude: f64) {
         self.floor = amplitude;
     }
@@ -109,21 +110,21 @@ impl TouchStage {
         self.noise = noise;
     }
 
-    /// Follows the touches of one image, its contacts as the image has them.
+    /// Tracks the touches of one image, with its contacts as found.
     ///
     /// # Errors
-    /// An image of another size, or a time before the last one.
+    /// An image of the wrong size, or a time before the last one.
     pub fn process(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
         self.find_contacts(image, placement)?;
         self.track_contacts(time_ns)
     }
 
-    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame, or the
-    /// two of it, and how strong, where it knows: it takes the place of the image's contacts, whose strongest lends its
-    /// area and, where it does not, its amplitude.
+    /// Finds the contacts of an image. A `placement` is a calibration's position of the frame's only touch, or of its
+    /// two, with the strength if known. It replaces the image's contacts. The strongest of these provides its area
+    /// and, if the strength is unknown, its amplitude.
     ///
     /// # Errors
-    /// An image of another size.
+    /// An image of the wrong size.
     pub fn find_contacts(&mut self, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
         self.contacts.retain(|contact| contact.amplitude >= self.floor);
@@ -135,7 +136,7 @@ impl TouchStage {
         Ok(())
     }
 
-    /// Puts a placement, the only touch of the frame or its two, in the place of the contacts found.
+    /// Replaces the contacts found by a placement: the only touch of the frame, or its two.
     fn place_only(&mut self, placement: Placement, image: &[f32]) {
         self.contacts.truncate(1);
         if self.contacts.is_empty() {
@@ -152,37 +153,37 @@ impl TouchStage {
             only.amplitude = amplitude;
         }
         self.is_placed = true;
-        // The calibration has judged the whole frame; the image's threshold has nothing to add.
+        // The calibration has judged the whole frame, so the image's threshold does not apply.
         only.strength = ContactStrength::Strong;
         let second = placement.second.map(|SecondTouch { position_m, share }| only.share_at(position_m, share));
         self.contacts.extend(second);
     }
 
-    /// Leaves out contacts that a fit has found weaker than the skin file or the frame allows.
+    /// Drops contacts that a fit has found weaker than the skin file or the frame allows.
     pub(crate) fn drop_weak(&mut self) {
         let least = self.floor.max(self.finder.params().min_amplitude);
         self.contacts.retain(|contact| contact.amplitude >= least);
     }
 
-    /// True where the contacts just found begin no touch, and the model follows none.
+    /// True if the contacts just found begin no touch, and no touch seen by the model is being tracked.
     pub fn sees_nothing(&self) -> bool {
         let is_unseen = self.follows_unseen || !self.is_loaded();
         is_unseen && self.contacts.iter().all(|contact| contact.strength == ContactStrength::Weak)
     }
 
-    /// A calibration places a touch that the model does not see ([`TouchStage::sees_nothing`]).
+    /// Adds a touch that the calibration locates but the model does not see ([`TouchStage::sees_nothing`]).
     pub fn place_unseen(&mut self, placement: Placement, image: &[f32]) {
         self.place_only(placement, image);
         self.follows_unseen = true;
     }
 
-    /// The contacts just found, for a refinement to place better.
+    /// The contacts just found, for a refinement to locate better.
     pub fn contacts_mut(&mut self) -> &mut Vec<Contact> {
         &mut self.contacts
     }
 
-    /// Moves the contacts just found, which the model placed, to where a calibration knows them to be, and counts their
-    /// amplitudes in those of a typical poke. The only one gets the load of the frame.
+    /// Corrects the positions of the contacts just found, which the model located, and expresses their amplitudes in
+    /// typical pokes. A single contact gets the load of the frame.
     pub fn correct_contacts(&mut self, correction: &PlaceCorrection, load: Option<TouchLoad>) {
         self.follows_unseen = false;
         let is_single = self.contacts.len() == 1;
@@ -197,7 +198,7 @@ impl TouchStage {
         self.is_placed = true;
     }
 
-    /// Reads the forces of the contacts just found and follows them as touches.
+    /// Estimates the forces of the contacts just found and tracks them as touches.
     ///
     /// # Errors
     /// A time before the last one.
@@ -217,8 +218,8 @@ impl TouchStage {
         self.track(time_ns)
     }
 
-    /// Follows the touches of a frame that says nothing: the contacts of the last image are taken to be there still,
-    /// unless an interruption has made an end of them.
+    /// Tracks the touches of a frame without information: assumes that the contacts of the last image are still
+    /// there, unless an interruption has ended them.
     ///
     /// # Errors
     /// A time before the last one.
@@ -226,15 +227,15 @@ impl TouchStage {
         self.track(time_ns)
     }
 
-    /// Follows the contacts as they are; the events begin with the ends that an interruption has made.
+    /// Tracks the contacts as they are. The events start with the ends caused by an interruption.
     fn track(&mut self, time_ns: u64) -> Result<(), Error> {
         self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
         self.events.splice(0..0, self.ended.drain(..));
         Ok(())
     }
 
-    /// A contact where a calibration sees a touch that the image's own threshold passed over: one cell, with the
-    /// image's value there.
+    /// A contact for a touch that only the calibration sees because the image is below its threshold: one cell, with
+    /// the image's value there.
     fn contact_at(&self, position_m: [f64; 2], image: &[f32]) -> Option<Contact> {
         let cells = self.finder.cells();
         let cell = cells.cell_at(position_m)?;
@@ -251,23 +252,23 @@ impl TouchStage {
         &self.contacts
     }
 
-    /// Touches on the skin now.
+    /// Current touches on the skin.
     pub fn touches(&self) -> &[Touch] {
         self.tracker.touches()
     }
 
-    /// What happened in the last frame.
+    /// Events of the last frame.
     pub fn events(&self) -> &[TouchEvent] {
         &self.events
     }
 
-    /// True while anything lies on the skin, contacts not yet confirmed included.
+    /// True while anything lies on the skin, including unconfirmed contacts.
     pub fn is_loaded(&self) -> bool {
         self.tracker.is_following()
     }
 
-    /// The stream was interrupted before the next frame, for so long that nobody knows what happened: all touches end,
-    /// and what that frame shows begins anew. The ends are among its events.
+    /// Reports that the stream was interrupted before the next frame, too long to know what happened. All touches
+    /// end, and the touches in that frame are new. The end events are among its events.
     pub fn interrupt(&mut self, time_ns: u64) {
         // A second interruption before the next frame finds nothing left to end.
         if self.ended.is_empty() {
@@ -276,13 +277,13 @@ impl TouchStage {
         self.contacts.clear();
     }
 
-    /// True where so many frames in a row, taking so long, are an interruption: more than a touch may be missed, and
-    /// longer than a fingertip takes to tap.
+    /// True if this many consecutive missing frames, over this time, are an interruption: more than a touch may be
+    /// missed, and longer than a fingertip takes to tap.
     pub fn is_interruption(&self, frames: u64, lasted_ns: u64) -> bool {
         frames > u64::from(self.tracker.params().max_missed_frames) && lasted_ns > INTERRUPTION_NS
     }
 
-    /// Ends all touches: the next frame has nothing to do with this one.
+    /// Ends all touches: the next frame is unrelated.
     pub fn forget(&mut self, time_ns: u64) {
         self.tracker.end_all(time_ns, &mut self.events);
         self.events.splice(0..0, self.ended.drain(..));
@@ -290,7 +291,7 @@ impl TouchStage {
     }
 }
 
-/// Frames in which a touch may be missed before it ends: it is gone within [`GONE_S`], or two frames.
+/// Number of frames a touch may be missed before it ends: within [`GONE_S`], or two frames.
 fn missed_frames(frames_per_s: f64) -> u32 {
     ((GONE_S * frames_per_s).floor() as u32).saturating_sub(1).clamp(1, 3)
 }
@@ -313,7 +314,7 @@ mod tests {
 
     const FRAME_NS: u64 = 10_000_000;
 
-    /// A stage that follows one touch, and its time.
+    /// A stage that tracks one touch, and its time.
     fn touched() -> (TouchStage, u64) {
         let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
         let grid = prepared.map.grid().len();

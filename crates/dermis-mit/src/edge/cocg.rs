@@ -1,17 +1,18 @@
 //! The conjugate orthogonal conjugate gradient method (van der Vorst and Melissen, IEEE Trans. Magn. 26, 1990) for
-//! complex symmetric systems, several right-hand sides at once, preconditioned by a real Cholesky factor. With `K + M`
-//! of `K + j M` factored, all eigenvalues lie on an arc between 1 and j: a few dozen iterations whatever the mesh.
+//! complex symmetric systems, for several right-hand sides at once, preconditioned by a real Cholesky factor. If the
+//! system is `K + j M` and `K + M` is factored, all eigenvalues lie on an arc between 1 and j, so a few dozen
+//! iterations suffice on any mesh.
 
 use crate::error::MitError;
 use crate::vector::Complex;
 use dermis_tomo::sparse::{SpdFactor, SpdStructure};
 
-/// Norm of the residual over that of the right-hand side at which the iteration ends.
+/// Norm of the residual, relative to the right-hand side, at which the iteration ends.
 const TOLERANCE: f64 = 1e-8;
-/// Iterations after which it is given up.
+/// Maximum number of iterations.
 const MOST: usize = 200;
 
-/// A complex symmetric matrix and the factor of a real one like it.
+/// A complex symmetric matrix and the factor of a similar real one.
 #[derive(Debug)]
 pub(super) struct Preconditioned {
     pub(super) structure: SpdStructure,
@@ -20,13 +21,13 @@ pub(super) struct Preconditioned {
     pub(super) factor: SpdFactor,
 }
 
-/// Most complex right-hand sides that are solved for together.
+/// Maximum number of complex right-hand sides solved together.
 const TOGETHER: usize = 8;
 
 type Solutions = (Vec<Vec<Complex>>, usize);
 
 impl Preconditioned {
-    /// Solves for all right-hand sides; gives the solutions and the most iterations that any took.
+    /// Solves for all right-hand sides; returns the solutions and the largest number of iterations.
     pub(super) fn solve(&self, sides: &[Vec<Complex>]) -> Result<Solutions, MitError> {
         let (mut solutions, mut most) = (Vec::with_capacity(sides.len()), 0);
         for chunk in sides.chunks(TOGETHER) {
@@ -42,7 +43,8 @@ impl Preconditioned {
         Ok((solutions, most))
     }
 
-    /// Up to W/2 right-hand sides: the first half of the lanes holds real parts, the second imaginary ones.
+    /// Solves up to W/2 right-hand sides. The first half of the lanes holds real parts, the second half imaginary
+    /// parts.
     fn solve_chunk<const W: usize>(&self, sides: &[Vec<Complex>]) -> Result<Solutions, MitError> {
         let half = W / 2;
         let mut residual = vec![[0.0; W]; self.structure.size()];
@@ -93,7 +95,7 @@ impl Preconditioned {
     }
 }
 
-/// Complex quotients where the lane is live, zero elsewhere.
+/// Complex quotients in live lanes, zero elsewhere.
 fn quotients<const W: usize>(a: &[f64; W], b: &[f64; W], live: &[bool; W]) -> [f64; W] {
     let half = W / 2;
     let mut all = [0.0; W];
@@ -117,7 +119,7 @@ fn products<const W: usize>(a: &[[f64; W]], b: &[[f64; W]]) -> [f64; W] {
     sums
 }
 
-/// Norms of the complex vectors, in the first half; zero in the second.
+/// Norms of the complex vectors in the first half, zero in the second.
 fn norms<const W: usize>(a: &[[f64; W]]) -> [f64; W] {
     let mut sums = [0.0; W];
     a.iter().for_each(|a| (0..W).for_each(|lane| sums[lane] += a[lane] * a[lane]));

@@ -1,8 +1,9 @@
 //! The reference tetrahedron: hierarchical edge functions, quadrature, and the parabolic map to an element.
 //!
-//! Vertices of an element are sorted by their number in the mesh, so that edges and faces have the same direction in
-//! every element that shares them. Order of functions: 6 of Whitney, `l_i grad l_j - l_j grad l_i`; 6 gradients of
-//! `l_i l_j`; 8 of faces, `l_k w_ij` and `l_i w_jk` (Savage and Peterson, IEEE Trans. Antennas Propag. 44, 1996).
+//! The vertices of an element are sorted by their number in the mesh, so edges and faces have the same direction in
+//! every element that shares them. Order of the functions: 6 Whitney functions `l_i grad l_j - l_j grad l_i`, 6
+//! gradients of `l_i l_j`, 8 face functions `l_k w_ij` and `l_i w_jk` (Savage and Peterson, IEEE Trans. Antennas
+//! Propag. 44, 1996).
 
 use crate::vector::{Vector, add, cross, dot, scaled, subtract};
 
@@ -10,15 +11,15 @@ use crate::vector::{Vector, add, cross, dot, scaled, subtract};
 pub(super) const EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 /// Corners of the faces of an element.
 pub(super) const FACES: [[usize; 3]; 4] = [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]];
-/// Functions of second order.
+/// Number of functions of second order.
 pub(super) const FUNCTIONS: usize = 20;
-/// Functions of first order.
+/// Number of functions of first order.
 pub(super) const WHITNEY: usize = 6;
 
 const GRADIENTS: [Vector; 4] = [[-1.0, -1.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// Values and curls of all functions at a point of the reference tetrahedron, and the parabolic shape functions'
-/// slopes.
+/// Values and curls of all functions at a point of the reference tetrahedron, and the derivatives of the parabolic
+/// shape functions.
 #[derive(Clone, Debug)]
 pub(super) struct Point {
     pub(super) weight: f64,
@@ -70,14 +71,14 @@ pub(super) fn quadrature() -> Vec<Point> {
     points
 }
 
-/// An element's corners, and the middles of its edges.
+/// Corners of an element, and midpoints of its edges.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Geometry {
     pub(super) corners: [Vector; 4],
     pub(super) middles: [Vector; 6],
 }
 
-/// The map at one point: columns of the Jacobian, its determinant, the columns of its inverse's transpose.
+/// The map at one point: the columns of the Jacobian, its determinant, and the columns of its inverse transpose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Map {
     pub(super) position_m: Vector,
@@ -87,10 +88,10 @@ pub(super) struct Map {
 }
 
 impl Geometry {
-    /// Parabolic shape functions: `l (2l - 1)` at corners, `4 l_i l_j` at middles.
+    /// Parabolic shape functions: `l (2l - 1)` at corners, `4 l_i l_j` at midpoints.
     pub(super) fn map(&self, l: [f64; 4]) -> Map {
         let mut position_m = [0.0; 3];
-        // Derivatives by each barycentric coordinate, as if these were independent.
+        // Derivatives with respect to each barycentric coordinate, treated as independent.
         let mut by = [[0.0; 3]; 4];
         for i in 0..4 {
             position_m = add(position_m, scaled(self.corners[i], l[i] * (2.0 * l[i] - 1.0)));
@@ -110,19 +111,19 @@ impl Geometry {
 }
 
 impl Map {
-    /// A covariant vector of the reference element in space.
+    /// Maps a covariant vector from the reference element to space.
     pub(super) fn value(&self, v: Vector) -> Vector {
         let [a, b, c] = self.dual;
         add(scaled(a, v[0]), add(scaled(b, v[1]), scaled(c, v[2])))
     }
 
-    /// The curl of a covariant vector in space, from that in the reference element.
+    /// Maps the curl of a covariant vector from the reference element to space.
     pub(super) fn curl(&self, v: Vector) -> Vector {
         let [a, b, c] = self.jacobian;
         scaled(add(scaled(a, v[0]), add(scaled(b, v[1]), scaled(c, v[2]))), 1.0 / self.determinant)
     }
 
-    /// Step in barycentric coordinates 1 to 3 that moves by an offset, to first order.
+    /// Step in barycentric coordinates 1 to 3 that moves the point by an offset, to first order.
     pub(super) fn step(&self, offset_m: Vector) -> Vector {
         self.dual.map(|d| dot(d, offset_m))
     }
@@ -157,7 +158,7 @@ mod tests {
         for f in 0..FUNCTIONS {
             let d = |axis: usize, of: usize| (slopes[axis].0[f][of] - slopes[axis].1[f][of]) / (2.0 * step);
             let curl = [d(1, 2) - d(2, 1), d(2, 0) - d(0, 2), d(0, 1) - d(1, 0)];
-            // Quadratic functions: central differences are exact but for rounding.
+            // For quadratic functions, central differences are exact up to rounding.
             (0..3).for_each(|k| assert!((curl[k] - at(x).curls[f][k]).abs() < 1e-9, "{f} {k}"));
         }
     }

@@ -1,27 +1,27 @@
-//! What does no work is taken out of a source's potential: the gradient of a polynomial, by least squares over the
-//! bodies.
+//! Removes the part of a source's potential that does no work: the gradient of a polynomial, by least squares over
+//! the bodies.
 //!
-//! Only the circulation of a potential drives currents, yet a coil's potential is mostly a gradient far from the coil,
-//! which elements with curved edges cancel only to their own order. Taking it out first leaves the currents as they
-//! are, since these neither spring up nor leave the body, and the error with what remains.
+//! Only the circulation of a potential drives currents, yet far from a coil its potential is mostly a gradient, which
+//! elements with curved edges cancel only to their own order. Removing it first leaves the currents unchanged, since
+//! they are free of divergence and do not leave the body, and leaves only the error of the remainder.
 
 use super::source::Samples;
 use crate::vector::{Vector, add, dot, scaled};
 
-/// Length of a gradient, relative to what it was, below which it is taken to depend on those before.
+/// Length of a gradient, relative to its original length, below which it counts as dependent on the earlier ones.
 const DEPENDENT: f64 = 1e-9;
 
 /// Orthonormal gradients over a body's quadrature points.
 #[derive(Debug)]
 pub(super) struct Gauge {
-    /// Weight of each point.
+    /// Volume weight of each point.
     volumes: Vec<f64>,
     gradients: Vec<Vec<Vector>>,
 }
 
 impl Gauge {
-    /// For points with volumes: gradients of the monomials to a degree; with a set of odd axes (bits), only of those
-    /// that are odd in these and even in the others.
+    /// Builds gradients of the monomials up to a degree, for points with volumes. Given a set of odd axes (bits),
+    /// uses only monomials that are odd in these and even in the others.
     pub(super) fn new(points_m: &[Vector], volumes: Vec<f64>, degree: i32, odd: Option<u8>) -> Self {
         let reach = points_m.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
         let mut gauge = Self { volumes, gradients: Vec::new() };
@@ -32,7 +32,7 @@ impl Gauge {
             }
             let mut gradient: Vec<Vector> = points_m.iter().map(|p| slope(scaled(*p, 1.0 / reach), powers)).collect();
             let before = gauge.product(&gradient, &gradient).sqrt();
-            // Twice is enough (Parlett, The Symmetric Eigenvalue Problem, 6.9).
+            // Two passes are enough (Parlett, The Symmetric Eigenvalue Problem, 6.9).
             (0..2).for_each(|_| gauge.subtract_from(&mut gradient));
             let after = gauge.product(&gradient, &gradient).sqrt();
             if after > DEPENDENT * before {
@@ -54,7 +54,7 @@ impl Gauge {
         }
     }
 
-    /// Takes the gradients out of the potentials.
+    /// Removes the gradients from the potentials.
     pub(super) fn apply(&self, samples: &mut Samples) {
         let mut field: Vec<Vector> = samples.iter().map(|(a, _)| *a).collect();
         self.subtract_from(&mut field);
@@ -62,7 +62,7 @@ impl Gauge {
     }
 }
 
-/// Powers of x, y and z of all monomials of degree 1 to the given one.
+/// Powers of x, y and z of all monomials from degree 1 to `degree`.
 fn monomials(degree: i32) -> Vec<[i32; 3]> {
     let of = |n: i32| (0..=n).flat_map(move |i| (0..=n - i).map(move |j| [i, j, n - i - j]));
     (1..=degree).flat_map(of).collect()

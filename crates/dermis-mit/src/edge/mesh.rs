@@ -1,4 +1,4 @@
-//! Tetrahedra with their edges and faces, and which material each is made of.
+//! Tetrahedra with their edges, faces and materials.
 
 use std::collections::HashMap;
 
@@ -6,12 +6,12 @@ use super::elements::{EDGES, FACES, Geometry, quadrature};
 use crate::error::MitError;
 use crate::vector::{Vector, add, cross, dot, scaled, subtract};
 
-/// A tetrahedral mesh. Region 0 is air; region k is the k-th material.
+/// A tetrahedral mesh. Region 0 is air; region k has the k-th material.
 #[derive(Clone, Debug)]
 pub struct EdgeMesh {
     /// Vertices, metres.
     pub(super) vertices: Vec<Vector>,
-    /// Corners of each tetrahedron in ascending order.
+    /// Corners of each tetrahedron, in ascending order.
     pub(super) tetrahedra: Vec<[u32; 4]>,
     /// Region of each tetrahedron.
     pub(super) regions: Vec<u8>,
@@ -19,11 +19,11 @@ pub struct EdgeMesh {
     pub(super) faces: Vec<[u32; 3]>,
     pub(super) edges_of: Vec<[u32; 6]>,
     pub(super) faces_of: Vec<[u32; 4]>,
-    /// Middle of each edge: off the chord where the mesh follows a curved body.
+    /// Midpoint of each edge; off the chord if the mesh follows a curved body.
     pub(super) middles: Vec<Vector>,
-    /// True where only the eighth with positive coordinates is meshed.
+    /// True if only the octant with positive coordinates is meshed.
     pub(super) is_octant: bool,
-    /// Boundary that edges and faces lie on: [`OUTER`], or bit k for the plane of symmetry across axis k.
+    /// Boundary that edges and faces lie on: [`OUTER`], or bit k for the symmetry plane across axis k.
     pub(super) edge_bounds: Vec<u8>,
     pub(super) face_bounds: Vec<u8>,
 }
@@ -32,10 +32,11 @@ pub struct EdgeMesh {
 pub(super) const OUTER: u8 = 8;
 
 impl EdgeMesh {
-    /// From vertices (metres), corners and regions; `middle` gives the middle of a curved edge from its ends.
+    /// Builds a mesh from vertices (metres), corners and regions. `middle` returns the midpoint of a curved edge,
+    /// given its ends.
     ///
     /// # Errors
-    /// Another number of regions than tetrahedra, corners that do not exist, elements without volume.
+    /// Numbers of regions and tetrahedra that differ, corners that do not exist, or elements without volume.
     pub fn new(
         vertices: Vec<Vector>,
         tetrahedra: Vec<[u32; 4]>,
@@ -45,7 +46,7 @@ impl EdgeMesh {
         Self::part(vertices, tetrahedra, regions, false, middle)
     }
 
-    /// As [`EdgeMesh::new`]; tells whether this is an eighth.
+    /// As [`EdgeMesh::new`], with a flag whether this is an octant.
     fn part(
         vertices: Vec<Vector>,
         mut tetrahedra: Vec<[u32; 4]>,
@@ -133,10 +134,10 @@ impl EdgeMesh {
         Ok(())
     }
 
-    /// The part with positive coordinates, for a mesh whose body is symmetric about the three planes of coordinates.
+    /// The octant with positive coordinates, for a mesh whose body is symmetric about the three coordinate planes.
     ///
     /// # Errors
-    /// A mesh that is cut by these planes.
+    /// A mesh with elements cut by these planes.
     pub fn octant(&self) -> Result<Self, MitError> {
         let slack = 1e-9 * self.vertices.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
         let snapped = |v: &Vector| v.map(|x| if x.abs() < slack { 0.0 } else { x });
@@ -174,12 +175,12 @@ impl EdgeMesh {
         Ok(mesh)
     }
 
-    /// Tetrahedra.
+    /// Number of tetrahedra.
     pub fn tetrahedron_count(&self) -> usize {
         self.tetrahedra.len()
     }
 
-    /// Edges.
+    /// Number of edges.
     pub fn edge_count(&self) -> usize {
         self.edges.len()
     }
@@ -196,7 +197,7 @@ impl EdgeMesh {
         }
     }
 
-    /// Volume of a region, cubic metres, and its greatest distance from the origin, metres.
+    /// Volume of a region, cubic metres, and its maximum distance from the origin, metres.
     pub fn extent(&self, region: u8) -> (f64, f64) {
         let (mut volume, mut radius) = (0.0, 0.0_f64);
         let points = quadrature();
@@ -208,7 +209,7 @@ impl EdgeMesh {
         (volume, radius)
     }
 
-    /// The thickest element of a region on its surface: height over its face there, metres.
+    /// Thickness of the thickest surface element of a region: height over its outer face, metres.
     pub(super) fn surface_height_m(&self, region: u8) -> f64 {
         let mut sides = vec![[u8::MAX; 2]; self.faces.len()];
         for (faces, &region) in self.faces_of.iter().zip(&self.regions) {
@@ -223,7 +224,7 @@ impl EdgeMesh {
             let corners = self.geometry(element).corners;
             for (three, &face) in FACES.iter().zip(&self.faces_of[element]) {
                 let [a, b] = sides[face as usize];
-                // Inside the body, or on a plane of symmetry.
+                // An interior face, or one on a plane of symmetry.
                 if a == b || b == u8::MAX {
                     continue;
                 }
@@ -236,7 +237,7 @@ impl EdgeMesh {
         worst
     }
 
-    /// The element that holds a point, with its barycentric coordinates there.
+    /// The element that contains a point, and the point's barycentric coordinates in it.
     pub(super) fn locate(&self, point_m: Vector) -> Option<(usize, [f64; 4])> {
         const SLACK: f64 = 1e-9;
         (0..self.tetrahedra.len()).find_map(|element| {
@@ -261,7 +262,7 @@ impl EdgeMesh {
     }
 }
 
-/// The middle of a straight edge.
+/// Midpoint of a straight edge.
 pub(super) fn chord(a: Vector, b: Vector) -> Vector {
     scaled(add(a, b), 0.5)
 }

@@ -1,5 +1,5 @@
-//! Meshes around a body: planar triangles in layers, split into tetrahedra, fine toward the body's surface and coarse
-//! toward the outer boundary. Round bodies are followed by parabolic edges.
+//! Meshes around a body: planar triangles in layers, split into tetrahedra, fine towards the body's surface and
+//! coarse towards the outer boundary. Parabolic edges follow round bodies.
 
 use std::f64::consts::TAU;
 
@@ -7,28 +7,28 @@ use super::mesh::{EdgeMesh, chord};
 use crate::error::{MitError, positive};
 use crate::vector::{Vector, add, norm, scaled, subtract};
 
-/// How a mesh grows away from a body's surface.
+/// Grading of a mesh away from a body's surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grading {
-    /// Thickness of the first layer inside, metres; a skin depth or less.
+    /// Thickness of the first layer inside, metres; at most a skin depth.
     pub first_m: f64,
-    /// Each layer inside over the one before.
+    /// Growth factor of successive layers inside.
     pub growth: f64,
-    /// Thickest layer inside, metres.
+    /// Maximum layer thickness inside, metres.
     pub most_m: f64,
-    /// The same along the faces of a flat body, metres.
+    /// Maximum layer thickness along the faces of a flat body, metres.
     pub wide_m: f64,
-    /// Each layer in air over the one before.
+    /// Growth factor of successive layers in air.
     pub air_growth: f64,
-    /// Outer boundary, metres from the centre; several times the size of the body.
+    /// Distance of the outer boundary from the centre, metres; several times the size of the body.
     pub air_m: f64,
-    /// Elements around a round body: a multiple of 8.
+    /// Number of elements around a round body, a multiple of 8.
     pub around: usize,
 }
 
 impl Grading {
-    /// Layers of 0.7 skin depths, growing inward, none thicker than half of the body's least half width; air to 10
-    /// times its greatest, where the response is a thousandth of what it is at the body.
+    /// Layers of 0.7 skin depths that grow inward, at most half as thick as the body's smallest half width. Air
+    /// extends to 10 times the largest half width, where the response is a thousandth of its value at the body.
     pub fn for_body(skin_depth_m: f64, least_half_width_m: f64, greatest_half_width_m: f64) -> Self {
         Self {
             first_m: (0.7 * skin_depth_m).min(0.35 * least_half_width_m),
@@ -61,7 +61,7 @@ impl Grading {
         Ok(())
     }
 
-    /// Layers from a surface inward over a thickness: distances from the surface, the last being the thickness.
+    /// Layers from a surface inward through a thickness, as distances from the surface; the last is the thickness.
     fn inward(&self, thickness_m: f64) -> Vec<f64> {
         let mut sizes = vec![self.first_m.min(thickness_m)];
         let mut total = sizes[0];
@@ -70,7 +70,7 @@ impl Grading {
             sizes.push(next);
             total += next;
         }
-        // All but the first share the error, so that this keeps its thickness.
+        // The error is distributed over all layers but the first, which keeps its thickness.
         let stretch = if sizes.len() > 1 { (thickness_m - sizes[0]) / (total - sizes[0]) } else { 1.0 };
         let mut at = 0.0;
         let mut distances: Vec<f64> = Vec::new();
@@ -81,7 +81,8 @@ impl Grading {
         distances
     }
 
-    /// Layers in air from a surface at `from_m` to the outer boundary, the first as thick as given: positions.
+    /// Layers in air from a surface at `from_m` to the outer boundary, as positions; the first has the given
+    /// thickness.
     fn outward(&self, from_m: f64, first_m: f64) -> Vec<f64> {
         let (mut at, mut size) = (from_m, first_m);
         let mut positions = Vec::new();
@@ -94,7 +95,7 @@ impl Grading {
         positions
     }
 
-    /// Number of [`Grading::inward`]'s layers, without making them: about, and never fewer.
+    /// Upper estimate of the number of layers from [`Grading::inward`], without generating them.
     fn inward_count(&self, thickness_m: f64) -> f64 {
         let growing = if self.growth > 1.0 {
             ((self.most_m / self.first_m).max(1.0).ln() / self.growth.ln()).ceil()
@@ -105,7 +106,7 @@ impl Grading {
         growing + (thickness_m / thinnest).ceil() + 2.0
     }
 
-    /// The same of [`Grading::outward`].
+    /// The same for [`Grading::outward`].
     fn outward_count(&self, from_m: f64, first_m: f64) -> f64 {
         if self.air_growth > 1.0 {
             ((1.0 + (self.air_m - from_m) * (self.air_growth - 1.0) / first_m).max(1.0).ln() / self.air_growth.ln())
@@ -116,13 +117,14 @@ impl Grading {
         }
     }
 
-    /// The same of [`Grading::symmetric`].
+    /// The same for [`Grading::symmetric`].
     fn symmetric_count(&self, half_m: f64, air_first_m: f64) -> f64 {
         let first_m = (self.air_growth.sqrt() * self.first_m.max(0.1 * half_m)).max(air_first_m);
         2.0 * (self.inward_count(half_m) + self.outward_count(half_m, first_m))
     }
 
-    /// This grading along the radius of a cylinder: the rim of a thin disc needs no rings thinner than the disc itself.
+    /// This grading along the radius of a cylinder: the rim of a thin disc needs no rings thinner than the disc
+    /// itself.
     fn of_radius(&self, radius_m: f64, height_m: f64) -> Self {
         if radius_m > 1.5 * height_m {
             Self { first_m: self.first_m.max(0.8 * height_m), most_m: self.wide_m, ..*self }
@@ -131,7 +133,7 @@ impl Grading {
         }
     }
 
-    /// This grading along a side of a plate: edges of a thin plate need no layers thinner than the plate itself.
+    /// This grading along a side of a plate: the edges of a thin plate need no layers thinner than the plate itself.
     fn of_side(&self, side_m: f64, thinnest_m: f64) -> Self {
         if side_m > 3.0 * thinnest_m {
             Self { first_m: self.first_m.max(0.8 * thinnest_m), most_m: self.wide_m, ..*self }
@@ -140,7 +142,7 @@ impl Grading {
         }
     }
 
-    /// Tetrahedra of a mesh around a cylinder, without making it: about, and never fewer.
+    /// Upper estimate of the number of tetrahedra in a mesh around a cylinder, without generating it.
     pub fn cylinder_count(&self, radius_m: f64, height_m: f64) -> f64 {
         let side = TAU * radius_m / self.around as f64;
         let rings = self.of_radius(radius_m, height_m).inward_count(radius_m)
@@ -148,7 +150,7 @@ impl Grading {
         3.0 * 2.0 * self.around as f64 * rings * self.symmetric_count(0.5 * height_m, 0.0)
     }
 
-    /// Tetrahedra of a mesh around a plate, without making it: about, and never fewer.
+    /// Upper estimate of the number of tetrahedra in a mesh around a plate, without generating it.
     pub fn plate_count(&self, size_m: [f64; 3]) -> f64 {
         let longest = size_m.iter().copied().fold(0.0, f64::max);
         let thinnest = size_m.iter().copied().fold(f64::INFINITY, f64::min);
@@ -156,14 +158,14 @@ impl Grading {
         6.0 * size_m.map(along).iter().product::<f64>()
     }
 
-    /// Tetrahedra of a mesh around a sphere, without making it: about, and never fewer.
+    /// Upper estimate of the number of tetrahedra in a mesh around a sphere, without generating it.
     pub fn sphere_count(&self, radius_m: f64) -> f64 {
         let triangles = if self.around > 14 { 320.0 } else { 80.0 };
         3.0 * triangles * (self.inward_count(radius_m) + self.outward_count(radius_m, 0.3 * radius_m))
     }
 
     /// Positions along an axis from minus to plus the outer boundary, for a body between plus and minus a half width;
-    /// the first layer of air is no thinner than given.
+    /// the first layer of air has at least the given thickness.
     fn symmetric(&self, half_m: f64, air_first_m: f64) -> Vec<f64> {
         let inside = self.inward(half_m);
         let mut positive: Vec<f64> = inside.iter().rev().skip(1).map(|d| half_m - d).collect();
@@ -176,10 +178,10 @@ impl Grading {
     }
 }
 
-/// Bytes that a tetrahedron takes in a mesh and in its system of second order, without the factor.
+/// Memory per tetrahedron for the mesh and its second-order system, without the factor, bytes.
 pub const TETRAHEDRON_BYTES: f64 = 2500.0;
 
-/// Refuses a mesh that would need more memory than may be used, before it is made.
+/// Refuses a mesh that would need more memory than allowed, before generating it.
 fn fits(body: &'static str, tetrahedra: f64) -> Result<(), MitError> {
     let what = || {
         format!("a mesh of {tetrahedra:.2e} tetrahedra around {body}, whose thinnest side is far below its longest,")
@@ -187,14 +189,14 @@ fn fits(body: &'static str, tetrahedra: f64) -> Result<(), MitError> {
     Ok(dermis_tomo::memory::check(TETRAHEDRON_BYTES * tetrahedra, what)?)
 }
 
-/// Triangles that are to be repeated in layers.
+/// Triangles to repeat in layers.
 struct Sheet {
     points: usize,
     triangles: Vec<[u32; 3]>,
 }
 
-/// Prisms between layers of the same triangles, each in three tetrahedra: the diagonal of every side leaves the lower
-/// layer at the point of lower number, so that neighbours agree.
+/// Prisms between layers of the same triangles, each split into three tetrahedra. The diagonal of every side leaves
+/// the lower layer at its lower-numbered point, so neighbours agree.
 fn prisms(sheet: &Sheet, layers: usize, region: impl Fn(usize, usize) -> u8) -> (Vec<[u32; 4]>, Vec<u8>) {
     let (mut tetrahedra, mut regions) = (Vec::new(), Vec::new());
     for layer in 0..layers {
@@ -211,8 +213,8 @@ fn prisms(sheet: &Sheet, layers: usize, region: impl Fn(usize, usize) -> u8) -> 
     (tetrahedra, regions)
 }
 
-/// Triangles of a disc by rings around its centre, and the ring inside which each triangle lies. Rings outside the body
-/// have half as many points once their circumference allows.
+/// Triangulates a disc with rings around its centre; returns the ring of each triangle. Rings outside the body halve
+/// their number of points once their circumference permits.
 fn disc(radii: &[f64], counts: &[usize]) -> (Vec<[f64; 2]>, Sheet, Vec<usize>) {
     let mut points = vec![[0.0, 0.0]];
     let (mut triangles, mut ring_of) = (Vec::new(), Vec::new());
@@ -247,7 +249,7 @@ fn stitch(
 ) {
     for k in 0..before.min(count) {
         if before == count {
-            // Diagonals in turn, so that the mesh has no twist.
+            // Alternating diagonals, so that the mesh has no twist.
             if k.is_multiple_of(2) {
                 triangles.extend([[inner(k), outer(k), outer(k + 1)], [inner(k), inner(k + 1), outer(k + 1)]]);
             } else {
@@ -271,10 +273,10 @@ fn stitch(
     }
 }
 
-/// A cylinder about the z axis, its middle at the origin, in air within a cylinder. Region 1 is the body.
+/// A cylinder around the z axis, centred on the origin, in a cylinder of air. Region 1 is the body.
 ///
 /// # Errors
-/// Sizes that are not positive, a grading that does not fit them.
+/// Sizes that are not positive, or a grading that does not fit them.
 pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<EdgeMesh, MitError> {
     positive("radius_m", radius_m)?;
     positive("height_m", height_m)?;
@@ -300,7 +302,7 @@ pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<
     EdgeMesh::new(vertices, tetrahedra, regions, around_axis)
 }
 
-/// The middle of an edge in polar coordinates about the z axis.
+/// Midpoint of an edge in polar coordinates around the z axis.
 fn around_axis(a: Vector, b: Vector) -> Vector {
     let (ra, rb) = (a[0].hypot(a[1]), b[0].hypot(b[1]));
     let middle = chord(a, b);
@@ -312,10 +314,10 @@ fn around_axis(a: Vector, b: Vector) -> Vector {
     [x * scale, y * scale, middle[2]]
 }
 
-/// A rectangular plate, its middle at the origin, in air within a box. Region 1 is the body.
+/// A rectangular plate, centred on the origin, in a box of air. Region 1 is the body.
 ///
 /// # Errors
-/// Sizes that are not positive, a grading that does not fit them.
+/// Sizes that are not positive, or a grading that does not fit them.
 pub fn plate_mesh(size_m: [f64; 3], grading: &Grading) -> Result<EdgeMesh, MitError> {
     for size in size_m {
         positive("size_m", size)?;
@@ -331,11 +333,11 @@ pub fn plate_mesh(size_m: [f64; 3], grading: &Grading) -> Result<EdgeMesh, MitEr
     box_mesh(&axes, inside)
 }
 
-/// A box of cells between planes at the given positions along x, y and z, each cell cut into six tetrahedra; `region`
-/// tells a cell's region from its middle.
+/// A box of cells between planes at the given positions along x, y and z, each cell split into six tetrahedra.
+/// `region` returns a cell's region, given its centre.
 ///
 /// # Errors
-/// Fewer than two positions along an axis, positions that do not ascend.
+/// Fewer than two positions along an axis, or positions that do not ascend.
 pub fn box_mesh(axes: &[Vec<f64>; 3], region: impl Fn(Vector) -> u8) -> Result<EdgeMesh, MitError> {
     for axis in axes {
         if axis.len() < 2 {
@@ -372,11 +374,11 @@ pub fn box_mesh(axes: &[Vec<f64>; 3], region: impl Fn(Vector) -> u8) -> Result<E
     EdgeMesh::new(vertices, tetrahedra, regions, chord)
 }
 
-/// A sphere about the origin, in air within a sphere: an icosahedron's faces divided, in shells. Region 1 is the body.
-/// `grading.around` is rounded to 10 or 20 elements around the equator.
+/// A sphere around the origin, in a sphere of air: the subdivided faces of an icosahedron, in shells. Region 1 is the
+/// body. `grading.around` is rounded to 10 or 20 elements around the equator.
 ///
 /// # Errors
-/// A radius that is not positive, a grading that does not fit it.
+/// A radius that is not positive, or a grading that does not fit it.
 pub fn sphere_mesh(radius_m: f64, grading: &Grading) -> Result<EdgeMesh, MitError> {
     positive("radius_m", radius_m)?;
     grading.check(radius_m)?;

@@ -7,28 +7,28 @@ use crate::constants::MU0;
 use crate::error::MitError;
 use crate::vector::{Complex, Vector, add, scaled};
 
-/// Derivatives of a change of mutual inductance by the material of one body.
+/// Derivatives of a change of mutual inductance with respect to the material of one body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensitivity {
-    /// By its conductivity, henries per (S/m).
+    /// With respect to conductivity, henries per (S/m).
     pub by_conductivity: Complex,
-    /// By its permeability, henries per (H/m).
+    /// With respect to permeability, henries per (H/m).
     pub by_permeability: Complex,
 }
 
-/// Potentials of the eddy currents of several sources.
+/// Potentials of the eddy currents for several sources.
 #[derive(Debug)]
 pub struct Fields<'a> {
     system: &'a EddySystem<'a>,
     potentials: Vec<Vec<Complex>>,
     changes: Vec<Complex>,
     samples: Vec<Samples>,
-    /// Iterations that the slowest source took.
+    /// Number of iterations of the slowest source.
     pub iterations: usize,
 }
 
 impl EddySystem<'_> {
-    /// Fields and changes of mutual inductance of sources that act one at a time.
+    /// Fields and changes of mutual inductance for sources that act one at a time.
     ///
     /// # Errors
     /// An iteration that does not converge.
@@ -54,7 +54,7 @@ impl<'a> Fields<'a> {
         iterations: usize,
     ) -> Self {
         let count = potentials.len();
-        // A right-hand side is also the functional that gives dM: -int j w mu0 sigma As.v + (1/mu_r - 1) Bs.curl v.
+        // A right-hand side is also the functional that yields dM: -int j w mu0 sigma As.v + (1/mu_r - 1) Bs.curl v.
         let change = |m: usize, n: usize| {
             let scattered: Complex = potentials[m].iter().zip(&sides[n]).map(|(x, b)| x * b).sum();
             (scattered + system.direct(&samples[m], &samples[n])) / MU0
@@ -63,17 +63,17 @@ impl<'a> Fields<'a> {
         Self { system, potentials, changes, samples, iterations }
     }
 
-    /// Sources.
+    /// Number of sources.
     pub fn len(&self) -> usize {
         self.potentials.len()
     }
 
-    /// True without sources.
+    /// True if there are no sources.
     pub fn is_empty(&self) -> bool {
         self.potentials.is_empty()
     }
 
-    /// Change of the mutual inductance of two sources, henries (for coils of 1 A): `None` for a source that does not
+    /// Change of the mutual inductance of two sources, henries (for coils with 1 A); `None` if a source does not
     /// exist.
     pub fn change_h(&self, m: usize, n: usize) -> Option<Complex> {
         if m.max(n) >= self.len() {
@@ -87,9 +87,10 @@ impl<'a> Fields<'a> {
         &self.changes
     }
 
-    /// Change of the flux of a source through another that the system was not solved for, Wb (per ampere for coils):
-    /// with a [`super::Dipole`] of unit moment, the flux density that the bodies add at its place, from the currents in
-    /// them and so smoother than [`Fields::added`]. `None` for a source that does not exist.
+    /// Change of the flux of a source through a probe that was not part of the solution, Wb (per ampere for coils).
+    /// With a [`super::Dipole`] of unit moment, this is the flux density that the bodies add at its position,
+    /// computed from the currents in them and therefore smoother than [`Fields::added`]. `None` if the source does
+    /// not exist.
     pub fn linked(&self, source: usize, probe: &dyn Source) -> Option<Complex> {
         let (potential, own) = (self.potentials.get(source)?, self.samples.get(source)?);
         let probe = self.system.sample(probe, [1.0; 3]);
@@ -98,13 +99,13 @@ impl<'a> Fields<'a> {
         Some((scattered + self.system.direct(own, &probe)) / MU0)
     }
 
-    /// Derivatives of every change by the conductivity and permeability of every body, by reciprocity, from the whole
-    /// fields `A = As + Ar` in it: `dM_mn/dsigma = -j w int A_m.A_n dV`, `dM_mn/dmu = 1/mu^2 int B_m.B_n dV`. They are
-    /// the exact derivatives of this discrete model, up to the residual of its iteration. Row by row as
-    /// [`Fields::changes_h`], bodies within.
+    /// Derivatives of every change with respect to the conductivity and permeability of every body, by reciprocity,
+    /// from the total fields `A = As + Ar` in the body: `dM_mn/dsigma = -j w int A_m.A_n dV`,
+    /// `dM_mn/dmu = 1/mu^2 int B_m.B_n dV`. These are the exact derivatives of this discrete model, up to the
+    /// residual of its iteration. Rows as in [`Fields::changes_h`], with the bodies inside each.
     ///
     /// # Errors
-    /// Other than the sources that were solved for, by their number.
+    /// A number of sources that differs from the solution.
     pub fn sensitivities(&self, sources: &[&dyn Source]) -> Result<Vec<Sensitivity>, MitError> {
         if sources.len() != self.len() {
             return Err(MitError::Count { what: "sources", expected: self.len(), got: sources.len() });
@@ -135,7 +136,7 @@ impl<'a> Fields<'a> {
         Ok(sums.into_iter().enumerate().map(finish).collect())
     }
 
-    /// Whole potential and flux density of a source at a point of the quadrature.
+    /// Total potential and flux density of a source at a quadrature point.
     fn whole(&self, source: usize, outer: &dyn Source, body: usize, element: usize, q: usize) -> [[Complex; 3]; 2] {
         let point = &self.system.points[q];
         let map = self.system.mesh.geometry(element).map(point.barycentric);
@@ -151,8 +152,8 @@ impl<'a> Fields<'a> {
         all
     }
 
-    /// Vector potential and flux density (T) that the bodies add to a source's field at a point; the potential is
-    /// known up to a gradient. `None` outside the mesh or for a source that does not exist.
+    /// Vector potential and flux density (T) that the bodies add to a source's field at a point. The potential is
+    /// determined up to a gradient. `None` outside the mesh, or if the source does not exist.
     pub fn added(&self, source: usize, point_m: Vector) -> Option<([Complex; 3], [Complex; 3])> {
         let potential = self.potentials.get(source)?;
         let (element, l) = self.system.mesh.locate(point_m)?;

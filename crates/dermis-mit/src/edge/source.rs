@@ -1,4 +1,4 @@
-//! Fields that bodies are put into: those of coils, rings, dipoles and windings of straight wires.
+//! External fields acting on bodies: fields of coils, rings, dipoles and windings of straight wires.
 
 use crate::coil::Coil;
 use crate::ring::Ring;
@@ -8,11 +8,11 @@ use crate::vector::{Vector, add, cross, dot, norm, scaled, subtract};
 /// Vector potential and flux density of a source at all quadrature points in bodies.
 pub(super) type Samples = Vec<(Vector, Vector)>;
 
-/// A field that bodies are put into, in free space.
+/// An external field acting on bodies, in free space.
 pub trait Source: Sync {
     /// Vector potential, V.s/m (per ampere for coils).
     fn vector_potential(&self, point_m: Vector) -> Vector;
-    /// Flux density, its curl, T (per ampere for coils).
+    /// Flux density, the curl of the vector potential, T (per ampere for coils).
     fn flux_density(&self, point_m: Vector) -> Vector;
 }
 
@@ -36,12 +36,12 @@ impl Source for Ring {
     }
 }
 
-/// A magnetic dipole: the smallest of coils.
+/// A magnetic dipole, the limit of a small coil.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dipole {
-    /// Its place, metres.
+    /// Position, metres.
     pub position_m: Vector,
-    /// Its moment, A.m^2.
+    /// Moment, A.m^2.
     pub moment: Vector,
 }
 
@@ -59,7 +59,7 @@ impl Source for Dipole {
     }
 }
 
-/// A winding of straight wires, each with its current in amperes; together they must close.
+/// A winding of straight wires, each with its current in amperes; together they must form closed loops.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wires(pub Vec<(Segment, f64)>);
 

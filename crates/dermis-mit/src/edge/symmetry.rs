@@ -1,9 +1,9 @@
-//! Bodies that are symmetric about the three planes of coordinates: any field is the sum of eight that are even or odd
-//! across each plane, and each of these needs only an eighth of the mesh. Eight small systems cost far less than one
-//! large.
+//! Bodies that are symmetric about the three coordinate planes. Any field is the sum of eight fields that are even or
+//! odd across each plane, and each of these needs only an octant of the mesh. Eight small systems cost far less than
+//! a large one.
 //!
-//! Where the vector potential is odd across a plane (its mirror image with the sign changed) its tangential part is
-//! zero there; where it is even the tangential field is.
+//! If the vector potential is odd across a plane (equal to its mirror image with the sign reversed), its tangential
+//! component is zero there; if it is even, the tangential field is zero.
 
 use rayon::prelude::*;
 
@@ -13,26 +13,26 @@ use super::system::{EddySystem, Material, Order, SystemInfo};
 use crate::error::MitError;
 use crate::vector::{Complex, Vector, add, dot, scaled};
 
-/// The share of a source below which a part of it is taken to be none.
+/// Share of a source below which one of its parts counts as zero.
 const NOTHING: f64 = 1e-20;
 
-/// A symmetric body at one frequency: the eight systems of an eighth of its mesh.
+/// A symmetric body at one frequency: the eight systems on an octant of its mesh.
 #[derive(Debug)]
 pub struct SymmetricBody<'a> {
-    /// With the planes across which each is odd, as bits.
+    /// Each system with the planes across which it is odd, as bits.
     systems: Vec<(u8, EddySystem<'a>)>,
 }
 
-/// All sets of planes.
+/// All subsets of planes.
 const ALL: [u8; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
-/// Those with an odd potential across the plane y = 0: fields of harmonics of cosines.
+/// Subsets whose potential is odd across the plane y = 0: fields of cosine harmonics.
 const COSINES: [u8; 4] = [2, 3, 6, 7];
 
 impl<'a> SymmetricBody<'a> {
-    /// Assembles and factors on an [`EdgeMesh::octant`].
+    /// Assembles and factors the systems on an [`EdgeMesh::octant`].
     ///
     /// # Errors
-    /// A mesh that is no octant; else see [`EddySystem::new`].
+    /// A mesh that is not an octant; otherwise as [`EddySystem::new`].
     pub fn new(
         octant: &'a EdgeMesh,
         materials: &[Material],
@@ -42,8 +42,8 @@ impl<'a> SymmetricBody<'a> {
         Self::with_parts(octant, materials, frequency_hz, order, &ALL)
     }
 
-    /// Half of the systems: those that answer harmonics of cosines, which are all that a coil in the plane y = 0 has,
-    /// and enough for tau of a body of revolution.
+    /// Half of the systems: those that respond to cosine harmonics. They cover every coil centred in the plane y = 0,
+    /// and suffice for the tau of a body of revolution.
     ///
     /// # Errors
     /// As [`SymmetricBody::new`].
@@ -73,7 +73,7 @@ impl<'a> SymmetricBody<'a> {
         Ok(Self { systems })
     }
 
-    /// Sizes of all systems together, and warnings.
+    /// Total size of all systems, and warnings.
     pub fn info(&self) -> SystemInfo {
         let all: Vec<SystemInfo> = self.systems.iter().map(|(_, system)| system.info()).collect();
         let sum = |of: fn(&SystemInfo) -> usize| all.iter().map(of).sum();
@@ -86,10 +86,10 @@ impl<'a> SymmetricBody<'a> {
         }
     }
 
-    /// Changes of mutual inductance of any two sources, henries, row by row.
+    /// Changes of mutual inductance between any two sources, henries, row by row.
     ///
     /// # Errors
-    /// An iteration that does not converge, a source with a part whose system was left out.
+    /// An iteration that does not converge, or a source with a part whose system was left out.
     pub fn changes_h(&self, sources: &[&dyn Source]) -> Result<Vec<Complex>, MitError> {
         let count = sources.len();
         let mut changes = vec![Complex::new(0.0, 0.0); count * count];
@@ -124,13 +124,13 @@ impl<'a> SymmetricBody<'a> {
     }
 }
 
-/// Signs of coordinates for a set of flipped axes.
+/// Signs of the coordinates for a set of flipped axes.
 fn signs(flips: usize) -> Vector {
     [0, 1, 2].map(|axis| if flips >> axis & 1 == 1 { -1.0 } else { 1.0 })
 }
 
 /// The part of a source that is odd across the planes of these bits and even across the others, from its samples at
-/// points of all flips; `None` where it is nothing.
+/// the points of all flips; `None` if it is zero.
 fn part(reflected: &[Samples], odd: usize) -> Option<Samples> {
     let (mut sum, mut whole) = (0.0, 0.0);
     let at = |k: usize| {

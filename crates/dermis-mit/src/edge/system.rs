@@ -1,4 +1,5 @@
-//! The finite-element system of one mesh, its materials and one frequency: unknowns, assembly, factor and solutions.
+//! The finite-element system for one mesh, its materials and one frequency: unknowns, assembly, factorisation and
+//! solutions.
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -16,12 +17,12 @@ use crate::sphere::skin_depth_m;
 use crate::vector::{Complex, Vector, dot, scaled};
 use dermis_tomo::sparse::{Ordering, SpdStructure};
 
-/// What fixes the potential in air, per square metre.
+/// Regularisation that makes the potential in air unique, per square metre.
 const REGULARISATION: f64 = 1e-2;
-/// An unknown that is fixed to zero or left out.
+/// Marks an unknown that is fixed to zero or left out.
 const NONE: u32 = u32::MAX;
 
-/// What a body is made of.
+/// Material of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Conductivity, S/m.
@@ -44,22 +45,22 @@ impl Material {
 /// Order of the elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// 6 functions per element: constant tangential parts along edges.
+    /// 6 functions per element: constant tangential components along edges.
     First,
-    /// 20 functions per element: everything linear and the curls that go with it.
+    /// 20 functions per element: all linear fields and the corresponding curls.
     Second,
 }
 
-/// A warning: elements at a body's surface are too thick for its skin depth.
+/// Warning: elements at a body's surface are too thick for its skin depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoarseMesh {
-    /// The material, from 1.
+    /// Number of the material, from 1.
     pub region: usize,
-    /// Thickest element at the surface, metres.
+    /// Thickness of the thickest surface element, metres.
     pub height_m: f64,
     /// Skin depth, metres.
     pub skin_depth_m: f64,
-    /// Most skin depths that an element of this order may be thick.
+    /// Maximum thickness of an element of this order, in skin depths.
     pub most: f64,
 }
 
@@ -77,16 +78,16 @@ impl fmt::Display for CoarseMesh {
     }
 }
 
-/// Size of a system, and what is to be said about it.
+/// Size of a system, and warnings about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SystemInfo {
-    /// Complex unknowns.
+    /// Number of complex unknowns.
     pub unknowns: usize,
-    /// Nonzeros of the lower triangle of the matrix.
+    /// Number of nonzeros in the lower triangle of the matrix.
     pub matrix_len: usize,
-    /// Nonzeros of the factor.
+    /// Number of nonzeros in the factor.
     pub factor_len: usize,
-    /// Memory held by matrix and factor, bytes.
+    /// Memory of matrix and factor, bytes.
     pub bytes: usize,
     /// Meshes too coarse for the skin depth.
     pub warnings: Vec<CoarseMesh>,
@@ -99,7 +100,7 @@ pub struct EddySystem<'a> {
     pub(super) angular_frequency: f64,
     order: Order,
     pub(super) points: Vec<Point>,
-    /// Per region: `w mu0 sigma` and `1/mu_r`.
+    /// `w mu0 sigma` and `1/mu_r` of each region.
     pub(super) coefficients: Vec<(f64, f64)>,
     unknowns: Unknowns,
     pub(super) matrix: Preconditioned,
@@ -108,17 +109,18 @@ pub struct EddySystem<'a> {
 }
 
 impl<'a> EddySystem<'a> {
-    /// Assembles and factors; `materials[k]` fills region `k + 1` of the mesh.
+    /// Assembles and factors the system; `materials[k]` fills region `k + 1` of the mesh.
     ///
     /// # Errors
-    /// A frequency outside 1 Hz to 1 MHz, a conductivity that is not positive, a relative permeability below 1, another
-    /// number of materials than the mesh has, a system that cannot be factored.
+    /// A frequency outside 1 Hz to 1 MHz, a conductivity that is not positive, a relative permeability below 1, a
+    /// number of materials that differs from the mesh, or a system that cannot be factored.
     pub fn new(mesh: &'a EdgeMesh, materials: &[Material], frequency_hz: f64, order: Order) -> Result<Self, MitError> {
         Self::with_fixed(mesh, materials, frequency_hz, order, None)
     }
 
-    /// As [`EddySystem::new`], for an eighth of a symmetric body: the potential is odd across the planes of these bits
-    /// and has no tangential part there; it is even across the others, and the field has none.
+    /// As [`EddySystem::new`], for an octant of a symmetric body. The potential is odd across the planes of these
+    /// bits, where its tangential component is zero; it is even across the others, where the tangential field is
+    /// zero.
     pub(super) fn with_fixed(
         mesh: &'a EdgeMesh,
         materials: &[Material],
@@ -147,7 +149,7 @@ impl<'a> EddySystem<'a> {
     /// Size and warnings.
     pub fn info(&self) -> SystemInfo {
         let (matrix_len, factor_len) = (self.matrix.structure.value_count(), self.matrix.structure.factor_len());
-        // Two values and a row per nonzero of the matrix, a value per nonzero of the factor.
+        // Two values and a row index per nonzero of the matrix, and a value per nonzero of the factor.
         let bytes = matrix_len * 20 + factor_len * 8;
         SystemInfo {
             unknowns: self.matrix.structure.size(),
@@ -158,7 +160,7 @@ impl<'a> EddySystem<'a> {
         }
     }
 
-    /// A source's field at the quadrature points of all bodies, each point taken with these signs of its coordinates.
+    /// A source's field at the quadrature points of all bodies, with these signs applied to the coordinates.
     pub(super) fn sample(&self, source: &dyn Source, signs: Vector) -> Samples {
         let of_element = |&element: &usize| {
             let magnetic = self.coefficients[self.mesh.regions[element] as usize].1 != 1.0;
@@ -173,7 +175,7 @@ impl<'a> EddySystem<'a> {
         self.bodies().par_iter().flat_map_iter(of_element).collect()
     }
 
-    /// Volume that each point of the quadrature in an element stands for.
+    /// Volume weight of each quadrature point in an element.
     pub(super) fn volumes(&self, element: usize) -> Vec<f64> {
         let geometry = self.mesh.geometry(element);
         self.points.iter().map(|point| point.weight * geometry.map(point.barycentric).determinant.abs()).collect()
@@ -184,7 +186,7 @@ impl<'a> EddySystem<'a> {
         (0..self.mesh.tetrahedra.len()).filter(|&t| self.mesh.regions[t] != 0).collect()
     }
 
-    /// Coefficients of the functions of an element in a solution.
+    /// Coefficients of an element's functions in a solution.
     pub(super) fn local(&self, element: usize, potential: &[Complex]) -> [Complex; FUNCTIONS] {
         let numbers = self.unknowns.of(self.mesh, element);
         numbers.map(|n| if n == NONE { Complex::new(0.0, 0.0) } else { potential[n as usize] })
@@ -211,7 +213,7 @@ impl<'a> EddySystem<'a> {
         side
     }
 
-    /// The part of `dM` (over nu0) of two sources that needs no solution.
+    /// The part of `dM` (divided by nu0) of two sources that needs no solution.
     pub(super) fn direct(&self, first: &Samples, second: &Samples) -> Complex {
         let (mut sum, count) = (Complex::new(0.0, 0.0), self.points.len());
         for (body, element) in self.bodies().into_iter().enumerate() {
@@ -231,7 +233,7 @@ impl<'a> EddySystem<'a> {
     }
 }
 
-/// Numbers of the unknowns. Gradients of second order are kept only in conductors: in air they change no field.
+/// Numbering of the unknowns. Second-order gradients are kept only in conductors; in air they change no field.
 #[derive(Debug)]
 struct Unknowns {
     count: usize,
@@ -279,8 +281,8 @@ impl Unknowns {
     }
 }
 
-/// Gradients of more degrees where the symmetry leaves few of each; none where currents may leave through the outer
-/// boundary.
+/// Uses gradients of higher degree if symmetry leaves few per degree, and none if currents may leave through the
+/// outer boundary.
 fn gauge(mesh: &EdgeMesh, points: &[Point], odd: Option<u8>) -> Gauge {
     let (mut places_m, mut volumes) = (Vec::new(), Vec::new());
     for element in (0..mesh.tetrahedra.len()).filter(|&t| mesh.regions[t] != 0) {
@@ -311,7 +313,7 @@ fn assemble(
         let numbers = unknowns.of(mesh, element);
         each_pair(&numbers, |_, _, i, j| positions.push((i, j)));
     }
-    // Two to three times less fill than nested dissection by coordinates, which cuts off thick separators here.
+    // Two to three times less fill than nested dissection by coordinates, which produces thick separators here.
     let (structure, slots) = SpdStructure::new(unknowns.count, &positions, Ordering::MinimumDegree)?;
     drop(positions);
     let (mut real, mut imaginary) = (vec![0.0; structure.value_count()], vec![0.0; structure.value_count()]);
@@ -330,7 +332,7 @@ fn assemble(
     Ok(Preconditioned { structure, real, imaginary, factor })
 }
 
-/// Pairs of functions of an element that have unknowns, each pair once: local numbers, then the unknowns.
+/// Visits each pair of an element's functions that have unknowns, once: local numbers, then unknowns.
 fn each_pair(numbers: &[u32; FUNCTIONS], mut of: impl FnMut(usize, usize, u32, u32)) {
     for i in 0..FUNCTIONS {
         for j in 0..=i {

@@ -1,5 +1,5 @@
-//! The multipole matrix of a body from edge elements: each harmonic field is imposed, and tau is the change of
-//! mutual inductance between any two of them.
+//! The multipole matrix of a body from edge elements: each harmonic field is imposed in turn, and tau is the change
+//! of mutual inductance between any two of them.
 
 use super::mesh::EdgeMesh;
 use super::shapes::{Grading, cylinder_mesh, plate_mesh, sphere_mesh};
@@ -35,10 +35,10 @@ impl Source for Harmonic {
     }
 }
 
-/// A body that tau is computed for, its middle at the origin.
+/// A body for which tau is computed, centred on the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
-    /// About the z axis.
+    /// Around the z axis.
     Cylinder {
         /// Radius, metres.
         radius_m: f64,
@@ -58,7 +58,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Radius of the sphere around it, metres.
+    /// Radius of its bounding sphere, metres.
     pub fn radius_m(&self) -> f64 {
         match *self {
             Self::Cylinder { radius_m, height_m } => radius_m.hypot(0.5 * height_m),
@@ -75,7 +75,7 @@ impl Shape {
         }
     }
 
-    /// Least and greatest half width, metres.
+    /// Minimum and maximum half width, metres.
     fn half_widths_m(&self) -> (f64, f64) {
         let sizes = match *self {
             Self::Cylinder { radius_m, height_m } => [radius_m, radius_m, 0.5 * height_m],
@@ -85,13 +85,13 @@ impl Shape {
         (sizes.iter().copied().fold(f64::INFINITY, f64::min), sizes.iter().copied().fold(0.0, f64::max))
     }
 
-    /// A grading that suits the shape at a skin depth.
+    /// A grading for the shape at a skin depth.
     pub fn grading(&self, skin_depth_m: f64) -> Grading {
         let (least, greatest) = self.half_widths_m();
         Grading::for_body(skin_depth_m, least, greatest)
     }
 
-    /// Tetrahedra of [`Shape::mesh`], without making it: about, and never fewer.
+    /// Upper estimate of the number of tetrahedra in [`Shape::mesh`], without generating it.
     pub fn tetrahedron_count(&self, grading: &Grading) -> f64 {
         match *self {
             Self::Cylinder { radius_m, height_m } => grading.cylinder_count(radius_m, height_m),
@@ -100,10 +100,10 @@ impl Shape {
         }
     }
 
-    /// A mesh around it.
+    /// A mesh around the shape.
     ///
     /// # Errors
-    /// Sizes that are not positive, a grading that does not fit.
+    /// Sizes that are not positive, or a grading that does not fit.
     pub fn mesh(&self, grading: &Grading) -> Result<EdgeMesh, MitError> {
         match *self {
             Self::Cylinder { radius_m, height_m } => cylinder_mesh(radius_m, height_m, grading),
@@ -113,7 +113,7 @@ impl Shape {
     }
 }
 
-/// tau of what is in a mesh, about its origin, row by row ([`HARMONICS`] squared), made exactly symmetric.
+/// tau of the contents of a mesh, about its origin, row by row ([`HARMONICS`] squared), made exactly symmetric.
 ///
 /// # Errors
 /// See [`EddySystem::solve`].
@@ -121,7 +121,7 @@ pub fn tau(system: &EddySystem<'_>) -> Result<Vec<Complex>, MitError> {
     of_harmonics(|sources| Ok(system.solve(sources)?.changes_h().to_vec()))
 }
 
-/// [`tau`] of a body that is symmetric about the planes of coordinates.
+/// [`tau`] for a body that is symmetric about the coordinate planes.
 ///
 /// # Errors
 /// See [`SymmetricBody::changes_h`].
@@ -141,8 +141,8 @@ fn of_harmonics(
         .collect())
 }
 
-/// tau of a body of revolution about the z axis, from its answers to harmonics of cosines: sines of the same order
-/// answer alike, and different orders do not mix. Takes an [`EdgeMesh::octant`].
+/// tau of a body of revolution about the z axis, from its response to cosine harmonics: sine harmonics of the same
+/// order have the same response, and different orders do not mix. Takes an [`EdgeMesh::octant`].
 ///
 /// # Errors
 /// See [`SymmetricBody::new`].
@@ -164,11 +164,12 @@ pub fn round_tau(octant: &EdgeMesh, material: &Material, frequency_hz: f64) -> R
     Ok(tau)
 }
 
-/// The multipole body of a shape, material and frequency, by elements of second order on a mesh that suits the skin
+/// The multipole body for a shape, material and frequency, by second-order elements on a mesh matched to the skin
 /// depth.
 ///
 /// # Errors
-/// Sizes or conductivity that are not positive, a relative permeability below 1, a frequency outside 1 Hz to 1 MHz.
+/// Sizes or a conductivity that are not positive, a relative permeability below 1, or a frequency outside 1 Hz to 1
+/// MHz.
 pub fn body_tau(shape: &Shape, material: &Material, frequency_hz: f64) -> Result<Polarizability, MitError> {
     positive("radius_m", shape.radius_m())?;
     let depth = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz)?;

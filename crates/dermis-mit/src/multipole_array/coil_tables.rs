@@ -1,5 +1,5 @@
-//! The coils' expansions tabulated over the height of a body: coils and places that are alike by symmetry share a
-//! table.
+//! The coils' expansions, tabulated over the height of a body. Coils and places that are equivalent by symmetry share
+//! a table.
 
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -11,7 +11,7 @@ use crate::coil::Coil;
 use crate::error::{MitError, positive};
 use crate::harmonics::{HARMONICS, MOST_DEGREE, index};
 
-/// The coils' expansions at every body over a range of heights: Chebyshev polynomials.
+/// The coils' expansions at every body over a range of heights, as Chebyshev series.
 #[derive(Clone, Debug)]
 pub struct CoilTables {
     pub(super) coils: usize,
@@ -19,18 +19,18 @@ pub struct CoilTables {
     pub(super) low_m: f64,
     pub(super) high_m: f64,
     pub(super) nodes: usize,
-    /// Per coil and body: polynomial by polynomial, [`HARMONICS`] each.
+    /// Indexed by coil and body, then by polynomial, with [`HARMONICS`] values each.
     pub(super) coefficients: Vec<f64>,
 }
 
-/// Chebyshev polynomials of a table.
+/// Number of Chebyshev polynomials in a table.
 const NODES: usize = 16;
 
 impl CoilTables {
-    /// Tabulates all coils at bodies of these places (x, y) between two heights of their centres.
+    /// Tabulates all coils at bodies with these places (x, y), between two heights of their centres.
     ///
     /// # Errors
-    /// No bodies, heights that are not in order, wire nearer to a body's centre than `clearance_m` anywhere in the
+    /// No bodies, heights that are not in order, or wire closer to a body's centre than `clearance_m` anywhere in the
     /// range.
     pub fn new(
         array: &CoilArray,
@@ -46,11 +46,11 @@ impl CoilTables {
         positive("range of heights (m)", high_m - low_m)?;
         check_clearance(array, places_m, heights_m, clearance_m)?;
         let mut known: HashMap<(usize, [i64; 2]), usize> = HashMap::new();
-        // One coil and place for each table that is needed, and where each coil and body find theirs.
+        // One coil and place for each distinct table, and the table and transformation for each coil and body.
         let mut distinct: Vec<(&Coil, [f64; 2])> = Vec::new();
         let mut found: Vec<(usize, Fold)> = Vec::with_capacity(array.coils().len() * places_m.len());
         for coil in array.coils() {
-            // Heights are those of the bodies: coils of other heights have tables of their own.
+            // Heights are those of the bodies, so coils at other heights have their own tables.
             let is_level = |other: &Coil| (other.centre_m[2] - coil.centre_m[2]).abs() < 1e-12;
             let first = array.coils().iter().position(|other| is_level(other) && coil.is_moved(other)).unwrap_or(0);
             let symmetry = Symmetry::of(coil);
@@ -72,8 +72,8 @@ impl CoilTables {
         Ok(Self { coils, places_m: places_m.to_vec(), low_m, high_m, nodes: NODES, coefficients })
     }
 
-    /// The first so many harmonics of the coefficients, body by body, then polynomial by polynomial, harmonic by
-    /// harmonic and coil by coil: as frames read them.
+    /// The first `harmonics` harmonics of the coefficients, by body, polynomial, harmonic and coil: the order in
+    /// which frames read them.
     pub(super) fn by_body(&self, harmonics: usize) -> Vec<f64> {
         let bodies = self.places_m.len();
         let mut coefficients = Vec::with_capacity(bodies * self.nodes * harmonics * self.coils);
@@ -87,17 +87,17 @@ impl CoilTables {
     }
 }
 
-/// How a coil's field repeats itself about its middle.
+/// Symmetry of a coil's field around its centre.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Symmetry {
-    /// All directions are alike.
+    /// All directions are equivalent.
     Round,
-    /// Quarter turns and the axes' mirrors.
+    /// Quarter turns and mirrors in the axes.
     Square,
     None,
 }
 
-/// A place brought to where its table is made, and the way back: the mirror y -> -y, then a turn.
+/// A place mapped to the place of its table, and the way back: mirror y -> -y, then rotate.
 #[derive(Clone, Copy, Debug)]
 struct Fold {
     place_m: [f64; 2],
@@ -133,8 +133,8 @@ impl Symmetry {
 }
 
 impl Fold {
-    /// The table of the place itself. In a mirror through its middle a coil's current turns the other way, and so does
-    /// the field's axial part: the potential is even, and what goes with the sine changes its sign.
+    /// The table of the place itself. In a mirror through the coil's centre its current reverses, and so does the
+    /// axial part of the field: the potential is even, and the sine terms change sign.
     fn unfolded(&self, table: &[f64]) -> Vec<f64> {
         let mut out = table.to_vec();
         if self.mirrored {
@@ -174,7 +174,7 @@ fn check_clearance(
     Ok(())
 }
 
-/// Chebyshev coefficients over the height of a coil's expansion at a place relative to its middle.
+/// Chebyshev coefficients over height of a coil's expansion at a place relative to its centre.
 fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<f64> {
     let angle = |k: usize| PI * (k as f64 + 0.5) / NODES as f64;
     let samples: Vec<[f64; HARMONICS]> = (0..NODES)
@@ -190,7 +190,7 @@ fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<
     (0..NODES).flat_map(|n| (0..HARMONICS).map(move |i| (n, i))).map(|(n, i)| coefficient(n, i)).collect()
 }
 
-/// Coefficients of a table made along +x, turned about the coil's axis.
+/// Rotates the coefficients of a table computed along +x about the coil's axis.
 fn turned(table: &[f64], angle: f64) -> Vec<f64> {
     let mut out = table.to_vec();
     for row in out.chunks_exact_mut(HARMONICS) {

@@ -1,4 +1,5 @@
-//! Triangles of thin sheets: rectangles and discs graded toward their edges, bent ones, and several apart.
+//! Triangle meshes of thin sheets: rectangles and discs graded towards their edges, bent sheets, and several separate
+//! sheets.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -6,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use crate::error::{MitError, positive};
 use crate::vector::{Vector, add, cross, norm, subtract};
 
-/// Middle surfaces of sheets. The corners of every triangle turn counter-clockwise seen from the side that normals
+/// Middle surfaces of sheets. The corners of every triangle run counter-clockwise seen from the side that the normals
 /// point to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SheetMesh {
@@ -15,22 +16,23 @@ pub struct SheetMesh {
 }
 
 impl SheetMesh {
-    /// From vertices (metres) and the corners of triangles.
+    /// Builds a mesh from vertices (metres) and the corners of triangles.
     ///
     /// # Errors
-    /// No triangles, corners that do not exist, triangles without area, an edge between more than two triangles or two
-    /// that turn differently, pieces that are closed or have holes (whose rims would need currents of their own).
+    /// No triangles, corners that do not exist, triangles without area, an edge shared by more than two triangles or
+    /// by two of opposite orientation, or pieces that are closed or have holes (whose rims would need their own
+    /// currents).
     pub fn new(vertices: Vec<Vector>, triangles: Vec<[u32; 3]>) -> Result<Self, MitError> {
         let mesh = Self { vertices, triangles };
         mesh.check()?;
         Ok(mesh)
     }
 
-    /// A flat rectangle about the origin at z = 0, its cells narrower toward the edges: at the mean of equal steps and
-    /// of those of a cosine.
+    /// A flat rectangle around the origin at z = 0, with cells that narrow towards the edges: the mean of equal steps
+    /// and cosine steps.
     ///
     /// # Errors
-    /// Sides that are not positive, fewer than two cells along one.
+    /// Sides that are not positive, or fewer than two cells along a side.
     pub fn rectangle(size_m: [f64; 2], cells: [usize; 2]) -> Result<Self, MitError> {
         for axis in 0..2 {
             positive("size_m", size_m[axis])?;
@@ -49,7 +51,7 @@ impl SheetMesh {
         for j in 0..cells[1] {
             for i in 0..cells[0] {
                 let [a, b, c, d] = [number(i, j), number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)];
-                // Diagonals in turn, so that the mesh has no direction of its own.
+                // Alternating diagonals, so that the mesh has no preferred direction.
                 triangles.extend(if (i + j).is_multiple_of(2) {
                     [[a, b, c], [a, c, d]]
                 } else {
@@ -60,11 +62,11 @@ impl SheetMesh {
         Self::new(vertices, triangles)
     }
 
-    /// A flat disc about the origin at z = 0 in rings of six times their number of triangles' corners, narrower toward
-    /// the rim; the polygon has the disc's area.
+    /// A flat disc around the origin at z = 0, with 6 n vertices on ring n, and rings that are narrower towards
+    /// the rim. The polygon has the disc's area.
     ///
     /// # Errors
-    /// A radius that is not positive, fewer than two rings.
+    /// A radius that is not positive, or fewer than two rings.
     pub fn disc(radius_m: f64, rings: usize) -> Result<Self, MitError> {
         positive("radius_m", radius_m)?;
         if rings < 2 {
@@ -94,13 +96,13 @@ impl SheetMesh {
         Self::new(vertices, triangles)
     }
 
-    /// The same elsewhere.
+    /// The same mesh, displaced.
     pub fn moved(mut self, by_m: Vector) -> Self {
         self.vertices.iter_mut().for_each(|v| *v = add(*v, by_m));
         self
     }
 
-    /// The same with every vertex at the height that a function of its x and y gives: a dented foil.
+    /// The same mesh with the height of every vertex given by a function of its x and y, like a dented foil.
     ///
     /// # Errors
     /// As [`SheetMesh::new`].
@@ -110,7 +112,7 @@ impl SheetMesh {
         Ok(self)
     }
 
-    /// This and another, apart from each other.
+    /// This mesh and a separate second one.
     pub fn and(mut self, other: &Self) -> Self {
         let first = self.vertices.len() as u32;
         self.vertices.extend(&other.vertices);
@@ -132,7 +134,7 @@ impl SheetMesh {
         self.triangles[triangle].map(|v| self.vertices[v as usize])
     }
 
-    /// Number of the unknown of each vertex; none on rims, where no current crosses.
+    /// Number of the unknown of each vertex; `None` on rims, which no current crosses.
     pub(super) fn unknowns(&self) -> (Vec<Option<u32>>, usize) {
         let mut on_rim = vec![false; self.vertices.len()];
         for (edge, count) in self.edges() {
@@ -151,7 +153,7 @@ impl SheetMesh {
         (numbers, count as usize)
     }
 
-    /// Four times the area over the length of the rim: the side of a square, the diameter of a disc.
+    /// Four times the area divided by the length of the rim: the side of a square, the diameter of a disc.
     pub(super) fn width_m(&self) -> f64 {
         let area: f64 = (0..self.triangles.len()).map(|t| area(self.corners(t))).sum();
         let length = |[a, b]: [u32; 2]| norm(subtract(self.vertices[a as usize], self.vertices[b as usize]));
@@ -159,7 +161,7 @@ impl SheetMesh {
         4.0 * area / rim
     }
 
-    /// Edges and how many triangles each has.
+    /// Edges and the number of triangles at each.
     fn edges(&self) -> HashMap<[u32; 2], usize> {
         let mut edges = HashMap::new();
         for &[a, b, c] in &self.triangles {
@@ -173,7 +175,7 @@ impl SheetMesh {
     fn check(&self) -> Result<(), MitError> {
         positive("triangles", self.triangles.len() as f64)?;
         let mut directed = HashMap::new();
-        // Pieces by the smallest vertex that can be reached.
+        // Identify each piece by the smallest vertex that can be reached.
         let mut parent: Vec<u32> = (0..self.vertices.len() as u32).collect();
         for (t, corners) in self.triangles.iter().enumerate() {
             if let Some(&last) = corners.iter().find(|&&v| v as usize >= self.vertices.len()) {
@@ -195,7 +197,7 @@ impl SheetMesh {
         self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
         let pieces = (0..used.len()).filter(|&v| used[v] && root(&mut parent, v as u32) as usize == v).count();
         let corners = used.iter().filter(|used| **used).count();
-        // Euler: vertices - edges + triangles is 1 for a piece with one rim, 2 for a closed one, less with holes.
+        // Euler: vertices - edges + triangles is 1 for a piece with one rim, 2 for a closed one, and less with holes.
         let euler = corners as f64 - self.edges().len() as f64 + self.triangles.len() as f64;
         if euler != pieces as f64 {
             let field = "vertices less edges plus triangles over the pieces of a sheet";

@@ -1,9 +1,10 @@
-//! Flat plates for every frame: the stream function of [`super::Sheet`] reduced to vertical dipoles at a few points.
+//! Flat plates, fast enough for every frame: the stream function of [`super::Sheet`] reduced to vertical dipoles at a
+//! few points.
 //!
-//! A coil's normal field over a plate is a polynomial through its values s at Gauss points (Lagrange's l_q); the stream
-//! function answers it with the dipole moments `m = Q s`, `Q = -j w P' (Z R + j w L)^-1 P`, `P_iq = int psi_i l_q dS`,
-//! and `dM_mn = s_m' Q s_n` plus what keeps tangential fields out. Moving a plate changes only s, which is tabulated
-//! over its height; neighbours add the field of their dipoles, in sweeps.
+//! A coil's normal field over a plate is the polynomial through its values s at Gauss points (Lagrange's l_q). The
+//! stream function responds with the dipole moments `m = Q s`, `Q = -j w P' (Z R + j w L)^-1 P`,
+//! `P_iq = int psi_i l_q dS`, and `dM_mn = s_m' Q s_n` plus the exclusion of tangential fields. Moving a plate
+//! changes only s, which is tabulated over its height. Neighbours add the field of their dipoles, in sweeps.
 
 use std::f64::consts::PI;
 
@@ -21,30 +22,30 @@ use crate::error::{MitError, positive};
 use crate::quadrature::gauss_legendre;
 use crate::vector::{Complex, Vector};
 
-/// Chebyshev polynomials of a table over height.
+/// Number of Chebyshev polynomials in a table over height.
 const NODES: usize = 16;
-/// Points along a side that stand for a plate in the field of its neighbours.
+/// Number of points along a side that represent a plate in the field of its neighbours.
 const COARSE: usize = 3;
 
-/// A rectangular plate, sides along x and y, at one frequency.
+/// A rectangular plate with sides along x and y, at one frequency.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plate {
     size_m: [f64; 2],
     thickness_m: f64,
-    /// Points relative to its middle, metres.
+    /// Points relative to the plate's centre, metres.
     points_m: Vec<[f64; 2]>,
-    /// Areas that they stand for.
+    /// Areas represented by the points.
     areas: Vec<f64>,
     /// Q, row by row, m^2.A/T.
     response: Vec<Complex>,
     /// `mu0 t (1 - tanh(k t/2)/(k t/2))`, H.
     odd: Complex,
-    /// Value at each point of the polynomial that is 1 at each of the coarse points.
+    /// Value at each point of the polynomial that is 1 at one of the coarse points, for each of these.
     spread: Vec<[f64; COARSE * COARSE]>,
     coarse_m: Vec<[f64; 2]>,
 }
 
-/// Nodes of Gauss and Legendre's rule in a rectangle, and their areas.
+/// Gauss-Legendre nodes in a rectangle, and their areas.
 fn grid(size_m: [f64; 2], count: usize) -> (Vec<[f64; 2]>, Vec<f64>) {
     let rule = gauss_legendre(count);
     let pairs = rule.iter().flat_map(|y| rule.iter().map(move |x| (x, y)));
@@ -54,7 +55,7 @@ fn grid(size_m: [f64; 2], count: usize) -> (Vec<[f64; 2]>, Vec<f64>) {
     pairs.map(of).unzip()
 }
 
-/// Lagrange's polynomials of Gauss and Legendre's nodes on [-1, 1] at a place.
+/// Lagrange polynomials of the Gauss-Legendre nodes on [-1, 1], evaluated at a place.
 fn lagrange(count: usize, at: f64) -> Vec<f64> {
     let nodes: Vec<f64> = gauss_legendre(count).into_iter().map(|(x, _)| x).collect();
     let of = |k: usize| (0..count).filter(|j| *j != k).map(|j| (at - nodes[j]) / (nodes[k] - nodes[j])).product();
@@ -62,11 +63,13 @@ fn lagrange(count: usize, at: f64) -> Vec<f64> {
 }
 
 impl Plate {
-    /// From a mesh of so many cells along each side (see [`SheetMesh::rectangle`]) and so many points: a field whose
-    /// wire is d from the plate is followed to about `(d/h + sqrt(1 + d^2/h^2))^-points`, h half a side.
+    /// Builds a plate from a mesh with this many cells along each side (see [`SheetMesh::rectangle`]) and this many
+    /// points. A field whose wire is at distance d from the plate is represented to about
+    /// `(d/h + sqrt(1 + d^2/h^2))^-points`, with h half a side.
     ///
     /// # Errors
-    /// As [`SheetMesh::rectangle`] and [`Sheet::new`]; fewer than 3 points along a side or more than 12.
+    /// As [`SheetMesh::rectangle`] and [`Sheet::new`]; also fails for fewer than 3 or more than 12 points along a
+    /// side.
     pub fn new(
         size_m: [f64; 2],
         material: &SheetMaterial,
@@ -115,13 +118,13 @@ impl Plate {
         Ok(Self { size_m, thickness_m, points_m, areas, response, odd: sheet.odd, spread, coarse_m })
     }
 
-    /// Places of its points relative to its middle, metres.
+    /// Positions of the points relative to the plate's centre, metres.
     pub fn points_m(&self) -> &[[f64; 2]] {
         &self.points_m
     }
 
-    /// Greatest distance of a place between its points from the nearest of them, metres: wire nearer than that is not
-    /// seen.
+    /// Maximum distance of any place on the plate from the nearest point, metres; wire closer than that is not
+    /// resolved.
     fn spacing_m(&self) -> f64 {
         let count = self.points_m.len().isqrt();
         let widest = |axis: usize, stride: usize| {
@@ -131,13 +134,13 @@ impl Plate {
         widest(0, 1).hypot(widest(1, count))
     }
 
-    /// A coil's flux density at the points of the plate with its middle at a place, T/A.
+    /// A coil's flux density at the points of the plate when centred at a place, T/A.
     pub fn sample(&self, coil: &Coil, middle_m: Vector) -> Vec<Vector> {
         let at = |p: &[f64; 2]| coil.flux_density([middle_m[0] + p[0], middle_m[1] + p[1], middle_m[2]]);
         self.points_m.iter().map(at).collect()
     }
 
-    /// Change of the mutual inductance of two coils of these samples that the plate alone makes, henries.
+    /// Change of the mutual inductance of two coils with these samples due to the plate alone, henries.
     pub fn change_h(&self, m: &[Vector], n: &[Vector]) -> Complex {
         let mut sum = Complex::new(0.0, 0.0);
         for (row, a) in self.response.chunks_exact(n.len()).zip(m) {
@@ -148,16 +151,16 @@ impl Plate {
     }
 }
 
-/// How plates excite each other.
+/// Coupling between plates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlateCoupling {
-    /// Plates whose middles are farther apart than this do not, metres.
+    /// Maximum distance between the centres of coupled plates, metres.
     pub reach_m: f64,
-    /// Fixed-point sweeps.
+    /// Number of fixed-point sweeps.
     pub sweeps: usize,
 }
 
-/// Equal plates at fixed places whose heights move, over an array of coils.
+/// Identical plates at fixed places and variable heights over an array of coils.
 #[derive(Clone, Debug)]
 pub struct Plates {
     plate: Plate,
@@ -167,26 +170,26 @@ pub struct Plates {
     neighbours: Vec<[usize; 2]>,
     pairs: Vec<[usize; 2]>,
     coils: usize,
-    /// Per plate and coil: polynomial by polynomial the three components at all points.
+    /// Indexed by plate and coil, then by polynomial: the three components at all points.
     tables: Vec<f64>,
-    /// Per plate and coil: the components at all points.
+    /// Indexed by plate and coil: the components at all points.
     fields: Vec<f64>,
-    /// Per plate and coil.
+    /// Indexed by plate and coil.
     moments: Vec<Complex>,
     alone: Vec<Complex>,
-    /// Per plate and coil, at the coarse points.
+    /// Indexed by plate and coil, at the coarse points.
     gathered: Vec<Complex>,
     /// Q times the spread.
     spread_response: Vec<Complex>,
 }
 
 impl Plates {
-    /// Tabulates all coils at plates of these places between two heights of their middles. Takes
-    /// `384 coils x plates x points` bytes, and the fields of every coil at 16 heights of every point.
+    /// Tabulates all coils at plates in these places, between two heights of their centres. Needs
+    /// `384 coils x plates x points` bytes, and evaluates the field of every coil at 16 heights of every point.
     ///
     /// # Errors
-    /// No plates, plates that overlap, heights that are not in order, wire nearer to a plate than its points
-    /// to each other anywhere in the range.
+    /// No plates, overlapping plates, heights that are not in order, or wire closer to a plate than its points
+    /// resolve, anywhere in the range.
     pub fn new(
         array: &CoilArray,
         plate: Plate,
@@ -235,10 +238,10 @@ impl Plates {
         self.places_m.len()
     }
 
-    /// Changes of mutual inductance of all pairs of coils, henries, with the plates' middles at these heights.
+    /// Changes of mutual inductance of all pairs of coils for plates centred at these heights, henries.
     ///
     /// # Errors
-    /// Another number of heights or of pairs, a height outside the table.
+    /// The wrong number of heights or pairs, or a height outside the table.
     pub fn changes(&mut self, heights_m: &[f64], changes_h: &mut [Complex]) -> Result<(), MitError> {
         self.check(heights_m, changes_h.len())?;
         self.evaluate(heights_m);
@@ -334,7 +337,7 @@ impl Plates {
                 }
             }
             self.moments.copy_from_slice(&self.alone);
-            // Neighbours stand in the order of the plate that they excite.
+            // Neighbours are ordered by the plate they excite.
             let mut at = 0;
             for plate in 0..self.places_m.len() {
                 field.fill(zero);
@@ -363,7 +366,7 @@ impl Plates {
     }
 }
 
-/// Normal field at the coarse points of one plate of vertical unit dipoles at those of another:
+/// Normal field at the coarse points of one plate due to vertical unit dipoles at those of another:
 /// `mu0/(4 pi) (3 z^2/r^2 - 1)/r^3`.
 fn kernel(points_m: &[[f64; 2]], shift_m: [f64; 2], dz_m: f64) -> Vec<f64> {
     let of = |to: &[f64; 2], from: &[f64; 2]| {
@@ -374,7 +377,7 @@ fn kernel(points_m: &[[f64; 2]], shift_m: [f64; 2], dz_m: f64) -> Vec<f64> {
     points_m.iter().flat_map(|to| points_m.iter().map(move |from| of(to, from))).collect()
 }
 
-/// Ordered pairs of plates within reach, by the one that is excited.
+/// Ordered pairs of plates within reach, sorted by the excited plate.
 fn neighbours(
     plate: &Plate,
     places_m: &[[f64; 2]],
@@ -421,7 +424,7 @@ fn check_clearance(
     Ok(())
 }
 
-/// Chebyshev coefficients over the height of a coil's field at the points of a plate.
+/// Chebyshev coefficients over height of a coil's field at the points of a plate.
 fn chebyshev(coil: &Coil, plate: &Plate, [x, y]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<f64> {
     let angle = |k: usize| PI * (k as f64 + 0.5) / NODES as f64;
     let samples: Vec<Vec<Vector>> = (0..NODES)

@@ -1,5 +1,5 @@
-//! The system of a sheet's stream function at one frequency: assembly, factor and the changes that it makes. The
-//! equations stand in the module above.
+//! The system of a sheet's stream function at one frequency: assembly, factorisation and the resulting changes. The
+//! equations are in the module above.
 
 use std::f64::consts::TAU;
 
@@ -16,10 +16,10 @@ use crate::error::{MitError, positive};
 use crate::sphere::skin_depth_m;
 use crate::vector::{Complex, Vector, cross, dot, norm, scaled, subtract};
 
-/// Thickness over width above which a sheet is not thin.
+/// Ratio of thickness to width above which a sheet is not thin.
 const THIN: f64 = 0.2;
 
-/// What a sheet is made of, at one frequency.
+/// Material of a sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SheetMaterial {
     /// Thickness, metres.
@@ -36,35 +36,36 @@ impl SheetMaterial {
         Ok(Complex::new(1.0, 1.0) * (0.5 * self.thickness_m / depth))
     }
 
-    /// Surface impedance Z, ohms: the tangential field at the faces over the current in all of the thickness.
+    /// Surface impedance Z, ohms: the tangential field at the faces divided by the current through the whole
+    /// thickness.
     ///
     /// # Errors
-    /// Thickness or conductivity that are not positive, a frequency outside 1 Hz to 1 MHz.
+    /// A thickness or conductivity that is not positive, or a frequency outside 1 Hz to 1 MHz.
     pub fn impedance_ohm(&self, frequency_hz: f64) -> Result<Complex, MitError> {
         let x = self.half_depths(frequency_hz)?;
         Ok(x / tanh(x) / (self.conductivity_s_per_m * self.thickness_m))
     }
 
-    /// Share of the thickness that a tangential field is kept out of.
+    /// Share of the thickness from which a tangential field is excluded.
     fn excluded(&self, frequency_hz: f64) -> Result<Complex, MitError> {
         let x = self.half_depths(frequency_hz)?;
-        // The difference loses digits for small x: x^2/3 - 2 x^4/15.
+        // The difference loses digits for small x, so use x^2/3 - 2 x^4/15.
         Ok(if x.norm() < 1e-2 { x * x / 3.0 - x * x * x * x * (2.0 / 15.0) } else { -tanh(x) / x + 1.0 })
     }
 }
 
-/// For arguments in the first octant.
+/// Hyperbolic tangent for arguments in the first octant.
 fn tanh(x: Complex) -> Complex {
     let decay = Complex::new((2.0 * x.im).cos(), -(2.0 * x.im).sin()) * (-2.0 * x.re).exp();
     if x.norm() < 1e-4 { x } else { (-decay + 1.0) / (decay + 1.0) }
 }
 
-/// A point of a sheet's quadrature.
+/// A quadrature point on a sheet.
 #[derive(Clone, Copy, Debug)]
 struct Spot {
     place_m: Vector,
     normal: Vector,
-    /// Area that it stands for.
+    /// Area represented by the point.
     area: f64,
     unknowns: [Option<u32>; 3],
 }
@@ -81,13 +82,13 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// All pieces of one mesh, of the same material; they excite each other. Takes 16 bytes for each pair of the
-    /// vertices that are not on rims, twice as much while it is made; time goes with their square (assembly) and cube
-    /// (factor).
+    /// Assembles all pieces of one mesh, with the same material; they excite each other. Needs 16 bytes for each pair
+    /// of vertices that are not on rims, and twice as much during the computation. The time grows with their square
+    /// (assembly) and cube (factorisation).
     ///
     /// # Errors
-    /// Thickness or conductivity that are not positive, a frequency outside 1 Hz to 1 MHz, a sheet thicker than a fifth
-    /// of its width, a mesh without vertices off its rims.
+    /// A thickness or conductivity that is not positive, a frequency outside 1 Hz to 1 MHz, a sheet thicker than a
+    /// fifth of its width, or a mesh with no vertices off its rims.
     pub fn new(mesh: &SheetMesh, material: &SheetMaterial, frequency_hz: f64) -> Result<Self, MitError> {
         let (impedance, excluded) = (material.impedance_ohm(frequency_hz)?, material.excluded(frequency_hz)?);
         let share = material.thickness_m / mesh.width_m();
@@ -106,18 +107,18 @@ impl Sheet {
             let mutual = 0.5 * (inductance[(i, j)] + inductance[(j, i)]);
             impedance * resistance[(i, j)] + Complex::new(0.0, w * mutual)
         });
-        // Complex symmetric, not Hermitian: only a factorisation for general matrices is right.
+        // Complex symmetric, not Hermitian: only a factorisation for general matrices is correct.
         let factor = system.partial_piv_lu();
         let odd = excluded * (MU0 * material.thickness_m);
         Ok(Self { spots: spots(mesh, &numbers), unknowns: count, angular_frequency: w, odd, factor })
     }
 
-    /// Unknowns: vertices that are not on rims.
+    /// Number of unknowns: vertices that are not on rims.
     pub fn unknown_count(&self) -> usize {
         self.unknowns
     }
 
-    /// Changes of mutual inductance of any two sources, henries, row by row.
+    /// Changes of mutual inductance between any two sources, henries, row by row.
     pub fn changes_h(&self, sources: &[&dyn Source]) -> Vec<Complex> {
         let at_spots = |source: &&dyn Source| -> Vec<Vector> {
             self.spots.par_iter().map(|spot| source.flux_density(spot.place_m)).collect()
@@ -134,7 +135,7 @@ impl Sheet {
         (0..sources.len() * sources.len()).map(|k| change(k / sources.len(), k % sources.len())).collect()
     }
 
-    /// b: flux of a field weighted by the hat functions.
+    /// b: flux of a field, weighted by the hat functions.
     fn fluxes(&self, field: &[Vector]) -> Vec<f64> {
         let mut fluxes = vec![0.0; self.unknowns];
         for (k, (spot, b)) in self.spots.iter().zip(field).enumerate() {
@@ -175,10 +176,10 @@ fn spots(mesh: &SheetMesh, numbers: &[Option<u32>]) -> Vec<Spot> {
     (0..mesh.triangle_count()).flat_map(of_triangle).collect()
 }
 
-/// R and L; L not yet made exactly symmetric.
+/// R and L; L is not made exactly symmetric yet.
 fn assemble(mesh: &SheetMesh, numbers: &[Option<u32>], count: usize, blur: f64) -> (Mat<f64>, Mat<f64>) {
     let panels: Vec<Panel> = (0..mesh.triangle_count()).map(|t| Panel::new(mesh.corners(t))).collect();
-    // K of each corner's hat function: along the opposite side.
+    // K of each corner's hat function points along the opposite side.
     let currents: Vec<[Vector; 3]> = panels
         .iter()
         .map(|panel| {
@@ -188,7 +189,7 @@ fn assemble(mesh: &SheetMesh, numbers: &[Option<u32>], count: usize, blur: f64) 
         .collect();
     let unknown = |t: usize, corner: usize| numbers[mesh.triangles[t][corner] as usize].map(|n| n as usize);
     let (mut resistance, mut inductance) = (Mat::zeros(count, count), Mat::zeros(count, count));
-    // Potentials of all unknowns' currents in one triangle, a row at a time.
+    // Potentials of all unknowns' currents in one triangle, row by row.
     let row = |t: usize| -> Vec<Vector> {
         let mut row = vec![[0.0; 3]; count];
         for (s, other) in panels.iter().enumerate() {

@@ -1,10 +1,10 @@
 //! The potential of a uniformly charged triangle (Wilton, Rao, Glisson, Schaubert, Al-Bundak and Butler, IEEE Trans.
-//! Antennas Propag. 32, 1984), and what two triangles have of each other.
+//! Antennas Propag. 32, 1984), and its integral over a second triangle.
 
 use super::mesh::area;
 use crate::vector::{Vector, add, cross, dot, norm, scaled, subtract};
 
-/// Seven points exact to degree 5 (Radon): barycentric coordinates and weights that sum to 1.
+/// Seven points, exact to degree 5 (Radon): barycentric coordinates, and weights that sum to 1.
 pub(super) fn seven_points() -> [([f64; 3], f64); 7] {
     let root = 15.0_f64.sqrt();
     let (a, b) = ((6.0 - root) / 21.0, (6.0 + root) / 21.0);
@@ -20,7 +20,7 @@ pub(super) fn seven_points() -> [([f64; 3], f64); 7] {
     ]
 }
 
-/// Three points exact to degree 2, of equal weight.
+/// Three points with equal weights, exact to degree 2.
 pub(super) const THREE_POINTS: [[f64; 3]; 3] =
     [[2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0], [1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0], [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0]];
 
@@ -28,7 +28,7 @@ pub(super) fn place([a, b, c]: [Vector; 3], l: [f64; 3]) -> Vector {
     add(scaled(a, l[0]), add(scaled(b, l[1]), scaled(c, l[2])))
 }
 
-/// `int dS / sqrt(R^2 + blur^2)` over a triangle, R the distance to a point.
+/// `int dS / sqrt(R^2 + blur^2)` over a triangle, where R is the distance to a point.
 pub(super) fn potential(corners: [Vector; 3], point: Vector, blur: f64) -> f64 {
     let [a, b, c] = corners;
     let normal = cross(subtract(b, a), subtract(c, a));
@@ -44,7 +44,7 @@ pub(super) fn potential(corners: [Vector; 3], point: Vector, blur: f64) -> f64 {
         let outward = dot(from, cross(along, normal));
         let nearest = outward * outward + h * h;
         let (r_low, r_high) = ((low * low + nearest).sqrt(), (high * high + nearest).sqrt());
-        // Whichever form does not cancel.
+        // Use the form that does not cancel.
         let log = if low + high > 0.0 {
             ((r_high + high) / (r_low + low)).ln()
         } else {
@@ -57,10 +57,10 @@ pub(super) fn potential(corners: [Vector; 3], point: Vector, blur: f64) -> f64 {
     of_edge(a, b) + of_edge(b, c) + of_edge(c, a)
 }
 
-/// Distance of the middles of two triangles, relative to the sum of their reaches, from which points stand for them.
+/// Minimum distance between the centres of two triangles, relative to the sum of their radii, for point quadrature.
 const FAR: f64 = 2.5;
 
-/// A triangle with what its pairs need.
+/// A triangle with precomputed data for its pairs.
 pub(super) struct Panel {
     pub(super) corners: [Vector; 3],
     pub(super) area: f64,
@@ -76,8 +76,8 @@ impl Panel {
         Self { corners, area: area(corners), middle, reach, points: THREE_POINTS.map(|l| place(corners, l)) }
     }
 
-    /// `int int 1/sqrt(R^2 + blur^2)` over this triangle and another: by points where they are far apart, else by
-    /// points here of the other's closed form.
+    /// `int int 1/sqrt(R^2 + blur^2)` over this triangle and another: by quadrature points if they are far apart,
+    /// otherwise by points here of the other's closed form.
     pub(super) fn product(&self, other: &Self, blur: f64) -> f64 {
         let apart = norm(subtract(self.middle, other.middle));
         if apart > FAR * (self.reach + other.reach) {
@@ -100,14 +100,14 @@ mod tests {
     #[test]
     fn the_closed_form_is_the_integral() {
         let corners = [[0.0, 0.0, 0.0], [1.0, 0.1, 0.2], [0.3, 0.8, -0.1]];
-        // Points inside and outside the plane, beside an edge and on the line of one.
+        // Points in and out of the plane, next to an edge, and on the line of an edge.
         for point in [[0.4, 0.3, 0.5], [-0.5, 0.2, 0.1], [1.5, 0.15, 0.3], [0.2, 0.3, -0.4]] {
             for blur in [0.0, 0.3] {
                 let steps = 400;
                 let mut sum = 0.0;
                 for i in 0..steps {
                     for j in 0..steps - i {
-                        // Middles of small triangles pointing up, and of those pointing down.
+                        // Centres of small triangles that point up and of those that point down.
                         for shift in [1.0 / 3.0, 2.0 / 3.0] {
                             if shift > 0.5 && i + j + 1 >= steps {
                                 continue;
@@ -120,7 +120,7 @@ mod tests {
                 }
                 let expected = sum * area(corners) / (steps * steps) as f64;
                 let found = potential(corners, point, blur);
-                // Midpoints of 160,000 triangles, none nearer than 0.1 to the point.
+                // Midpoints of 160,000 triangles, none closer than 0.1 to the point.
                 assert!((found / expected - 1.0).abs() < 1e-5, "{point:?} {blur}: {found} {expected}");
             }
         }

@@ -1,14 +1,14 @@
-//! Damage and baselines as the page lists them.
+//! Damage and baselines as listed on the page.
 
 use dermis_live::stages::damage::DamageView as Known;
 use dermis_touch::ReferenceOrigin;
 
 use crate::update::{BaselineRow, DamageRow, DamageView, ProposalView};
 
-/// Millimetres of a metre.
+/// Millimetres per metre.
 const MM: f64 = 1e3;
 
-/// Refills what the page shows of damage; `None` where it is not looked for.
+/// Refills the damage shown on the page; `None` if the skin is not watched for damage.
 pub(super) fn take(known: &Known<'_>, shown: &mut Option<DamageView>) {
     if !known.watched {
         *shown = None;
@@ -27,7 +27,8 @@ pub(super) fn take(known: &Known<'_>, shown: &mut Option<DamageView>) {
             direction_deg: damage.shape.direction_rad.to_degrees(),
             ends_mm: damage.shape.ends_m().map(|end| end.map(|v| v * MM)),
             depth: damage.depth,
-            // Where the cut was fitted its faces are followed themselves; the image also sees what heat does about it.
+            // If the cut was fitted, the contact between its faces is tracked directly; the image would also show the
+            // effects of heat.
             healed: known
                 .healing
                 .iter()

@@ -1,16 +1,16 @@
 """Tomographic tactile skins: design, simulate, run and record them.
 
-A *skin file* describes a conductive sheet with its electrodes and the instrument that reads it. From it follow a forward
-model (:meth:`Skin.model`), a digital twin (:class:`Twin`), and a pipeline from frames to touches (:class:`Pipeline`,
-:func:`open`).
+A *skin file* describes a conductive sheet with its electrodes and the instrument that reads it. A forward model
+(:meth:`Skin.model`), a digital twin (:class:`Twin`), and a pipeline from frames to touches (:class:`Pipeline`,
+:func:`open`) follow from it.
 
 >>> import dermis
 >>> skin = dermis.Skin("healing-square")
 >>> skin.model().voltages().shape
 (208,)
 
-SI units inside; every name says its unit where it is another. The frame of a skin: x to the right, y up, seen from the
-toucher. Images have row 0 at the top (+y) and NaN outside the skin.
+Units are SI; every name with another unit states it. In a skin's frame x points right and y up, seen from the side
+that is touched. Images have row 0 at the top (+y) and NaN outside the skin.
 """
 
 from importlib import import_module as _import_module
@@ -101,5 +101,5 @@ def __dir__() -> list[str]:
 
 
 def _model_of(skin: Skin) -> Model:
-    """A model that was pickled: of its skin."""
+    """Restores a pickled model from its skin."""
     return skin.model()

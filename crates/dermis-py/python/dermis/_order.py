@@ -1,4 +1,4 @@
-"""In which order, and with which sign, an instrument delivers its channels."""
+"""The order and sign in which an instrument delivers its channels."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from .errors import InputError
 
 @dataclass(frozen=True)
 class Order:
-    """How a measured baseline fits a skin: what ``dermis order`` finds.
+    """Match of a measured baseline with a skin, as found by ``dermis order``.
 
     Parameters
     ----------
     correlation : float
-        Correlation of the baseline with the model in the order that fits best.
+        Correlation of the baseline with the model in the best order.
     description : str
-        That order in words.
+        The best order in words.
     is_stated : bool
-        It is the order of the skin file.
+        True if this is the order of the skin file.
     is_clear : bool
-        It fits, and clearly better than any other.
+        True if it fits, and clearly better than any other.
     verdict : str
-        What was found, in a sentence: "nothing fits" where nothing does.
+        The result in a sentence: "nothing fits" if no order does.
     lines : str
-        Lines for ``[backend]`` of a skin file that reads such frames as they are; empty where nothing fits.
+        Lines for ``[backend]`` of a skin file that reads such frames unchanged; empty if nothing fits.
     candidates : list of (float, str)
-        Correlations and descriptions, the best first.
+        Correlations and descriptions, best first.
     source : numpy.ndarray or None
-        Shape (k,): entry `i` of a measured frame is channel `source[i]` of the skin; None where the frames hold other
+        Shape (k,): entry `i` of a measured frame is channel `source[i]` of the skin; None if the frames hold other
         channels than the skin.
     sign : numpy.ndarray or None
-        Shape (k,): what entry `i` is multiplied with, +1 or -1.
+        Shape (k,): the factor for entry `i`, +1 or -1.
     """
 
     correlation: float
@@ -54,7 +54,7 @@ class Order:
         Raises
         ------
         InputError
-            An order that is not clear, frames of other channels than the skin's, or another shape.
+            The order is not clear, the frames hold other channels than the skin's, or the shape is wrong.
         """
         if not self.is_clear:
             raise InputError(f"order: expected one that is clear, got none: {self.verdict}")
@@ -72,22 +72,22 @@ class Order:
 
 
 def find_order(skin: Skin | Model | str, baseline: Any) -> Order:
-    """Finds the order and sign of the channels of a measured baseline, as ``dermis order`` does.
+    """Finds the order and sign of the channels of a measured baseline, like ``dermis order``.
 
-    Every protocol that gives as many numbers is tried, with every order of its lists, nested either way, either sign, and
-    electrodes counted from another one or the other way round.
+    Every protocol with the right number of readings is tried, with every order of its lists, either nesting, either
+    sign, and electrodes counted from any of them in either direction.
 
     Parameters
     ----------
     skin : Skin, Model or str
-        What was measured.
+        The skin that was measured.
     baseline : array_like
-        Shape (k,) or (n, k): readings of the untouched skin; several frames are averaged, NaN is left out.
+        Shape (k,) or (n, k): readings of the untouched skin; several frames are averaged, ignoring NaN.
 
     Returns
     -------
     Order
-        The order that fits best, and whether it is clear.
+        The best order, and whether it is clear.
     """
     found = search_order(skin.skin if isinstance(skin, Model) else skin, baseline)
     return Order(source=found.pop("source", None), sign=found.pop("sign", None), **found)

@@ -1,4 +1,4 @@
-"""How far long work is, by tqdm where it is installed and somebody looks on."""
+"""Progress of long work, shown by tqdm if it is installed and somebody is watching."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Callable
 
 
 def bar(label: str, total: int | None) -> Callable[[int | None], None]:
-    """A bar for work that has taken a moment already.
+    """A bar for work that has already taken a moment.
 
     Parameters
     ----------
     label : str
-        What is being done.
+        Name of the work.
     total : int, optional
-        Steps in all; without it, the time that has passed is shown alone.
+        Total number of steps; without it, only the elapsed time is shown.
 
     Returns
     -------
     callable
-        Takes how many steps are done, or None at the end.
+        Takes the number of steps done, or None at the end.
     """
     try:
         from tqdm.auto import tqdm

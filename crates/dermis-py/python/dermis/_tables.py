@@ -1,4 +1,4 @@
-"""Touches as structured arrays and as tables; what notebooks show of results."""
+"""Touches as structured arrays and tables, and the display of results in notebooks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _recorded_dtype = np.dtype([("sequence", "u8"), ("wall_ns", "i8"), *touch_dtype.
 
 
 class FileFrames(tuple):
-    """Frames of a file and their times, with what else the file says."""
+    """Frames of a file and their times, with further attributes of the file."""
 
     frames: np.ndarray
     times_s: np.ndarray | None
@@ -28,7 +28,7 @@ class FileFrames(tuple):
     understood: str
 
     def __new__(cls, frames: Any, times_s: Any, sequences: Any, wall_ns: Any, understood: str) -> FileFrames:
-        """A pair of frames and times, with attributes."""
+        """Makes a pair of frames and times, with attributes."""
         pair = super().__new__(cls, (frames, times_s))
         pair.frames, pair.times_s, pair.sequences, pair.wall_ns = frames, times_s, sequences, wall_ns
         pair.understood = understood
@@ -36,7 +36,7 @@ class FileFrames(tuple):
 
 
 def touches(ids: Any, phases: list[str], values: Any) -> np.recarray:
-    """Brings columns together."""
+    """Combines columns into a structured array."""
     table = np.empty(len(phases), touch_dtype)
     table["id"] = ids
     table["phase"] = phases
@@ -46,7 +46,7 @@ def touches(ids: Any, phases: list[str], values: Any) -> np.recarray:
 
 
 def recorded_touches(sequences: Any, wall_ns: Any, table: np.recarray) -> np.recarray:
-    """The same with the frame that each was seen in."""
+    """The same, with the frame in which each touch was seen."""
     whole = np.empty(len(table), _recorded_dtype)
     whole["sequence"], whole["wall_ns"] = sequences, wall_ns
     for name in touch_dtype.names or ():
@@ -66,7 +66,7 @@ def touches_html(table: np.recarray) -> str:
 
 
 def image_svg(image: Any, width_px: int = 240) -> str:
-    """An image as SVG: blue below zero, red above, one rectangle a pixel; nothing outside the skin."""
+    """An image as SVG: blue below zero, red above, one rectangle per pixel, and nothing outside the skin."""
     image = np.asarray(image, float)
     rows, columns = image.shape
     finite = np.isfinite(image)
@@ -103,7 +103,8 @@ def session_arrays(session: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def to_pandas(recording: Any) -> Any:
-    """Frames of a recording as a ``pandas.DataFrame``: one column a channel, the host's wall clock as index."""
+    """Frames of a recording as a ``pandas.DataFrame``, with one column per channel and the host's wall clock as
+    index."""
     import pandas
 
     _, wall_ns, sequences = recording.times()
@@ -114,7 +115,7 @@ def to_pandas(recording: Any) -> Any:
 
 
 def to_arrow(recording: Any) -> Any:
-    """Frames of a recording as a ``pyarrow.Table``: `sequence`, `time_ns` and one column a channel."""
+    """Frames of a recording as a ``pyarrow.Table``: `sequence`, `time_ns` and one column per channel."""
     import pyarrow
 
     _, wall_ns, sequences = recording.times()

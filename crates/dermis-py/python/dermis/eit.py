@@ -1,8 +1,9 @@
 """Electrical impedance tomography on your own meshes: the parts of :class:`dermis.Model`, one by one.
 
-Meshes are triangles (flat, or a surface in space) or tetrahedra. Electrodes are sets of edges, faces or elements under the
-complete electrode model, or points. Signs and units are those of EIDORS: current counted into the body, ``J = dv/dsigma``;
-on a flat mesh conductivities are sheet conductances (S), contact impedances ohm.m on edges and ohm.m^2 on elements.
+Meshes are triangles (flat, or a surface in space) or tetrahedra. Electrodes are sets of edges, faces or elements
+under the complete electrode model, or points. Signs and units follow EIDORS: current into the body is positive, ``J =
+dv/dsigma``. On a flat mesh conductivities are sheet conductances (S), and contact impedances are ohm.m on edges and
+ohm.m^2 on elements.
 
 >>> import numpy as np
 >>> from dermis import eit
@@ -42,7 +43,7 @@ __all__ = [
 ]
 
 
-# Channels go with the square of the electrodes: more would not fit into memory.
+# The number of channels grows with the square of the electrodes: more would not fit into memory.
 _MOST_ELECTRODES = 512
 
 
@@ -52,34 +53,34 @@ def points(nodes: Any) -> list[Electrode]:
 
 
 def mesh_from(mesh: Any, *, unit: str | None = None) -> Mesh:
-    """A mesh from another package's.
+    """Makes a mesh from another package's.
 
     Parameters
     ----------
     mesh : object
-        A ``meshio.Mesh`` (``points`` and ``cells``; tetrahedra are taken where there are some, triangles otherwise), a
-        ``pyeit`` mesh (``node``, ``element``), an EIDORS or PyEIDORS ``fwd_model`` (``nodes``, ``elems`` from 1 or from
-        0), or a dictionary with such keys.
+        A ``meshio.Mesh`` (``points`` and ``cells``; uses the tetrahedra if there are any, otherwise the triangles), a
+        ``pyeit`` mesh (``node``, ``element``), an EIDORS or PyEIDORS ``fwd_model`` (``nodes``, ``elems`` from 1 or
+        from 0), or a dictionary with such keys.
     unit : str, optional
-        ``"m"``, ``"cm"``, ``"mm"`` or ``"um"``: what the coordinates are in. Metres where left out, but a mesh wider than
-        5 m is then refused, since it is more likely one in millimetres.
+        Unit of the coordinates: ``"m"``, ``"cm"``, ``"mm"`` or ``"um"``. The default is metres, but then a mesh wider
+        than 5 m is rejected, since it is more likely in millimetres.
 
     Returns
     -------
     Mesh
-        Its nodes and elements are numbered as before, also where nodes belong to no element.
+        The mesh, with the original numbering of nodes and elements, even if some nodes belong to no element.
 
     Raises
     ------
     InputError
-        No mesh, or one wider than 5 m without a unit.
+        The object is not a mesh, or it is wider than 5 m and no unit is given.
     """
     nodes, elements = _arrays_of(mesh)
     return Mesh(_metres(nodes, elements, unit), elements)
 
 
 _UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-# Wider than any tank, and narrower than a skin of 10 mm that was drawn in millimetres.
+# Wider than any tank, and narrower than a 10 mm skin drawn in millimetres.
 _WIDEST_M = 5.0
 
 
@@ -98,28 +99,29 @@ def _metres(nodes: np.ndarray, elements: np.ndarray, unit: str | None) -> np.nda
 
 
 def electrodes_from(mesh: Any, prefix: str = "electrode", *, contact_impedance: Any) -> list[Electrode]:
-    """Electrodes from the physical groups of a ``meshio.Mesh`` that was read from a Gmsh file.
+    """Makes electrodes from the physical groups of a ``meshio.Mesh`` read from a Gmsh file.
 
     Parameters
     ----------
     mesh : meshio.Mesh
-        With groups named by the prefix and a number: ``electrode_1``, ``electrode 2``, ``electrode3``. Groups of lines (of
-        triangles, on a solid) are electrodes of edges (faces), groups of triangles of a flat mesh are pads, a group of one
-        point is a point electrode.
+        A mesh with groups named by the prefix and a number: ``electrode_1``, ``electrode 2``, ``electrode3``.
+        Groups of lines (of triangles, on a solid) become electrodes on edges (faces), groups of triangles in a flat
+        mesh become pads, and a group of one point becomes a point electrode.
     prefix : str
-        What the names begin with.
+        Prefix of the groups' names.
     contact_impedance : float or array_like
-        One for all, or one each: ohm.m of edges, ohm.m^2 of faces and pads.
+        One for all, or one each: ohm.m for edges, ohm.m^2 for faces and pads.
 
     Returns
     -------
     list of Electrode
-        In the order of their numbers, for the :class:`Mesh` that :func:`mesh_from` makes of the same file.
+        The electrodes in the order of their numbers, for the :class:`Mesh` that :func:`mesh_from` makes from the same
+        file.
 
     Raises
     ------
     InputError
-        No such groups, a number twice, or groups that cannot be electrodes.
+        There are no such groups, a number occurs twice, or groups cannot be electrodes.
     """
     names, cells, data = (_get(mesh, name) for name in ("field_data", "cells_dict", "cell_data_dict"))
     if names is None or cells is None or data is None:
@@ -161,30 +163,31 @@ def electrodes_from(mesh: Any, prefix: str = "electrode", *, contact_impedance: 
 
 
 def electrodes_at(mesh: Mesh, places_m: Any, width_m: Any, contact_impedance: Any) -> list[Electrode]:
-    """Electrodes on the rim of a flat mesh, by place.
+    """Electrodes on the rim of a flat mesh, given by position.
 
-    Each is the boundary edges whose middles lie within half a width, along the rim, of its point nearest to the place.
+    Each consists of the boundary edges whose centres lie within half a width, along the rim, of its point nearest to
+    the given position.
 
     Parameters
     ----------
     mesh : Mesh
-        A flat one.
+        A flat mesh.
     places_m : array_like
-        Shape (n, 2), metres.
+        Shape (n, 2): positions, metres.
     width_m : float or array_like
-        Width of all or of each, metres.
+        Width of all electrodes or of each, metres.
     contact_impedance : float or array_like
-        Of all or of each, ohm.m.
+        Contact impedance of all electrodes or of each, ohm.m.
 
     Returns
     -------
     list of Electrode
-        In the order of the places.
+        The electrodes in the order of the positions.
 
     Raises
     ------
     InputError
-        A place that is farther than its width from every edge, or a mesh that is too coarse for a width.
+        A position is farther than its width from every edge, or the mesh is too coarse for a width.
     """
     places = np.asarray(places_m, float)
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
@@ -208,7 +211,7 @@ def electrodes_at(mesh: Mesh, places_m: Any, width_m: Any, contact_impedance: An
             raise InputError(
                 f"places_m: electrode {number}: expected a place at the rim, got {tuple(place)}, {off[nearest]:.3g} m from it"
             )
-        # Distances of the edges' middles along the rim, both ways from the nearest point.
+        # Distances of the edges' centres along the rim, in both directions from the nearest point.
         chosen = {nearest: abs(share[nearest] - 0.5) * lengths[nearest]}
         for end, gone in ((1, (1.0 - share[nearest]) * lengths[nearest]), (0, share[nearest] * lengths[nearest])):
             edge, node = nearest, int(edges[nearest, end])
@@ -263,7 +266,7 @@ def _arrays_of(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _flat(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Drops a third coordinate that triangles do not need."""
+    """Drops a third coordinate that triangles don't need."""
     if nodes.ndim == 2 and nodes.shape[1] == 3 and elements.ndim == 2 and elements.shape[1] == 3:
         if len(nodes) and np.ptp(nodes[:, 2]) == 0.0:
             nodes = nodes[:, :2]
@@ -271,22 +274,22 @@ def _flat(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def protocol_from_pyeit(protocol: Any, amplitude_a: float = 1.0) -> Protocol:
-    """The protocol of a ``pyeit`` protocol object.
+    """Converts a ``pyeit`` protocol object.
 
-    pyEIT drives +1 into ``ex_mat[:, 0]`` and -1 into ``ex_mat[:, 1]``, and reads the potential of ``meas_mat[:, 0]`` less
-    that of ``meas_mat[:, 1]``; in ``meas_mat``'s third column, where there is one, is the stimulation.
+    pyEIT drives +1 into ``ex_mat[:, 0]`` and -1 into ``ex_mat[:, 1]``, and reads the potential of ``meas_mat[:, 0]``
+    minus that of ``meas_mat[:, 1]``. A third column of ``meas_mat``, if present, holds the stimulation.
 
     Parameters
     ----------
     protocol : object
-        With ``ex_mat`` and ``meas_mat``.
+        An object with ``ex_mat`` and ``meas_mat``.
     amplitude_a : float
         Current, amperes; pyEIT's is 1.
 
     Returns
     -------
     Protocol
-        Its channels are in pyEIT's order.
+        The protocol, with channels in pyEIT's order.
     """
     drives = np.asarray(protocol.ex_mat, np.int64)
     reads = np.asarray(protocol.meas_mat, np.int64)
@@ -323,14 +326,14 @@ def pyeit_model(mesh: Any, protocol: Any, amplitude_a: float = 1.0) -> ForwardMo
     Parameters
     ----------
     mesh, protocol : object
-        Of ``pyeit.mesh.create`` and ``pyeit.eit.protocol.create``.
+        Results of ``pyeit.mesh.create`` and ``pyeit.eit.protocol.create``.
     amplitude_a : float
         Current, amperes; pyEIT's is 1.
 
     Returns
     -------
     ForwardModel
-        Its voltages are those of ``EITForward.solve_eit``.
+        The model; its voltages equal those of ``EITForward.solve_eit``.
     """
     nodes, elements = _arrays_of(mesh)
     return ForwardModel(Mesh(nodes, elements), points(mesh.el_pos), protocol_from_pyeit(protocol, amplitude_a))
@@ -339,9 +342,9 @@ def pyeit_model(mesh: Any, protocol: Any, amplitude_a: float = 1.0) -> ForwardMo
 def pyeidors_model(fwd_model: Any) -> ForwardModel:
     """The forward model of an EIDORS or PyEIDORS ``fwd_model``.
 
-    Electrodes are the boundary faces between each one's ``nodes`` (a point where there is one node), with its
-    ``z_contact``; stimulations are ``stimulation[i].stim_pattern`` (A) and ``.meas_pattern``. Indices count from 1 where
-    the largest is the number of nodes, as EIDORS writes them.
+    An electrode consists of the boundary faces between its ``nodes`` (a point if there is one node), with its
+    ``z_contact``; stimulations are ``stimulation[i].stim_pattern`` (A) and ``.meas_pattern``. Indices are taken to
+    count from 1, as EIDORS writes them, if the largest equals the number of nodes.
     """
     nodes, elements = _arrays_of(fwd_model)
     mesh = Mesh(nodes, elements)
@@ -373,17 +376,18 @@ def _dense(pattern: Any) -> np.ndarray:
 
 
 def ring_electrodes(mesh: Mesh, count: int, width_m: float, contact_impedance: float, *, start_rad: float = 0.0) -> list[Electrode]:
-    """Electrodes at equal angles round a flat mesh's rim, counter-clockwise.
+    """Electrodes at equal angles around a flat mesh's rim, counter-clockwise.
 
-    Each is the boundary edges whose middles lie within half a width of its middle, along a circle through them. Edges are
-    as the mesh has them: a mesh that is coarse beside the width gives electrodes of other widths.
+    Each consists of the boundary edges whose centres lie within half a width of its centre, along a circle through
+    them. Edges are used as they are, so on a mesh that is coarse relative to the width the electrodes have other
+    widths.
 
     Parameters
     ----------
     mesh : Mesh
-        A flat one.
+        A flat mesh.
     count : int
-        How many electrodes.
+        Number of electrodes.
     width_m : float
         Width of each, in the unit of the mesh's nodes.
     contact_impedance : float
@@ -394,7 +398,7 @@ def ring_electrodes(mesh: Mesh, count: int, width_m: float, contact_impedance: f
     Returns
     -------
     list of Electrode
-        In order.
+        The electrodes in order.
     """
     if not 1 <= count <= _MOST_ELECTRODES:
         raise InputError(f"count: expected 1 to {_MOST_ELECTRODES}, got {count}")

@@ -1,6 +1,6 @@
-"""What can go wrong, as exceptions with the words of the command.
+"""Exceptions, with the same messages as the command.
 
-All are kinds of :class:`Error`; those about arguments are `ValueError` too, and those about files `OSError`.
+All are kinds of :class:`Error`; those about arguments are also `ValueError`, and those about files `OSError`.
 """
 
 __all__ = [
@@ -16,23 +16,23 @@ __all__ = [
 
 
 class Error(Exception):
-    """Why something could not be done."""
+    """Base class of all errors of dermis."""
 
 
 class SkinError(Error, ValueError):
-    """A skin file that makes no sense, or a skin that there is none of."""
+    """An invalid skin file, or an unknown skin."""
 
 
 class InputError(Error, ValueError):
-    """An argument that does not fit: the message says what was expected and what came."""
+    """An invalid argument; the message says what was expected and what was given."""
 
 
 class FileError(Error, OSError):
-    """A file that cannot be read or written, or that holds something else."""
+    """A file that cannot be read or written, or has other content."""
 
 
 class SourceError(Error):
-    """An instrument, or another source of frames, that can deliver none."""
+    """An instrument, or another source of frames, that cannot deliver any."""
 
 
 class SolverError(Error, ArithmeticError):
@@ -40,8 +40,8 @@ class SolverError(Error, ArithmeticError):
 
 
 class SessionError(Error, RuntimeError):
-    """A session that is closed, or that another process opened."""
+    """A session that is closed, or that was opened by another process."""
 
 
 class InternalError(Error, RuntimeError):
-    """A fault of dermis itself."""
+    """A bug in dermis."""

@@ -1,4 +1,4 @@
-"""Forward models inside JAX, as a function with its own derivative. JAX is imported here and nowhere else."""
+"""Forward models inside JAX, as a function with a custom derivative. JAX is imported only here."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ def _pull(model: Any, sigma: Any, cotangent: Any) -> np.ndarray:
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def voltages(model: Any, sigma: Any) -> Any:
-    """Voltages of a model as a differentiable function of conductivities, inside ``jit``, ``grad`` and ``vmap`` too.
+    """Voltages of a model as a differentiable function of conductivities, usable inside ``jit``, ``grad`` and
+    ``vmap``.
 
     Parameters
     ----------
     model : dermis.Model or dermis.eit.ForwardModel
         The forward model.
     sigma : jax.Array
-        Shape (..., m): one conductivity an element. Gradients are those of the model's adjoint in double precision.
+        Shape (..., m): one conductivity per element. Gradients come from the model's adjoint in double precision.
 
     Returns
     -------
     jax.Array
-        Shape (..., k), volts, of the type of `sigma`.
+        Shape (..., k), volts, with the type of `sigma`.
     """
     shape = (*sigma.shape[:-1], len(model.channels) if hasattr(model, "channels") else model.protocol.channel_count)
     out = jax.ShapeDtypeStruct(shape, sigma.dtype)

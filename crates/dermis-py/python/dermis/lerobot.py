@@ -1,8 +1,8 @@
 """Touch for learning: windows of readings at the skin's own rate, one for each camera image or action.
 
-A camera takes 30 images a second and a skin 50 to 1,000 frames. :func:`windows` keeps the skin's rate: each image gets the
-last few slots of readings, and a slot without a frame is NaN rather than a copy of its neighbour. :func:`features`
-describes the result for a `LeRobotDataset`. Nothing here imports lerobot.
+A camera takes 30 images per second and a skin 50 to 1,000 frames. :func:`windows` keeps the skin's rate: each image
+gets the last few slots of readings, and a slot without a frame is NaN rather than a copy of its neighbour.
+:func:`features` describes the result for a `LeRobotDataset`. Nothing here imports lerobot.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ def windows(
     rate_hz: float,
     sequence: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
-    """Readings before each moment, in slots of one period of the skin.
+    """Windows of readings before given moments, in slots of one skin period.
 
-    Slot `s` of `slots` covers `(at - (slots - s) / rate_hz, at - (slots - s - 1) / rate_hz]`: the last one ends at the
-    moment itself, and no slot looks into the future. Of several frames in a slot the last counts. A slot without a frame
-    is NaN, and so is a missing reading.
+    Slot `s` of `slots` covers `(at - (slots - s) / rate_hz, at - (slots - s - 1) / rate_hz]`: the last one ends at
+    the moment itself, and no slot looks into the future. If a slot has several frames, the last one counts. A slot
+    without a frame is NaN, and so is a missing reading.
 
     Parameters
     ----------
     readings : array_like
-        Shape (n, ...). One row a frame: channels, taxels, or images.
+        Shape (n, ...). One row per frame: channels, taxels, or images.
     time_s : array_like
-        Shape (n,). Time of each frame, seconds, on the clock of `at_s`. It may have gaps; it must not run back.
+        Shape (n,). Time of each frame, seconds, on the clock of `at_s`. It may have gaps, but must not decrease.
     at_s : array_like
-        Shape (m,). Moments that want a window, seconds, in any order: times of camera images, or of actions.
+        Shape (m,). Moments to make windows for, seconds, in any order: times of camera images or of actions.
     slots : int
         Number of slots in a window.
     rate_hz : float
-        Frames a second of the skin; a slot is ``1 / rate_hz`` long.
+        Frame rate of the skin; a slot is ``1 / rate_hz`` long.
     sequence : array_like, optional
-        Shape (n,). Number of each frame, as :meth:`dermis.Recording.times` has it. A frame with the number of the one before is a
-        copy and is left out.
+        Shape (n,). Sequence number of each frame, as in :meth:`dermis.Recording.times`. A frame with the same number
+        as the previous one is a copy and is left out.
 
     Returns
     -------
@@ -60,8 +60,8 @@ def windows(
     Raises
     ------
     InputError
-        Shapes that do not fit; times that are not finite or run back, with the first frame that does; a rate or a number
-        of slots that is not positive; a result of more than 8 GiB.
+        Shapes don't match; times are not finite or decrease (the message names the first such frame); the rate or the
+        number of slots is not positive; or the result would exceed 8 GiB.
 
     Examples
     --------
@@ -102,7 +102,8 @@ def windows(
             f"time_s[{n}] = {times[n]:.9g} after {times[n - 1]:.9g}: expected times that do not run back"
         )
     edges = moments[:, None] - np.arange(slots, -1, -1) / rate_hz
-    # Frames up to each edge; the last one before the end of a slot, if it lies after its beginning.
+    # Count the frames up to each edge. The last one before the end of a slot belongs to it, if it lies after its
+    # beginning.
     counts = np.searchsorted(times, edges + _TIE_S, side="right")
     last, before = counts[:, 1:], counts[:, :-1]
     result = np.full((len(moments), int(slots), *values.shape[1:]), np.nan)
@@ -112,14 +113,14 @@ def windows(
 
 
 def points(touches: ArrayLike, most: int) -> NDArray[np.float64]:
-    """Touches as a point set of fixed size: `most` x 6, `x y z fx fy fz` in metres and newtons, the strongest first.
+    """Touches as a point set of fixed size: `most` x 6, `x y z fx fy fz` in metres and newtons, strongest first.
 
     Parameters
     ----------
     touches : array_like
-        Shape (n, 6). Touches in the same order, in any one frame.
+        Shape (n, 6). Touches in the same column order, in any frame of reference.
     most : int
-        Rows of the result. Touches beyond it are left out, the weakest first, and those of unknown force before them.
+        Number of rows in the result. Excess touches are left out: first those of unknown force, then the weakest.
 
     Returns
     -------
@@ -129,7 +130,7 @@ def points(touches: ArrayLike, most: int) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        A shape other than n x 6, or a size that is not positive.
+        The shape is not n x 6, or the size is not positive.
     """
     rows = np.asarray(touches, dtype=np.float64).reshape(-1, 6) if np.size(touches) else np.zeros((0, 6))
     if np.size(touches) and np.asarray(touches).shape[-1:] != (6,):
@@ -144,12 +145,12 @@ def points(touches: ArrayLike, most: int) -> NDArray[np.float64]:
 
 
 def features(name: str, *, slots: int, channels: int, unit: str) -> dict[str, dict[str, Any]]:
-    """The entry of a `LeRobotDataset`'s features for windows of one skin.
+    """The entry for windows of one skin in a `LeRobotDataset`'s features.
 
     Parameters
     ----------
     name : str
-        What the skin is called: the feature is ``observation.tactile.NAME``.
+        Name of the skin: the feature is called ``observation.tactile.NAME``.
     slots : int
         Number of slots in a window.
     channels : int

@@ -1,4 +1,4 @@
-"""Magnetic induction tomography: coils, conducting bodies, and the changes of mutual inductance that bodies make.
+"""Magnetic induction tomography: coils, conducting bodies, and the changes of mutual inductance caused by bodies.
 
 >>> from dermis import mit
 >>> coils = mit.Coils([[-0.02, 0.0], [0.02, 0.0]], inner_m=0.002, outer_m=0.03, turns=20)

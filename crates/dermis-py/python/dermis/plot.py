@@ -1,4 +1,4 @@
-"""Drawings on matplotlib axes, which is imported here and nowhere else."""
+"""Drawings on matplotlib axes. matplotlib is imported only here."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def _axes(axes: Any) -> Any:
 
 
 def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
-    """A skin: its rim, electrodes and their numbers, from 1 as on its file.
+    """Draws a skin: its rim, and its electrodes numbered from 1 as in its file.
 
     Parameters
     ----------
     of : Skin or Model
-        What to draw.
+        The skin or model to draw.
     axes : matplotlib.axes.Axes, optional
-        Where; a new figure's where left out.
+        Axes to draw on; default: a new figure's.
     mesh : bool
-        Whether elements are drawn.
+        Draw the elements.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
 
 
 def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", symmetric: bool = True) -> Any:
-    """An image with its colour bar, the scale of both axes in millimetres.
+    """Draws an image with its colour bar; both axes are in millimetres.
 
     Parameters
     ----------
@@ -70,11 +70,11 @@ def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", sym
     extent_mm : sequence of float
         Left, right, bottom and top, millimetres.
     axes : matplotlib.axes.Axes, optional
-        Where; a new figure's where left out.
+        Axes to draw on; default: a new figure's.
     label : str
-        Of the colour bar.
+        Label of the colour bar.
     symmetric : bool
-        Whether zero is in the middle of the colours.
+        Put zero in the middle of the colours.
 
     Returns
     -------
@@ -92,14 +92,14 @@ def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", sym
 
 
 def result(of: Any, axes: Any = None) -> Any:
-    """A result's image, with its touches as crosses of one standard deviation and their identities.
+    """Draws a result's image, with its touches as crosses of one standard deviation and their ids.
 
     Parameters
     ----------
     of : Result
-        What to draw.
+        The result to draw.
     axes : matplotlib.axes.Axes, optional
-        Where; a new figure's where left out.
+        Axes to draw on; default: a new figure's.
 
     Returns
     -------
@@ -117,14 +117,14 @@ def result(of: Any, axes: Any = None) -> Any:
 
 
 def maps(of: Any, axes: Any = None, *, what: str = "position_bound_mm") -> Any:
-    """A map of a design.
+    """Draws a map of a design.
 
     Parameters
     ----------
     of : Maps
-        What to draw.
+        The maps to draw from.
     axes : matplotlib.axes.Axes, optional
-        Where; a new figure's where left out.
+        Axes to draw on; default: a new figure's.
     what : str
         One of `position_bound_mm`, `sensitivity`, `smallest_change`, `amplitude_bound` and `spread_mm`.
 

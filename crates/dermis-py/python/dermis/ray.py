@@ -1,8 +1,9 @@
-"""Work that one machine cannot do in time, on a Ray cluster (https://ray.io), which is imported here and nowhere else.
+"""Distributes work that would take one machine too long over a Ray cluster (https://ray.io). Ray is imported only
+here.
 
-Seeds belong to samples and shards, not to workers: results are the same bits whatever the number of workers. Tasks that are
-lost with their worker are run again; what a task writes appears under its name only when it is whole, so that nothing is
-lost and nothing doubled.
+Seeds belong to samples and shards, not to workers, so results are identical bits whatever the number of workers.
+Tasks lost with their worker are run again. The output of a task appears under its name only when complete, so nothing
+is lost and nothing duplicated.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from .errors import InputError
 
 __all__ = ["reproduce", "sweep", "tolerances", "train_set"]
 
-# How often a task is tried again that went down with its worker.
+# Retries of a task whose worker died.
 _RETRIES = 5
-# Tasks that are under way on the smallest cluster.
+# Tasks in flight on the smallest cluster.
 _LEAST_UNDER_WAY = 64
-# How often the driver looks for results and sends further tasks, seconds.
+# Interval at which the driver collects results and sends further tasks, seconds.
 _ROUND_S = 0.05
 
 
@@ -33,10 +34,10 @@ def _toml(skin: Any) -> str:
 
 
 def _fan_out(task: Callable[..., Any], arguments: list[tuple[Any, ...]], unit: str) -> list[Any]:
-    """Runs a task over a list of arguments on the cluster; the results in the order of the list.
+    """Runs a task over a list of arguments on the cluster; returns the results in the order of the list.
 
-    Twice as many tasks as the cluster has processors are under way, so that none waits for the driver, and what the driver
-    does for a task does not grow with the length of the list.
+    Twice as many tasks are in flight as the cluster has processors, so that none waits for the driver, and the
+    driver's work per task doesn't grow with the length of the list.
     """
     if not ray.is_initialized():
         ray.init()
@@ -46,7 +47,7 @@ def _fan_out(task: Callable[..., Any], arguments: list[tuple[Any, ...]], unit: s
     results: list[Any] = [None] * len(arguments)
     bar = _progress(len(arguments), unit)
     while True:
-        # Looked up each time: clusters grow.
+        # Looked up each time, because clusters grow.
         most = max(_LEAST_UNDER_WAY, 2 * int(ray.cluster_resources().get("CPU", 1)))
         for place, of in itertools.islice(waiting, max(0, most - len(pending))):
             pending[remote.remote(*of)] = place
@@ -71,7 +72,8 @@ def _progress(total: int, unit: str) -> Any:
 
 
 def _keep_to_one_processor() -> None:
-    """A task has asked for one processor; without this it would take all of its node, beside the other tasks there."""
+    """Limits a task to the one processor it asked for. Otherwise it would use its whole node, in competition with
+    other tasks."""
     os.environ.setdefault("RAYON_NUM_THREADS", "1")
 
 
@@ -82,19 +84,19 @@ def _shard(toml: str, folder: str, shard: int, samples: int, shard_samples: int,
 
 
 def train_set(skin: Any, n: int, folder: str | Path, *, shard_samples: int = 250, seed: int = 1) -> Path:
-    """Simulates a training set into a folder that all workers reach, or what is missing of it.
+    """Simulates a training set, or the missing part of one, into a folder that all workers can reach.
 
     Parameters
     ----------
     skin : dermis.Skin or str
         The skin.
     n : int
-        Samples in all.
+        Total number of samples.
     folder : str or pathlib.Path
-        Where: a file system that all nodes share.
+        Output folder, on a file system shared by all nodes.
     shard_samples, seed : int
-        Samples a shard, which is what a task makes, and the seed of everything random. A shard depends on the seed and its
-        number alone: the same as ``dermis train-set`` makes.
+        Samples per shard, which is one task, and the seed of all random numbers. A shard depends only on the seed and
+        its number, and equals the one made by ``dermis train-set``.
 
     Returns
     -------
@@ -115,24 +117,25 @@ def _tolerance(toml: str, samples: int, presses: int, pokes: list[int], seed: in
 
 
 def tolerances(skin: Any, n: int, *, batch: int = 20, presses: int = 12, seed: int = 1) -> list[list[tuple[Any, ...]]]:
-    """What a workshop's errors cost a skin, in batches of samples with seeds of their own.
+    """Estimates the cost of manufacturing errors for a skin, in batches of samples with their own seeds.
 
     Parameters
     ----------
     skin : dermis.Skin or str
         The skin.
     n : int
-        Samples of every kind of error.
+        Samples for each kind of error.
     batch : int
-        Samples a task; together with `seed` it decides the numbers, and so does not follow the number of workers.
+        Samples per task. Together with `seed` it determines the numbers, so it doesn't depend on the number of
+        workers.
     presses, seed : int
-        Presses a sample, and the seed of the first batch; those of the others follow it.
+        Presses per sample, and the seed of the first batch; the other batches use the following seeds.
 
     Returns
     -------
     list
-        A list for each batch of `(what, samples, position_mm, amplitude_percent, misses_percent)`, position and amplitude as
-        median and 90th percentile.
+        For each batch a list of `(what, samples, position_mm, amplitude_percent, misses_percent)`, with position and
+        amplitude as median and 90th percentile.
     """
     if n < 1 or batch < 1:
         raise InputError(f"n, batch: expected 1 or more, got {n}, {batch}")
@@ -145,21 +148,21 @@ def tolerances(skin: Any, n: int, *, batch: int = 20, presses: int = 12, seed: i
 
 
 def sweep(skin: Any, parameters: Iterable[Any], work: Callable[[_dermis.Skin, Any], Any]) -> list[Any]:
-    """Does work for a skin and each of some parameters.
+    """Runs a function for a skin and each of several parameters.
 
     Parameters
     ----------
     skin : dermis.Skin or str
-        The skin, given to every call.
+        The skin, passed to every call.
     parameters : iterable
-        What varies; each is one task.
+        The parameters; each makes one task.
     work : callable
-        ``work(skin, parameter)``; what it returns has to be picklable.
+        Called as ``work(skin, parameter)``; its result must be picklable.
 
     Returns
     -------
     list
-        What it returned, in the order of the parameters.
+        The results, in the order of the parameters.
     """
     toml = _toml(skin)
 
@@ -176,7 +179,7 @@ def _experiment(which: str, folder: str, options: list[str]) -> int:
 
 
 def reproduce(which: Iterable[str], folder: str | Path, options: Iterable[str] = ()) -> dict[str, int]:
-    """Replays the experiments of published skins, one task each, into folders of their own; their exit codes."""
+    """Replays the experiments of published skins, one task each, into separate folders; returns their exit codes."""
     names, options = list(which), list(options)
     tasks: list[tuple[Any, ...]] = [(name, str(Path(folder).absolute() / name), options) for name in names]
     return dict(zip(names, _fan_out(_experiment, tasks, "experiment"), strict=True))

@@ -1,6 +1,6 @@
-"""Forward models inside PyTorch, and the network that labels images, trained there and run by dermis.
+"""Forward models inside PyTorch, and the network that labels images, trained in PyTorch and run by dermis.
 
-PyTorch is imported here and nowhere else. Only CPU tensors enter the forward model; gradients come back on their device.
+PyTorch is imported only here. The forward model takes CPU tensors only; gradients come back on their device.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ def voltages(model: Any, sigma: torch.Tensor) -> torch.Tensor:
     model : dermis.Model or dermis.eit.ForwardModel
         The forward model.
     sigma : torch.Tensor
-        Shape (..., m): one conductivity an element, in any number of batches. Gradients are those of the model's adjoint
-        (:meth:`dermis.Model.vjp`), computed in double precision; there are no second derivatives.
+        Shape (..., m): one conductivity per element, in any number of batches. Gradients come from the model's
+        adjoint (:meth:`dermis.Model.vjp`), computed in double precision; there are no second derivatives.
 
     Returns
     -------
     torch.Tensor
-        Shape (..., k), volts, of the type and device of `sigma`.
+        Shape (..., k), volts, with the type and device of `sigma`.
     """
     if sigma.ndim < 1:
         raise InputError(f"sigma: expected shape (..., m), got shape {tuple(sigma.shape)}")
@@ -60,7 +60,7 @@ def voltages(model: Any, sigma: torch.Tensor) -> torch.Tensor:
 
 
 class _Block(nn.Module):
-    """Two convolutions of 3 x 3, each with batch norm and softsign, by the names that dermis reads."""
+    """Two 3 x 3 convolutions, each with batch norm and softsign, under the names that dermis reads."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -77,15 +77,17 @@ class _Block(nn.Module):
 class UNet(nn.Module):
     """The network that dermis runs: a U-Net with softsign, nearest-neighbour upsampling and no cropping.
 
-    Level 0 works on the whole image with `width` channels, every further one on half the rows and columns with twice the
-    channels (Ronneberger, Fischer and Brox, MICCAI 2015). Names and layouts of the ``state_dict`` are those that dermis reads.
+    Level 0 works on the whole image with `width` channels; each further level has half the rows and columns and twice
+    the channels (Ronneberger, Fischer and Brox, MICCAI 2015). Names and layouts in the ``state_dict`` are those that
+    dermis reads.
 
     Parameters
     ----------
     inputs, classes : int
-        Images a frame, and classes told apart.
+        Number of images per frame, and number of classes.
     width, levels : int
-        Channels of the finest level, and levels; rows and columns are to be multiples of ``2 ** (levels - 1)``.
+        Channels of the finest level, and number of levels; rows and columns must be multiples of ``2 ** (levels -
+        1)``.
     """
 
     def __init__(self, inputs: int = 1, classes: int = 3, width: int = 8, levels: int = 4) -> None:
@@ -99,7 +101,7 @@ class UNet(nn.Module):
         self.head = nn.Conv2d(width, classes, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Logits, shape (n, classes, rows, columns), of images, shape (n, inputs, rows, columns)."""
+        """Logits, shape (n, classes, rows, columns), for images of shape (n, inputs, rows, columns)."""
         kept = []
         for level, block in enumerate(self.down):
             x = block(nn.functional.max_pool2d(x, 2) if level else x)
@@ -111,14 +113,14 @@ class UNet(nn.Module):
 
 
 class TrainSet(torch.utils.data.Dataset):
-    """A folder that ``dermis train-set`` wrote: images, shape (inputs, rows, columns), and the class of every pixel.
+    """A folder written by ``dermis train-set``: images, shape (inputs, rows, columns), and the class of every pixel.
 
     Parameters
     ----------
     folder : str or pathlib.Path
         The training set.
     shards : sequence of int, optional
-        Which of its shards; all where left out.
+        Shards to use; default: all.
     """
 
     def __init__(self, folder: str | Path, shards: Any = None) -> None:
@@ -157,27 +159,27 @@ def train(
     seed: int = 1,
     device: str | None = None,
 ) -> UNet:
-    """Trains a network on a training set, on CUDA where there is one, and saves it so that dermis loads it.
+    """Trains a network on a training set, with CUDA if available, and saves it for dermis to load.
 
     Parameters
     ----------
     folder, out : str or pathlib.Path
-        The training set, and the model card to write (``MODEL.json``; the weights go beside it).
+        The training set, and the model card to write (``MODEL.json``; the weights are written next to it).
     width, levels, epochs, batch, learning_rate : int, int, int, int, float
-        Size of the network, passes, samples a step, and Adam's first step, which falls along a half cosine.
+        Size of the network, passes, samples per step, and Adam's initial step, which falls along a half cosine.
     class_weights : sequence of float, optional
         Weight of each class in the loss.
     held_out : float
-        Share of the shards that decide which pass is kept.
+        Share of the shards used to select the pass to keep.
     seed : int
-        Of weights and order.
+        Seed of weights and sample order.
     device : str, optional
-        Where; CUDA where there is one, the processor otherwise.
+        Device to train on; default: CUDA if available, otherwise the CPU.
 
     Returns
     -------
     UNet
-        The network of the best pass, on the processor.
+        The network of the best pass, on the CPU.
     """
     torch.manual_seed(seed)
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
@@ -185,7 +187,7 @@ def train(
     first = max(1, min(whole.shards - 1, round((1.0 - held_out) * whole.shards)))
     learn = TrainSet(folder, range(first))
     judge = TrainSet(folder, range(first, whole.shards)) if first < whole.shards else learn
-    # Each image to a root mean square of 1, as `dermis train` does.
+    # Scale each image to a root mean square of 1, as `dermis train` does.
     scale = 1.0 / learn.inputs.double().square().mean(dim=(0, 2, 3)).sqrt().clamp_min(1e-30)
     scale = scale.float()
     classes = len(whole.manifest["classes"])
@@ -221,18 +223,18 @@ def train(
 
 
 def save(network: UNet, folder: str | Path, out: str | Path, *, input_scale: Any, held_out: float = 0.1) -> None:
-    """Writes a network as a model of dermis: card, weights, and the temperature that makes its probabilities honest.
+    """Writes a network as a model of dermis: card, weights, and the temperature that calibrates its probabilities.
 
     Parameters
     ----------
     network : UNet
-        What was trained.
+        The trained network.
     folder, out : str or pathlib.Path
-        The training set that it is judged on, and the card to write.
+        The training set to evaluate it on, and the card to write.
     input_scale : sequence of float
-        Factors that its images were multiplied by.
+        Factors that its input images were multiplied by.
     held_out : float
-        Share of the shards that it is judged on.
+        Share of the shards to evaluate it on.
     """
     from safetensors.torch import save_file
 
@@ -266,7 +268,7 @@ def _progress(steps: Any) -> Any:
 
 
 def main() -> None:
-    """``python -m dermis.torch SET MODEL.json``: trains as :func:`train` does."""
+    """``python -m dermis.torch SET MODEL.json``: trains like :func:`train`."""
     import argparse
 
     parser = argparse.ArgumentParser(prog="python -m dermis.torch", description=main.__doc__)

@@ -15,11 +15,11 @@ use crate::grid::PyGrid;
 /// image : array_like
 ///     Shape (rows, columns) of the grid, NaN outside.
 /// grid : Grid
-///     Its pixels.
+///     The grid of the image.
 /// centre_m : sequence of float
-///     Where the target truly is.
+///     True position of the target.
 /// area_m2, change : float
-///     Its area and its change, in the image's unit.
+///     The target's area, and its change in the image's unit.
 ///
 /// Returns
 /// -------

@@ -1,4 +1,4 @@
-//! Forward models: mesh, electrodes and protocol made ready to solve.
+//! Forward models: mesh, electrodes and protocol, ready to solve.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::arrays::{Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
 use crate::work::{run, run_sized, run_steps};
 
-/// Operations of making a model ready and of factoring it for each element, and of each electrode's field.
+/// Operations for preparing and factoring a model, per element, and for each electrode's field.
 const PER_ELEMENT: f64 = 5000.0;
 const PER_FIELD: f64 = 60.0;
 
@@ -24,7 +24,7 @@ pub fn electrodes_of(body: &ElectrodedMesh) -> Vec<PyElectrode> {
     body.electrodes.iter().map(|electrode| PyElectrode { electrode: electrode.clone() }).collect()
 }
 
-/// Voltages of many conductivities, one a row: in parallel over the rows, on so many threads or all.
+/// Voltages for many conductivities, one per row, computed in parallel on this number of threads or on all.
 pub fn voltages_of_rows<'py>(
     py: Python<'py>,
     sigmas: &Bound<'py, PyAny>,
@@ -62,16 +62,16 @@ pub fn voltages_of_rows<'py>(
     array2(py, voltages, count, channels)
 }
 
-/// Mesh, electrodes and protocol made ready to solve, by the complete electrode model on linear elements.
+/// Mesh, electrodes and protocol, ready to solve with the complete electrode model on linear elements.
 ///
 /// Parameters
 /// ----------
 /// mesh : Mesh
 ///     The mesh.
 /// electrodes : sequence of Electrode
-///     In order.
+///     The electrodes in order.
 /// protocol : Protocol
-///     For as many electrodes.
+///     A protocol for this number of electrodes.
 #[pyclass(frozen, module = "dermis.eit", name = "ForwardModel")]
 pub struct PyForwardModel {
     /// The model.
@@ -92,7 +92,7 @@ impl PyForwardModel {
         Doubles::vector("sigma", sigma, self.elements(), "one conductivity an element")
     }
 
-    /// What follows from the solution at a conductivity.
+    /// Computes something from the solution at a conductivity.
     fn solved<T: Send>(
         &self,
         py: Python<'_>,
@@ -104,7 +104,7 @@ impl PyForwardModel {
         run(py, || read(self.model.solve(sigma)?))
     }
 
-    /// Operations of a solution, about.
+    /// Approximate number of operations for a solution.
     fn operations(&self) -> f64 {
         let fields = self.model.protocol().electrode_count() as f64;
         (PER_ELEMENT + PER_FIELD * fields) * self.elements() as f64
@@ -170,7 +170,7 @@ impl PyForwardModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,): one conductivity an element, positive.
+    ///     Shape (m,): one conductivity per element, positive.
     ///
     /// Returns
     /// -------
@@ -182,14 +182,14 @@ impl PyForwardModel {
         Ok(array1(py, run_sized(py, "voltages", operations, move || Ok(model.voltages(&sigma)?))?))
     }
 
-    /// Voltages of many conductivities, in parallel.
+    /// Voltages for many conductivities, in parallel.
     ///
     /// Parameters
     /// ----------
     /// sigmas : array_like
-    ///     Shape (n, m): a conductivity a row.
+    ///     Shape (n, m): one set of conductivities per row.
     /// threads : int, optional
-    ///     How many; all processors where left out.
+    ///     Number of threads; default: all processors.
     ///
     /// Returns
     /// -------
@@ -211,7 +211,7 @@ impl PyForwardModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,): one conductivity an element, positive.
+    ///     Shape (m,): one conductivity per element, positive.
     ///
     /// Returns
     /// -------
@@ -227,7 +227,7 @@ impl PyForwardModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,): one conductivity an element, positive.
+    ///     Shape (m,): one conductivity per element, positive.
     /// cotangent : array_like
     ///     Shape (k,): weight of every channel.
     ///
@@ -252,14 +252,14 @@ impl PyForwardModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,): one conductivity an element, positive.
+    ///     Shape (m,): one conductivity per element, positive.
     /// stimulation : int
-    ///     Which of the protocol, from 0.
+    ///     Index of the protocol's stimulation, from 0.
     ///
     /// Returns
     /// -------
     /// numpy.ndarray
-    ///     Shape (n,), volts, against the last electrode; NaN at nodes of no element.
+    ///     Shape (n,), volts, relative to the last electrode; NaN at nodes of no element.
     fn node_potentials<'py>(
         &self,
         py: Python<'py>,
@@ -282,14 +282,14 @@ impl PyForwardModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,): one conductivity an element, positive.
+    ///     Shape (m,): one conductivity per element, positive.
     /// stimulation : int
-    ///     Which of the protocol, from 0.
+    ///     Index of the protocol's stimulation, from 0.
     ///
     /// Returns
     /// -------
     /// numpy.ndarray
-    ///     Shape (electrodes,), volts, shifted so that they add to zero.
+    ///     Shape (electrodes,), volts, shifted to sum to zero.
     fn electrode_potentials<'py>(
         &self,
         py: Python<'py>,
@@ -305,12 +305,13 @@ impl PyForwardModel {
     /// Parameters
     /// ----------
     /// sigma : array_like
-    ///     Shape (m,): one conductivity an element, positive.
+    ///     Shape (m,): one conductivity per element, positive.
     ///
     /// Returns
     /// -------
     /// numpy.ndarray
-    ///     Shape (electrodes, electrodes), ohm: potential of the row's electrode against the last for 1 A into the column's.
+    ///     Shape (electrodes, electrodes), ohm: potential of the row's electrode relative to the last one, for 1 A
+    ///     into the column's.
     fn transfer_impedance<'py>(
         &self,
         py: Python<'py>,

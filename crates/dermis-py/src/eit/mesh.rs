@@ -1,4 +1,4 @@
-//! Meshes, electrodes on them, and pixels over them.
+//! Meshes, electrodes on them, and pixel grids over them.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::errors::{Fault, Kind};
 use crate::grid::PyGrid;
 use crate::work::run_sized;
 
-/// Nodes as an array, two columns where all lie in the plane z = 0.
+/// Nodes as an array, with two columns if all lie in the plane z = 0.
 pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let nodes = mesh.nodes();
     let flat = mesh.kind() == CellKind::Triangle && nodes.iter().all(|node| node[2] == 0.0);
@@ -26,20 +26,20 @@ pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyA
     read_only(array2(py, values, mesh.element_count(), mesh.kind().nodes_per_element())?)
 }
 
-/// The caller's numbers of nodes, where some of them belong to no element (points of a drawing, middles of arcs): the
-/// model has no such nodes, and its own numbers are seen nowhere.
+/// Translates between the caller's node numbers and the model's, if some nodes belong to no element (points of a
+/// drawing, centres of arcs). The model has no such nodes, and its own numbers are never exposed.
 #[derive(Clone, Debug)]
 pub struct Numbering {
-    /// All nodes of the caller.
+    /// All nodes given by the caller.
     nodes: Vec<[f64; 3]>,
-    /// The caller's number of each node of the mesh.
+    /// The caller's number for each node of the mesh.
     given: Vec<u32>,
-    /// Number in the mesh of each node of the caller; `u32::MAX` for those of no element.
+    /// The mesh's number for each of the caller's nodes; `u32::MAX` for nodes of no element.
     own: Vec<u32>,
 }
 
 impl Numbering {
-    /// Of so many nodes and these elements; `None` where every node is used.
+    /// The numbering for these nodes and elements; `None` if every node is used.
     fn of(nodes: &[[f64; 3]], elements: &[u32]) -> Option<Self> {
         let mut own = vec![u32::MAX; nodes.len()];
         elements.iter().for_each(|&node| own[node as usize] = 0);
@@ -50,7 +50,7 @@ impl Numbering {
         })
     }
 
-    /// An electrode in the mesh's numbers.
+    /// Converts an electrode to the mesh's numbers.
     pub fn to_mesh(&self, index: usize, electrode: &Electrode) -> Result<Electrode, Fault> {
         let number = |&node: &u32| match self.own.get(node as usize) {
             Some(&own) if own != u32::MAX => Ok(own),
@@ -74,7 +74,7 @@ impl Numbering {
         Ok(Electrode { contact, contact_impedance: electrode.contact_impedance })
     }
 
-    /// An electrode in the caller's numbers.
+    /// Converts an electrode to the caller's numbers.
     pub fn to_caller(&self, electrode: &Electrode) -> Electrode {
         let number = |&node: &u32| self.given[node as usize];
         let contact = match &electrode.contact {
@@ -87,7 +87,7 @@ impl Numbering {
         Electrode { contact, contact_impedance: electrode.contact_impedance }
     }
 
-    /// A value of each node in the caller's numbers, NaN at those of no element.
+    /// Values per node in the caller's numbering, NaN at nodes of no element.
     pub fn values_to_caller(&self, values: &[f64]) -> Vec<f64> {
         self.own.iter().map(|&own| values.get(own as usize).copied().unwrap_or(f64::NAN)).collect()
     }
@@ -95,7 +95,7 @@ impl Numbering {
 
 /// A mesh of triangles or tetrahedra: connected, without folds.
 ///
-/// Nodes keep the numbers that they are given with, also where some of them belong to no element.
+/// Nodes keep the numbers they are given, even if some belong to no element.
 ///
 /// Parameters
 /// ----------
@@ -107,17 +107,17 @@ impl Numbering {
 /// Raises
 /// ------
 /// InputError
-///     A mesh that is none, with the offender.
+///     The mesh is invalid; the message names the fault.
 #[pyclass(frozen, module = "dermis.eit", name = "Mesh")]
 pub struct PyMesh {
     /// The mesh, checked.
     pub mesh: Arc<Mesh>,
-    /// The caller's numbers of nodes, where they are not the mesh's own.
+    /// The caller's node numbers, if they differ from the mesh's own.
     pub numbering: Option<Arc<Numbering>>,
 }
 
 impl PyMesh {
-    /// Node indices in the caller's numbers.
+    /// Converts node indices to the caller's numbers.
     fn given(&self, nodes: impl Iterator<Item = u32>) -> Vec<u32> {
         match &self.numbering {
             Some(numbering) => nodes.map(|node| numbering.given[node as usize]).collect(),
@@ -156,7 +156,7 @@ impl PyMesh {
         Ok(Self { mesh, numbering })
     }
 
-    /// Shape (n, 2) of flat meshes or (n, 3), metres. Read-only.
+    /// Shape (n, 2) for flat meshes, otherwise (n, 3), metres. Read-only.
     #[getter]
     fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let Some(numbering) = &self.numbering else { return nodes_of(py, &self.mesh) };
@@ -179,14 +179,14 @@ impl PyMesh {
         array1(py, self.mesh.measures().to_vec())
     }
 
-    /// Middles of the elements, shape (m, 3), metres.
+    /// Centres of the elements, shape (m, 3), metres.
     #[getter]
     fn centroids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let count = self.mesh.element_count();
         array2(py, (0..count).flat_map(|element| self.mesh.centroid(element)).collect(), count, 3)
     }
 
-    /// Faces of one element only, shape (p, 2) or (p, 3).
+    /// Faces that belong to a single element, shape (p, 2) or (p, 3).
     #[getter]
     fn boundary_faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         let faces = self.mesh.boundary_faces();
@@ -201,12 +201,12 @@ impl PyMesh {
         array2(py, pairs.as_flattened().to_vec(), pairs.len(), 2)
     }
 
-    /// Pixels over the mesh.
+    /// A grid of pixels over the mesh.
     ///
     /// Parameters
     /// ----------
     /// pixels : int
-    ///     Along the longer side, at most 4096.
+    ///     Number of pixels along the longer side, at most 4096.
     #[pyo3(signature = (pixels=64))]
     fn grid(&self, py: Python<'_>, pixels: usize) -> PyResult<PyGrid> {
         if !(1..=MOST_PIXELS).contains(&pixels) {
@@ -239,18 +239,18 @@ impl PyMesh {
 /// An electrode: the part of the mesh that it touches, and its contact impedance.
 #[pyclass(frozen, module = "dermis.eit", name = "Electrode")]
 pub struct PyElectrode {
-    /// As the mesh takes it.
+    /// The electrode in the form that the mesh takes.
     pub electrode: Electrode,
 }
 
-/// Operations of checking a mesh for each of its indices, and of overlaying it with pixels for each pixel and element.
+/// Operations for checking a mesh, per index, and for overlaying it with pixels, per pixel and element.
 const PER_INDEX: f64 = 500.0;
 const PER_PIXEL: f64 = 300.0;
-/// Bytes of a pixel while a mesh is overlaid: coverage, numbers, shares, weights.
+/// Bytes per pixel while a mesh is overlaid: coverage, numbers, shares, weights.
 const PIXEL_BYTES: f64 = 150.0;
-/// Pixels along the longer side of a grid: more would not fit into memory.
+/// Most pixels along the longer side of a grid: more would not fit into memory.
 const MOST_PIXELS: usize = 4096;
-/// Node indices are checked against the mesh that an electrode is put on.
+/// Node indices are checked later, against the mesh that the electrode is put on.
 const ANY: usize = u32::MAX as usize;
 
 fn faces(what: &str, nodes: &Bound<'_, PyAny>, columns: usize) -> PyResult<Vec<Vec<u32>>> {
@@ -263,7 +263,7 @@ fn faces(what: &str, nodes: &Bound<'_, PyAny>, columns: usize) -> PyResult<Vec<V
 
 #[pymethods]
 impl PyElectrode {
-    /// On edges of a flat mesh.
+    /// An electrode on edges of a flat mesh.
     ///
     /// Parameters
     /// ----------
@@ -281,7 +281,7 @@ impl PyElectrode {
         Ok(Self { electrode: Electrode { contact, contact_impedance } })
     }
 
-    /// On faces of a solid.
+    /// An electrode on faces of a solid.
     ///
     /// Parameters
     /// ----------
@@ -321,7 +321,7 @@ impl PyElectrode {
         Ok(Self { electrode: Electrode { contact: Contact::Area(list), contact_impedance } })
     }
 
-    /// A node, without contact impedance.
+    /// An electrode at a node, without contact impedance.
     #[staticmethod]
     fn point(node: u32) -> Self {
         Self { electrode: Electrode { contact: Contact::Point(node), contact_impedance: 0.0 } }
@@ -338,7 +338,7 @@ impl PyElectrode {
         }
     }
 
-    /// Nodes of its edges, shape (p, 2), or faces, shape (p, 3); its elements, shape (p,), or its node, shape (1,).
+    /// Nodes of its edges, shape (p, 2), or faces, shape (p, 3); its elements, shape (p,); or its node, shape (1,).
     #[getter]
     fn parts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         Ok(match &self.electrode.contact {
@@ -351,7 +351,7 @@ impl PyElectrode {
         })
     }
 
-    /// Contact impedance: ohm.m on edges, ohm.m^2 on faces and elements, 0 of a point.
+    /// Contact impedance: ohm.m on edges, ohm.m^2 on faces and elements, 0 for a point.
     #[getter]
     fn contact_impedance(&self) -> f64 {
         self.electrode.contact_impedance

@@ -12,11 +12,11 @@ use crate::arrays::{Doubles, array1, array2, shape_text};
 use crate::errors::{Fault, Kind};
 use crate::work::run_sized;
 
-/// What is known of an image beforehand.
+/// Prior knowledge of an image.
 #[pyclass(frozen, module = "dermis.eit", name = "Prior")]
 pub struct PyPrior {
     prior: Prior,
-    /// Mixtures in mixtures.
+    /// Nesting depth of mixtures.
     depth: usize,
 }
 
@@ -28,7 +28,7 @@ impl PyPrior {
         Self { prior: Prior::Identity, depth: 0 }
     }
 
-    /// Twice the graph Laplacian over shared faces, as EIDORS has it.
+    /// Twice the graph Laplacian over shared faces, as in EIDORS.
     #[staticmethod]
     fn laplace() -> Self {
         Self { prior: Prior::Laplace, depth: 0 }
@@ -41,7 +41,7 @@ impl PyPrior {
         Self { prior: Prior::Noser { exponent }, depth: 0 }
     }
 
-    /// Covariance exp(-d^2 / (2 l^2)) of elements a distance d apart, with l in metres.
+    /// Covariance exp(-d^2 / (2 l^2)) of elements at distance d, with l in metres.
     #[staticmethod]
     fn gaussian(correlation_length_m: f64) -> Self {
         Self { prior: Prior::Gaussian { correlation_length_m }, depth: 0 }
@@ -54,7 +54,7 @@ impl PyPrior {
     /// correlation_length_m : float
     ///     The length l, metres.
     /// exponent : float
-    ///     How far: 0 is none.
+    ///     Strength of the balancing; 0 is none.
     ///
     /// Returns
     /// -------
@@ -65,7 +65,7 @@ impl PyPrior {
         Self { prior: Prior::GaussianNoser { correlation_length_m, exponent }, depth: 0 }
     }
 
-    /// A weighted sum: pairs of weight and prior.
+    /// A weighted sum, given as pairs of weight and prior.
     #[staticmethod]
     fn mixture(parts: Vec<(f64, Bound<'_, PyPrior>)>) -> PyResult<Self> {
         let depth = 1 + parts.iter().map(|(_, prior)| prior.get().depth).max().unwrap_or(0);
@@ -115,7 +115,7 @@ fn rule_of(value: &Bound<'_, PyAny>, signal: Option<&Bound<'_, PyAny>>) -> PyRes
     }
 }
 
-/// One-step inverse ``x = (J'WJ + lambda^2 R)^-1 J'W dv``; called with differences, shape (k,) or (n, k), it gives
+/// One-step inverse ``x = (J'WJ + lambda^2 R)^-1 J'W dv``. Called with differences, shape (k,) or (n, k), it returns
 /// changes, shape (m,) or (n, m).
 ///
 /// Parameters
@@ -125,14 +125,14 @@ fn rule_of(value: &Bound<'_, PyAny>, signal: Option<&Bound<'_, PyAny>>) -> PyRes
 /// prior : Prior
 ///     R.
 /// hyperparameter : float, str or tuple
-///     The number lambda, which enters squared, or a rule: ``"l-curve"``, ``"gcv"``, ``("relative", factor)``, ``("noise-figure",
-///     target)``, ``("known-noise", factor)``.
+///     The number lambda, which enters squared, or a rule: ``"l-curve"``, ``"gcv"``, ``("relative", factor)``,
+///     ``("noise-figure", target)``, ``("known-noise", factor)``.
 /// mesh : Mesh, optional
-///     The elements, for priors that know neighbours or distances.
+///     The elements, for priors that use neighbours or distances.
 /// noise : array_like, optional
-///     Standard deviations, shape (k,), or a covariance, shape (k, k): W is its inverse.
+///     Standard deviations, shape (k,), or a covariance, shape (k, k); W is its inverse.
 /// data : array_like, optional
-///     Difference data that rules look at, shape (n, k).
+///     Difference data for the rules, shape (n, k).
 /// signal : array_like, optional
 ///     Difference data of a small target, for the noise figure, shape (k,).
 #[pyclass(frozen, module = "dermis.eit", name = "Operator")]
@@ -141,18 +141,18 @@ pub struct PyOperator {
     operator: Arc<Operator>,
 }
 
-/// Deviations of the channels' noise, or its covariance.
+/// Standard deviations of the channels' noise, or its covariance.
 enum Noise {
     None,
     Deviations(Vec<f64>),
     Covariance(Vec<f64>),
 }
 
-/// Matrices of channels x unknowns, and of the smaller of both squared, that are in memory at once.
+/// Matrices of channels x unknowns, and square matrices of the smaller dimension, in memory at once.
 const MATRICES: f64 = 6.0;
 const SYSTEMS: f64 = 4.0;
 
-/// Numbers of a prior between all unknowns, and operations of making it.
+/// Numbers stored for a prior over all unknowns, and operations for computing it.
 fn prior_numbers(prior: &Prior, unknowns: f64) -> f64 {
     match prior {
         Prior::Identity | Prior::Noser { .. } | Prior::Laplace => 20.0 * unknowns,
@@ -174,7 +174,7 @@ impl PyOperator {
         self.operator.matrix.ncols()
     }
 
-    /// Approximate operations of one solution.
+    /// Approximate number of operations for one solution.
     fn operations(&self) -> f64 {
         let (rows, columns) = (self.operator.matrix.nrows() as f64, self.operator.matrix.ncols() as f64);
         4.0 * rows * columns * rows.min(columns)
@@ -268,7 +268,7 @@ impl PyOperator {
         self.operator.hyperparameter
     }
 
-    /// Shape (elements, channels).
+    /// The matrix, shape (elements, channels).
     #[getter]
     fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let matrix: &Mat<f64> = &self.operator.matrix;
@@ -280,13 +280,13 @@ impl PyOperator {
         array2(py, values, rows, columns)
     }
 
-    /// Deviation of every unknown caused by the noise, shape (elements,).
+    /// Standard deviation of every unknown due to the noise, shape (elements,).
     #[getter]
     fn noise_deviation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         array1(py, self.operator.noise_deviation.clone())
     }
 
-    /// Deviation of every unknown given the data, shape (elements,).
+    /// Posterior standard deviation of every unknown, shape (elements,).
     fn posterior_deviation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let (lambda, problem) = (self.operator.hyperparameter, Arc::clone(&self.problem));
         let operations = self.operations();
@@ -294,14 +294,14 @@ impl PyOperator {
         Ok(array1(py, run_sized(py, "deviations", operations, work)?))
     }
 
-    /// The same problem at another hyperparameter.
+    /// The same problem with another hyperparameter.
     ///
     /// Parameters
     /// ----------
     /// hyperparameter : float, str or tuple
     ///     A number or a rule.
     /// data : array_like, optional
-    ///     Shape (n, k): difference data that rules look at.
+    ///     Shape (n, k): difference data for the rules.
     /// signal : array_like, optional
     ///     Shape (k,): difference data of a small target, for the noise figure.
     ///

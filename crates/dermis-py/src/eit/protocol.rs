@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use crate::arrays::{Doubles, array1, array2, indices, shape_text};
 use crate::errors::Fault;
 
-/// Patterns as rows over the electrodes.
+/// Patterns as dense rows over the electrodes.
 pub fn dense_patterns<'py, 'a>(
     py: Python<'py>,
     electrodes: usize,
@@ -25,9 +25,9 @@ pub fn dense_patterns<'py, 'a>(
     array2(py, values, rows, electrodes)
 }
 
-/// Electrodes of every channel, from 0, in the order of a skin file: the drive's first and second (current goes in at
-/// the second), the measured first and second (the reading is the first's potential less the second's). -1 where a
-/// pattern has no such electrode, or more than one.
+/// Electrodes of every channel, from 0, in the order of a skin file: the drive's first and second (current enters at
+/// the second), and the measured first and second (the reading is the first's potential minus the second's). -1 if a
+/// pattern has no such electrode, or several.
 pub fn channels_of<'py>(py: Python<'py>, protocol: &Protocol) -> PyResult<Bound<'py, PyArray2<i32>>> {
     let only = |pattern: &Pattern, sign: f64| {
         let mut found = pattern.entries().iter().filter(|entry| sign * entry.1 > 0.0);
@@ -49,9 +49,9 @@ pub fn channels_of<'py>(py: Python<'py>, protocol: &Protocol) -> PyResult<Bound<
 /// Parameters
 /// ----------
 /// stimulations : array_like
-///     Shape (s, electrodes), amperes into the body; rows add to zero.
+///     Shape (s, electrodes), amperes into the body; each row sums to zero.
 /// measurements : array_like
-///     Shape (k, electrodes): weights of the potentials that are read.
+///     Shape (k, electrodes): weights of the potentials in each reading.
 /// stimulation_of : array_like
 ///     Shape (k,): the stimulation of every channel, from 0.
 #[pyclass(frozen, module = "dermis.eit", name = "Protocol")]
@@ -108,7 +108,7 @@ fn measure_of(value: &Bound<'_, PyAny>, electrodes: usize) -> PyResult<Measure> 
     }
 }
 
-/// Channels go with the square of the electrodes: more would not fit into memory.
+/// The number of channels grows with the square of the electrodes: more would not fit into memory.
 const MOST_ELECTRODES: usize = 512;
 
 #[pymethods]
@@ -129,21 +129,21 @@ impl PyProtocol {
         Ok(Self { protocol: Protocol::from_rows(&stimulations, &measurements, &of).map_err(Fault::from)? })
     }
 
-    /// A protocol by the field's names.
+    /// A protocol by its common name.
     ///
     /// Parameters
     /// ----------
     /// electrodes : int
-    ///     How many.
+    ///     Number of electrodes.
     /// drive, measure : str or array_like, optional
     ///     ``adjacent``, ``opposite``, ``pseudo-polar``, ``skip-N``; drives also ``trigonometric``, measurements also
     ///     ``single-ended`` (against the mean) and ``single-ended-sink``; or pairs, shape (n, 2), from 0.
     /// rotating : bool
-    ///     Measurements begin at the drive's own electrode.
+    ///     Start the measurements at the drive's own electrode.
     /// keep_driven : bool
-    ///     Channels on driven electrodes are measured.
+    ///     Include channels with driven electrodes.
     /// amplitude_a : float
-    ///     Amperes.
+    ///     Current, amperes.
     #[staticmethod]
     #[pyo3(signature = (electrodes, drive=None, measure=None, *, rotating=false, keep_driven=false, amplitude_a=1e-3))]
     fn generate(
@@ -176,11 +176,11 @@ impl PyProtocol {
     /// Parameters
     /// ----------
     /// electrodes : int
-    ///     How many.
+    ///     Number of electrodes.
     /// rotating : bool
-    ///     Whether measurements begin at the driven electrodes in place of the first.
+    ///     Start the measurements at the driven electrodes instead of the first.
     /// keep_driven : bool
-    ///     Whether pairs with a driven electrode are measured too.
+    ///     Include pairs with a driven electrode.
     /// amplitude_a : float
     ///     Current, amperes.
     ///
@@ -193,13 +193,13 @@ impl PyProtocol {
         Self::generate(electrodes, None, None, rotating, keep_driven, amplitude_a)
     }
 
-    /// Electrodes.
+    /// Number of electrodes.
     #[getter]
     fn electrode_count(&self) -> usize {
         self.protocol.electrode_count()
     }
 
-    /// Channels.
+    /// Number of channels.
     #[getter]
     fn channel_count(&self) -> usize {
         self.protocol.channel_count()
@@ -224,13 +224,13 @@ impl PyProtocol {
         array1(py, self.protocol.measurements().iter().map(|measurement| measurement.stimulation).collect())
     }
 
-    /// Electrodes of every channel, shape (k, 4), as :attr:`dermis.Model.channels`.
+    /// Electrodes of every channel, shape (k, 4), as in :attr:`dermis.Model.channels`.
     #[getter]
     fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         channels_of(py, &self.protocol)
     }
 
-    /// A label of every channel, electrodes from 1.
+    /// A label for every channel, with electrodes counted from 1.
     #[getter]
     fn labels(&self) -> Vec<String> {
         (0..self.protocol.channel_count()).map(|channel| self.protocol.channel_label(channel)).collect()

@@ -1,4 +1,4 @@
-//! Messages that hold an array of numbers: `std_msgs/msg/Float64MultiArray` and its kin, as CDR.
+//! Messages that hold an array of numbers: `std_msgs/msg/Float64MultiArray` and its relatives, as CDR.
 
 use crate::cdr::CdrReader;
 
@@ -11,11 +11,11 @@ pub(super) struct ArrayKind {
 }
 
 impl ArrayKind {
-    /// The types, in words.
+    /// The accepted types, in words.
     pub(super) const EXPECTED: &'static str =
         "std_msgs/msg/Float64MultiArray, Float32MultiArray, or an Int or UInt MultiArray";
 
-    /// Of a message type, as ROS 1 or ROS 2 writes it.
+    /// The kind for a message type, in the spelling of ROS 1 or ROS 2.
     pub(super) fn of(kind: &str) -> Option<Self> {
         let name = kind.strip_prefix("std_msgs/msg/").or_else(|| kind.strip_prefix("std_msgs/"))?;
         let number = name.strip_suffix("MultiArray")?;
@@ -36,7 +36,7 @@ impl ArrayKind {
         })
     }
 
-    /// The numbers of a message; none if it is malformed. `layout` (dimensions and an offset) stands before them.
+    /// The numbers in a message; `None` if it is malformed. They follow `layout` (dimensions and an offset).
     pub(super) fn read(self, message: &[u8]) -> Option<Vec<f64>> {
         let mut cdr = CdrReader::new(message)?;
         for _ in 0..cdr.length(12)? {

@@ -1,4 +1,4 @@
-//! Messages of an MCAP file, in the order in which they stand in it.
+//! Messages of an MCAP file, in file order.
 
 use std::collections::BTreeMap;
 use std::io::{BufReader, Read};
@@ -12,7 +12,7 @@ use super::Collector;
 use crate::Error;
 use crate::scan::MOST_BYTES;
 
-/// Hands every message to the collector. What is cut off or damaged ends the file, and is noted.
+/// Hands every message to the collector. Reading stops at damage or at a truncated end, which is noted.
 pub(super) fn read(file: &Path, collector: &mut Collector, notes: &mut Vec<String>) -> Result<(), Error> {
     let mut input = BufReader::new(open_regular(file).map_err(Error::io(file))?);
     let options = LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(MOST_BYTES);
@@ -42,7 +42,7 @@ pub(super) fn read(file: &Path, collector: &mut Collector, notes: &mut Vec<Strin
             (_, Ok(Record::Schema { header, .. })) => drop(schemas.insert(header.id, header.name)),
             (_, Ok(Record::Channel(channel))) => {
                 let kind = schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                // Arrays in another encoding are not read as CDR.
+                // Arrays in another encoding must not be read as CDR.
                 let is_cdr = channel.message_encoding == "cdr";
                 let kind = if is_cdr { kind } else { format!("{kind} as {}", channel.message_encoding) };
                 collector.topic(&channel.topic, &kind);

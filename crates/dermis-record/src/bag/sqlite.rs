@@ -7,7 +7,7 @@ use rusqlite::{Connection, OpenFlags};
 use super::Collector;
 use crate::Error;
 
-/// Hands every message to the collector, by time.
+/// Hands every message to the collector, ordered by time.
 pub(super) fn read(file: &Path, collector: &mut Collector) -> Result<(), Error> {
     let failed = |error: rusqlite::Error| Error::Content {
         file: file.to_owned(),

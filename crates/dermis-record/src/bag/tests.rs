@@ -12,13 +12,13 @@ use dermis_device::FileSpec;
 /// A `Float64MultiArray` without dimensions.
 fn message(values: &[f64]) -> Vec<u8> {
     let mut bytes = vec![0, 1, 0, 0];
-    // No dimensions, no offset, and the count; the numbers stand at a multiple of eight behind the first four bytes.
+    // No dimensions, no offset, and the count. The numbers are aligned to eight bytes, counted after the first four.
     bytes.extend([0_u32, 0, values.len() as u32, 0].into_iter().flat_map(u32::to_le_bytes));
     bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
     bytes
 }
 
-/// An MCAP file of frames `[n, 10 n]` at 50 frames/s, and of a topic beside.
+/// An MCAP file of frames `[n, 10 n]` at 50 frames/s, with a second topic.
 fn file(options: WriteOptions, numbers: std::ops::Range<u64>) -> Vec<u8> {
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
     let schema = writer.add_schema("std_msgs/msg/Float64MultiArray", "ros2msg", b"float64[] data").unwrap();
@@ -54,7 +54,7 @@ fn a_split_bag_is_read_in_the_order_of_its_metadata_and_of_time() {
     assert!((table.times_s().unwrap()[4] - 0.08).abs() < 1e-9);
     assert_eq!(table.wall_ns().unwrap()[1], 1_700_000_000_020_000_000);
     assert!(table.understood().contains("/eit/voltages"), "{}", table.understood());
-    // A file of it is missing.
+    // One of its files is missing.
     fs::remove_file(folder.path().join("a.mcap")).unwrap();
     assert!(read_frames(&spec, None).unwrap_err().to_string().contains("a.mcap"));
 }

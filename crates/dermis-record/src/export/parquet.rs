@@ -1,7 +1,7 @@
-//! Apache Parquet, as little of it as a table of numbers and words needs: plain encoding, no compression, one page for
-//! each column of a row group (<https://github.com/apache/parquet-format>; the records are Thrift's compact protocol,
-//! <https://github.com/apache/thrift/blob/master/doc/specs/thrift-compact-protocol.md>). The crate `parquet` and those
-//! it needs would take longer to compile than the rest of recordings together.
+//! The subset of Apache Parquet that a table of numbers and words needs: plain encoding, no compression, one page for
+//! each column of a row group (<https://github.com/apache/parquet-format>; records use Thrift's compact protocol,
+//! <https://github.com/apache/thrift/blob/master/doc/specs/thrift-compact-protocol.md>). The crate `parquet` and its
+//! dependencies would take longer to compile than the rest of this crate.
 
 use std::io::{self, Write};
 
@@ -9,10 +9,10 @@ use super::rows::{Cell, Column, Kind, RowWriter};
 
 const MAGIC: &[u8] = b"PAR1";
 
-/// A row group is written when its columns come to so many bytes.
+/// Size of the columns, in bytes, at which a row group is written.
 const GROUP_BYTES: usize = 16 << 20;
 
-/// Numbers of Parquet's enumerations.
+/// Values of Parquet's enumerations.
 mod code {
     pub(super) const INT64: i64 = 2;
     pub(super) const DOUBLE: i64 = 5;
@@ -27,16 +27,16 @@ mod code {
     pub(super) const DATA_PAGE: i64 = 0;
 }
 
-/// One column of the row group at hand.
+/// One column of the current row group.
 #[derive(Default)]
 struct Chunk {
-    /// Values that are there, in plain encoding.
+    /// Present values, in plain encoding.
     values: Vec<u8>,
-    /// For columns with absent values: which are there.
+    /// For columns with absent values: a flag for each row.
     present: Vec<bool>,
 }
 
-/// Where a column of a finished row group stands in the file.
+/// Position of a column of a finished row group in the file.
 struct Place {
     offset: u64,
     bytes: u64,
@@ -120,7 +120,8 @@ impl<W: Write> RowWriter for ParquetWriter<'_, W> {
     }
 }
 
-/// Definition levels of 0 and 1: their length, then runs of equal ones, each a count times two and the level.
+/// Definition levels of 0 and 1: their length in bytes, then runs of equal levels, each as twice the count and the
+/// level.
 fn levels(present: &[bool]) -> Vec<u8> {
     let mut runs = Vec::new();
     for run in present.chunk_by(|a, b| a == b) {
@@ -216,7 +217,7 @@ const BINARY: u8 = 8;
 const LIST: u8 = 9;
 const STRUCT: u8 = 12;
 
-/// A Thrift structure, whose fields are given in the order of their numbers.
+/// A Thrift structure, whose fields must be given in the order of their numbers.
 #[derive(Default)]
 struct Struct {
     bytes: Vec<u8>,
@@ -225,7 +226,7 @@ struct Struct {
 
 impl Struct {
     fn field(&mut self, number: u8, kind: u8) {
-        // No two numbers here are more than 15 apart.
+        // Field numbers here are never more than 15 apart.
         self.bytes.push((number - self.last_field) << 4 | kind);
         self.last_field = number;
     }

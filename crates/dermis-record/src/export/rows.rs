@@ -1,9 +1,9 @@
-//! Rows of typed cells, and the writer that makes CSV of them (RFC 4180: a cell with a comma, a quote or a line end
-//! stands in quotes, and quotes in it are doubled).
+//! Rows of typed cells, and the writer that turns them into CSV (RFC 4180: a cell with a comma, a quote or a line end
+//! is quoted, and quotes in it are doubled).
 
 use std::io::{self, Write};
 
-/// What a column holds.
+/// Type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Count,
@@ -27,12 +27,12 @@ pub(super) enum Cell {
     Text(String),
 }
 
-/// Takes the rows of a table.
+/// Receives the rows of a table.
 pub(super) trait RowWriter {
-    /// Takes a row of as many cells as columns.
+    /// Takes a row with one cell per column.
     fn row(&mut self, cells: &[Cell]) -> io::Result<()>;
 
-    /// Writes what is left.
+    /// Writes whatever is left.
     fn finish(&mut self) -> io::Result<()>;
 }
 

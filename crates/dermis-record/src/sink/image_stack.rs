@@ -1,5 +1,5 @@
-//! Images as one NumPy array: frames x rows x columns in single precision, streamed to disk so that a long run needs no
-//! memory. The header, whose length does not depend on the number of frames, is written again at the end.
+//! Images as one NumPy array, frames x rows x columns in single precision, streamed to disk so that memory doesn't
+//! grow with the run. The header, whose length doesn't depend on the number of frames, is rewritten at the end.
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use dermis_live::output::Output;
 
 /// Writes an `.npy` file of shape (frames, rows, columns), little-endian `f4`, NaN outside the skin.
 ///
-/// The target must be able to seek: a file, not a pipe.
+/// The target must be seekable: a file, not a pipe.
 #[derive(Debug)]
 pub struct ImageStack {
     path: PathBuf,
@@ -22,16 +22,16 @@ pub struct ImageStack {
     rows: usize,
     columns: usize,
     header_bytes: u64,
-    /// One image's bytes, kept.
+    /// The bytes of one image; reused.
     bytes: Vec<u8>,
     summary: Summary,
 }
 
 impl ImageStack {
-    /// Starts a stack of images of `rows` x `columns` that will stand at `path` once finished.
+    /// Starts a stack of images of `rows` x `columns`, which appears at `path` once finished.
     ///
     /// # Errors
-    /// [`Error::Io`] when no file can be made beside `path` or it cannot seek.
+    /// [`Error::Io`] if no file can be created next to `path`, or if it isn't seekable.
     pub fn create(path: &Path, rows: usize, columns: usize) -> Result<Self, Error> {
         let mut file = StagedFile::create(path)?;
         npy::write_header::<f32>(&mut file, &[0, rows, columns]).map_err(Error::io(path))?;

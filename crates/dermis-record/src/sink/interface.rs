@@ -1,12 +1,12 @@
-//! What every sink is: something that takes one [`Output`] a frame, and touches in the units that files and streams
-//! show.
+//! The interface of every sink, which takes one [`Output`] per frame, and touches in the units used by files and
+//! streams.
 
 use dermis_live::output::Output;
 use dermis_touch::{LoadQuantity, PlaceHypothesis, Touch, TouchLoad};
 
 use crate::Error;
 
-/// What a sink has taken.
+/// Totals of a sink.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Frames accepted.
@@ -15,26 +15,26 @@ pub struct Summary {
     pub written: u64,
 }
 
-/// Something that results are given to, frame by frame.
+/// A receiver of results, frame by frame.
 pub trait Sink: Send {
-    /// Takes one frame's results.
+    /// Takes the results of one frame.
     ///
     /// # Errors
-    /// When they could not be written; the sink is then of no further use.
+    /// The results could not be written; the sink must not be used any more.
     fn accept(&mut self, output: &Output<'_>) -> Result<(), Error>;
 
-    /// Writes what is left and puts files under their final names. Further calls change nothing.
+    /// Writes whatever is left and gives files their final names. Further calls have no effect.
     ///
     /// # Errors
-    /// When that fails; no file stands under its final name then, unless one stood there before.
+    /// If this fails, no file has been put under its final name; a file that was there before stays.
     fn finish(&mut self) -> Result<Summary, Error>;
 }
 
-/// One millimetre in metres, and its square, for the edges.
+/// Conversion from metres to millimetres, and from square metres, for output.
 const MM_PER_M: f64 = 1e3;
 const MM2_PER_M2: f64 = 1e6;
 
-/// A touch as files and streams show it.
+/// A touch as written to files and streams.
 pub(super) struct TouchRow {
     pub(super) x_mm: f64,
     pub(super) y_mm: f64,
@@ -74,10 +74,10 @@ pub(super) fn load_numbers(load: &TouchLoad) -> [f64; 2] {
     [unit * load.value, unit * load.sigma]
 }
 
-/// Names of another place and its probability in tables and lines.
+/// Names of an alternative position and its probability in tables and lines.
 pub(super) const OTHER_NAMES: [&str; 3] = ["other_x_mm", "other_y_mm", "other_probability"];
 
-/// Another place and its probability in the units of [`OTHER_NAMES`].
+/// An alternative position and its probability in the units of [`OTHER_NAMES`].
 pub(super) fn other_numbers(other: PlaceHypothesis) -> [f64; 3] {
     let [x_m, y_m] = other.position_m;
     [MM_PER_M * x_m, MM_PER_M * y_m, other.probability]

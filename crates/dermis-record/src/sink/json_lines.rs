@@ -1,4 +1,4 @@
-//! One JSON object a line and frame, for pipes and logs.
+//! One JSON object per line and frame, for pipes and logs.
 
 mod damage;
 mod number;
@@ -17,25 +17,25 @@ use dermis_live::clock::FrameAnomalies;
 use dermis_live::output::Output;
 use number::{Number, push_since};
 
-/// Which frames get a line.
+/// Selects the frames that get a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LinesFor {
     /// Every frame.
     EveryFrame,
-    /// Frames with a touch, in which one ended, or in which something happened to a damage.
+    /// Frames with a touch, in which one ended, or with a damage event.
     Touches,
 }
 
-/// Fields added to the objects of a line. Every method appends `,"name":value`, or nothing.
+/// Fields to add to the objects of a line. Every method appends `,"name":value`, or nothing.
 pub trait LineExtras {
-    /// At the end of the line's object.
+    /// Appends fields to the line's object.
     fn line(&self, _line: &mut String) {}
 
-    /// At the end of a touch's object.
+    /// Appends fields to a touch's object.
     fn touch(&self, _line: &mut String, _touch: &Touch) {}
 }
 
-/// Nothing is added.
+/// Adds nothing.
 struct Plain;
 
 impl LineExtras for Plain {}
@@ -43,26 +43,34 @@ impl LineExtras for Plain {}
 /// Writes lines such as
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}],"clocks":{...}}`.
 ///
-/// `time_s` is the host's monotonic clock from the start of the process. `clocks` has the same frame on the clocks that
-/// others can read, nanoseconds: `wall_ns` since 1970-01-01 UTC, `monotonic_ns` on the system's monotonic clock
-/// (`CLOCK_MONOTONIC`), both at the frame's first byte, and `device_ns` on the device's own, or null. A touch has `id`,
-/// `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`, `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and,
-/// where a force is known, `force_n` and `force_range` (`within`; `below`, `above` or `saturated`, where `force_n` is the
-/// end of the range; `none`; `law`: by the law of the layer, with `sigma_force_n`) and, where the forward
-/// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
-/// or `poke_force_n` and `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is
-/// `health` too: `frame` (`kind`: `frozen`, `saturated`, `flipped`, `out-of-range` or `blank`; `since_s`) where the frames are
-/// wrong as a whole, and with it `"touches_known": false`, since an empty list then says nothing of the skin, and
-/// touches that end do so as `"known": false`; `left_out`, the number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted`
-/// `with` another, `since_s`) and `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from
-/// 1; where a frame's number or time is odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s`
-/// ([`FrameAnomalies`]). Where there is damage, or something to tell of it, there is `damage`: `list` (`id`, `state`,
-/// `x_mm`, `y_mm`, `length_mm`, `width_mm`, `direction_deg`, `depth`, `share` that is left, `significance`, `since_s`,
-/// `confirmed_s`, and `sigma_mm`: of x, y and length, where a model was fitted), `events` (`id`, `event`), the number
-/// of `baselines` so far and which of them is the `intact` one (from 1), and a `proposal` of a new one (`reason`,
-/// `since_s`, `offset_sigma`); its times are those of the pipeline's clock. Numbers have as many digits as it takes to
-/// read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory that is
-/// kept: nothing is allocated once the longest line has been seen.
+/// `time_s` is the host's monotonic clock from the start of the process. `clocks` gives the same frame on clocks that
+/// other programs can read, in nanoseconds: `wall_ns` since 1970-01-01 UTC and `monotonic_ns` on the system's
+/// monotonic clock (`CLOCK_MONOTONIC`), both at the frame's first byte, and `device_ns` on the device's own clock, or
+/// null.
+///
+/// A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`, `amplitude`, `area_mm2`, `sigma_x_mm`
+/// and `sigma_y_mm`. If a force is known, it has `force_n` and `force_range` (`within`; `below`, `above` or
+/// `saturated`, in which case `force_n` is the end of the range; `none`; `law`: from the layer's law, with
+/// `sigma_force_n`). If the forward model placed it, it has the fitted `radius_mm`. If a calibration by pokes reads
+/// them, it has `depth_mm` and `sigma_depth_mm`, or `poke_force_n` and `sigma_poke_force_n`. Values that are not
+/// finite are `null`.
+///
+/// `health` is present if something is broken. `frame` (`kind`: `frozen`, `saturated`, `flipped`, `out-of-range` or
+/// `blank`; `since_s`) means that the frames are wrong as a whole. It comes with `"touches_known": false`, since an
+/// empty list then says nothing about the skin, and touches that end at that point have `"known": false`. `left_out`
+/// is the number of channels left out, `electrodes` lists faulty electrodes (`electrode`, `kind`: `lost` or `shorted`
+/// `with` another, `since_s`), and `channels` lists channels with faults of their own (`channel`, `kind`, `since_s`),
+/// all counted from 1. If a frame's number or time is odd, there is `marks`: `lost_before`, `renumbered`,
+/// `clock_jump_s` ([`FrameAnomalies`]).
+///
+/// `damage` is present if there is damage or news of it. It has `list` (`id`, `state`, `x_mm`, `y_mm`, `length_mm`,
+/// `width_mm`, `direction_deg`, `depth`, the remaining `share`, `significance`, `since_s`, `confirmed_s`, and, if a
+/// model was fitted, `sigma_mm` of x, y and length), `events` (`id`, `event`), the number of `baselines` so far and
+/// which of them is the `intact` one (from 1), and a `proposal` of a new baseline (`reason`, `since_s`,
+/// `offset_sigma`). Its times are on the pipeline's clock.
+///
+/// Numbers have as many digits as it takes to read them back exactly. Every line is flushed, so that a reader sees it
+/// at once. The line is built in reused memory: nothing is allocated once the longest line has been written.
 #[derive(Debug)]
 pub struct JsonLines<W> {
     out: W,
@@ -73,24 +81,24 @@ pub struct JsonLines<W> {
 }
 
 impl<W: Write + Send> JsonLines<W> {
-    /// Writes to `out`, which messages call `name`.
+    /// Writes to `out`, which is called `name` in messages.
     pub fn new(out: W, name: impl Into<PathBuf>, lines_for: LinesFor) -> Self {
         Self { out, name: name.into(), lines_for, line: String::with_capacity(1024), summary: Summary::default() }
     }
 }
 
 impl<W> JsonLines<W> {
-    /// What is written to.
+    /// The output.
     pub fn get_mut(&mut self) -> &mut W {
         &mut self.out
     }
 }
 
 impl<W: Write + Send> JsonLines<W> {
-    /// As [`Sink::accept`], with what `extras` adds.
+    /// Like [`Sink::accept`], with the additions of `extras`.
     ///
     /// # Errors
-    /// As [`Sink::accept`].
+    /// As for [`Sink::accept`].
     pub fn accept_with(&mut self, output: &Output<'_>, extras: &dyn LineExtras) -> Result<(), Error> {
         self.summary.frames += 1;
         let quiet = output.damage.events.is_empty();
@@ -129,7 +137,7 @@ fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
     events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch)
 }
 
-/// Appends the object for one frame, without the brace that closes it: its touches, then those that ended in it.
+/// Appends the object for one frame, without its closing brace: its touches, then those that ended in it.
 fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
     let Output { sequence, time_ns, touches, events, .. } = *output;
     let is_known = output.health.frame.is_none();
@@ -160,8 +168,8 @@ fn push_clocks(text: &mut String, output: &Output<'_>) {
     };
 }
 
-/// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in
-/// the count.
+/// Appends any faults. Electrodes and channels count from 1; channels that belong to a faulty electrode appear only
+/// in the total.
 fn push_health(text: &mut String, health: Health<'_>) {
     if health.is_sound() {
         return;
@@ -194,7 +202,7 @@ fn push_health(text: &mut String, health: Health<'_>) {
     text.push_str("]}");
 }
 
-/// What is odd about the frame's number or time, if anything is.
+/// Appends any oddities of the frame's number or time.
 fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
     if anomalies.is_none() {
         return;
@@ -207,7 +215,7 @@ fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
     );
 }
 
-/// Appends a touch's object, without the brace that closes it.
+/// Appends a touch's object, without its closing brace.
 fn push_touch(text: &mut String, touch: &Touch, is_known: bool) {
     let phase = match touch.phase {
         TouchPhase::Begin => "begin",

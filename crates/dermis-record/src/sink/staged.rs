@@ -1,5 +1,5 @@
-//! A file that is filled over time and takes its final name only when it is whole: for writers that cannot produce
-//! their content in one go, as [`dermis_device::write_atomic`] has it.
+//! A file that is filled over time and takes its final name only when complete. For writers that cannot produce their
+//! content in one go, as [`dermis_device::write_atomic`] requires.
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
@@ -11,13 +11,13 @@ use dermis_device::Place;
 
 use crate::Error;
 
-/// A file under construction beside its final name. Dropped before [`StagedFile::finish`], it disappears.
+/// A file under construction next to its final name. It disappears if dropped before [`StagedFile::finish`].
 ///
-/// Links are followed. A target that exists and is no regular file (a pipe, a terminal) is written directly.
+/// Links are followed. A target that exists and isn't a regular file (a pipe, a terminal) is written directly.
 #[derive(Debug)]
 pub(crate) struct StagedFile {
     out: BufWriter<File>,
-    /// None when the target is written directly.
+    /// `None` if the target is written directly.
     temporary: Option<PathBuf>,
     place: Place,
 }
@@ -36,19 +36,19 @@ impl StagedFile {
         Ok(Self { out: BufWriter::new(file), temporary, place })
     }
 
-    /// Synchronises the content to disk and gives it its name.
+    /// Syncs the content to disk and gives it its name.
     pub(crate) fn finish(mut self) -> Result<(), Error> {
         self.settle().map_err(Error::io(self.place.path().to_owned()))
     }
 
-    /// The same where the file is no longer to be had by value.
+    /// Like `finish`, without consuming the file.
     pub(crate) fn settle(&mut self) -> io::Result<()> {
         self.out.flush()?;
         if self.temporary.is_none() {
             return Ok(());
         }
         self.out.get_ref().sync_all()?;
-        // A finished file is kept even where its name was taken meanwhile.
+        // A finished file is kept even if its name was taken meanwhile.
         let Some(temporary) = self.temporary.take() else { return Ok(()) };
         self.place.put(&temporary)?;
         sync_directory(self.place.path());
@@ -99,7 +99,7 @@ fn create_beside(target: &Path) -> io::Result<(PathBuf, File)> {
     }
 }
 
-/// Makes a rename durable where directories can be synchronised; elsewhere the system does what it does.
+/// Makes a rename durable on systems where directories can be synced; elsewhere it does nothing.
 pub(crate) fn sync_directory(path: &Path) {
     if let Some(Ok(directory)) = path.parent().map(File::open) {
         let _ = directory.sync_all();

@@ -1,4 +1,4 @@
-//! Touches as a table: CSV with one row for every touch in every frame.
+//! Touches as a CSV table, with one row for every touch in every frame.
 
 use std::fmt::Write as _;
 use std::io::Write;
@@ -10,23 +10,23 @@ use crate::Error;
 use dermis_live::output::Output;
 use dermis_touch::{LoadQuantity, Touch};
 
-/// The table's head.
+/// Header of the table.
 const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm";
-/// What a force adds.
+/// Columns added for forces.
 const FORCES: &str = ",force_n,force_range,sigma_force_n";
-/// What a calibration without labels adds, which may not know where a touch is.
+/// Columns added for a calibration without labels, which may leave a position ambiguous.
 const OTHER_PLACES: &str = ",other_x_mm,other_y_mm,other_probability";
 
-/// What a table of touches has beside places and amplitudes.
+/// Columns of a table of touches in addition to positions and amplitudes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TouchColumns {
-    /// `force_n,force_range,sigma_force_n`, as [`super::JsonLines`] has them.
+    /// `force_n,force_range,sigma_force_n`, as in [`super::JsonLines`].
     pub forces: bool,
-    /// What a calibration by pokes reads: `depth_mm,sigma_depth_mm` or `poke_force_n,sigma_poke_force_n`, NaN for a
-    /// touch without.
+    /// The load read by a calibration by pokes: `depth_mm,sigma_depth_mm` or `poke_force_n,sigma_poke_force_n`, NaN
+    /// for a touch without one.
     pub load: Option<LoadQuantity>,
-    /// `other_x_mm,other_y_mm,other_probability`: where else a touch may be, and the probability that it is there
-    /// instead; NaN, NaN and 0 for a touch without.
+    /// `other_x_mm,other_y_mm,other_probability`: an alternative position, and the probability that the touch is
+    /// there instead; NaN, NaN and 0 for a touch without one.
     pub other_places: bool,
 }
 
@@ -61,10 +61,10 @@ impl TouchColumns {
 
 /// Writes `frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm` and [`TouchColumns`].
 ///
-/// `frame` counts accepted frames from 0, so that it is the index into an [`super::ImageStack`] of the same run
-/// whatever the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not
-/// filtered), sigmas the square roots of their covariance's diagonal. Numbers have as many digits as it takes to read
-/// them back exactly; `NaN` and `inf` are written as such.
+/// `frame` counts accepted frames from 0, so it is the index into an [`super::ImageStack`] of the same run, whatever
+/// the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not
+/// filtered), and sigmas are the square roots of their covariance's diagonal. Numbers have as many digits as it takes
+/// to read them back exactly; `NaN` and `inf` are written as such.
 #[derive(Debug)]
 pub struct TouchTable {
     path: PathBuf,
@@ -74,10 +74,10 @@ pub struct TouchTable {
 }
 
 impl TouchTable {
-    /// Starts a table that will stand at `path` once finished.
+    /// Starts a table, which appears at `path` once finished.
     ///
     /// # Errors
-    /// [`Error::Io`] when no file can be made beside `path`.
+    /// [`Error::Io`] if no file can be created next to `path`.
     pub fn create(path: &Path, columns: TouchColumns) -> Result<Self, Error> {
         let mut file = StagedFile::create(path)?;
         writeln!(file, "{}", columns.head()).map_err(Error::io(path))?;
@@ -106,7 +106,7 @@ impl Sink for TouchTable {
     }
 }
 
-/// A frame that comes after the end.
+/// The error for a frame that comes after the end.
 pub(super) fn finished(path: &Path) -> Error {
     let reason = "came after the file was finished".to_owned();
     Error::Content { file: path.to_owned(), field: "frame".to_owned(), reason }

@@ -1,4 +1,4 @@
-//! Where the electrodes of a skin are: generators of rims, rings and grids, and lists.
+//! Positions of a skin's electrodes: rims, rings, grids and explicit lists.
 
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, square_to_disc};
 use schemars::JsonSchema;
@@ -8,66 +8,67 @@ use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::pair::Pair;
 
-/// More electrodes than any multiplexer has are a typing error.
+/// Maximum number of electrodes. No multiplexer has more, so a larger number is a typing error.
 const MOST_ELECTRODES: usize = 1024;
-/// Electrodes that are given by place may be so far from the rim, as a share of the skin's longer side.
+/// Maximum distance of a rim electrode given by position from the rim, as a share of the skin's longer side.
 const FARTHEST: f64 = 0.05;
 
-/// Electrodes of a skin; numbered from 1 in the order that the generator says.
+/// Electrodes of a skin, numbered from 1 in the order of the generator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Electrodes {
-    /// Evenly round the rim of a disc (or any outline, by arc length).
+    /// Evenly spaced along the rim of a disc, or of any outline by arc length.
     Rim {
-        /// How many.
+        /// Number of electrodes.
         count: usize,
-        /// Length of each along the rim.
+        /// Length of each electrode along the rim.
         width_mm: f64,
-        /// Angle of the middle of electrode 1, counter-clockwise from +x. On other outlines than discs: its place along
-        /// the rim in terms of a full turn, from the first vertex (of a rectangle: bottom left) counter-clockwise.
-        /// Default: half the distance of two electrodes.
+        /// Angle of the middle of electrode 1, counter-clockwise from +x. On outlines other than discs: its position
+        /// along the rim, where 360 is the whole rim, counter-clockwise from the first vertex (bottom left for a
+        /// rectangle). Default: half the distance between two electrodes.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         start_deg: Option<f64>,
-        /// Numbered clockwise seen from the toucher.
+        /// True to number clockwise, seen from outside.
         #[serde(default)]
         clockwise: bool,
     },
-    /// Square pads under the sheet in a rectangular ring round its middle, `per_side + 1` to a side counting both
+    /// Square pads under the sheet in a rectangular ring around its middle, `per_side + 1` per side including both
     /// corners, counter-clockwise from the bottom left corner.
     RimPads {
-        /// Intervals a side, one number or [along x, along y].
+        /// Intervals per side, one number or [along x, along y].
         per_side: Pair<usize>,
         /// Distance between neighbouring centres, one number or [along x, along y].
         pitch_mm: Pair<f64>,
         /// Side of a pad.
         size_mm: f64,
     },
-    /// Listed electrodes on the rim.
+    /// Explicit list of electrodes on the rim.
     RimList(Vec<RimElectrode>),
-    /// Electrodes on the rim by place: each is put at the rim's nearest point. `dermis skins show` says how far that is.
+    /// Electrodes on the rim given by position. Each moves to the nearest point of the rim; `dermis skins show`
+    /// prints the distance.
     RimPlaces {
-        /// [x, y] of each.
+        /// Position [x, y] of each electrode.
         places_mm: Vec<[f64; 2]>,
-        /// Length of each along the rim.
+        /// Length of each electrode along the rim.
         width_mm: f64,
     },
-    /// Round pads under the sheet all over it: in the middles of an even division of a square or rectangle into rows
-    /// and columns, on a disc at their image under the equal-area concentric map; row by row to and fro from the bottom
-    /// left, so that neighbours in number are neighbours in place.
+    /// Round pads under the whole sheet. On a square or rectangle, at the centres of evenly divided rows and columns;
+    /// on a disc, at their images under the equal-area concentric map. Rows alternate in direction from the bottom
+    /// left, so that pads with neighbouring numbers are neighbours.
     PadGrid {
-        /// Pads in a row and rows, one number or [in a row, rows].
+        /// Pads per row and number of rows; one number or [per row, rows].
         per_side: Pair<usize>,
         /// Diameter of a pad.
         diameter_mm: f64,
     },
-    /// Round pads under the sheet on circles round its middle, the innermost first, each counter-clockwise.
+    /// Round pads under the sheet on concentric circles, innermost first, each numbered counter-clockwise.
     PadRings {
         /// The circles.
         rings: Vec<PadRing>,
         /// Diameter of a pad.
         diameter_mm: f64,
     },
-    /// Listed pads.
+    /// Explicit list of pads.
     Pads(Vec<Pad>),
 }
 
@@ -87,11 +88,11 @@ impl Electrodes {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PadRing {
-    /// How many.
+    /// Number of pads.
     pub count: usize,
     /// Radius of the circle.
     pub radius_mm: f64,
-    /// Angle of the first, counter-clockwise from +x.
+    /// Angle of the first pad, counter-clockwise from +x.
     #[serde(default)]
     pub start_deg: f64,
 }
@@ -100,8 +101,8 @@ pub struct PadRing {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RimElectrode {
-    /// Angle of its middle, counter-clockwise from +x (on other outlines than discs: position along the rim in terms of
-    /// a full turn).
+    /// Angle of its middle, counter-clockwise from +x. On outlines other than discs: position along the rim, where
+    /// 360 is the whole rim.
     pub at_deg: f64,
     /// Length along the rim.
     pub width_mm: f64,
@@ -129,13 +130,13 @@ pub enum Pad {
     },
     /// A single node.
     Point {
-        /// Where.
+        /// Position of the node.
         at_mm: [f64; 2],
     },
 }
 
 impl Electrodes {
-    /// How many there are.
+    /// Number of electrodes.
     pub fn count(&self) -> usize {
         match self {
             Self::Rim { count, .. } => *count,
@@ -154,7 +155,7 @@ impl Electrodes {
         }
     }
 
-    /// Their shapes on an outline, metres, in order.
+    /// Electrode shapes on an outline, metres, in order.
     pub fn shapes(&self, outline: &Outline) -> Vec<ElectrodeShape> {
         let circle =
             |diameter_mm: f64| move |centre_m| ElectrodeShape::PadCircle { centre_m, radius_m: 0.5 * diameter_mm * MM };
@@ -219,7 +220,8 @@ impl Electrodes {
         }
     }
 
-    /// How far each electrode of [`Electrodes::RimPlaces`] was moved to the rim, millimetres; nothing for others.
+    /// Distance that each electrode of [`Electrodes::RimPlaces`] was moved to reach the rim, millimetres; empty for
+    /// other kinds.
     pub fn moved_mm(&self, outline: &Outline) -> Vec<f64> {
         let Self::RimPlaces { places_mm, .. } = self else { return Vec::new() };
         places_mm.iter().map(|place| outline.nearest_rim(place.map(|x| x * MM)).1 / MM).collect()
@@ -311,7 +313,7 @@ impl Pad {
     }
 }
 
-/// Places of [`Electrodes::PadGrid`], metres.
+/// Pad positions of [`Electrodes::PadGrid`], metres.
 fn pad_grid(outline: &Outline, [columns, rows]: [usize; 2]) -> Vec<[f64; 2]> {
     let (low, high) = outline.bounds_m();
     let unit = |k: usize, of: usize| (2.0 * k as f64 + 1.0) / of as f64 - 1.0;

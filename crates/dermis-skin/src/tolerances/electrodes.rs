@@ -1,18 +1,19 @@
-//! Electrodes where a workshop puts them. None leaves the sheet, and none comes nearer to a neighbour than a fifth of
-//! the gap that was drawn: whoever builds a skin sees that.
+//! Places electrodes with workshop errors. Every electrode stays on the sheet and keeps at least a fifth of the drawn
+//! gap to its neighbours, since the builder would notice anything worse.
 
 use dermis_tomo::mesh::{ElectrodeShape, Outline, to_segment};
 
 use super::Dice;
 
-/// Share of a gap that is left at least.
+/// Minimum share of a gap to keep.
 const LEAST_GAP: f64 = 0.2;
-/// Draws before an electrode is put where it belongs.
+/// Attempts before an electrode is put at its nominal place.
 const DRAWS: usize = 20;
-/// Pads drawn at the rim end there unless they are off by this share of their width: no sheet is seen beyond them.
+/// A pad drawn up to the rim still ends there, unless it is off by more than this share of its width. Any less, and
+/// no sheet shows beyond it.
 const AT_RIM: f64 = 0.05;
 
-/// Electrodes with errors of these deviations, metres and relative.
+/// Electrodes with errors of these standard deviations, in metres and relative.
 pub fn built_electrodes(
     outline: &Outline,
     drawn: &[ElectrodeShape],
@@ -76,7 +77,7 @@ fn moved(outline: &Outline, shape: &ElectrodeShape, [along, up]: [f64; 2], facto
     }
 }
 
-/// Place along the rim and half the width of an electrode on it.
+/// Position along the rim and half-width of an electrode on it.
 fn on_rim(outline: &Outline, shape: &ElectrodeShape) -> Option<(f64, f64)> {
     match *shape {
         ElectrodeShape::RimArc { centre_rad, width_m } => {
@@ -88,7 +89,7 @@ fn on_rim(outline: &Outline, shape: &ElectrodeShape) -> Option<(f64, f64)> {
     }
 }
 
-/// Middle and half the extent of a pad, both along x and y.
+/// Centre of a pad, and half its extent along x and y.
 fn pad_box(shape: &ElectrodeShape) -> Option<([f64; 2], [f64; 2])> {
     match *shape {
         ElectrodeShape::PadCircle { centre_m, radius_m } => Some((centre_m, [radius_m; 2])),
@@ -102,7 +103,7 @@ fn pad_box(shape: &ElectrodeShape) -> Option<([f64; 2], [f64; 2])> {
     }
 }
 
-/// Sheet between two electrodes, metres; below 0 where they overlap.
+/// Width of sheet between two electrodes, metres; negative if they overlap.
 fn gap(outline: &Outline, a: &ElectrodeShape, b: &ElectrodeShape) -> f64 {
     if let (Some((s, half)), Some((t, other))) = (on_rim(outline, a), on_rim(outline, b)) {
         let perimeter = outline.perimeter_m();
@@ -118,7 +119,7 @@ fn gap(outline: &Outline, a: &ElectrodeShape, b: &ElectrodeShape) -> f64 {
     }
 }
 
-/// Sheet between a pad and the rim, metres; below 0 where it is over the rim.
+/// Width of sheet between a pad and the rim, metres; negative if it crosses the rim.
 fn clearance(outline: &Outline, shape: &ElectrodeShape) -> f64 {
     let Some((centre, half)) = pad_box(shape) else { return f64::INFINITY };
     if let ElectrodeShape::PadCircle { radius_m, .. } = shape {
@@ -131,7 +132,7 @@ fn clearance(outline: &Outline, shape: &ElectrodeShape) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Distance from the nearest rim, holes included, metres; below 0 off the sheet.
+/// Distance to the nearest rim, including holes, metres; negative off the sheet.
 fn to_rim(outline: &Outline, p: [f64; 2]) -> f64 {
     match outline {
         Outline::Disc { radius_m } => radius_m - p[0].hypot(p[1]),

@@ -1,8 +1,8 @@
-//! Are the channels in the order that the protocol says? A measured baseline is compared with the model's voltages in
-//! the stated order and in the orders that instruments are known to confuse it with.
+//! Diagnoses the channel order. A measured baseline is compared with the model's voltages in the stated order and in
+//! the orders that instruments are known to confuse it with.
 //!
-//! A body with rotational symmetry cannot tell a rotated *body* from its baseline; what is found here are rotated,
-//! reversed or resorted *lists*, and flipped signs.
+//! The baseline of a rotationally symmetric body cannot reveal a rotated *body*. This finds rotated, reversed or
+//! re-sorted *lists*, and flipped signs.
 
 use super::protocol::Protocol;
 
@@ -17,7 +17,7 @@ pub struct ChannelMap {
 }
 
 impl ChannelMap {
-    /// Puts a frame in the file's order into the protocol's order.
+    /// Reorders a frame from the file's order to the protocol's order.
     pub fn to_protocol(&self, frame: &[f64]) -> Vec<f64> {
         let mut ordered = vec![f64::NAN; frame.len()];
         for (value, &channel) in frame.iter().zip(&self.source) {
@@ -27,14 +27,14 @@ impl ChannelMap {
     }
 }
 
-/// One hypothesis about the order, and how well it fits.
+/// A hypothesis about the order and how well it fits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OrderFit {
-    /// In words, for a message to the user.
+    /// Description for the user.
     pub description: String,
     /// Pearson correlation with the model under this hypothesis.
     pub correlation: f64,
-    /// The rearrangement that it stands for.
+    /// The rearrangement.
     pub map: ChannelMap,
 }
 
@@ -47,14 +47,13 @@ pub struct OrderReport {
     pub better: Option<OrderFit>,
 }
 
-/// How much better a less simple hypothesis must fit to be preferred.
+/// Minimum gain in correlation for a more complex hypothesis to be preferred.
 const MARGIN: f64 = 0.05;
-/// Correlation below which a hypothesis does not fit: among all those tried the best one of shuffled channels reaches a
-/// half.
+/// Minimum correlation of an acceptable hypothesis. With shuffled channels, the best of all hypotheses reaches 0.5.
 const LEAST: f64 = 0.8;
 
-/// Compares measured baseline voltages with the model's, both in channels of `protocol`; `NaN` channels are left out.
-/// With `magnitudes`, absolute values are compared and the sign is not examined.
+/// Compares measured baseline voltages with the model's, both in channels of `protocol`. `NaN` channels are left out.
+/// With `magnitudes`, absolute values are compared and the sign is not checked.
 pub fn diagnose_order(protocol: &Protocol, model: &[f64], measured: &[f64], magnitudes: bool) -> OrderReport {
     let prepare = |values: &[f64]| -> Vec<f64> {
         values.iter().map(|value| if magnitudes { value.abs() } else { *value }).collect()
@@ -80,7 +79,7 @@ pub fn diagnose_order(protocol: &Protocol, model: &[f64], measured: &[f64], magn
     OrderReport { correlation: stated, better: best.filter(|fit| fit.correlation >= LEAST) }
 }
 
-/// Pearson correlation over the positions where both values are finite; 0 where either does not vary.
+/// Pearson correlation over the positions where both values are finite; 0 if either is constant.
 pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let pairs: Vec<(f64, f64)> =
         a.iter().zip(b).map(|(x, y)| (*x, *y)).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
@@ -92,10 +91,10 @@ pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
 }
 
-/// What the channels of a drive are sorted by.
+/// Sort key for the channels of one drive.
 type SortKey = fn(&Protocol, u32) -> i64;
 
-/// From simple to involved, so that of equally good ones the simplest wins. The first is the stated order itself.
+/// Ordered from simple to complex, so that the simplest of equally good ones wins. The first is the stated order.
 fn hypotheses(protocol: &Protocol) -> Vec<(String, Vec<u32>)> {
     let groups = channels_by_stimulation(protocol);
     let mut list = Vec::new();
@@ -153,22 +152,22 @@ fn count(protocol: &Protocol) -> i64 {
     protocol.electrode_count() as i64
 }
 
-/// The electrode that a pattern starts from: the positive one of a measuring pair.
+/// First electrode of a pattern: the positive one of a measuring pair.
 fn first_electrode(protocol: &Protocol, channel: u32) -> i64 {
     let entries = protocol.pattern_of(channel as usize).entries();
     entries.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |entry| entry.0 as i64)
 }
 
-/// The electrode that a drive pair starts from: the sink.
+/// First electrode of a drive pair: the sink.
 fn drive_electrode(protocol: &Protocol, channel: u32) -> i64 {
     let entries = protocol.stimulation_of(channel as usize).entries();
     entries.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |entry| entry.0 as i64)
 }
 
 impl Protocol {
-    /// For each channel its reciprocal one, in which drive and measurement are swapped, and the factor that its voltage
-    /// is to be multiplied with to be equal (the ratio of the drive amplitudes, with sign); `None` where it is not
-    /// measured. Geselowitz (1971): transfer impedances do not change when drive and measurement are swapped.
+    /// The reciprocal of each channel, with drive and measurement swapped, and the factor that makes its voltage
+    /// equal (the ratio of the drive amplitudes, with sign); `None` if it is not measured. Geselowitz (1971):
+    /// transfer impedances do not change when drive and measurement are swapped.
     pub fn reciprocal_channels(&self) -> Vec<Option<(u32, f64)>> {
         let first = |pattern: &super::Pattern| pattern.entries().first().map_or(1.0, |entry| entry.1);
         let known: std::collections::HashMap<_, u32> = (0..self.channel_count())
@@ -185,9 +184,9 @@ impl Protocol {
             .collect()
     }
 
-    /// For each channel of `file` the channel of this protocol that reads the same, and the factor between the two (-1
-    /// where drive or reading is the other way round). Reciprocal channels read the same. `None` unless each channel of
-    /// one is a channel of the other.
+    /// For each channel of `file`, the channel of this protocol with the same reading, and the factor between the two
+    /// (-1 if drive or reading is reversed). Reciprocal channels have the same reading. `None` unless the channels of
+    /// the two protocols match one to one.
     pub fn same_channels(&self, file: &Self) -> Option<(Vec<u32>, Vec<f64>)> {
         if self.channel_count() != file.channel_count() {
             return None;
@@ -199,7 +198,7 @@ impl Protocol {
             known.entry((drive, read)).or_default().push((channel as u32, a * b));
         }
         let (mut source, mut signs) = (vec![u32::MAX; file.channel_count()], vec![1.0; file.channel_count()]);
-        // Channels as they are first; what is left may be there the other way round.
+        // Match channels as they are first; the rest may match with drive and measurement swapped.
         for reciprocal in [false, true] {
             for channel in 0..file.channel_count() {
                 if source[channel] != u32::MAX {
@@ -216,8 +215,8 @@ impl Protocol {
         source.iter().all(|own| *own != u32::MAX).then_some((source, signs))
     }
 
-    /// The channels as seen after renaming electrode `k` to `relabel[k]`: channel `i` becomes channel `source[i]` times
-    /// `sign[i]`, if the renamed protocol consists of the same channels. Symmetries of a skin are such renamings.
+    /// The channels after renaming electrode `k` to `relabel[k]`: channel `i` becomes channel `source[i]` times
+    /// `sign[i]`, if the renamed protocol has the same channels. Symmetries of a skin are such renamings.
     pub fn relabelled(&self, relabel: &[u32]) -> Option<(Vec<u32>, Vec<f64>)> {
         let rename = |pattern: &super::Pattern| {
             super::Pattern::new(pattern.entries().iter().map(|&(e, w)| (relabel[e as usize], w)).collect())
@@ -245,7 +244,7 @@ impl Protocol {
     }
 }
 
-/// A pattern in units of its first weight, so that opposite ones look alike, and the sign that was taken out.
+/// A pattern divided by its first weight, so that opposite patterns look alike, and the sign of that weight.
 fn unsigned(pattern: &super::Pattern) -> (Vec<(u32, i64)>, f64) {
     let first = pattern.entries().first().map_or(1.0, |entry| entry.1);
     let rounded = pattern.entries().iter().map(|&(e, w)| (e, (w / first * 1e9).round() as i64)).collect();
@@ -269,7 +268,7 @@ mod tests {
         Protocol::generate(&spec).unwrap()
     }
 
-    /// The field of a current dipole on the rim of a half-plane, good enough to look like a tank.
+    /// The field of a current dipole on the rim of a half-plane, a sufficient imitation of a tank.
     fn voltages(protocol: &Protocol) -> Vec<f64> {
         let position = |e: u32| (std::f64::consts::TAU * e as f64 / 16.0).sin_cos();
         let green = |a: u32, b: u32| {
@@ -317,7 +316,7 @@ mod tests {
     fn shuffled_channels_fit_nothing() {
         let absolute = protocol(Order::Absolute);
         let model = voltages(&absolute);
-        // 101 and 208 have no common divisor.
+        // 101 and 208 are coprime.
         let shuffled: Vec<f64> = (0..208).map(|k| model[k * 101 % 208]).collect();
         let report = diagnose_order(&absolute, &model, &shuffled, false);
         assert!(report.correlation < 0.5 && report.better.is_none(), "{report:?}");

@@ -1,15 +1,15 @@
-//! The readout circuit around a skin: every line of a real instrument that is connected to an electrode leaks current
-//! to the instrument's ground, and what is read may be no plain difference of two electrodes. With `G` the admittance
-//! matrix of the skin between its electrodes and `Y` the diagonal of the lines' admittances to ground, the electrode
-//! potentials of a channel solve `(G + Y) V = s`, and its reading is `v = r . V`.
+//! The readout circuit around a skin. Every line that connects a real instrument to an electrode leaks current to the
+//! instrument's ground, and a reading may not be a plain difference between two electrodes. With `G` the admittance
+//! matrix of the skin between its electrodes and `Y` the diagonal matrix of the lines' admittances to ground, the
+//! electrode potentials of a channel solve `(G + Y) V = s`, and its reading is `v = r . V`.
 //!
 //! Sensitivity: `dv = -r' A^-1 dG A^-1 s` with `A = G + Y`. Let `V = A^-1 s` and `W = A^-1 r` (`A` is symmetric). At
 //! fixed electrode potentials the dissipated power is stationary in the interior field, so
-//! `V' dG W = int dsigma grad u_V . grad u_W` with `u_V` the field between electrodes at potentials `V`, which is the
-//! field of the electrode currents `I = G V`; likewise `K = G W`. Hence
+//! `V' dG W = int dsigma grad u_V . grad u_W`. Here `u_V` is the field between electrodes at potentials `V`, which is
+//! the field of the electrode currents `I = G V`; the same holds for `W` and `K = G W`. Hence
 //! `dv/dsigma = -int grad u_I . grad u_K`: the usual adjoint Jacobian with the *effective* stimulation `I` and the
-//! *effective* measuring pattern `K` in place of the nominal pairs. Both add to zero over the electrodes because the
-//! rows of `G` do, so they make an ordinary [`Protocol`].
+//! *effective* measuring pattern `K` instead of the nominal pairs. Both sum to zero over the electrodes because the
+//! rows of `G` do, so they form an ordinary [`Protocol`].
 
 use std::collections::HashMap;
 
@@ -22,7 +22,7 @@ use super::protocol::{Pattern, Protocol};
 /// One value for each of the three lines that a channel connects besides the source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lines {
-    /// The electrode that is named to take the current back (negative in the stimulation).
+    /// The electrode that takes the current back (negative in the stimulation).
     pub sink: f64,
     /// The electrode read with positive sign.
     pub plus: f64,
@@ -30,7 +30,7 @@ pub struct Lines {
     pub minus: f64,
 }
 
-/// Where the current of the source returns to the instrument.
+/// Return path of the source current to the instrument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CurrentReturn {
     /// Through the loads alone: the source works against ground, and the sink is a loaded line like the others.
@@ -39,38 +39,39 @@ pub enum CurrentReturn {
     Sink,
 }
 
-/// What an instrument does to a channel: loads on its lines and the combination of potentials that it reads.
+/// Effect of an instrument on a channel: loads on its lines, and the combination of potentials that it reads.
 ///
-/// Admittances are relative to the skin's sheet conductance (conductivity times thickness, S), because only their ratio
-/// matters for relative changes.
+/// Admittances are relative to the skin's sheet conductance (conductivity times thickness, S), because only their
+/// ratio matters for relative changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadoutCircuit {
     /// Admittance to ground of the connected lines, relative. Lines on one electrode add.
     pub load: Lines,
-    /// Admittance to ground of every other electrode, that of the source included, relative.
+    /// Admittance to ground of every other electrode, including the source, relative.
     pub idle: f64,
     /// Weights of the potentials in the reading, per unit weight of the channel's measuring pair.
     pub reading: Lines,
-    /// Where the current goes.
+    /// Return path of the current.
     pub current_return: CurrentReturn,
 }
 
-/// Readings of a circuit, and the protocol whose Jacobian is theirs.
+/// Readings of a circuit, and the protocol with the same Jacobian.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CircuitResponse {
-    /// One reading a channel, volts, signed.
+    /// One signed reading per channel, volts.
     pub voltages: Vec<f64>,
-    /// Effective stimulations (A) and measuring patterns, one channel for one. Its *Jacobian* is `d voltages / d sigma`
-    /// at the conductivity of the solution; its voltages are not the readings, which hold a part through the loads.
+    /// Effective stimulations (A) and measuring patterns, one pair per channel. Its *Jacobian* is
+    /// `d voltages / d sigma` at the conductivity of the solution. Its voltages differ from the readings, which
+    /// include a contribution of the loads.
     pub effective: Protocol,
 }
 
 impl ReadoutCircuit {
-    /// Effective circuit of the OpenEIT-derived board of the gelatin skin of Hardman, Thuruthel and Iida
-    /// (DSHardman/HydrogelEIT): the source works against ground, sink and both measuring lines load the skin alike, and
-    /// the negative electrode is read against the mean of the other two lines. Loads were found from the median score
-    /// of [`SelfCalibration`](crate::inverse::SelfCalibration) and baselines; the result is flat in both (a factor of
-    /// two either way costs about 1 mm).
+    /// Effective circuit of the OpenEIT-derived board of the gelatin skin by Hardman, Thuruthel and Iida
+    /// (DSHardman/HydrogelEIT). The source works against ground, sink and both measuring lines load the skin equally,
+    /// and the negative electrode is read against the mean of the other two lines. The loads were chosen by the
+    /// median score of [`SelfCalibration`](crate::inverse::SelfCalibration) and by baselines; the result is
+    /// insensitive to both (a factor of two either way costs about 1 mm).
     pub const HYDROGEL_BOARD: Self = Self {
         load: Lines { sink: 0.47, plus: 0.47, minus: 0.47 },
         idle: 0.15,
@@ -78,9 +79,9 @@ impl ReadoutCircuit {
         current_return: CurrentReturn::Ground,
     };
 
-    /// A differential reading of balanced currents with the same relative load on every line. As `load` goes to zero
-    /// this becomes the plain model of [`Solution::voltages`]. With [`CurrentReturn::Ground`] it would not: the current
-    /// then leaves through all loads in their proportion, however small they are.
+    /// A differential reading of balanced currents with the same relative load on every line. For `load` going to
+    /// zero it becomes the plain model of [`Solution::voltages`]. It would not with [`CurrentReturn::Ground`]: the
+    /// current then leaves through all loads in proportion, however small they are.
     pub fn differential(load: f64) -> Self {
         Self {
             load: Lines { sink: load, plus: load, minus: load },
@@ -90,13 +91,13 @@ impl ReadoutCircuit {
         }
     }
 
-    /// Readings and effective protocol of a solved skin. `sheet_conductance_s` turns the relative admittances into
-    /// siemens (the homogeneous conductivity given to the solver of a sheet; conductivity times thickness for a slab).
-    /// In each stimulation the positive electrode is the source.
+    /// Readings and effective protocol of a solved skin. `sheet_conductance_s` converts the relative admittances to
+    /// siemens (the homogeneous conductivity given to the solver of a sheet; conductivity times thickness for a
+    /// slab). The positive electrode of each stimulation is the source.
     ///
     /// # Errors
-    /// Channels that are not a driven pair and a read pair, values that are negative or not finite, no load at all, or
-    /// electrodes that share a node.
+    /// Channels that are not a driven pair and a read pair, values that are negative or not finite, no load at all,
+    /// or electrodes that share a node.
     pub fn response(&self, solution: &Solution<'_>, sheet_conductance_s: f64) -> Result<CircuitResponse, EitError> {
         self.validate(sheet_conductance_s)?;
         let protocol = solution.model().protocol();
@@ -116,14 +117,15 @@ impl ReadoutCircuit {
             channels.push((solved.reading, stimulation));
             voltages.push(solved.voltage);
         }
-        // Patterns made of an admittance matrix are balanced and finite.
+        // Patterns computed from an admittance matrix are balanced and finite.
         let effective = Protocol::from_patterns(protocol.electrode_count(), stimulations, channels)
             .map_err(|_| CircuitError::Impedance)?;
         Ok(CircuitResponse { voltages, effective })
     }
 
-    /// Readings of a protocol's channels, volts, signed, on a skin of these transfer impedances between its electrodes
-    /// ([`Solution::transfer_impedance`]), however they were found; otherwise as [`ReadoutCircuit::response`].
+    /// Readings of a protocol's channels, volts, signed, for a skin with these transfer impedances between its
+    /// electrodes ([`Solution::transfer_impedance`]), whatever their origin; otherwise as
+    /// [`ReadoutCircuit::response`].
     ///
     /// # Errors
     /// As [`ReadoutCircuit::response`].
@@ -172,7 +174,7 @@ impl ReadoutCircuit {
         Ok(())
     }
 
-    /// `None` where `G + Y` is singular.
+    /// `None` if `G + Y` is singular.
     fn solve(&self, lines: &Connection, admittance: &Mat<f64>, conductance: f64) -> Option<SolvedChannel> {
         let count = admittance.nrows();
         let connected = [(lines.sink, self.load.sink), (lines.plus, self.load.plus), (lines.minus, self.load.minus)];
@@ -187,7 +189,7 @@ impl ReadoutCircuit {
             loaded[(electrode, electrode)] += load;
             to_ground += load;
         }
-        // Rounding may leave the skin's own, singular matrix barely positive definite.
+        // Rounding may make the skin's own singular matrix look positive definite.
         if to_ground == 0.0 {
             return None;
         }
@@ -221,7 +223,7 @@ struct Connection {
     sink: usize,
     plus: usize,
     minus: usize,
-    /// Amperes.
+    /// Current, amperes.
     current: f64,
     weight: f64,
 }
@@ -239,7 +241,7 @@ impl Connection {
     }
 }
 
-/// Positive electrode, negative electrode and weight of the first.
+/// Positive electrode, negative electrode, and weight of the positive one.
 fn pair(what: &'static str, channel: usize, pattern: &Pattern) -> Result<(usize, usize, f64), CircuitError> {
     match *pattern.entries() {
         [(a, first), (b, second)] if first * second < 0.0 && (first + second).abs() <= 1e-9 * first.abs() => {
@@ -250,7 +252,7 @@ fn pair(what: &'static str, channel: usize, pattern: &Pattern) -> Result<(usize,
     }
 }
 
-/// `G`, electrodes x electrodes in siemens: currents into the skin for given electrode potentials. Its rows add to
+/// `G`, electrodes x electrodes in siemens: currents into the skin for given electrode potentials. Its rows sum to
 /// zero.
 fn electrode_admittance(impedance: MatRef<'_, f64>) -> Result<Mat<f64>, CircuitError> {
     let last = impedance.nrows() - 1;
@@ -284,7 +286,7 @@ mod tests {
         body_with(1e-3)
     }
 
-    /// Opposite drives, all pairs of other neighbours.
+    /// Opposite drives, each with all neighbouring pairs of undriven electrodes.
     fn protocol() -> Protocol {
         let count = ELECTRODES as u32;
         let mut channels = Vec::new();
@@ -300,7 +302,7 @@ mod tests {
         Protocol::from_patterns(ELECTRODES, stimulations, channels).unwrap()
     }
 
-    /// Conductivity that varies by a factor of three.
+    /// A conductivity that varies by a factor of three.
     fn conductivity(body: &ElectrodedMesh) -> Vec<f64> {
         let at = |element: usize| body.mesh.centroid(element);
         (0..body.mesh.element_count()).map(|e| 0.02 * (1.0 + 0.5 * (60.0 * at(e)[0] - 40.0 * at(e)[1]).sin())).collect()
@@ -349,11 +351,11 @@ mod tests {
             (deviation(ReadoutCircuit::differential(1e-4)), deviation(ReadoutCircuit::differential(1e-6)));
         // First order in the load.
         assert!(little < 1e-5 && (some / little - 100.0).abs() < 1.0, "{some:e} {little:e}");
-        // A source against ground stays far from it however small the loads are: the current returns through all of
-        // them.
+        // A source against ground stays far from the plain model even with tiny loads: the current returns through
+        // all of them.
         let grounded = ReadoutCircuit { current_return: CurrentReturn::Ground, ..ReadoutCircuit::differential(1e-6) };
         assert!(deviation(grounded) > 0.1);
-        // Unless one line is as good as ground: a grounded sink is the plain model again.
+        // Unless one line is practically ground: a grounded sink gives the plain model again.
         let load = Lines { sink: 1e7, plus: 1e-7, minus: 1e-7 };
         assert!(deviation(ReadoutCircuit { load, idle: 1e-7, ..grounded }) < 1e-5);
     }

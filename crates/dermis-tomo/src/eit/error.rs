@@ -1,41 +1,41 @@
-//! Why a forward problem, or the readout circuit around it, does not work.
+//! Errors of a forward problem and of the readout circuit around it.
 
 use thiserror::Error;
 
 use crate::sparse::SparseError;
 
-/// Why a circuit does not fit a protocol or a skin.
+/// Reasons why a circuit does not fit a protocol or a skin.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum CircuitError {
-    /// A channel that is no pair of electrodes driven and a pair read.
+    /// A channel that is not a driven pair and a read pair.
     #[error(
         "channel {channel}: its {what} has {entries} electrodes adding to {sum:e}; expected two of opposite weight"
     )]
     NotAPair {
-        /// Which channel.
+        /// Channel index.
         channel: usize,
         /// `stimulation` or `measuring pattern`.
         what: &'static str,
-        /// Electrodes with a weight.
+        /// Number of electrodes with a weight.
         entries: usize,
         /// Sum of the weights.
         sum: f64,
     },
-    /// A value that no circuit has.
+    /// A value that is not valid for a circuit.
     #[error("{field}: {value} is not {expected}")]
     Value {
-        /// Which field.
+        /// Name of the field.
         field: &'static str,
         /// The value.
         value: f64,
-        /// What was expected.
+        /// Expected values.
         expected: &'static str,
     },
-    /// No line leads to ground, so the potentials are undetermined, or two electrodes are one.
+    /// No line leads to ground, so the potentials are undetermined, or two electrodes coincide.
     #[error("channel {channel}: potentials are undetermined; expected a positive load on at least one line")]
     Floating {
-        /// Which channel.
+        /// Channel index.
         channel: usize,
     },
     /// The skin has no admittance matrix.
@@ -43,27 +43,27 @@ pub enum CircuitError {
     Impedance,
 }
 
-/// Why a forward problem could not be posed or solved.
+/// Reasons why a forward problem cannot be posed or solved.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum EitError {
     /// Mesh and protocol disagree, or there are too few electrodes.
     #[error("the mesh carries {mesh} electrodes, the protocol is for {protocol}; both must agree and be at least 2")]
     ElectrodeCount {
-        /// Electrodes of the mesh.
+        /// Number of electrodes in the mesh.
         mesh: usize,
-        /// Electrodes of the protocol.
+        /// Number of electrodes in the protocol.
         protocol: usize,
     },
     /// Wrong number of conductivities.
     #[error("conductivity: expected {expected} values (one an element), got {got}")]
     ConductivityCount {
-        /// Elements.
+        /// Number of elements.
         expected: usize,
-        /// Values given.
+        /// Number of values given.
         got: usize,
     },
-    /// A conductivity that no passive material has.
+    /// A conductivity that is not positive and finite.
     #[error("conductivity of element {element} is {value}; expected positive and finite")]
     Conductivity {
         /// Element index.
@@ -74,28 +74,28 @@ pub enum EitError {
     /// Wrong number of channels.
     #[error("frame: expected {expected} values (one a channel), got {got}")]
     ChannelCount {
-        /// Channels.
+        /// Number of channels.
         expected: usize,
-        /// Values given.
+        /// Number of values given.
         got: usize,
     },
-    /// A patch of contact that there cannot be.
+    /// A patch of contact with an invalid radius or conductance.
     #[error("contact of radius {radius_m} m and {conductance_s_per_m2} S/m^2; expected both positive and finite")]
     Contact {
-        /// Its radius.
+        /// Radius of the patch.
         radius_m: f64,
-        /// Its conductance per area.
+        /// Conductance per area of the patch.
         conductance_s_per_m2: f64,
     },
-    /// A slit's edge that conducts as nothing does.
+    /// A slit edge with an invalid conductance.
     #[error("joint {index} conducts {value} S/m; expected 0 or more, and finite")]
     Joint {
-        /// Which of the edges.
+        /// Index of the edge.
         index: usize,
-        /// Its conductance per length.
+        /// Conductance per length.
         value: f64,
     },
-    /// Contacts were asked for on a body whose reference electrode is a point.
+    /// Contacts on a body whose reference electrode is a point.
     #[error("contacts need electrodes with a contact impedance, and the last one is a point")]
     PointElectrode,
     /// The system could not be factored.
@@ -104,7 +104,7 @@ pub enum EitError {
     /// A readout circuit does not fit.
     #[error("readout circuit: {0}")]
     Circuit(#[from] CircuitError),
-    /// A fit was asked for with parameters that make no sense.
+    /// A fit with invalid parameters.
     #[error(transparent)]
     Fit(#[from] crate::least_squares::Error),
 }

@@ -1,5 +1,5 @@
-//! The forward model: conductivity in, potentials and measured voltages out. One factorisation and one solve per
-//! electrode for any number of stimulations and measurements, by superposition.
+//! The forward model: from conductivity to potentials and measured voltages. One factorisation and one solve per
+//! electrode serve any number of stimulations and measurements by superposition.
 
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
@@ -10,7 +10,7 @@ use super::system::{ElementGeometry, System};
 use crate::mesh::{Contact, ElectrodedMesh, SlitEdge};
 use crate::sparse::SpdFactor;
 
-/// Mesh, electrodes and protocol made ready to solve for any conductivity.
+/// Mesh, electrodes and protocol, prepared to solve for any conductivity.
 #[derive(Debug)]
 pub struct ForwardModel {
     pub(super) body: ElectrodedMesh,
@@ -23,26 +23,26 @@ pub struct ForwardModel {
 #[derive(Debug)]
 pub struct Solution<'a> {
     pub(super) model: &'a ForwardModel,
-    /// Unknowns x electrodes but the reference: potentials for 1 A into each electrode, out of the reference.
+    /// Unknowns x electrodes without the reference: potentials for 1 A into each electrode and out of the reference.
     pub(super) fields: Mat<f64>,
-    /// Transfer impedances in ohm, electrodes x electrodes, row and column of the reference zero.
+    /// Transfer impedances in ohm, electrodes x electrodes; row and column of the reference are zero.
     impedance: Mat<f64>,
 }
 
 impl ForwardModel {
-    /// Prepares the structure: symbolic factorisation and element matrices, reused by every solve.
+    /// Prepares the parts that every solve reuses: symbolic factorisation and element matrices.
     ///
     /// # Errors
-    /// Electrode counts that disagree.
+    /// Fails if the electrode counts disagree.
     pub fn new(body: ElectrodedMesh, protocol: Protocol) -> Result<Self, EitError> {
         Self::with_joints(body, protocol, &[])
     }
 
-    /// As [`ForwardModel::new`], of a sheet with slits ([`crate::mesh::SlitMesh`]) of which these edges conduct from
-    /// one side to the other: siemens per metre of the edge.
+    /// As [`ForwardModel::new`], for a sheet with slits ([`crate::mesh::SlitMesh`]) whose listed edges conduct from
+    /// one side to the other: siemens per metre of edge.
     ///
     /// # Errors
-    /// As [`ForwardModel::new`]; a conductance that is negative or not finite.
+    /// As [`ForwardModel::new`]; also fails if a conductance is negative or not finite.
     pub fn with_joints(body: ElectrodedMesh, protocol: Protocol, joints: &[(SlitEdge, f64)]) -> Result<Self, EitError> {
         if let Some((index, (_, value))) = joints.iter().enumerate().find(|(_, joint)| !(0.0..1e30).contains(&joint.1))
         {
@@ -66,11 +66,11 @@ impl ForwardModel {
         &self.protocol
     }
 
-    /// Solves for one conductivity (S/m in 3D; sheet conductance in S for sheets, i.e. sigma times thickness), one
-    /// value an element.
+    /// Solves for one conductivity, one value per element (S/m in 3D; sheet conductance in S, i.e. sigma times
+    /// thickness, for sheets).
     ///
     /// # Errors
-    /// Wrong count, values not positive and finite, or a system that is singular.
+    /// Wrong count, values not positive and finite, or a singular system.
     pub fn solve(&self, conductivity: &[f64]) -> Result<Solution<'_>, EitError> {
         let factor = self.factor(conductivity)?;
         let (sources, unknowns) = self.sources();
@@ -78,7 +78,7 @@ impl ForwardModel {
         let fields = if sources.len() == self.body.electrodes.len() - 1 {
             columns
         } else {
-            // The reference shares a point electrode's node, where a source has no field against it.
+            // The reference shares the node of a point electrode, where a source has no field relative to it.
             let mut fields = Mat::zeros(columns.nrows(), self.body.electrodes.len() - 1);
             for (&source, column) in sources.iter().zip(columns.col_iter()) {
                 fields.col_mut(source).copy_from(column);
@@ -89,8 +89,8 @@ impl ForwardModel {
         Ok(Solution { model: self, fields, impedance })
     }
 
-    /// One voltage a channel for one conductivity, volts: [`Solution::voltages`] without the fields inside the body,
-    /// which makes it quicker.
+    /// One voltage per channel for one conductivity, volts: [`Solution::voltages`] without the fields inside the
+    /// body, which is faster.
     ///
     /// # Errors
     /// As [`ForwardModel::solve`].
@@ -109,10 +109,10 @@ impl ForwardModel {
         Ok(self.channels(&impedance))
     }
 
-    /// Voltages of many conductivities, in parallel over the samples.
+    /// Voltages for many conductivities, in parallel over the samples.
     ///
     /// # Errors
-    /// As [`ForwardModel::solve`], of the first sample that failed.
+    /// As [`ForwardModel::solve`], for the first sample that failed.
     pub fn voltages_of_many(&self, conductivities: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, EitError> {
         conductivities.par_iter().map(|sigma| self.voltages(sigma)).collect()
     }
@@ -124,13 +124,15 @@ impl ForwardModel {
         self.system.factor(&values)
     }
 
-    /// Electrodes but the last that have an unknown (all, unless one shares its node with a point reference), and it.
+    /// Electrodes except the last that have an unknown (all, unless one shares its node with a point reference), and
+    /// the unknowns.
     fn sources(&self) -> (Vec<usize>, Vec<usize>) {
         let unknowns = &self.system.electrode_unknowns;
         unknowns[..unknowns.len() - 1].iter().enumerate().filter_map(|(k, unknown)| Some((k, (*unknown)?))).unzip()
     }
 
-    /// Transfer impedances from the field at an electrode's unknown (first) of a source electrode (second).
+    /// Transfer impedances, given the field at an electrode's unknown (first argument) due to a source electrode
+    /// (second).
     fn impedance(&self, field: impl Fn(usize, usize) -> f64) -> Mat<f64> {
         let electrodes = self.body.electrodes.len();
         Mat::from_fn(electrodes, electrodes, |row, column| {
@@ -175,23 +177,24 @@ impl Solution<'_> {
         self.model
     }
 
-    /// Transfer impedances in ohm, electrodes x electrodes, symmetric: potential of the row's electrode for 1 A into
-    /// the column's and out of the last electrode, against the last. Row and column of the last are zero.
+    /// Transfer impedances in ohm, electrodes x electrodes, symmetric: the potential of the row's electrode relative
+    /// to the last, for 1 A into the column's electrode and out of the last. Row and column of the last electrode are
+    /// zero.
     pub fn transfer_impedance(&self) -> MatRef<'_, f64> {
         self.impedance.as_ref()
     }
 
-    /// One voltage a channel, volts: `v[m] = meas[m] . U(stim of m)`.
+    /// One voltage per channel, volts: `v[m] = meas[m] . U(stim of m)`.
     pub fn voltages(&self) -> Vec<f64> {
         self.model.channels(&self.impedance)
     }
 
-    /// Electrode potentials in volts during one stimulation, shifted so that they add to zero.
+    /// Electrode potentials in volts during one stimulation, shifted to sum to zero.
     pub fn electrode_potentials(&self, stimulation: usize) -> Vec<f64> {
         electrode_potentials(&self.impedance, &self.model.protocol.stimulations()[stimulation])
     }
 
-    /// Node potentials in volts during one stimulation, against the last electrode.
+    /// Node potentials in volts during one stimulation, relative to the last electrode.
     pub fn node_potentials(&self, stimulation: usize) -> Vec<f64> {
         self.pattern_potentials(&self.model.protocol.stimulations()[stimulation])
     }
@@ -208,8 +211,8 @@ impl Solution<'_> {
             .collect()
     }
 
-    /// Node potentials for any pattern of electrode currents; an unbalanced one returns evenly through all electrodes
-    /// (which makes it the adjoint field of a voltage measured against their mean).
+    /// Node potentials for any pattern of electrode currents. An unbalanced pattern returns evenly through all
+    /// electrodes, which makes it the adjoint field of a voltage measured against their mean.
     pub(super) fn pattern_potentials(&self, pattern: &Pattern) -> Vec<f64> {
         let mut unknowns = vec![0.0; self.fields.nrows()];
         for (electrode, weight) in balanced(pattern, self.impedance.nrows()) {
@@ -222,7 +225,7 @@ impl Solution<'_> {
     }
 }
 
-/// Potentials of the electrodes for a stimulation, shifted so that they add to zero.
+/// Electrode potentials for a stimulation, shifted to sum to zero.
 fn electrode_potentials(impedance: &Mat<f64>, stimulation: &Pattern) -> Vec<f64> {
     let count = impedance.nrows();
     let mut potential = vec![0.0; count];
@@ -236,7 +239,7 @@ fn electrode_potentials(impedance: &Mat<f64>, stimulation: &Pattern) -> Vec<f64>
     potential
 }
 
-/// The pattern with its mean over all electrodes removed, where it does not add to zero.
+/// The pattern, minus its mean over all electrodes if it does not sum to zero.
 fn balanced(pattern: &Pattern, count: usize) -> Vec<(usize, f64)> {
     let sum = pattern.sum();
     let scale = pattern.entries().iter().map(|entry| entry.1.abs()).fold(0.0, f64::max);
@@ -250,12 +253,12 @@ fn balanced(pattern: &Pattern, count: usize) -> Vec<(usize, f64)> {
     dense.into_iter().enumerate().collect()
 }
 
-/// In-element gradient of a linear field given at the nodes: E G^-1 du.
+/// Gradient within an element of a linear field given at the nodes: E G^-1 du.
 fn gradient(mesh: &crate::mesh::Mesh, element: usize, potentials: &[f64]) -> [f64; 3] {
     let cell = mesh.element(element);
     let (mut axes, mut sum) = ([[0.0; 3]; 3], [0.0; 3]);
-    // Edges made orthogonal one after the other: along what is left of each, the potential rises by what the others
-    // leave of its rise.
+    // Orthogonalise the edges one by one. Along each remaining part, the potential rises by the part of its rise not
+    // yet explained by the others.
     for (k, &node) in cell[1..].iter().enumerate() {
         let mut edge = crate::mesh::subtract(mesh.nodes()[node as usize], mesh.nodes()[cell[0] as usize]);
         let rise = potentials[node as usize] - potentials[cell[0] as usize] - crate::mesh::dot(sum, edge);
@@ -264,7 +267,7 @@ fn gradient(mesh: &crate::mesh::Mesh, element: usize, potentials: &[f64]) -> [f6
             (0..3).for_each(|i| edge[i] -= along * axis[i]);
         }
         let square = crate::mesh::dot(edge, edge);
-        // Simplices with positive measure leave something.
+        // A simplex with positive measure always has a remainder.
         if square > 0.0 {
             (0..3).for_each(|i| sum[i] += rise / square * edge[i]);
             axes[k] = edge.map(|component| component / square.sqrt());
@@ -318,11 +321,11 @@ mod tests {
         let potentials = corners.map(|p| dot(slope, p) + 5.0);
         let solid = Mesh::new(CellKind::Tetrahedron, corners.to_vec(), vec![0, 1, 2, 3]).unwrap();
         let found = gradient(&solid, 0, &potentials);
-        // Rounding of numbers of order one.
+        // Rounding errors of numbers of order one.
         (0..3).for_each(|axis| assert!((found[axis] - slope[axis]).abs() < 1e-13, "{found:?}"));
         let tilted = Mesh::new(CellKind::Triangle, corners[..3].to_vec(), vec![0, 1, 2]).unwrap();
         let found = gradient(&tilted, 0, &potentials);
-        // In the triangle's plane, and with the slope's part along both edges.
+        // The gradient lies in the triangle's plane and has the slope's components along both edges.
         for corner in [corners[1], corners[2]] {
             let edge = crate::mesh::subtract(corner, corners[0]);
             assert!((dot(found, edge) - dot(slope, edge)).abs() < 1e-13, "{found:?}");

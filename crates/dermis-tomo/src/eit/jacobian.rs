@@ -1,6 +1,6 @@
-//! The adjoint Jacobian, per element or summed straight into pixels:
-//! `J[m,k] = dv[m]/dsigma[k] = - int_k grad u_stim . grad u_meas`, with `u_meas` the field of the measuring pattern
-//! driven as unit current (Geselowitz, IEEE Trans. Biomed. Eng. 18, 1971; sign as EIDORS).
+//! The adjoint Jacobian, per element or accumulated directly into pixels:
+//! `J[m,k] = dv[m]/dsigma[k] = - int_k grad u_stim . grad u_meas`, where `u_meas` is the field of the measuring
+//! pattern driven as a unit current (Geselowitz, IEEE Trans. Biomed. Eng. 18, 1971; sign as in EIDORS).
 
 use std::collections::HashMap;
 
@@ -12,17 +12,17 @@ use super::protocol::{Pattern, Protocol};
 use super::system::ElementGeometry;
 use crate::mesh::{Mesh, PixelMap};
 
-/// Elements handled together: long enough for vector instructions, short enough for the first-level cache.
+/// Elements per block: enough for vector instructions, few enough for the first-level cache.
 const BLOCK: usize = 128;
-/// Distance between the rows of a block: not a power of two, so that rows do not compete for the same cache lines.
+/// Distance between the rows of a block. Not a power of two, so that rows do not compete for the same cache lines.
 const STRIDE: usize = BLOCK + 8;
 
 /// A dense matrix of sensitivities, row-major: `rows` channels x `columns` elements or pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Jacobian {
-    /// Channels.
+    /// Number of channels.
     pub rows: usize,
-    /// Elements or pixels.
+    /// Number of elements or pixels.
     pub columns: usize,
     /// Row-major values, V per S/m (V per S on a sheet).
     pub values: Vec<f64>,
@@ -34,7 +34,7 @@ impl Jacobian {
         &self.values[channel * self.columns..(channel + 1) * self.columns]
     }
 
-    /// The same memory as a matrix of `faer`.
+    /// View of the same memory as a `faer` matrix.
     pub fn as_mat(&self) -> faer::MatRef<'_, f64> {
         faer::MatRef::from_row_major_slice(&self.values, self.rows, self.columns)
     }
@@ -48,8 +48,8 @@ impl Solution<'_> {
         jacobian
     }
 
-    /// As [`Solution::jacobian`], into memory that is used again: a Jacobian is large, and fetching fresh pages for it
-    /// takes as long as computing it.
+    /// As [`Solution::jacobian`], but reuses memory: a Jacobian is large, and getting fresh pages for it takes as
+    /// long as computing it.
     pub fn jacobian_into(&self, jacobian: &mut Jacobian) {
         let fields = Fields::new(self);
         let (rows, columns) = (self.model.protocol.channel_count(), self.model.body.mesh.element_count());
@@ -58,8 +58,8 @@ impl Solution<'_> {
         Arch::new().dispatch(ToElements { fields: &fields, columns, values: &mut jacobian.values });
     }
 
-    /// Sensitivity of every channel to the conductivity of every inside pixel of a grid: the element sensitivities
-    /// shared out by area of overlap, without forming them all.
+    /// Sensitivity of every channel to the conductivity of every inside pixel of a grid. Element sensitivities are
+    /// distributed by area of overlap, without storing them all.
     pub fn jacobian_to_pixels(&self, map: &PixelMap) -> Jacobian {
         let fields = Fields::new(self);
         let mut by_pixel = vec![0.0; fields.pairs.len() * map.inside_count()];
@@ -69,12 +69,12 @@ impl Solution<'_> {
 }
 
 impl Solution<'_> {
-    /// `J' c`: how a weighted sum of the channels changes with the conductivity of every element, without forming J.
-    /// The weighted measuring patterns of a stimulation are one adjoint field, so that this costs as many fields as
-    /// there are stimulations, whatever the number of channels.
+    /// `J' c`: sensitivity of a weighted sum of the channels to the conductivity of every element, without forming J.
+    /// The weighted measuring patterns of one stimulation share one adjoint field, so the cost is one field per
+    /// stimulation, whatever the number of channels.
     ///
     /// # Errors
-    /// [`EitError::ChannelCount`] unless there is one weight a channel.
+    /// [`EitError::ChannelCount`] unless there is one weight per channel.
     pub fn vjp(&self, cotangent: &[f64]) -> Result<Vec<f64>, EitError> {
         let protocol = &self.model.protocol;
         if cotangent.len() != protocol.channel_count() {
@@ -99,7 +99,7 @@ impl Solution<'_> {
     }
 }
 
-/// `C' du` of one field in one element, as [`Fields::gradients`] has it.
+/// `C' du` of one field in one element, as in [`Fields::gradients`].
 fn root_gradient(cell: &[u32], root: &[f64], potentials: &[f64]) -> [f64; 3] {
     let rise = |corner: usize| potentials[cell[corner] as usize] - potentials[cell[0] as usize];
     let (a, b) = (rise(1), rise(2));
@@ -135,8 +135,8 @@ impl NullaryFnOnce for ToElements<'_> {
     }
 }
 
-/// The same into pixels. Pairs of fields, not channels: reciprocal channels share one. Pixel by pixel, so that what an
-/// element adds goes to contiguous runs.
+/// The same into pixels. Works on pairs of fields instead of channels, since reciprocal channels share a pair, and
+/// pixel by pixel, so that an element's contributions go to contiguous runs.
 struct ToPixels<'a> {
     fields: &'a Fields<'a>,
     map: &'a PixelMap,
@@ -173,16 +173,16 @@ impl NullaryFnOnce for ToPixels<'_> {
 /// Two fields whose gradients are multiplied, the smaller index first.
 type Pair = (u32, u32);
 
-/// The distinct fields behind a protocol, and how its channels are made of them.
+/// The distinct fields of a protocol, and how its channels combine them.
 struct Fields<'a> {
     mesh: &'a Mesh,
     geometry: &'a ElementGeometry,
-    /// Potentials, node after node; `count` fields each.
+    /// Potentials, node by node; `count` fields each.
     potentials: Vec<f64>,
     count: usize,
-    /// The distinct pairs of fields that channels multiply.
+    /// The distinct pairs of fields that the channels multiply.
     pairs: Vec<Pair>,
-    /// For each channel its pair and what their product is multiplied with.
+    /// For each channel, its pair and the factor on the product.
     channels: Vec<(u32, f64)>,
 }
 
@@ -199,12 +199,12 @@ impl<'a> Fields<'a> {
         Self { mesh, geometry: &solution.model.geometry, potentials, count, pairs, channels }
     }
 
-    /// Memory for the gradients of one block: fields x dimension x [`STRIDE`].
+    /// Buffer for the gradients of one block: fields x dimension x [`STRIDE`].
     fn block(&self) -> Vec<f64> {
         vec![0.0; self.count * self.mesh.dimension() * STRIDE]
     }
 
-    /// `C' du` of every field in elements `first..first + len`: its dot products are `measure * grad . grad`.
+    /// `C' du` of every field in elements `first..first + len`. Its dot products are `measure * grad . grad`.
     #[inline(always)]
     fn gradients(&self, first: usize, len: usize, target: &mut [f64]) {
         for k in 0..len {
@@ -249,7 +249,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// From pixels x pairs to channels x pixels.
+    /// Converts pixels x pairs to channels x pixels.
     fn channels_of_pairs(&self, by_pixel: &[f64], pixels: usize) -> Jacobian {
         let (rows, pairs) = (self.channels.len(), self.pairs.len());
         let mut values = vec![0.0; rows * pixels];
@@ -265,7 +265,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Patterns that are not multiples of each other, each with the weight 1 on its first electrode.
+/// Patterns that are not multiples of each other, each scaled to weight 1 on its first electrode.
 #[derive(Default)]
 struct Distinct {
     list: Vec<Pattern>,
@@ -273,7 +273,7 @@ struct Distinct {
 }
 
 impl Distinct {
-    /// Index of a pattern's direction, and the factor between the two.
+    /// Index of a pattern's direction, and the factor on it.
     fn add(&mut self, pattern: &Pattern) -> (u32, f64) {
         let scale = pattern.entries().first().map_or(1.0, |entry| entry.1);
         let unit: Vec<(u32, f64)> = pattern.entries().iter().map(|&(e, weight)| (e, weight / scale)).collect();
@@ -285,7 +285,7 @@ impl Distinct {
         (index, scale)
     }
 
-    /// The distinct pairs of a protocol, and for each channel its pair and factor.
+    /// The distinct pairs of a protocol, and the pair and factor of each channel.
     fn pairs_of(&mut self, protocol: &Protocol) -> (Vec<Pair>, Vec<(u32, f64)>) {
         let drives: Vec<(u32, f64)> = protocol.stimulations().iter().map(|pattern| self.add(pattern)).collect();
         let reads: Vec<(u32, f64)> = protocol.patterns().iter().map(|pattern| self.add(pattern)).collect();
@@ -305,7 +305,7 @@ impl Distinct {
     }
 }
 
-/// `rows x columns` to `columns x rows`, in tiles.
+/// Transposes `rows x columns` to `columns x rows`, in tiles.
 #[inline(always)]
 fn transpose(from: &[f64], rows: usize, columns: usize, to: &mut [f64]) {
     const TILE: usize = 16;

@@ -1,7 +1,7 @@
-//! Stimulation and measurement patterns as explicit lists, and the generators whose names the field uses.
+//! Stimulation and measurement patterns as explicit lists, and generators for the patterns common in the field.
 //!
-//! A drive pair `(a, b)` puts `-I` on electrode `a` and `+I` on `b`; a measuring pair `(a, b)` reads `U_a - U_b`
-//! (the EIDORS convention). Indices are zero-based.
+//! A drive pair `(a, b)` puts `-I` on electrode `a` and `+I` on `b`; a measuring pair `(a, b)` reads `U_a - U_b` (the
+//! EIDORS convention). Indices are zero-based.
 
 mod generators;
 
@@ -43,7 +43,7 @@ impl Pattern {
         self.0.iter().map(|entry| entry.1).sum()
     }
 
-    /// True where a weight lies on this electrode.
+    /// True if this electrode has a weight.
     pub fn touches(&self, electrode: u32) -> bool {
         self.0.iter().any(|entry| entry.0 == electrode)
     }
@@ -53,7 +53,7 @@ impl Pattern {
     }
 }
 
-/// One channel: which stimulation it belongs to and which of the measuring patterns it reads.
+/// One channel: its stimulation and its measuring pattern.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Measurement {
     /// Index into [`Protocol::stimulations`].
@@ -62,7 +62,7 @@ pub struct Measurement {
     pub pattern: u32,
 }
 
-/// What was wrong with a protocol.
+/// Errors of a protocol.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum ProtocolError {
@@ -71,11 +71,11 @@ pub enum ProtocolError {
     TooFewElectrodes {
         /// Name of the generator.
         pattern: &'static str,
-        /// Fewest that work.
+        /// Minimum number.
         needed: usize,
-        /// Whether the count must be even.
+        /// True if the count must be even.
         even: bool,
-        /// What was asked.
+        /// Number requested.
         got: usize,
     },
     /// An electrode that does not exist.
@@ -83,27 +83,27 @@ pub enum ProtocolError {
     ElectrodeOutOfRange {
         /// `stimulation` or `measurement`.
         what: &'static str,
-        /// Which of them.
+        /// Index in its list.
         index: usize,
-        /// The electrode named.
+        /// Index of the electrode.
         electrode: usize,
-        /// How many there are.
+        /// Number of electrodes.
         count: usize,
     },
-    /// The currents of a stimulation do not add to zero, or nothing flows.
+    /// The currents of a stimulation do not sum to zero, or there is no current.
     #[error("stimulation {index}: currents add to {sum:e} A, expected 0 with at least two electrodes driven")]
     Unbalanced {
-        /// Which stimulation.
+        /// Index of the stimulation.
         index: usize,
-        /// Its net current.
+        /// Net current.
         sum: f64,
     },
     /// A row has the wrong length or a list the wrong count.
     #[error("{what} {index}: expected {expected} values, got {got}")]
     Length {
-        /// Which list.
+        /// Name of the list.
         what: &'static str,
-        /// Which row.
+        /// Index of the row.
         index: usize,
         /// Expected length.
         expected: usize,
@@ -113,13 +113,13 @@ pub enum ProtocolError {
     /// A weight is NaN or infinite, or an amplitude is not positive.
     #[error("{what} {index}: {value} is not {expected}")]
     Value {
-        /// Which list.
+        /// Name of the list.
         what: &'static str,
-        /// Which row.
+        /// Index of the row.
         index: usize,
         /// The value.
         value: f64,
-        /// What was expected.
+        /// Expected values.
         expected: &'static str,
     },
     /// No channel is left.
@@ -127,7 +127,7 @@ pub enum ProtocolError {
     Empty,
 }
 
-/// Which electrodes drive current, one pattern after another.
+/// Drive patterns, one after another.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Drive {
     /// Pairs (k, k+1).
@@ -136,7 +136,7 @@ pub enum Drive {
     Opposite,
     /// Pairs (k, k+n+1); `Skip(0)` is adjacent.
     Skip(usize),
-    /// Pairs (k, k+L/2-1): paper H's 'pseudo-polar'.
+    /// Pairs (k, k+L/2-1): the 'pseudo-polar' pattern of paper H.
     PseudoPolar,
     /// cos(m theta) for m = 1..L/2 and sin(m theta) for m = 1..L/2-1 over all electrodes: L-1 patterns.
     Trigonometric,
@@ -144,7 +144,7 @@ pub enum Drive {
     Pairs(Vec<(u32, u32)>),
 }
 
-/// What is read for each drive.
+/// Readings for each drive.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Measure {
     /// Pairs (j, j+1).
@@ -161,36 +161,36 @@ pub enum Measure {
     Pairs(Vec<(u32, u32)>),
 }
 
-/// What single-ended voltages are measured against.
+/// Reference of single-ended voltages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
     /// One electrode.
     Electrode(u32),
-    /// The electrode that sinks the current of the drive in hand (grounded sink).
+    /// The electrode that sinks the current of the current drive (grounded sink).
     Sink,
     /// The mean of all electrodes.
     Mean,
 }
 
-/// Where the list of measurements of a drive begins.
+/// Start of the list of measurements of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// At electrode 1, whatever the drive.
+    /// At electrode 1 for every drive.
     Absolute,
-    /// At the drive's own first electrode, going round.
+    /// At the first electrode of the drive, wrapping around.
     Rotating,
 }
 
-/// What happens to channels that touch a driven electrode.
+/// Treatment of channels that touch a driven electrode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Driven {
-    /// They are measured.
+    /// They are kept.
     Keep,
     /// They are dropped.
     Drop,
 }
 
-/// What [`Protocol::generate`] makes a protocol from.
+/// Input of [`Protocol::generate`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProtocolSpec {
     /// Number of electrodes.
@@ -201,7 +201,7 @@ pub struct ProtocolSpec {
     pub measure: Measure,
     /// Order of the measurements of a drive.
     pub order: Order,
-    /// Channels on driven electrodes.
+    /// Treatment of channels on driven electrodes.
     pub driven: Driven,
     /// Drive amplitude, amperes.
     pub amplitude_a: f64,
@@ -217,11 +217,11 @@ pub struct Protocol {
 }
 
 impl Protocol {
-    /// From dense rows as in `case.json`: `stimulations` (n_stim x n_electrodes, amperes), `measurements`
-    /// (n_meas x n_electrodes) and the stimulation that each measurement belongs to.
+    /// Builds a protocol from dense rows as in `case.json`: `stimulations` (n_stim x n_electrodes, amperes),
+    /// `measurements` (n_meas x n_electrodes), and the stimulation of each measurement.
     ///
     /// # Errors
-    /// Rows of unequal length, values not finite, unbalanced stimulations, stimulation indices out of range.
+    /// Rows of unequal length, non-finite values, unbalanced stimulations, stimulation indices out of range.
     pub fn from_rows(
         stimulations: &[Vec<f64>],
         measurements: &[Vec<f64>],
@@ -251,7 +251,8 @@ impl Protocol {
         Self::from_patterns(electrode_count, sparse("stimulation", stimulations)?, channels)
     }
 
-    /// From sparse patterns: the stimulations, and for each channel its measuring pattern and stimulation index.
+    /// Builds a protocol from sparse patterns: the stimulations, and the measuring pattern and stimulation index of
+    /// each channel.
     ///
     /// # Errors
     /// As [`Protocol::from_rows`].
@@ -312,7 +313,7 @@ impl Protocol {
         &self.measurements
     }
 
-    /// Number of channels of a frame.
+    /// Number of channels in a frame.
     pub fn channel_count(&self) -> usize {
         self.measurements.len()
     }
@@ -327,18 +328,19 @@ impl Protocol {
         &self.stimulations[self.measurements[channel].stimulation as usize]
     }
 
-    /// True where the channel drives or reads this electrode.
+    /// True if the channel drives or reads this electrode.
     pub fn channel_touches(&self, channel: usize, electrode: u32) -> bool {
         self.pattern_of(channel).touches(electrode) || self.stimulation_of(channel).touches(electrode)
     }
 
-    /// A label for people, one-based: `1-2 > 5-6`, the drive first, then what is measured, each pair in the order of a
-    /// skin file: current goes in at the second electrode of the drive and out at the first, and the reading is the
-    /// first measured electrode's potential less the second's. Of 16 electrodes the last adjacent pair is `16-1`.
+    /// A label for display, one-based: `1-2 > 5-6`, the drive first, then the measurement, each pair in the order of
+    /// a skin file. Current enters at the drive's second electrode and leaves at its first; the reading is the
+    /// potential of the first measuring electrode minus that of the second. With 16 electrodes the last adjacent pair
+    /// is `16-1`.
     pub fn channel_label(&self, channel: usize) -> String {
         let list = |pattern: &Pattern, first: f64| {
             let mut entries: Vec<(u32, f64)> = pattern.entries().to_vec();
-            // Patterns of more electrodes than two are said by number.
+            // Patterns of more than two electrodes are listed by number.
             if entries.len() == 2 {
                 entries.sort_by(|a, b| (first * b.1).total_cmp(&(first * a.1)));
             }

@@ -1,9 +1,9 @@
-//! The CEM finite-element system: where every element's stiffness and every electrode's contact goes, so that a new
-//! conductivity costs one pass over the elements and one numeric factorisation.
+//! The CEM finite-element system. It precomputes where every element's stiffness and every electrode's contact goes,
+//! so a new conductivity costs one pass over the elements and one numeric factorisation.
 //!
-//! Unknowns are the node potentials, then one voltage per electrode that has a contact impedance; point electrodes use
-//! their node. The last electrode is the reference (0 V): its unknown is left out, which changes no measured value as
-//! every stimulation is balanced.
+//! Unknowns are the node potentials, then one voltage per electrode with a contact impedance; point electrodes use
+//! their node. The last electrode is the reference (0 V). Its unknown is left out, which changes no measured value
+//! because every stimulation is balanced.
 
 use super::error::EitError;
 use crate::mesh::{Contact, ElectrodedMesh, Mesh, SlitEdge, joint_entries};
@@ -14,8 +14,8 @@ const DROPPED: u32 = u32::MAX;
 /// `grad phi_a . grad phi_b` times the element's measure, and the square root used by the Jacobian.
 #[derive(Debug)]
 pub(super) struct ElementGeometry {
-    /// Lower-triangular C (row-major, d(d+1)/2 an element) with `measure * G^-1 = C C'`, G the Gram matrix of the
-    /// edges.
+    /// Lower-triangular C (row-major, d(d+1)/2 values per element) with `measure * G^-1 = C C'`, where G is the Gram
+    /// matrix of the edges.
     pub(super) roots: Vec<f64>,
     /// d, the dimension of the elements.
     pub(super) dimension: usize,
@@ -24,11 +24,11 @@ pub(super) struct ElementGeometry {
 #[derive(Debug)]
 pub(super) struct System {
     pub(super) structure: SpdStructure,
-    /// Values that do not depend on conductivity: the contacts, and what joins slits.
+    /// Values that do not depend on conductivity: contacts, and joints of slits.
     contact_values: Vec<f64>,
-    /// For each element, the local stiffness per unit conductivity, pairs (a >= b).
+    /// Local stiffness of each element per unit conductivity, pairs (a >= b).
     stiffness: Vec<f64>,
-    /// The slots that those go to; `DROPPED` where the reference is concerned.
+    /// Destination slots of these values; `DROPPED` for entries of the reference.
     slots: Vec<u32>,
     pairs_per_element: usize,
     /// Unknown of each electrode (`None`: the reference).
@@ -71,7 +71,7 @@ impl System {
         let positions: Vec<(u32, u32)> =
             entries.positions.iter().copied().filter(|p| p.0 != DROPPED && p.1 != DROPPED).collect();
         let coordinates = unknown_coordinates(body, &node_unknowns, &electrode_unknowns, size);
-        // Sources and readings are at the electrodes: eliminated last, they need only a short substitution.
+        // Sources and readings are at the electrodes. Eliminated last, they need only a short substitution.
         let last: Vec<u32> = electrode_unknowns.iter().flatten().map(|&unknown| unknown as u32).collect();
         let ordering = Ordering::DissectionWithLast(&coordinates, &last);
         let (structure, kept_slots) = SpdStructure::new(size, &positions, ordering)?;
@@ -98,7 +98,7 @@ impl System {
         })
     }
 
-    /// Fills `values` with the system of this conductivity.
+    /// Assembles the system for this conductivity into `values`.
     pub(super) fn assemble(&self, conductivity: &[f64], values: &mut Vec<f64>) {
         values.clear();
         values.extend_from_slice(&self.contact_values);
@@ -132,7 +132,7 @@ impl ElementGeometry {
         Self { roots, dimension }
     }
 
-    /// Row-major lower-triangular entries of element `k`.
+    /// Row-major lower-triangular entries of an element.
     pub(super) fn root(&self, element: usize) -> &[f64] {
         let per = self.dimension * (self.dimension + 1) / 2;
         &self.roots[element * per..(element + 1) * per]
@@ -173,7 +173,7 @@ fn unit_stiffness(mesh: &Mesh, geometry: &ElementGeometry) -> Vec<f64> {
     let mut all = Vec::with_capacity(mesh.element_count() * (dimension + 1) * (dimension + 2) / 2);
     for element in 0..mesh.element_count() {
         let root = geometry.root(element);
-        // Rows of C for nodes 1..=d; node 0 is minus their sum, as the shape functions add to one.
+        // Rows of C for nodes 1..=d; the row of node 0 is minus their sum, because the shape functions sum to one.
         let mut rows = [[0.0; 3]; 4];
         for r in 0..dimension {
             for c in 0..=r {
@@ -203,7 +203,7 @@ impl Entries {
     }
 }
 
-/// Exact integrals of products of linear functions over each face or pad element (CEM, `oracle`-style formulas:
+/// Exact integrals of products of linear functions over each face or pad element (CEM;
 /// `measure (1 + delta_ij) / (n (n + 1))` over n nodes).
 fn add_contact(
     mesh: &Mesh,

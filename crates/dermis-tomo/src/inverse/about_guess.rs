@@ -1,6 +1,7 @@
-//! Gauss-Newton about a guess: the prior's mean is the guess, and its deviations say where the guess may be wrong. The
-//! model is linearised at the guess, so that the image shows what a first look took for something else. A factor common
-//! to all voltages is found beside it: the body's own conductivity may have changed since the baseline.
+//! Gauss-Newton about a guess. The prior's mean is the guess, and its standard deviations tell where the guess may be
+//! wrong. The model is linearised at the guess, so the image corrects misinterpretations of a first image. A factor
+//! common to all voltages is estimated as well, since the body's own conductivity may have changed since the
+//! baseline.
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
@@ -8,29 +9,29 @@ use super::check::positive;
 use super::nonlinear::{GaussNewton, NonlinearProblem, ReducedChannels, advance, log_jacobian, pivoted_cholesky};
 use super::{InverseError, SmoothCovariance};
 
-/// What is believed of a frame's image before its data are looked at again.
+/// Prior belief about a frame's image.
 #[derive(Clone, Copy, Debug)]
 pub struct Guess<'a> {
     /// `log(sigma / sigma_rest)` of every inside pixel.
     pub log_conductivity: &'a [f64],
     /// Standard deviation of each.
     pub deviation: &'a [f64],
-    /// Standard deviation of the logarithm of the common factor on all voltages.
+    /// Standard deviation of the logarithm of the factor common to all voltages.
     pub common_deviation: f64,
 }
 
-/// Correlations of what a guess may miss, as a factor of few columns.
+/// Correlations of the errors of a guess, as a factor with few columns.
 #[derive(Clone, Debug)]
 pub struct GuessCorrelations {
     factor: Mat<f64>,
 }
 
 impl GuessCorrelations {
-    /// Of unit variances but for the share that may be neglected; the more of it, the quicker.
+    /// Correlations with unit variances up to the neglected share; a larger share is faster.
     ///
     /// # Errors
-    /// A share that is not positive; correlations of so short a length that a factor would have more than half as many
-    /// columns as there are pixels.
+    /// Fails if the share is not positive, or if the correlation length is so short that the factor would have more
+    /// than half as many columns as there are pixels.
     pub fn new(covariance: &SmoothCovariance, neglected: f64) -> Result<Self, InverseError> {
         positive("neglected share of the variance", neglected)?;
         let factor = pivoted_cholesky(covariance, neglected).ok_or(InverseError::Singular {
@@ -45,7 +46,7 @@ impl NonlinearProblem {
     /// `log(sigma / sigma_rest)` of every inside pixel, from one frame of difference data, about a guess.
     ///
     /// # Errors
-    /// As [`NonlinearProblem::solve`], and a guess of another size.
+    /// As [`NonlinearProblem::solve`]; also fails if the guess has the wrong size.
     pub fn solve_about(
         &self,
         parameters: &GaussNewton,
@@ -68,7 +69,7 @@ impl NonlinearProblem {
         let rank = correlations.factor.ncols();
         let spread =
             Mat::from_fn(pixels, rank, |row, column| guess.deviation[row] * correlations.factor[(row, column)]);
-        // What is measured: the data, and the voltages at rest with them.
+        // The measured values: the data plus the voltages at rest.
         let measured = channels.data(dv)? + &channels.combine * ColRef::from_slice(&self.at_rest.transfers);
         let mut image = guess.log_conductivity.to_vec();
         let mut common = 0.0_f64;

@@ -1,8 +1,8 @@
-//! Checks of values that inverse problems take.
+//! Checks of input values of inverse problems.
 
 use super::InverseError;
 
-/// Refuses NaN and infinities, naming the place.
+/// Refuses NaN and infinities, naming the index.
 pub(crate) fn check_finite(what: &'static str, values: &[f64]) -> Result<(), InverseError> {
     match values.iter().position(|value| !value.is_finite()) {
         Some(index) => Err(InverseError::Value { what, index: Some(index), value: values[index], expected: "finite" }),
@@ -10,10 +10,10 @@ pub(crate) fn check_finite(what: &'static str, values: &[f64]) -> Result<(), Inv
     }
 }
 
-/// Refuses a lambda at which no operator exists.
+/// Checks that an operator exists for this lambda.
 ///
 /// # Errors
-/// A lambda that is not positive and finite.
+/// Fails if lambda is not positive and finite.
 pub fn check_hyperparameter(lambda: f64) -> Result<(), InverseError> {
     positive("hyperparameter", lambda).map(|_| ())
 }

@@ -1,77 +1,77 @@
-//! Why an inverse operator cannot be made.
+//! Errors of inverse operators.
 
 use thiserror::Error;
 
-/// Why an inverse operator could not be made.
+/// Reasons why an inverse operator cannot be computed.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum InverseError {
-    /// Two things that belong together have different sizes.
+    /// Two sizes that should match differ.
     #[error("{what}: expected {expected}, got {got}")]
     Size {
-        /// What was counted.
+        /// The items counted.
         what: &'static str,
         /// Expected count.
         expected: usize,
         /// Found count.
         got: usize,
     },
-    /// A value that makes no sense where it stands.
+    /// An invalid value.
     #[error("{what}{at}: {value} is not {expected}", at = index.map(|i| format!(" {i}")).unwrap_or_default())]
     Value {
-        /// What it is.
+        /// Name of the value.
         what: &'static str,
-        /// Where in its list, if it is in one.
+        /// Index in its list, if it is in one.
         index: Option<usize>,
         /// The value.
         value: f64,
-        /// What was expected.
+        /// Expected values.
         expected: &'static str,
     },
     /// A matrix that should be positive definite is not.
     #[error("{what} is not positive definite; {hint}")]
     Singular {
-        /// Which matrix.
+        /// Name of the matrix.
         what: &'static str,
-        /// What may help.
+        /// Possible remedy.
         hint: &'static str,
     },
     /// The forward model failed at an iterate of a nonlinear inversion.
     #[error("forward model: {0}")]
     Forward(#[from] crate::eit::EitError),
-    /// A fit was asked for with parameters that make no sense.
+    /// A fit with invalid parameters.
     #[error(transparent)]
     Fit(#[from] crate::least_squares::Error),
-    /// Priors within priors.
+    /// Priors nested too deeply.
     #[error("prior: mixtures are nested deeper than {most}; expected at most that")]
     Nested {
-        /// Deepest that is taken.
+        /// Maximum depth.
         most: usize,
     },
     /// Every channel is missing.
     #[error("all {channels} channels are missing")]
     NoChannels {
-        /// How many there are.
+        /// Number of channels.
         channels: usize,
     },
     /// Too few frames to calibrate on.
     #[error("calibration needs at least {needed} frames with any change in them, got {useful} in {given} frames")]
     TooFewFrames {
-        /// Fewest that do.
+        /// Minimum number of frames.
         needed: usize,
-        /// Frames with a channel that is present and not zero.
+        /// Number of frames with a channel that is present and not zero.
         useful: usize,
-        /// All frames given.
+        /// Total number of frames.
         given: usize,
     },
-    /// A search for a hyperparameter did not find one.
+    /// The search for a hyperparameter failed.
     #[error("no hyperparameter gives a noise figure of {target}: the reachable range is {low:.3} to {high:.3}")]
     NoiseFigure {
-        /// What was asked.
+        /// Target figure.
         target: f64,
-        /// Smallest reachable.
+        /// Minimum reachable.
         low: f64,
-        /// Largest reachable.
+        /// Maximum reachable.
         high: f64,
     },
 }

@@ -1,26 +1,27 @@
-//! GREIT (Adler et al., Physiol. Meas. 30, S35, 2009): the reconstruction matrix that maps the data of many small
-//! training targets to desired round images, traded against noise by a noise figure:
-//! `RM = D Y' (Y Y' + mu^2 Sigma)^-1`, Y the training data, D the desired images, Sigma the noise covariance.
+//! GREIT (Adler et al., Physiol. Meas. 30, S35, 2009): a reconstruction matrix that maps the data of many small
+//! training targets to the desired round images, with noise limited by a noise figure:
+//! `RM = D Y' (Y Y' + mu^2 Sigma)^-1` with the training data Y, the desired images D and the noise covariance Sigma.
 
 use faer::{Mat, Side, linalg::solvers::Solve};
 
 use super::check::positive;
 use super::{DataPrecision, ImageBasis, InverseError, LinearProblem, Operator};
 
-/// How the training targets look and how much noise is allowed through.
+/// Training targets and permitted noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GreitSpec {
     /// Radius of the training targets, metres.
     pub target_radius_m: f64,
-    /// Radius of the desired blobs, metres: a desired image is 1 inside and falls off smoothly over a quarter of it.
+    /// Radius of the desired blobs, metres. A desired image is 1 inside and falls off smoothly over a quarter of the
+    /// radius.
     pub desired_radius_m: f64,
-    /// Noise figure to reach (0.5 in the consensus paper).
+    /// Target noise figure (0.5 in the consensus paper).
     pub noise_figure: f64,
     /// Every n-th unknown is the centre of a target; 1 uses all.
     pub stride: usize,
 }
 
-/// A GREIT operator and the noise figure that it has.
+/// A GREIT operator with its noise figure.
 #[derive(Clone, Debug)]
 pub struct Greit {
     /// The operator; `hyperparameter` is mu.
@@ -33,7 +34,7 @@ impl GreitSpec {
     /// Trains on the problem's Jacobian (linear targets) and noise.
     ///
     /// # Errors
-    /// Radii or figures that are not positive, or a noise figure that cannot be reached.
+    /// Radii or figures that are not positive, or an unreachable noise figure.
     pub fn train(&self, problem: &LinearProblem, basis: &ImageBasis) -> Result<Greit, InverseError> {
         for (what, value) in [
             ("target radius (m)", self.target_radius_m),

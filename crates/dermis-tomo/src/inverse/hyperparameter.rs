@@ -1,18 +1,18 @@
-//! Choosing lambda: by number, relative to the problem, L-curve, generalised cross-validation (GCV), noise figure, or a
-//! known noise level. All look at the eigenvalues of the whitened data-space matrix `W^1/2 J P J' W^1/2'`, so that one
-//! decomposition serves every candidate.
+//! Choice of lambda: as a number, relative to the problem, or by L-curve, generalised cross-validation (GCV), noise
+//! figure or known noise level. All use the eigenvalues of the whitened data-space matrix `W^1/2 J P J' W^1/2'`, so
+//! one decomposition serves every candidate.
 
 use faer::Mat;
 
 use super::check::positive;
 use super::{InverseError, LCurvePoint, LinearProblem, Spectrum};
 
-/// How the hyperparameter is found.
+/// Rule for the hyperparameter.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Hyperparameter {
-    /// This lambda.
+    /// A fixed lambda.
     Number(f64),
-    /// `lambda^2 = factor * trace(W^1/2 J P J' W^1/2') / channels`: scale-free, so one factor serves skins of any unit,
+    /// `lambda^2 = factor * trace(W^1/2 J P J' W^1/2') / channels`. Scale-free: one factor suits skins of any unit,
     /// gain or number of channels.
     Relative(f64),
     /// Corner (largest curvature) of log residual against log solution norm (Hansen, SIAM Rev. 34, 1992).
@@ -21,12 +21,12 @@ pub enum Hyperparameter {
     Gcv,
     /// Ratio of data SNR to image SNR for a small target (Adler and Guardo, IEEE TMI 15, 1996).
     NoiseFigure {
-        /// The figure wanted; 0.5 to 1 is customary.
+        /// Target figure; 0.5 to 1 is customary.
         target: f64,
         /// Noise-free difference data of the target, e.g. a small central touch.
         signal: Vec<f64>,
     },
-    /// Discrepancy principle (Morozov): the mean squared whitened residual equals `factor` (1 where W is the true
+    /// Discrepancy principle (Morozov): the mean squared whitened residual equals `factor` (1 if W is the true
     /// inverse noise covariance).
     KnownNoise {
         /// Expected mean squared residual of whitened data.
@@ -35,10 +35,10 @@ pub enum Hyperparameter {
 }
 
 impl Hyperparameter {
-    /// Applies the rule. `data` are difference frames; rules that do not look at data ignore it.
+    /// Applies the rule. `data` are difference frames; rules that do not use data ignore them.
     ///
     /// # Errors
-    /// A number that is not positive, no data where some is needed, or a noise figure that cannot be reached.
+    /// A number that is not positive, missing data, or an unreachable noise figure.
     pub fn choose(&self, problem: &LinearProblem, data: &[Vec<f64>]) -> Result<f64, InverseError> {
         match self {
             Hyperparameter::Number(value) => positive("hyperparameter", *value),
@@ -60,7 +60,7 @@ impl Hyperparameter {
                 let components: Vec<_> = problem.whiten_all(data)?.iter().map(|d| spectrum.components(d)).collect();
                 let count = (components.len() * problem.channels()) as f64;
                 let residual = |l: f64| components.iter().map(|c| spectrum.residual_squared(c, l)).sum::<f64>() / count;
-                // From the smoothest on, the first that explains the data; the sharpest if none does.
+                // The smoothest candidate that explains the data; the sharpest if none does.
                 let candidates = spectrum.candidates();
                 let found = candidates.iter().find(|&&lambda| residual(lambda) <= factor);
                 Ok(found.or(candidates.last()).copied().unwrap_or(1.0))
@@ -80,7 +80,7 @@ fn l_curve_corner(spectrum: &Spectrum, data: &[Vec<f64>]) -> Result<f64, Inverse
     };
     let points: Vec<(f64, f64)> =
         (0..candidates.len()).map(|k| (mean_log(k, &|p| p.residual), mean_log(k, &|p| p.solution))).collect();
-    // Curvature by central differences over the (even) steps of log lambda.
+    // Curvature by central differences over uniform steps of log lambda.
     let curvature = |k: usize| {
         let (a, b, c) = (points[k - 2], points[k], points[k + 2]);
         let (d1, d2) =
@@ -114,8 +114,8 @@ fn noise_figure_search(problem: &LinearProblem, target: f64, signal: &[f64]) -> 
 }
 
 impl LinearProblem {
-    /// Chooses the hyperparameter by the rule given; `data` (difference data of example frames) is needed by the rules
-    /// that look at data.
+    /// Chooses the hyperparameter by the given rule. `data` (difference data of example frames) is used by rules that
+    /// need data.
     ///
     /// # Errors
     /// See [`Hyperparameter`].
@@ -123,7 +123,7 @@ impl LinearProblem {
         rule.choose(self, data)
     }
 
-    /// `W^1/2 dv`, checked.
+    /// `W^1/2 dv`, with the frame checked.
     pub(super) fn whiten_frame(&self, frame: &[f64]) -> Result<Vec<f64>, InverseError> {
         if frame.len() != self.channels() {
             return Err(InverseError::Size {
@@ -149,8 +149,8 @@ impl LinearProblem {
         data.iter().map(|frame| self.whiten_frame(frame)).collect()
     }
 
-    /// Noise figure at lambda for a target's data: `(mean|z| / mean std z) / (mean|x| / mean std x)` with z whitened
-    /// data and x the image (Adler and Guardo 1996, eq. 14; here with unit noise on every whitened channel).
+    /// Noise figure at lambda for a target's data: `(mean|z| / mean std z) / (mean|x| / mean std x)` with whitened
+    /// data z and image x (Adler and Guardo 1996, eq. 14; here with unit noise on every whitened channel).
     ///
     /// # Errors
     /// As [`LinearProblem::operator`].

@@ -1,13 +1,14 @@
-//! How far each channel is from what the others let expect: `e_c = (Q dv)_c / Q_cc` with
-//! `Q = (J P J' + lambda^2 W^-1)^-1`, the inverse covariance of difference data under prior and noise. It is `dv_c`
-//! less its conditional mean given all other channels (Rue and Held, Gaussian Markov Random Fields, 2005, eq. 2.5 and
-//! 2.6), the leave-one-out residual of the linear model, and costs one product with a matrix of the channels squared.
+//! Deviation of each channel from its prediction by the others: `e_c = (Q dv)_c / Q_cc` with
+//! `Q = (J P J' + lambda^2 W^-1)^-1`, the inverse covariance of difference data under prior and noise. It equals
+//! `dv_c` minus its conditional mean given all other channels (Rue and Held, Gaussian Markov Random Fields, 2005, eq.
+//! 2.5 and 2.6), the leave-one-out residual of the linear model, and costs one product with a channels x channels
+//! matrix.
 
 use faer::{Mat, MatRef};
 
 use super::{DataPrecision, Operator};
 
-/// The leave-one-out residuals of an operator, for frames one after the other.
+/// The leave-one-out residuals of an operator, computed frame by frame.
 #[derive(Clone, Debug)]
 pub struct LeaveOneOutResidual {
     /// `Q_cj / Q_cc`, column by column.
@@ -17,8 +18,8 @@ pub struct LeaveOneOutResidual {
 }
 
 impl LeaveOneOutResidual {
-    /// From the operator with all channels; `None` where it does not keep Q (channels outnumber unknowns), which would
-    /// be the largest matrix of all.
+    /// Builds the residuals from the operator with all channels. `None` if the operator does not store Q (more
+    /// channels than unknowns), which would be the largest matrix of all.
     pub fn new(operator: &Operator) -> Option<Self> {
         let precision: MatRef<'_, f64> = match &operator.data_precision {
             DataPrecision::Whole(matrix) => matrix.as_ref(),
@@ -35,8 +36,8 @@ impl LeaveOneOutResidual {
         self.channels
     }
 
-    /// Writes the residuals of a difference frame (all finite; missing channels filled in, whose residuals come out as
-    /// 0). Both slices must be as long as there are channels; allocates nothing.
+    /// Writes the residuals of a difference frame. All values must be finite; missing channels must be filled in, and
+    /// their residuals come out as 0. Both slices must have one value per channel. Allocates nothing.
     pub fn of(&mut self, difference: &[f64], residuals: &mut [f64]) {
         self.sums.fill(0.0);
         for (column, value) in self.matrix.chunks_exact(self.channels.max(1)).zip(difference) {
@@ -46,7 +47,7 @@ impl LeaveOneOutResidual {
         residuals.iter_mut().zip(&self.sums).for_each(|(residual, sum)| *residual = f64::from(*sum));
     }
 
-    /// Standard deviation of each residual for noise of these standard deviations on the channels.
+    /// Standard deviation of each residual, given the noise standard deviation of each channel.
     pub fn deviations(&self, noise: &[f64]) -> Vec<f64> {
         let scaled = Mat::from_fn(self.channels, self.channels.min(noise.len()), |row, column| {
             f64::from(self.matrix[column * self.channels + row]) * noise[column]
@@ -75,11 +76,11 @@ mod tests {
             let mut filled = frame.clone();
             MissingChannels::new(&operator, &[channel]).unwrap().fill_in(&mut filled);
             let expected = frame[channel as usize] - filled[channel as usize];
-            // Single precision of sums of a few hundred.
+            // Single-precision sums of a few hundred terms.
             let found = residuals[channel as usize];
             assert!((found - expected).abs() < 1e-4 * expected.abs().max(1.0), "{channel}: {found} {expected}");
         }
-        // Noise on channel 3 alone: the deviation of its residual is that noise, and of channel 4's its share in it.
+        // With noise on channel 3 alone, its residual has that deviation and channel 4's has its share of it.
         let mut noise = vec![0.0; 20];
         noise[3] = 2.0;
         let deviations = unexplained.deviations(&noise);

@@ -1,7 +1,7 @@
-//! The linear one-step inverse in three forms of the same operator, whichever is cheapest: in model space,
-//! `(J'WJ + lambda^2 R)^-1 J'W`; in data space, `P J'(J P J' + lambda^2 W^-1)^-1` with `P = R^-1`, where channels are
-//! fewer than unknowns; and `(P J'WJ + lambda^2)^-1 P J'W` where they are more: no matrix of the channels squared, and
-//! P, not its inverse, so that smooth covariances need not be inverted.
+//! The linear one-step inverse in three equivalent forms; the cheapest is used. In model space:
+//! `(J'WJ + lambda^2 R)^-1 J'W`. In data space, with fewer channels than unknowns: `P J'(J P J' + lambda^2 W^-1)^-1`
+//! with `P = R^-1`. With more channels than unknowns: `(P J'WJ + lambda^2)^-1 P J'W`, which needs no channels x
+//! channels matrix and uses P instead of its inverse, so smooth covariances need not be inverted.
 
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::{Llt, Solve};
@@ -13,42 +13,43 @@ use super::{InverseError, PriorMatrix, Spectrum, Weighting, check_finite, check_
 /// Below this many unknowns a singular prior is solved exactly, in model space.
 const MODEL_SPACE_LIMIT: usize = 1500;
 
-/// Jacobian, weights and prior, before a hyperparameter is chosen.
+/// Jacobian, weights and prior, before the choice of a hyperparameter.
 #[derive(Debug)]
 pub struct LinearProblem {
     pub(super) weighting: Weighting,
     pub(super) prior: PriorMatrix,
-    /// `S' = (W^1/2 J)'` with one column a group of channels that see alike, unknowns x groups.
+    /// `S' = (W^1/2 J)'`, unknowns x groups, with one column per group of channels that have the same sensitivities.
     sensitivities: Mat<f64>,
-    /// Channels that see alike, in whitened data. What is orthogonal to their groups sees nothing: in that basis the
-    /// data-space system is one of the groups, and `lambda^2` beside it.
+    /// Groups of channels with the same whitened sensitivities. The complement orthogonal to the groups sees nothing:
+    /// in that basis the data-space system is the groups' system, plus `lambda^2` for the complement.
     alike: ReciprocalColumns,
     form: Form,
 }
 
-/// A lambda^2 below this share of the trace of `S P S'` is lost in rounding: the inverse of a matrix of condition 1e14
-/// has hardly a digit left.
+/// Minimum lambda^2 as a share of the trace of `S P S'`. Smaller values vanish in rounding: the inverse of a matrix
+/// with condition number 1e14 has hardly a digit left.
 const LEAST_SQUARE: f64 = 1e-14;
-/// What lambda^2 may be at all: what is divided by it is still a number.
+/// Permitted range of lambda^2, so that quotients by it stay finite.
 const DIVISIBLE: std::ops::Range<f64> = 1e-200..1e200;
 
-/// What each form keeps.
+/// Data stored by each form.
 #[derive(Debug)]
 enum Form {
-    /// A prior that cannot be inverted: nothing beforehand.
+    /// A prior that cannot be inverted: nothing precomputed.
     Model,
-    /// Channels fewer than unknowns.
+    /// Fewer channels than unknowns.
     Data(DataForm),
-    /// Unknowns fewer than channels.
+    /// Fewer unknowns than channels.
     Unknowns(UnknownsForm),
 }
 
-/// The data form, over groups of channels that see alike: S is the whitened Jacobian with one row a group.
+/// The data form, over groups of channels with the same sensitivities. S is the whitened Jacobian with one row per
+/// group.
 #[derive(Debug)]
 struct DataForm {
     /// `P S'`, unknowns x groups.
     spread: Mat<f64>,
-    /// `S P S'`, groups x groups; its trace is that of `W^1/2 J P J' W^1/2'`.
+    /// `S P S'`, groups x groups; has the same trace as `W^1/2 J P J' W^1/2'`.
     gram: Mat<f64>,
 }
 
@@ -57,18 +58,18 @@ struct DataForm {
 struct UnknownsForm {
     /// P, unknowns x unknowns.
     covariance: Mat<f64>,
-    /// `P S'S`, unknowns x unknowns; it has the trace of `S P S'`.
+    /// `P S'S`, unknowns x unknowns; has the same trace as `S P S'`.
     information: Mat<f64>,
 }
 
-/// `(J P J' + lambda^2 W^-1)^-1`, channels x channels: the inverse covariance that prior and noise together give
-/// difference data, over lambda^2.
+/// `(J P J' + lambda^2 W^-1)^-1`, channels x channels: the inverse covariance of difference data from prior and noise
+/// together, divided by lambda^2.
 #[derive(Clone, Debug)]
 pub enum DataPrecision {
     /// The matrix.
     Whole(Mat<f64>),
-    /// Rows are made when asked for, `(W - W J X) / lambda^2` with X the operator (Woodbury): channels outnumber
-    /// unknowns, and the matrix would be the largest of all.
+    /// Rows are computed on demand as `(W - W J X) / lambda^2` with the operator X (Woodbury). Used if channels
+    /// outnumber unknowns, where the matrix would be the largest of all.
     Implied {
         /// W.
         weighting: Weighting,
@@ -77,12 +78,12 @@ pub enum DataPrecision {
     },
 }
 
-/// The operator at one hyperparameter, with what is needed to go on without channels and to say how sure it is.
+/// The operator at one hyperparameter, with the data needed to drop channels and to estimate uncertainty.
 #[derive(Debug, Clone)]
 pub struct Operator {
     /// Unknowns x channels: `x = matrix * dv`.
     pub matrix: Mat<f64>,
-    /// `(J P J' + lambda^2 W^-1)^-1`, channels x channels, or what gives its rows.
+    /// `(J P J' + lambda^2 W^-1)^-1`, channels x channels, or the means to compute its rows.
     pub data_precision: DataPrecision,
     /// lambda.
     pub hyperparameter: f64,
@@ -91,10 +92,10 @@ pub struct Operator {
 }
 
 impl LinearProblem {
-    /// Brings the parts together.
+    /// Combines Jacobian, weighting and prior.
     ///
     /// # Errors
-    /// Sizes that disagree, values that are not finite, negative weights, or a prior that cannot be inverted.
+    /// Mismatched sizes, non-finite values, negative weights, or a prior that cannot be inverted.
     pub fn new(jacobian: MatRef<'_, f64>, weighting: Weighting, prior: PriorMatrix) -> Result<Self, InverseError> {
         if prior.size() != jacobian.ncols() {
             return Err(InverseError::Size {
@@ -139,10 +140,10 @@ impl LinearProblem {
         self.alike.expanded(self.sensitivities.as_ref()).transpose().to_owned()
     }
 
-    /// Eigenvalues of the whitened data-space problem, from which every hyperparameter can be judged cheaply.
+    /// Eigenvalues of the whitened data-space problem, which make any hyperparameter cheap to evaluate.
     ///
     /// # Errors
-    /// The eigenvalue iteration did not converge, or the prior cannot be inverted.
+    /// Fails if the eigenvalue iteration does not converge or the prior cannot be inverted.
     pub fn spectrum(&self) -> Result<Spectrum, InverseError> {
         let expand = |gram: MatRef<'_, f64>| Spectrum::new(self.alike.expanded_square(gram, 0.0).as_ref());
         match &self.form {
@@ -161,7 +162,7 @@ impl LinearProblem {
         })
     }
 
-    /// `S P S'`, computed anew.
+    /// `S P S'`, recomputed.
     fn merged_gram(&self) -> Result<Mat<f64>, InverseError> {
         let spread = self.prior.solve(self.sensitivities.as_ref())?;
         Ok(symmetric_product(self.sensitivities.transpose(), spread.as_ref()))
@@ -170,8 +171,8 @@ impl LinearProblem {
     /// The operator at a hyperparameter.
     ///
     /// # Errors
-    /// A hyperparameter that is not positive and finite, or too small to regularise, or a system that is not positive
-    /// definite.
+    /// Fails if the hyperparameter is not positive and finite or is too small to regularise, or if the system is not
+    /// positive definite.
     pub fn operator(&self, hyperparameter: f64) -> Result<Operator, InverseError> {
         check_hyperparameter(hyperparameter)?;
         self.check_regularises(hyperparameter)?;
@@ -181,10 +182,10 @@ impl LinearProblem {
         }
     }
 
-    /// Refuses a lambda that is lost in the rounding of what it is added to.
+    /// Refuses a lambda that vanishes in the rounding of the matrix it is added to.
     fn check_regularises(&self, lambda: f64) -> Result<(), InverseError> {
         let rounding = match &self.form {
-            // Its trace would have to be worked out.
+            // Its trace would have to be computed.
             Form::Model => 0.0,
             Form::Data(_) | Form::Unknowns(_) => LEAST_SQUARE * self.gram_trace()?,
         };
@@ -207,7 +208,7 @@ impl LinearProblem {
         Ok(self.unmerged(lambda, merged.as_ref(), merged_precision.as_ref(), noise_deviation))
     }
 
-    /// By `(S'S + lambda^2 R)^-1 S'`.
+    /// Computes the operator as `(S'S + lambda^2 R)^-1 S'`.
     fn over_unknowns(&self, lambda: f64) -> Result<Operator, InverseError> {
         let merged = self.covariance_over_unknowns(lambda)? * &self.sensitivities;
         let noise_deviation = row_norms(merged.as_ref());
@@ -234,7 +235,8 @@ impl LinearProblem {
             for k in 0..system.nrows() {
                 system[(k, k)] += squared;
             }
-            // Similar to a symmetric matrix whose eigenvalues are at least lambda^2: regular, though not symmetric.
+            // Similar to a symmetric matrix with eigenvalues of at least lambda^2, so it is regular though not
+            // symmetric.
             return Ok(system.partial_piv_lu().solve(&form.covariance));
         }
         let mut system = symmetric_product(self.sensitivities.as_ref(), self.sensitivities.transpose());
@@ -246,15 +248,15 @@ impl LinearProblem {
         Ok(factor.solve(Mat::<f64>::identity(self.unknowns(), self.unknowns())))
     }
 
-    /// A matrix over groups of channels in whitened data (its columns) to one over channels: W^1/2 from the right,
-    /// `(W^1/2' X')'`.
+    /// Converts a matrix over groups of channels in whitened data (its columns) to one over channels: W^1/2 from the
+    /// right, `(W^1/2' X')'`.
     fn weighted(&self, merged: MatRef<'_, f64>) -> Mat<f64> {
         let mut matrix = self.alike.expanded(merged);
         self.weighting.whiten_adjoint(matrix.transpose_mut());
         matrix
     }
 
-    /// The operator from one over groups of channels in whitened data.
+    /// Converts an operator over groups of channels in whitened data to one over channels.
     fn unmerged(
         &self,
         lambda: f64,
@@ -362,10 +364,10 @@ impl Operator {
         }
     }
 
-    /// `x = matrix * dv`. Frames with missing channels: see [`super::MissingChannels`].
+    /// `x = matrix * dv`. For frames with missing channels see [`super::MissingChannels`].
     ///
     /// # Errors
-    /// A frame of the wrong length or with values that are not finite.
+    /// A frame of the wrong length or with non-finite values.
     pub fn apply(&self, dv: &[f64]) -> Result<Vec<f64>, InverseError> {
         if dv.len() != self.matrix.ncols() {
             return Err(InverseError::Size {
@@ -380,7 +382,7 @@ impl Operator {
     }
 }
 
-/// `A B` for a product known to be symmetric: only one triangle is computed.
+/// `A B` for a product known to be symmetric; computes only one triangle.
 fn symmetric_product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
     let mut product = Mat::zeros(a.nrows(), b.ncols());
     triangular::matmul(
@@ -402,10 +404,10 @@ fn symmetric_product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
     product
 }
 
-/// Every sensitivity a finite number.
+/// Checks that every sensitivity is finite.
 fn check_jacobian(jacobian: MatRef<'_, f64>) -> Result<(), InverseError> {
     for (channel, row) in jacobian.row_iter().enumerate() {
-        // The square is finite unless a value is not (or is absurd); the value is looked for only then.
+        // The sum of squares is finite unless a value is not (or is absurdly large), so the search is rarely needed.
         let square = row * row.transpose();
         if let (false, Some(value)) = (square.is_finite(), row.iter().find(|value| !value.is_finite())) {
             let (what, index) = ("Jacobian", Some(channel));

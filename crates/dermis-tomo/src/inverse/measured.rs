@@ -1,6 +1,7 @@
-//! A Jacobian measured by poking: difference frames at known positions, interpolated over the image grid by Gaussian
-//! kernel ridge regression, channel by channel, `j(x) = k(x)' (K + eta I)^-1 D` with
-//! `K_ij = exp(-|x_i - x_j|^2 / 2 l^2)`. Far from every poke it tends to zero: what was never touched is not invented.
+//! A Jacobian measured by poking: difference frames at known positions, interpolated over the image grid channel by
+//! channel with Gaussian kernel ridge regression, `j(x) = k(x)' (K + eta I)^-1 D` with
+//! `K_ij = exp(-|x_i - x_j|^2 / 2 l^2)`. Far from all pokes it tends to zero, so nothing is made up where the skin
+//! was never touched.
 
 use faer::{Mat, Side, linalg::solvers::Solve};
 
@@ -10,23 +11,23 @@ use crate::eit::Jacobian;
 /// Relative noise variance of the interpolation.
 const NOISE: f64 = 0.05;
 
-/// A measured Jacobian and how well it predicts left-out pokes.
+/// A measured Jacobian, and how well it predicts left-out pokes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasuredJacobian {
     /// Channels x positions.
     pub jacobian: Jacobian,
     /// Correlation length chosen, metres.
     pub length_m: f64,
-    /// Error of the frame of a left-out poke predicted by the others, relative to its size (root mean square).
+    /// RMS error of a left-out poke's frame predicted from the others, relative to its size.
     pub leave_one_out: f64,
 }
 
 impl MeasuredJacobian {
-    /// Interpolates `frames` (one a poke, each divided by its load) measured at `pokes_m` to `targets_m`. The
-    /// correlation length is the one of `lengths_m` with the smallest closed-form leave-one-out error.
+    /// Interpolates `frames` (one per poke, each divided by its load) measured at `pokes_m` to `targets_m`. The
+    /// correlation length is the one in `lengths_m` with the smallest closed-form leave-one-out error.
     ///
     /// # Errors
-    /// Fewer than 3 pokes, lists of different length, frames of different length, or values that are not finite.
+    /// Fewer than 3 pokes, lists of different length, frames of different length, or non-finite values.
     pub fn interpolate(
         frames: &[Vec<f64>],
         pokes_m: &[[f64; 2]],
@@ -75,7 +76,7 @@ fn kernel(a: [f64; 2], b: [f64; 2], length: f64) -> f64 {
     (-0.5 * ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)) / (length * length)).exp()
 }
 
-/// Leave-one-out error by `r_i = alpha_i / (K^-1)_ii`, and the coefficients alpha.
+/// Leave-one-out error from `r_i = alpha_i / (K^-1)_ii`, and the coefficients alpha.
 fn fit(data: &Mat<f64>, pokes_m: &[[f64; 2]], length: f64) -> Result<(f64, Mat<f64>), InverseError> {
     let pokes = pokes_m.len();
     let gram =

@@ -1,7 +1,7 @@
-//! Going on without some channels, without rebuilding the operator. With `S = J P J' + lambda^2 W^-1` and `S^-1` kept,
-//! the operator without the channels M equals the full one applied to a frame whose missing values are replaced by
-//! their conditional expectation, `dv_M = -((S^-1)_MM)^-1 (S^-1)_Mr dv_r` (block inversion of S). Only the small
-//! matrix `(S^-1)_MM` is factored.
+//! Operation without some channels, without rebuilding the operator. With `S = J P J' + lambda^2 W^-1` and its stored
+//! inverse, the operator without the channels M equals the full operator applied to a frame whose missing values are
+//! replaced by their conditional expectation, `dv_M = -((S^-1)_MM)^-1 (S^-1)_Mr dv_r` (block inversion of S). Only
+//! the small matrix `(S^-1)_MM` is factored.
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::solvers::{Llt, Solve};
@@ -9,24 +9,24 @@ use faer::{Accum, Mat, Par, Side};
 
 use super::{InverseError, Operator};
 
-/// Shares of the largest entry that are added to a diagonal in turn.
+/// Ridges to try in turn on the diagonal, as shares of the largest entry.
 const RIDGES: [f64; 6] = [0.0, 1e-13, 1e-10, 1e-7, 1e-4, 1e-1];
-/// Rows of the operator that are worked on at a time.
+/// Number of operator rows processed at a time.
 const ROWS_AT_ONCE: usize = 64;
 
-/// Fills missing channels of difference frames so that the full operator gives the image without them.
+/// Fills in missing channels of difference frames so that the full operator gives the image without them.
 #[derive(Clone, Debug)]
 pub struct MissingChannels {
     missing: Vec<u32>,
     present: Vec<u32>,
-    /// missing x present.
+    /// Missing x present channels.
     fill: Mat<f64>,
 }
 
 impl MissingChannels {
-    /// Prepares the filling for a set of missing channels, in any order, repetitions allowed. The work is that of
-    /// factoring a matrix of the missing channels and solving it for the present ones, so that it never exceeds that of
-    /// the full operator, however many are missing.
+    /// Prepares a set of missing channels, in any order, with repetitions allowed. The cost is that of factoring a
+    /// matrix of the missing channels and solving it for the present ones, so it never exceeds the cost of the full
+    /// operator.
     ///
     /// # Errors
     /// A channel that does not exist, all channels missing, or a numerically singular block.
@@ -61,11 +61,11 @@ impl MissingChannels {
         &self.missing
     }
 
-    /// Standard deviation of each unknown that is left in the image without these channels, for noise of these standard
-    /// deviations on the channels: that of `X_r + X_M F`, with F what fills in.
+    /// Standard deviation of each unknown in the image without these channels, given the noise standard deviation of
+    /// each channel: that of `X_r + X_M F`, where F fills in the missing channels.
     pub fn noise_deviation(&self, operator: &Operator, noise: &[f64]) -> Vec<f64> {
         let matrix = &operator.matrix;
-        // A block of rows at a time: what is written is read again while it is near.
+        // Process a block of rows at a time, so that freshly written values are still in the cache when read.
         let mut deviation = Vec::with_capacity(matrix.nrows());
         let mut block = Mat::zeros(ROWS_AT_ONCE, self.present.len());
         let mut missing = Mat::zeros(ROWS_AT_ONCE, self.missing.len());
@@ -90,7 +90,7 @@ impl MissingChannels {
         deviation
     }
 
-    /// Replaces the missing values of a difference frame; the others must be finite.
+    /// Fills in the missing values of a difference frame; the other values must be finite.
     pub fn fill_in(&self, frame: &mut [f64]) {
         for &channel in &self.missing {
             frame[channel as usize] = 0.0;
@@ -105,8 +105,8 @@ impl MissingChannels {
     }
 }
 
-/// The factor of a block of S^-1. S^-1 is positive definite, but where the hyperparameter is so small that S can hardly
-/// be inverted, rounding may make it look otherwise: then something is added to the diagonal, as little as will do.
+/// Factors a block of S^-1. S^-1 is positive definite, but if the hyperparameter is so small that S can hardly be
+/// inverted, rounding may hide that. Then the smallest sufficient ridge is added to the diagonal.
 fn factor(mut block: Mat<f64>) -> Result<Llt<f64>, InverseError> {
     let largest = (0..block.nrows()).map(|row| block[(row, row)].abs()).fold(0.0, f64::max);
     for share in RIDGES {
@@ -126,9 +126,9 @@ mod tests {
     #[test]
     fn filling_in_gives_the_image_of_the_remaining_channels_however_many_are_missing() {
         let value = |row: usize, column: usize| ((row * 7 + column * column * 3 + row * column) as f64).sin();
-        // Fewer unknowns than are worked on at a time, and more.
+        // Fewer unknowns than are processed at a time, and more.
         let jacobians = [9, ROWS_AT_ONCE + 9].map(|unknowns| Mat::from_fn(20, unknowns, value));
-        // Noise of each channel its own, and noise that channels share.
+        // Independent noise per channel, and correlated noise.
         let shared = |share: f64| {
             Mat::from_fn(20, 20, |a, b| if a == b { 1.0 / (1.0 + a as f64) } else { share / (20.0 + (a + b) as f64) })
         };
@@ -150,7 +150,7 @@ mod tests {
         let operator = full.operator(0.7).unwrap();
         let frame: Vec<f64> = (0..20).map(|k| (k as f64 * 1.3).cos()).collect();
         for count in [1, 10, 19] {
-            // 7 and 20 have no common factor: all different, and scattered.
+            // 7 and 20 are coprime, so the channels are distinct and scattered.
             let missing: Vec<u32> = (0..count).map(|k| (k * 7 % 20) as u32).collect();
             let mut filled = frame.clone();
             missing.iter().for_each(|&channel| filled[channel as usize] = f64::NAN);

@@ -1,15 +1,15 @@
-//! Gauss-Newton for large contrasts, in `y = log(sigma / sigma_rest)` on pixels: conductivity stays positive, and an
-//! insulator and a metal are equally far from rest. With `F(y)` the forward model, `J = dF/dy` at the iterate and the
-//! prior's covariance `P = R^-1` and lambda held fixed, every step solves the linearised problem anew (Tarantola,
-//! Inverse Problem Theory, 2005, eq. 3.51): `y+ = P J'(J P J' + lambda^2 W^-1)^-1 (dv - F(y) + F(0) + J y)`.
+//! Gauss-Newton for large contrasts, in `y = log(sigma / sigma_rest)` on pixels. Conductivity stays positive, and an
+//! insulator and a metal are equally far from rest. With the forward model `F(y)`, `J = dF/dy` at the iterate, and
+//! the prior's covariance `P = R^-1` and lambda fixed, every step solves the linearised problem (Tarantola, Inverse
+//! Problem Theory, 2005, eq. 3.51): `y+ = P J'(J P J' + lambda^2 W^-1)^-1 (dv - F(y) + F(0) + J y)`.
 //!
-//! Channels are never handled singly. With one current pattern after another made of neighbouring pairs, every voltage
-//! is a combination `v = B u` of the L(L-1)/2 transfer impedances u between neighbouring pairs of L electrodes
-//! (reciprocity makes the others equal). `B'WB = Q e Q'` then gives `e^1/2 Q'` for `W^1/2 B` with the same normal
-//! equations, so that 2356 channels of 32 electrodes are 496 rows and nothing is lost.
+//! Channels are never handled one by one. Every voltage is a combination `v = B u` of the L(L-1)/2 transfer
+//! impedances u between neighbouring pairs of the L electrodes (reciprocity makes the others equal). With
+//! `B'WB = Q e Q'`, `e^1/2 Q'` can replace `W^1/2 B` and gives the same normal equations. For example, 2356 channels
+//! of 32 electrodes become 496 rows without loss.
 //!
-//! Nor are pixels, where the prior is smooth: with `P = U U'` of few columns (pivoted Cholesky) the step is
-//! `y+ = U (U'J'J U + lambda^2)^-1 U'J' b`, over those columns alone.
+//! Pixels are not handled one by one either if the prior is smooth: with `P = U U'` of few columns (pivoted Cholesky)
+//! the step is `y+ = U (U'J'J U + lambda^2)^-1 U'J' b`, over those columns alone.
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
@@ -18,27 +18,27 @@ use super::{InverseError, PriorMatrix, SmoothCovariance, Weighting};
 use crate::eit::{EitError, ForwardModel, Jacobian, Pattern, Protocol, ProtocolError};
 use crate::mesh::{ElectrodedMesh, PixelMap};
 
-/// Directions of `B'WB` below this share of the largest eigenvalue are noise of the arithmetic.
+/// Directions of `B'WB` below this share of the largest eigenvalue are rounding noise.
 const SMALLEST_EIGENVALUE: f64 = 1e-10;
 
-/// Share of the largest prior variance that a smooth prior's factor may leave out of any pixel's.
+/// Maximum share of the largest prior variance that the factor of a smooth prior may neglect at any pixel.
 const NEGLECTED: f64 = 1e-9;
 
 /// Parameters of the iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussNewton {
-    /// Steps; the first is the linear image. At least 1.
+    /// Number of steps, at least 1; the first gives the linear image.
     pub steps: usize,
-    /// lambda, the same in every step.
+    /// lambda, the same for all steps.
     pub hyperparameter: f64,
-    /// A step that would change any pixel by more than this (in log conductivity) is shortened as a whole.
+    /// Maximum change of any pixel in one step (in log conductivity); a larger step is shortened as a whole.
     pub largest_step: f64,
-    /// Pixels are held within plus and minus this log conductivity.
+    /// Pixels are clamped to plus and minus this log conductivity.
     pub limit: f64,
 }
 
 impl GaussNewton {
-    /// The customary step rules: shortened to 1.5, held within 3 (factors of 4.5 and 20 in conductivity).
+    /// The usual limits: steps of at most 1.5, pixels within 3 (factors of 4.5 and 20 in conductivity).
     pub fn new(steps: usize, hyperparameter: f64) -> Self {
         Self { steps, hyperparameter, largest_step: 1.5, limit: 3.0 }
     }
@@ -56,17 +56,17 @@ impl GaussNewton {
     }
 }
 
-/// What the iteration arrived at.
+/// Result of the iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GaussNewtonResult {
     /// `log(sigma / sigma_rest)` of every inside pixel.
     pub log_conductivity: Vec<f64>,
-    /// Norm of the whitened data that the iterate at the start of each step left unexplained; the first is that of the
-    /// data themselves.
+    /// Norm of the whitened data that is unexplained at the start of each step; the first is the norm of the data
+    /// themselves.
     pub residuals: Vec<f64>,
 }
 
-/// A forward model with weights and prior, to be inverted frame by frame.
+/// A forward model with weights and prior, for inversion frame by frame.
 #[derive(Debug)]
 pub struct NonlinearProblem {
     pub(super) model: ForwardModel,
@@ -79,18 +79,18 @@ pub struct NonlinearProblem {
     pub(super) at_rest: Linearisation,
 }
 
-/// The prior, as steps use it.
+/// The prior in the form used by the steps.
 #[derive(Debug)]
 struct FactoredPrior {
     matrix: PriorMatrix,
-    /// U with `P = U U'`, unknowns x rank, where that is low.
+    /// U with `P = U U'`, unknowns x rank, if the rank is low.
     factor: Option<Mat<f64>>,
 }
 
-/// Weighted data of a set of channels, reduced to as many rows as there are independent transfer impedances.
+/// Weighted data of a set of channels, reduced to one row per independent transfer impedance.
 #[derive(Clone, Debug)]
 pub struct ReducedChannels {
-    /// `e^-1/2 Q' B'W`: rows x channels, zero for missing ones.
+    /// `e^-1/2 Q' B'W`, rows x channels; zero for missing channels.
     project: Mat<f64>,
     /// `e^1/2 Q'`: rows x transfer impedances.
     pub(super) combine: Mat<f64>,
@@ -101,17 +101,17 @@ pub struct ReducedChannels {
 pub(super) struct Linearisation {
     pub(super) transfers: Vec<f64>,
     jacobian: Jacobian,
-    /// `J U` of a smooth prior.
+    /// `J U` for a smooth prior.
     along_prior: Option<Mat<f64>>,
 }
 
 impl NonlinearProblem {
-    /// Brings the parts together. `rest_conductivity` is uniform, in S/m (S on sheets); `map` belongs to the mesh of
-    /// `body`; the prior is over the inside pixels, for relative changes of conductivity; frames will have the channels
-    /// of `protocol`.
+    /// Combines the parts. `rest_conductivity` is uniform, in S/m (S for sheets); `map` belongs to the mesh of
+    /// `body`; the prior is over the inside pixels, for relative changes of conductivity; frames will have the
+    /// channels of `protocol`.
     ///
     /// # Errors
-    /// Sizes that disagree, or a body that cannot be solved.
+    /// Mismatched sizes, or a body that cannot be solved.
     pub fn new(
         body: ElectrodedMesh,
         protocol: &Protocol,
@@ -149,7 +149,8 @@ impl NonlinearProblem {
         Ok(Self { model, map, rest_conductivity, weighting, prior, combination, at_rest })
     }
 
-    /// Prepares the data side without the missing channels (any order): once for all frames that lack the same ones.
+    /// Prepares the data side without the missing channels (in any order), once for all frames that lack the same
+    /// ones.
     ///
     /// # Errors
     /// A channel that does not exist, all channels missing, or an eigenvalue iteration that does not converge.
@@ -196,12 +197,12 @@ impl NonlinearProblem {
         Ok(ReducedChannels { project, combine })
     }
 
-    /// Inverts one frame of difference data (volts of the model; missing channels may hold anything, `NaN` too).
-    /// `step_done` is told how many steps are done.
+    /// Inverts one frame of difference data (volts of the model; missing channels may have any value, including
+    /// `NaN`). `step_done` is called with the number of completed steps.
     ///
     /// # Errors
-    /// Parameters that are not positive, a frame of the wrong length or with values that are not finite where the
-    /// reduced channels expect some, or a forward problem that cannot be solved.
+    /// Parameters that are not positive, a frame of the wrong length or with non-finite values in channels that are
+    /// present, or a forward problem that cannot be solved.
     pub fn solve(
         &self,
         parameters: &GaussNewton,
@@ -233,7 +234,7 @@ impl NonlinearProblem {
         Ok(GaussNewtonResult { log_conductivity: image, residuals })
     }
 
-    /// `P A'(A P A' + lambda^2)^-1 b` with A the Jacobian of the reduced channels.
+    /// `P A'(A P A' + lambda^2)^-1 b`, where A is the Jacobian of the reduced channels.
     fn step(
         &self,
         here: &Linearisation,
@@ -295,7 +296,7 @@ impl ReducedChannels {
     }
 }
 
-/// Toward `next`, by the whole step or as much of it as allowed: the share that was made of it.
+/// Moves towards `next` as far as allowed and returns the share of the step taken.
 pub(super) fn advance(image: &mut [f64], next: &[f64], parameters: &GaussNewton) -> f64 {
     let largest = image.iter().zip(next).map(|(old, new)| (new - old).abs()).fold(0.0, f64::max);
     let share = if largest > parameters.largest_step { parameters.largest_step / largest } else { 1.0 };
@@ -327,8 +328,9 @@ impl FactoredPrior {
     }
 }
 
-/// U with `U U'` a covariance up to a neglected share of its largest variance in every variance; `None` where that
-/// takes more than half as many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
+/// U such that `U U'` equals the covariance, except for a neglected share of the largest variance in each variance.
+/// `None` if that takes more than half as many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1,
+/// 2009, algorithm 3).
 pub(super) fn pivoted_cholesky(covariance: &SmoothCovariance, neglected: f64) -> Option<Mat<f64>> {
     let size = covariance.len();
     let mut left: Vec<f64> = (0..size).map(|k| covariance.variance(k)).collect();
@@ -358,8 +360,8 @@ pub(super) fn pivoted_cholesky(covariance: &SmoothCovariance, neglected: f64) ->
     Some(Mat::from_fn(size, columns.len(), |row, column| columns[column][row]))
 }
 
-/// `du/dy` of pixels from `du/dsigma` of elements: `dsigma/dy = sigma`, and an element's y is the mean of its pixels'
-/// weighted by overlap.
+/// Converts `du/dsigma` of elements to `du/dy` of pixels: `dsigma/dy = sigma`, and an element's y is the mean of its
+/// pixels' y weighted by overlap.
 pub(super) fn log_jacobian(of_elements: &Jacobian, map: &PixelMap, conductivity: &[f64]) -> Jacobian {
     let (rows, columns) = (of_elements.rows, map.inside_count());
     let mut values = vec![0.0; rows * columns];
@@ -373,7 +375,7 @@ pub(super) fn log_jacobian(of_elements: &Jacobian, map: &PixelMap, conductivity:
     Jacobian { rows, columns, values }
 }
 
-/// One ampere through every neighbouring pair (k, k+1) but the last, read at every pair from itself on.
+/// One ampere through every neighbouring pair (k, k+1) except the last, read at that pair and all later ones.
 fn transfer_protocol(electrodes: usize) -> Result<Protocol, ProtocolError> {
     let pairs: Vec<Pattern> = (1..electrodes as u32).map(|k| Pattern::pair(k - 1, k, 1.0)).collect();
     let channels = transfer_pairs(pairs.len()).map(|(drive, read)| (pairs[read].clone(), drive)).collect();
@@ -384,7 +386,7 @@ fn transfer_pairs(pairs: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..pairs).flat_map(move |a| (a..pairs).map(move |b| (a, b)))
 }
 
-/// B: every channel in terms of the transfer impedances.
+/// B: every channel as a combination of the transfer impedances.
 fn combination(protocol: &Protocol) -> Mat<f64> {
     let pairs = protocol.electrode_count() - 1;
     let stimulations: Vec<Vec<f64>> = protocol.stimulations().iter().map(|p| in_pairs(p, pairs)).collect();
@@ -400,7 +402,7 @@ fn combination(protocol: &Protocol) -> Mat<f64> {
     combination
 }
 
-/// Coefficients of a pattern (its mean over all electrodes removed) over the pairs e_k - e_(k+1): its running sum.
+/// Coefficients of a pattern (minus its mean over all electrodes) in the pairs e_k - e_(k+1): its running sum.
 fn in_pairs(pattern: &Pattern, pairs: usize) -> Vec<f64> {
     let mean = pattern.sum() / (pairs + 1) as f64;
     let mut dense = vec![-mean; pairs + 1];
@@ -418,7 +420,7 @@ fn in_pairs(pattern: &Pattern, pairs: usize) -> Vec<f64> {
 }
 
 impl Weighting {
-    /// The weights of some of the channels: from a full covariance, those of its block.
+    /// The weights of a subset of the channels; for a full covariance, those of its block.
     fn of_channels(&self, chosen: &[usize]) -> Result<Weighting, InverseError> {
         Ok(match self {
             Weighting::Identity => Weighting::Identity,
@@ -427,7 +429,7 @@ impl Weighting {
             }
             Weighting::Full(factor) => {
                 let rows = Mat::from_fn(chosen.len(), factor.ncols(), |row, column| {
-                    // Only the lower triangle is the factor's.
+                    // Only the lower triangle belongs to the factor.
                     if column <= chosen[row] { factor[(chosen[row], column)] } else { 0.0 }
                 });
                 Weighting::from_covariance((&rows * rows.transpose()).as_ref())?

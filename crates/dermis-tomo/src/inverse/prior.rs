@@ -1,4 +1,4 @@
-//! Priors: what an image is expected to look like before any measurement, as `R` (inverse covariance) or its inverse.
+//! Priors: the expected image before any measurement, as `R` (inverse covariance) or its inverse.
 
 use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
 
@@ -6,7 +6,7 @@ use super::{InverseError, SmoothCovariance, Weighting};
 use crate::mesh::Mesh;
 use crate::sparse::{Ordering, SpdStructure};
 
-/// Where the unknowns lie and which of them touch.
+/// Positions and adjacency of the unknowns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageBasis {
     /// Centres, metres.
@@ -27,7 +27,7 @@ impl ImageBasis {
         self.positions.len()
     }
 
-    /// True where there are none.
+    /// True if there are no unknowns.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -36,7 +36,7 @@ impl ImageBasis {
 /// Maximum nesting of mixtures. Copying, printing and building a prior recurse, so deeper ones are refused.
 pub const MOST_NESTED: usize = 16;
 
-/// The regularisation matrices that the field uses.
+/// Common regularisation matrices.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Prior {
     /// `R = I` (zeroth-order Tikhonov).
@@ -45,17 +45,17 @@ pub enum Prior {
     Laplace,
     /// `R = diag(J'J)^exponent` (Cheney et al., Int. J. Imaging Syst. Technol. 2, 1990; EIDORS uses exponent 0.5).
     Noser {
-        /// 0.5 is customary; 0 is identity, 1 evens out sensitivity fully.
+        /// 0.5 is customary; 0 gives the identity, 1 fully balances sensitivity.
         exponent: f64,
     },
-    /// Gaussian smoothness: covariance `exp(-d^2 / (2 l^2))` between unknowns at distance d, `R` its inverse.
+    /// Gaussian smoothness: covariance `exp(-d^2 / (2 l^2))` between unknowns at distance d; `R` is its inverse.
     Gaussian {
         /// Correlation length l, metres.
         correlation_length_m: f64,
     },
-    /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`, scaled
-    /// to mean 1, and K as in [`Prior::Gaussian`]. NOSER, smoothed. Sensitivities below a thousandth of their mean
-    /// count as that: what hardly any channel sees stays small.
+    /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`,
+    /// scaled to mean 1, and K as in [`Prior::Gaussian`]. This is NOSER, smoothed. Sensitivities below a thousandth
+    /// of their mean are raised to that value, so regions that hardly any channel sees stay small.
     GaussianNoser {
         /// Correlation length, metres.
         correlation_length_m: f64,
@@ -66,18 +66,18 @@ pub enum Prior {
     Mixture(Vec<(f64, Prior)>),
 }
 
-/// A prior made concrete for a Jacobian and a basis.
+/// A prior evaluated for a Jacobian and a basis.
 #[derive(Debug, Clone)]
 pub enum PriorMatrix {
     /// Diagonal of R.
     Diagonal(Vec<f64>),
-    /// Lower-triangle entries of a sparse R: (row, column, value), repetitions add.
+    /// Lower-triangle entries of a sparse R: (row, column, value); repeated entries add up.
     Sparse {
         /// Number of unknowns.
         size: usize,
         /// The entries.
         entries: Vec<(u32, u32, f64)>,
-        /// Centres, used to order the elimination.
+        /// Centres, used for the elimination order.
         positions: Vec<[f64; 3]>,
     },
     /// The covariance, `R^-1`.
@@ -87,7 +87,7 @@ pub enum PriorMatrix {
 }
 
 impl Prior {
-    /// Whether mixtures are nested no deeper than so.
+    /// True if mixtures are nested at most this deep.
     fn is_within(&self, depth: usize) -> bool {
         match self {
             Prior::Mixture(parts) => depth > 0 && parts.iter().all(|(_, part)| part.is_within(depth - 1)),
@@ -98,8 +98,8 @@ impl Prior {
     /// Builds R (or its inverse) for a Jacobian (channels x unknowns).
     ///
     /// # Errors
-    /// A basis of another size than the Jacobian, lengths or weights that are not positive and finite, or a mixture
-    /// whose Gaussian part cannot be inverted.
+    /// Fails if the basis and the Jacobian differ in size, a length or weight is not positive and finite, or the
+    /// Gaussian part of a mixture cannot be inverted.
     pub fn matrix(
         &self,
         jacobian: MatRef<'_, f64>,
@@ -128,7 +128,7 @@ impl Prior {
                         weighting.whiten(whitened.as_mut());
                         balance(whitened.as_ref(), None, *exponent)?
                     }
-                    // A copy of the Jacobian would be among the largest things in memory.
+                    // Avoids a copy of the Jacobian, which would be among the largest objects in memory.
                     Weighting::Diagonal(weights) => balance(jacobian, Some(weights), *exponent)?,
                     Weighting::Identity => balance(jacobian, None, *exponent)?,
                 };
@@ -142,11 +142,12 @@ impl Prior {
     }
 }
 
-/// Least sensitivity `(J'WJ)_kk` that [`Prior::GaussianNoser`] evens out, relative to the mean: pixels over pads and
-/// outside them are hardly seen, and allowed values to match they would be filled by noise and model error.
+/// Minimum sensitivity `(J'WJ)_kk` that [`Prior::GaussianNoser`] balances, relative to the mean. Pixels over pads and
+/// outside them are hardly seen; permitting correspondingly large values there would let noise and model error fill
+/// them.
 const VISIBILITY_FLOOR: f64 = 1e-3;
 
-/// `diag(J'WJ)^exponent` with a diagonal W or none, and with the sensitivity held above that floor.
+/// `diag(J'WJ)^exponent` for a diagonal W or none, with the sensitivity limited to that floor.
 fn balance(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>, exponent: f64) -> Result<Vec<f64>, InverseError> {
     check_exponent(exponent)?;
     let sensitivity = visible(sensitivity(jacobian, weights));
@@ -166,7 +167,7 @@ fn noser(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseEr
     Ok(visible(sensitivity(jacobian, None).into_iter().map(|value| value.powf(exponent)).collect()))
 }
 
-/// `diag(J'WJ)`, W the identity or a diagonal.
+/// `diag(J'WJ)`, where W is the identity or diagonal.
 fn sensitivity(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>) -> Vec<f64> {
     let mut diagonal = vec![0.0; jacobian.ncols()];
     for (channel, row) in jacobian.row_iter().enumerate() {
@@ -176,7 +177,7 @@ fn sensitivity(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>) -> Vec<f64> {
     diagonal
 }
 
-/// An unknown that no channel sees would have no prior at all; it is held as firmly as the least visible others.
+/// An unknown that no channel sees would have no prior at all; it gets that of the least visible unknown.
 fn visible(diagonal: Vec<f64>) -> Vec<f64> {
     let largest = diagonal.iter().copied().fold(0.0, f64::max);
     diagonal.into_iter().map(|d| if d > 1e-12 * largest { d } else { 1e-12 * largest.max(1e-300) }).collect()
@@ -243,10 +244,10 @@ fn mixture(
     Ok(PriorMatrix::Sparse { size, entries: sparse, positions: basis.positions.clone() })
 }
 
-/// Relative size of what is added to the diagonal of a sparse R before it is inverted: the Laplacian alone does not
-/// see constants. Small enough to change images below 1e-5, large enough for the factorisation.
+/// Relative ridge on the diagonal of a sparse R before its inversion: the Laplacian alone does not see constants.
+/// Small enough to change images by less than 1e-5, large enough for the factorisation.
 const SPARSE_RIDGE: f64 = 1e-6;
-/// The same for a Gaussian covariance whose inverse is asked for: its smallest eigenvalues underflow.
+/// The same for a Gaussian covariance that has to be inverted: its smallest eigenvalues underflow.
 const COVARIANCE_JITTER: f64 = 1e-6;
 
 impl PriorMatrix {
@@ -260,7 +261,7 @@ impl PriorMatrix {
         }
     }
 
-    /// True where R has a null space, so that only the model form is exact.
+    /// True if R has a null space, so that only the model form is exact.
     pub fn is_singular(&self) -> bool {
         match self {
             PriorMatrix::Sparse { size, entries, .. } => {
@@ -313,10 +314,11 @@ impl PriorMatrix {
         })
     }
 
-    /// `R^-1 B` for B (unknowns x anything). A singular sparse R is given a ridge of 1e-6 of its mean diagonal.
+    /// `R^-1 B` for B (unknowns x any number of columns). A singular sparse R gets a ridge of 1e-6 of its mean
+    /// diagonal.
     ///
     /// # Errors
-    /// R not positive definite.
+    /// R is not positive definite.
     pub fn solve(&self, b: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
         let singular =
             |_| InverseError::Singular { what: "the prior", hint: "add some identity or NOSER to the mixture" };

@@ -1,23 +1,26 @@
-//! The operator as the live pipeline uses it. One frame is one pass over its entries, which the memory's bandwidth
-//! limits, so they are few and small: channels that see alike (reciprocal ones) are added up first and share a column,
-//! and entries are 16-bit fractions of the largest of their row. Allocates nothing per frame.
+//! The operator in the form used by the live pipeline. A frame takes one pass over its entries, limited by memory
+//! bandwidth, so the entries are few and small: channels with the same sensitivities (reciprocal ones) are summed
+//! first and share a column, and entries are 16-bit fractions of the largest in their row. Allocates nothing per
+//! frame.
 //!
-//! Rounding an entry to 1/32767 of the row's largest changes a pixel by at most `4.4e-6 |dv|` of the deviation that
-//! white noise of unit size gives it (uniform rounding, `max |row| <= |row|`): below the noise of the pixel for frames
-//! of up to 2e5 times the noise of one channel.
+//! Rounding an entry to 1/32767 of the row's largest changes a pixel by at most `4.4e-6 |dv|` times the pixel's
+//! standard deviation under white noise of unit size (uniform rounding, `max |row| <= |row|`). That is below the
+//! pixel's noise for frames of up to 2e5 times the noise of one channel.
 
 use pulp::{Arch, NullaryFnOnce};
 
 use super::Operator;
 use super::reciprocity::ReciprocalColumns;
 
-/// `image[p] = scale_p sum_g row_p[g] merged[g]` with `merged[g] = sum_c share_c dv[c]` over the channels of group g.
+/// `image[p] = scale_p sum_g row_p[g] merged[g]`, with `merged[g] = sum_c share_c dv[c]` over the channels of group
+/// g.
 #[derive(Clone, Debug)]
 pub struct QuantisedOperator {
     unknowns: usize,
-    /// For each channel the group that it belongs to and its share of it.
+    /// Group of each channel and its share in the group.
     channels: Vec<(u32, f32)>,
-    /// Blocks of [`LANES`] unknowns, in each the entries of one group after the other; zeros after the last unknown.
+    /// Blocks of [`LANES`] unknowns, each with the entries of one group after the other; zeros after the last
+    /// unknown.
     blocks: Vec<i16>,
     scales: Vec<f32>,
     merged: Vec<f32>,
@@ -28,7 +31,7 @@ pub struct QuantisedOperator {
 const LANES: usize = 64;
 
 impl QuantisedOperator {
-    /// Copies an operator, each unknown multiplied by `scale` (polarity and units of the image).
+    /// Copies an operator, with each unknown multiplied by `scale` (polarity and units of the image).
     pub fn new(operator: &Operator, scale: f64) -> Self {
         let unknowns = operator.matrix.nrows();
         let alike = ReciprocalColumns::of_columns(operator.matrix.as_ref());
@@ -61,10 +64,11 @@ impl QuantisedOperator {
         self.channels.len()
     }
 
-    /// Reconstructs one frame of difference data into `image` (one value an unknown).
+    /// Reconstructs one frame of difference data into `image` (one value per unknown).
     ///
     /// # Panics
-    /// If the lengths are not those of the operator: a programming error, checked where frames enter the pipeline.
+    /// If the lengths do not match the operator. This is a programming error, checked where frames enter the
+    /// pipeline.
     pub fn apply(&mut self, dv: &[f32], image: &mut [f32]) {
         assert_eq!(dv.len(), self.channels.len(), "channels of the frame");
         assert_eq!(image.len(), self.unknowns, "unknowns of the image");
@@ -112,7 +116,8 @@ mod tests {
 
     #[test]
     fn live_images_are_the_operator_s_within_the_rounding_of_its_entries() {
-        // Counts that are no multiples of the lanes and groups; channels that are multiples of others; a row of zeros.
+        // Counts that are not multiples of the lanes and groups; channels that are multiples of others; a row of
+        // zeros.
         for (unknowns, channels) in [(1, 1), (7, 13), (4, 16), (33, 208), (5, 49), (3, 0)] {
             let entry = |row: usize, column: usize| (((row + 1) * (column % 20 + 3) * 13) % 17) as f64 - 8.0;
             let matrix = Mat::from_fn(unknowns, channels, |row, column| {
@@ -126,7 +131,7 @@ mod tests {
             let single: Vec<f32> = dv.iter().map(|v| *v as f32).collect();
             QuantisedOperator::new(&operator, -2.0).apply(&single, &mut image);
             for (row, (found, expected)) in image.iter().zip(&expected).enumerate() {
-                // Half a step of 1/32767 of the row's largest entry an entry, and single precision.
+                // Rounding error per entry of half a step of 1/32767 of the row's largest, plus single precision.
                 let most: f64 = (0..channels).map(|c| operator.matrix[(row, c)].abs()).sum();
                 let bound = 2.0 * most * (0.5 / 32767.0) * 20.0_f64.min(channels as f64) + 1e-6 * most;
                 assert!((f64::from(*found) + 2.0 * expected).abs() <= bound, "{found} {expected} {bound}");

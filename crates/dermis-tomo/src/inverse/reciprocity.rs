@@ -1,33 +1,34 @@
-//! Columns that are multiples of each other. Reciprocal channels (drive and measurement swapped) see the body alike, so
-//! half the columns of most protocols repeat the other half; what is the same is multiplied once.
+//! Columns that are multiples of each other. Reciprocal channels (drive and measurement swapped) have the same
+//! sensitivities, so in most protocols half of the columns repeat the other half; common columns are multiplied only
+//! once.
 
 use faer::{Mat, MatRef};
 
-/// Largest difference of two columns of unit length that counts as rounding.
+/// Maximum difference between two unit columns that counts as rounding.
 const TOLERANCE: f64 = 1e-11;
 
-/// Which columns of a matrix are multiples of which: `a_c = share[c] m_group[c]`, the shares of a group having unit
-/// norm, so that `m` and what is orthogonal to it in a group are an orthonormal change of channels.
+/// The groups of columns that are multiples of each other: `a_c = share[c] m_group[c]`. The shares of a group have
+/// unit norm, so `m` and its orthogonal complement in the group form an orthonormal change of channels.
 #[derive(Clone, Debug)]
 pub(super) struct ReciprocalColumns {
     /// Group of each column.
     pub(super) group: Vec<usize>,
     /// Share of each column in its group.
     pub(super) share: Vec<f64>,
-    /// One column of each group, the longest, and what to multiply it with for `m`.
+    /// The longest column of each group, and the factor that turns it into `m`.
     representatives: Vec<(usize, f64)>,
 }
 
 impl ReciprocalColumns {
-    /// Looks through the columns of `matrix`.
+    /// Groups the columns of `matrix`.
     pub(super) fn of_columns(matrix: MatRef<'_, f64>) -> Self {
         Self::of_scaled_columns(matrix, |_| 1.0)
     }
 
-    /// Looks through the columns of `matrix`, each multiplied by a scale of its own.
+    /// Groups the columns of `matrix`, each multiplied by its own scale.
     pub(super) fn of_scaled_columns(matrix: MatRef<'_, f64>, scale: impl Fn(usize) -> f64) -> Self {
         let probe = Mat::from_fn(matrix.nrows(), 1, |k, _| probe(k));
-        // Proportional columns have the same direction cosine with any fixed vector, up to their sign.
+        // Proportional columns have the same direction cosine with any fixed vector, except for the sign.
         let cosines = matrix.transpose() * &probe;
         let norms: Vec<f64> = (0..matrix.ncols()).map(|column| sum_of_squares(matrix, column).sqrt()).collect();
         let cosine = |column: usize| if norms[column] > 0.0 { cosines[(column, 0)] / norms[column] } else { 0.0 };
@@ -41,7 +42,7 @@ impl ReciprocalColumns {
                 _ => members.push(vec![column]),
             }
         }
-        // In the order of the columns, so that what is alike in time stays together.
+        // Keep the order of the columns, so that channels adjacent in time stay together.
         members.iter_mut().for_each(|columns| columns.sort_unstable());
         members.sort_by_key(|columns| columns[0]);
         let (mut group, mut share) = (vec![0; matrix.ncols()], vec![0.0; matrix.ncols()]);
@@ -72,21 +73,21 @@ impl ReciprocalColumns {
         self.group.len()
     }
 
-    /// `m`: one column a group.
+    /// `m`: one column per group.
     pub(super) fn merged(&self, matrix: MatRef<'_, f64>) -> Mat<f64> {
         let columns: Vec<_> = self.representatives.iter().map(|&(column, scale)| (matrix.col(column), scale)).collect();
         Mat::from_fn(matrix.nrows(), self.count(), |row, group| columns[group].1 * columns[group].0[row])
     }
 
-    /// From one column a group to one a column: `a_c = share[c] m_group[c]`.
+    /// Expands one column per group to one column per channel: `a_c = share[c] m_group[c]`.
     pub(super) fn expanded(&self, merged: MatRef<'_, f64>) -> Mat<f64> {
         Mat::from_fn(merged.nrows(), self.columns(), |row, column| {
             self.share[column] * merged[(row, self.group[column])]
         })
     }
 
-    /// A matrix over groups (rows and columns) to one over columns, with `outside` on the diagonal of what is
-    /// orthogonal to the groups.
+    /// Expands a matrix over groups (rows and columns) to one over columns, with `outside` on the diagonal of the
+    /// complement orthogonal to the groups.
     pub(super) fn expanded_square(&self, merged: MatRef<'_, f64>, outside: f64) -> Mat<f64> {
         let count = self.group.len();
         Mat::from_fn(count, count, |row, column| {
@@ -103,7 +104,7 @@ fn sum_of_squares(matrix: MatRef<'_, f64>, column: usize) -> f64 {
     column.transpose() * column
 }
 
-/// True where two columns point the same or opposite ways.
+/// True if two columns point in the same or opposite directions.
 fn is_multiple(matrix: MatRef<'_, f64>, first: usize, second: usize, norms: &[f64]) -> bool {
     let (a, b) = (matrix.col(first), matrix.col(second));
     let usable = |norm: f64| norm > 0.0 && norm.is_finite();

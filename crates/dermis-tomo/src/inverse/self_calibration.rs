@@ -1,12 +1,13 @@
-//! Calibrating a skin from its own unlabelled frames: scale, sign and trust of each channel, without knowing where
-//! anything touched.
+//! Calibrates a skin from its own unlabelled frames: scale, sign and weight of each channel, without knowing where
+//! the touches were.
 //!
-//! Every frame `D` (relative voltage changes) is taken to be one touch, `D = a T(g) + e` with `T(g)` the template of
-//! place `g`. Channels are scaled to unit RMS, which removes gains and ill-known baselines. Signs follow by
-//! synchronisation: `M = (D'D / n) o (T'T)` (channels x channels, elementwise product) is positive between channels
-//! whose signs are both right or both wrong, so the signs of its leading eigenvector, improved by `s <- sign(M s)`, are
-//! right up to one common sign. Then each frame is located by its matched filter, `max_g <wT(g), wD> / (|wT(g)| |wD|)`,
-//! and the weights follow from what the templates leave unexplained: `w^-2 = mean (D - a T)^2 + floor`.
+//! Every frame `D` (relative voltage changes) is assumed to be one touch, `D = a T(g) + e` with `T(g)` the template
+//! of place `g`. Channels are scaled to unit RMS, which removes gains and uncertain baselines. Signs follow from
+//! synchronisation: `M = (D'D / n) o (T'T)` (channels x channels, elementwise product) is positive between two
+//! channels whose signs are both right or both wrong. So the signs of its leading eigenvector, refined by
+//! `s <- sign(M s)`, are right up to one common sign. Then each frame is located by its matched filter,
+//! `max_g <wT(g), wD> / (|wT(g)| |wD|)`, and the weights follow from the residuals of the templates:
+//! `w^-2 = mean (D - a T)^2 + floor`.
 
 mod batch;
 mod pair;
@@ -23,32 +24,32 @@ use templates::square_distance;
 use super::check::positive;
 use super::{InverseError, Weighting, check_finite};
 
-/// What a touch does to the skin.
+/// Effect of a touch on the skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TouchEffect {
-    /// Conducts less where it is pressed (thinned gels and hydrogels).
+    /// Pressing lowers the conductivity (thinned gels and hydrogels).
     LowersConductivity,
-    /// Conducts more where it is pressed (most piezoresistive composites and foams).
+    /// Pressing raises the conductivity (most piezoresistive composites and foams).
     RaisesConductivity,
 }
 
-/// Choices of [`SelfCalibration::fit`].
+/// Options of [`SelfCalibration::fit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationOptions {
-    /// What a touch does.
+    /// Effect of a touch.
     pub effect: TouchEffect,
-    /// Rounds of locating and reweighting.
+    /// Number of rounds of locating and reweighting.
     pub weight_iterations: usize,
-    /// Unexplained variance that every channel is believed to have, relative to its mean square.
+    /// Minimum unexplained variance of every channel, relative to its mean square.
     pub noise_floor: f64,
-    /// The position is the centroid of the scores within this much of the best one, ...
+    /// Score band: the position is the centroid of the scores within this distance of the best score.
     pub centroid_band: f64,
-    /// ... no farther than this from it, metres.
+    /// Radius around the best place within which scores enter the centroid, metres.
     pub centroid_radius_m: f64,
 }
 
 impl Default for CalibrationOptions {
-    /// For a skin of some 0.1 to 0.2 m that conducts less where it is pressed.
+    /// Options for a skin of about 0.1 to 0.2 m whose conductivity falls under pressure.
     fn default() -> Self {
         Self {
             effect: TouchEffect::LowersConductivity,
@@ -69,31 +70,31 @@ impl CalibrationOptions {
     }
 }
 
-/// Where the matched filter finds a touch.
+/// A touch located by the matched filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchedTouch {
     /// Centroid of the best scores, metres.
     pub position_m: [f64; 2],
     /// Index of the best place in [`TouchTemplates::places_m`].
     pub peak: usize,
-    /// Weighted correlation of the frame with the template of that place, -1 to 1.
+    /// Weighted correlation of the frame with the template of the best place, -1 to 1.
     pub score: f64,
-    /// Strength in units of a typical calibration frame: the factor of the template, all channels at unit RMS.
+    /// Strength relative to a typical calibration frame: the factor on the template with all channels at unit RMS.
     pub amplitude: f64,
 }
 
-/// Two touches of one frame.
+/// Two touches in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchedPair {
-    /// Centroids of the best explanations, metres, the stronger first.
+    /// Centroids of the best explanations, metres, stronger touch first.
     pub positions_m: [[f64; 2]; 2],
-    /// Strengths in units of a typical calibration frame.
+    /// Strengths relative to a typical calibration frame.
     pub amplitudes: [f64; 2],
-    /// What the two leave of the frame's weighted energy, 0 to 1; a single touch leaves `1 - score^2`.
+    /// Share of the frame's weighted energy left unexplained, 0 to 1; a single touch leaves `1 - score^2`.
     pub left: f64,
 }
 
-/// What pairs of touches are looked for with: places all over the skin, and how alike their templates are.
+/// Precomputed data for finding pairs of touches: places all over the skin and the products of their templates.
 #[derive(Clone, Debug)]
 pub struct PairSearch {
     apart_m: f64,
@@ -101,7 +102,7 @@ pub struct PairSearch {
     grams: Mat<f64>,
 }
 
-/// A calibrated skin: what to do with its channels, and a matched filter that locates single touches.
+/// A calibrated skin: the treatment of its channels, and a matched filter that locates single touches.
 #[derive(Clone, Debug)]
 pub struct SelfCalibration {
     options: CalibrationOptions,
@@ -112,9 +113,9 @@ pub struct SelfCalibration {
     weights: Vec<f64>,
     /// Weighted templates, places x channels.
     filter: Mat<f64>,
-    /// Their squares.
+    /// Squares of the weighted templates.
     filter_squares: Mat<f64>,
-    /// Sum of the squares over all channels, one a place.
+    /// Sum of the squares over all channels, one per place.
     filter_norms: Mat<f64>,
     score: f64,
     independent: f64,
@@ -122,16 +123,16 @@ pub struct SelfCalibration {
 
 impl SelfCalibration {
     /// Calibrates on `frames` of relative changes, `(v - v_0) / mean(v_0)` for each channel of the templates, `NaN`
-    /// where a channel is missing. `voltages` are the modelled baselines (their signs start the synchronisation, their
-    /// sizes settle the common sign: a large voltage rarely has the wrong one).
+    /// for missing channels. `voltages` are the modelled baselines: their signs initialise the synchronisation, their
+    /// magnitudes settle the common sign (a large voltage rarely has the wrong sign).
     ///
-    /// Use frames with touches at many places, not quiet ones. Where none is at hand, differences of successive
-    /// baselines taken between touches also serve on a skin that recovers slowly: they hold what is left of the last
+    /// Use frames with touches at many places, not idle ones. If none are available, differences between successive
+    /// baselines taken between touches also work on a skin that recovers slowly: they contain the residue of the last
     /// touch.
     ///
     /// # Errors
-    /// Sizes that disagree, fewer than [`LEAST_CALIBRATION_FRAMES`] frames with any change in them, infinite values,
-    /// options that are not positive, or no channel that both model and data move.
+    /// Mismatched sizes, fewer than [`LEAST_CALIBRATION_FRAMES`] frames with any change, infinite values, options
+    /// that are not positive, or no channel that responds in both model and data.
     pub fn fit(
         templates: &TouchTemplates,
         voltages: &[f64],
@@ -174,7 +175,7 @@ impl SelfCalibration {
         Ok(calibration)
     }
 
-    /// Templates with calibrated rows, as changes by a touch: places x channels.
+    /// Templates with calibrated rows, as the change due to a touch: places x channels.
     fn matched_rows(&self, templates: &TouchTemplates) -> Mat<f64> {
         let change = match self.options.effect {
             TouchEffect::LowersConductivity => -1.0,
@@ -184,7 +185,7 @@ impl SelfCalibration {
         scale_rows(templates.matrix(), &factors).transpose().to_owned()
     }
 
-    /// Alternates between locating all frames and weighing channels by what is left over.
+    /// Alternates between locating all frames and reweighting the channels by their residuals.
     fn reweight(&mut self, matched: &Mat<f64>, batch: &Batch) {
         let floor = self.options.noise_floor;
         for _ in 0..self.options.weight_iterations {
@@ -212,9 +213,9 @@ impl SelfCalibration {
         self.score = scores[scores.len() / 2];
     }
 
-    /// How many independent numbers a frame's residuals are worth: with S the mean of `r r'` over the frames, r the
-    /// weighted residual of a frame relative to the frame's length, `(tr S)^2 / tr S^2`, the participation ratio of the
-    /// eigenvalues of S.
+    /// Effective number of independent values in a frame's residuals. Let r be the weighted residual of a frame
+    /// relative to the frame's norm and S the mean of `r r'` over the frames; the number is `(tr S)^2 / tr S^2`, the
+    /// participation ratio of the eigenvalues of S.
     fn independent_residuals(&self, matched: &Mat<f64>, batch: &Batch, peaks: &[Peak]) -> f64 {
         let norm = |frame: usize| {
             let square = |c: usize| (self.weights[c] * batch.values[(c, frame)]).powi(2);
@@ -227,7 +228,7 @@ impl SelfCalibration {
             if norms[frame] > 0.0 { self.weights[c] * left / norms[frame] } else { 0.0 }
         };
         let residuals = Mat::from_fn(self.weights.len(), peaks.len(), residual);
-        // The products of frames have the same eigenvalues as those of channels; the smaller of both is made.
+        // The products between frames have the same eigenvalues as those between channels; use the smaller matrix.
         let products = if residuals.nrows() <= residuals.ncols() {
             &residuals * residuals.transpose()
         } else {
@@ -262,8 +263,8 @@ impl SelfCalibration {
         (scores, norms)
     }
 
-    /// Products of the weighted templates and frames, places x frames, and the norms of both. A channel that a frame
-    /// lacks counts in neither norm.
+    /// Products of the weighted templates and frames, places x frames, and the norms of both. A channel missing from
+    /// a frame counts in neither norm.
     fn products(&self, batch: &Batch) -> (Mat<f64>, Norms) {
         let weighted = scale_rows(batch.values.as_ref(), &self.weights);
         let square_norm = |column: faer::ColRef<'_, f64>| column.iter().map(|v| v * v).sum::<f64>();
@@ -292,7 +293,7 @@ impl SelfCalibration {
         Ok(scores.col(0).iter().copied().collect())
     }
 
-    /// The place of a single touch in a frame of relative changes; `None` where no channel changed at all.
+    /// Locates a single touch in a frame of relative changes; `None` if no channel changed at all.
     ///
     /// # Errors
     /// As [`SelfCalibration::scores`].
@@ -300,7 +301,7 @@ impl SelfCalibration {
         self.locate_with_scores(frame, &mut Vec::new())
     }
 
-    /// As [`SelfCalibration::locate`]; `scores` receives what [`SelfCalibration::scores`] gives.
+    /// As [`SelfCalibration::locate`]; `scores` receives the result of [`SelfCalibration::scores`].
     ///
     /// # Errors
     /// As [`SelfCalibration::scores`].
@@ -320,11 +321,11 @@ impl SelfCalibration {
         Ok(Some(MatchedTouch { position_m: self.centroid(scores, place), peak: place, score, amplitude }))
     }
 
-    /// Turns the scores of a frame into probabilities of the places, one touch being somewhere and every place as
-    /// likely before: `p ~ (1 - c^2 + f)^(-n / 2)`, c the score where it is positive, f the noise floor that every
-    /// model is believed to have, n the number of independent numbers that the calibration frames' residuals are worth
-    /// (the participation ratio of their covariance). With f = 0 this is the likelihood of Gaussian residuals whose
-    /// size and whose touch's strength are unknown.
+    /// Turns the scores of a frame into probabilities of the places, given exactly one touch and a uniform prior:
+    /// `p ~ (1 - c^2 + f)^(-n / 2)`, where c is the positive part of the score, f the noise floor common to all
+    /// models, and n the effective number of independent values in the residuals of the calibration frames (the
+    /// participation ratio of their covariance). With f = 0 this is the likelihood of Gaussian residuals of unknown
+    /// size and a touch of unknown strength.
     pub fn probabilities(&self, scores: &[f64], probabilities: &mut Vec<f64>) {
         let unexplained = |score: f64| 1.0 - score.clamp(0.0, 1.0).powi(2) + self.options.noise_floor;
         let log = |score: f64| -0.5 * self.independent * unexplained(score).ln();
@@ -347,19 +348,20 @@ impl SelfCalibration {
                 sum = [sum[0] + excess * place[0], sum[1] + excess * place[1], sum[2] + excess];
             }
         }
-        // The peak itself always counts, with the whole band.
+        // The peak itself always counts, with the full band.
         [sum[0] / sum[2], sum[1] / sum[2]]
     }
 
-    /// Median score of the calibration frames: how well the model fits them. Below about 0.75 suspect the readout
+    /// Median score of the calibration frames, a measure of the model's fit. Below about 0.75, suspect the readout
     /// circuit or the electrode layout.
     pub fn score(&self) -> f64 {
         self.score
     }
 
-    /// Mean logarithm of the likelihood of a reading, nats, up to a constant: -1/2 ln of the variance that the best
-    /// place leaves unexplained (the floor included), over the usable channels. Compares models without labels, with
-    /// few frames better than the score, which is of half of them only; differences above some 0.03 tell.
+    /// Mean log-likelihood of a reading over the usable channels, nats, up to a constant: -1/2 ln of the variance
+    /// that the best place leaves unexplained (including the floor). Compares models without labels. With few frames
+    /// it discriminates better than the score, which uses only half of them; differences above about 0.03 are
+    /// significant.
     pub fn log_likelihood(&self) -> f64 {
         let used = self.weights.iter().filter(|weight| **weight > 0.0);
         let (count, sum) = used.fold((0_u32, 0.0), |(n, sum), weight| (n + 1, sum + weight.ln()));
@@ -372,7 +374,7 @@ impl SelfCalibration {
         &self.data_scale
     }
 
-    /// For each channel, +1 where the model's sign of the voltage is right and -1 where it is not.
+    /// +1 for each channel whose modelled voltage has the right sign, -1 for the others.
     pub fn signs(&self) -> &[f64] {
         &self.signs
     }
@@ -382,17 +384,17 @@ impl SelfCalibration {
         &self.weights
     }
 
-    /// `W = diag(w^2)` for [`LinearProblem`](super::LinearProblem), to go with [`SelfCalibration::calibrated_rows`] and
-    /// [`SelfCalibration::scaled`].
+    /// `W = diag(w^2)` for [`LinearProblem`](super::LinearProblem), for use with [`SelfCalibration::calibrated_rows`]
+    /// and [`SelfCalibration::scaled`].
     pub fn weighting(&self) -> Weighting {
         Weighting::Diagonal(self.weights.iter().map(|weight| weight * weight).collect())
     }
 
-    /// A Jacobian `dv/dsigma` or [`TouchTemplates::matrix`] (channels x anything) as sensitivities of
-    /// [`SelfCalibration::scaled`] data: rows signed and scaled, rows of unusable channels zero.
+    /// Converts a Jacobian `dv/dsigma` or [`TouchTemplates::matrix`] (channels x any number of columns) to
+    /// sensitivities of [`SelfCalibration::scaled`] data: rows signed and scaled, rows of unusable channels zero.
     ///
     /// # Errors
-    /// Another number of channels.
+    /// A different number of channels.
     pub fn calibrated_rows(&self, jacobian: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
         let expected = self.row_factors.len();
         if jacobian.nrows() != expected {
@@ -401,10 +403,10 @@ impl SelfCalibration {
         Ok(scale_rows(jacobian, &self.row_factors))
     }
 
-    /// A frame of relative changes in units of each channel's RMS; `NaN` stays, unusable channels are 0.
+    /// A frame of relative changes in units of each channel's RMS. `NaN` is kept; unusable channels are 0.
     ///
     /// # Errors
-    /// Another number of channels.
+    /// A different number of channels.
     pub fn scaled(&self, frame: &[f64]) -> Result<Vec<f64>, InverseError> {
         let expected = self.data_scale.len();
         if frame.len() != expected {
@@ -414,7 +416,7 @@ impl SelfCalibration {
         Ok(frame.iter().zip(&self.data_scale).map(scale).collect())
     }
 
-    /// Where the columns of the matched filter lie, metres.
+    /// Positions of the matched filter's columns, metres.
     pub fn places_m(&self) -> &[[f64; 2]] {
         &self.places_m
     }

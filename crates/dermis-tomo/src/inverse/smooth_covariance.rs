@@ -1,6 +1,5 @@
-//! Covariances of smooth images: Gaussian correlations between places, scaled. On a lattice (pixels) they are the
-//! product of one correlation along x and one along y, so that nothing as large as the square of the pixels is stored
-//! or multiplied by.
+//! Covariances of smooth images: scaled Gaussian correlations between places. On a lattice (pixels) they are the
+//! product of one correlation along x and one along y, so no pixels x pixels matrix is stored or multiplied.
 
 use faer::linalg::matmul::matmul;
 use faer::reborrow::Reborrow;
@@ -10,14 +9,15 @@ use super::InverseError;
 use super::check::positive;
 use crate::mesh::{dot, subtract};
 
-/// Beyond this exponent, 6 lengths, correlations are below 2e-8 and count as zero where they are stored one by one.
+/// Exponent beyond which (6 lengths) correlations are below 2e-8 and are stored as zero in the explicit form.
 const LEAST_EXPONENT: f64 = -18.0;
-/// A lattice has at most so many times as many sites as there are unknowns.
+/// Maximum number of lattice sites per unknown.
 const MOST_SITES: usize = 8;
-/// Coordinates that differ by less than this part of the correlation length are one.
+/// Coordinates that differ by less than this share of the correlation length are considered equal.
 const SAME: f64 = 1e-6;
 
-/// `C_ij = s_i s_j exp(-d_ij^2 / 2 l^2)` over places d apart, l the correlation length and s the scale of each.
+/// `C_ij = s_i s_j exp(-d_ij^2 / 2 l^2)` for places at distance d, with correlation length l and a scale s for each
+/// place.
 #[derive(Clone, Debug)]
 pub struct SmoothCovariance {
     scale: Vec<f64>,
@@ -26,14 +26,14 @@ pub struct SmoothCovariance {
 
 #[derive(Clone, Debug)]
 enum Correlations {
-    /// Column and row of each place, and the correlations between columns, and between rows.
+    /// Column and row of each place, the correlations between columns, and those between rows.
     Lattice { sites: Vec<[u32; 2]>, between_columns: Mat<f64>, between_rows: Mat<f64> },
-    /// Between all places.
+    /// Correlations between all places.
     All(Mat<f64>),
 }
 
 impl SmoothCovariance {
-    /// Over `positions`, metres, with 1 as the scale of all, or with one for each.
+    /// Covariance over `positions`, metres, with the given scale of each place, or 1 for all.
     ///
     /// # Errors
     /// A length that is not positive and finite.
@@ -50,7 +50,7 @@ impl SmoothCovariance {
         self.scale.len()
     }
 
-    /// True where there are none.
+    /// True if there are no unknowns.
     pub fn is_empty(&self) -> bool {
         self.scale.is_empty()
     }
@@ -60,7 +60,7 @@ impl SmoothCovariance {
         self.scale[unknown] * self.scale[unknown]
     }
 
-    /// Covariances of an unknown with all.
+    /// Covariances of an unknown with all unknowns.
     pub fn column(&self, unknown: usize) -> Vec<f64> {
         let scaled = |k: usize, correlation: f64| self.scale[unknown] * self.scale[k] * correlation;
         match &self.correlations {
@@ -74,7 +74,7 @@ impl SmoothCovariance {
         }
     }
 
-    /// The matrix.
+    /// The dense matrix.
     pub fn dense(&self) -> Mat<f64> {
         let mut matrix = Mat::zeros(self.len(), self.len());
         for (unknown, column) in matrix.col_iter_mut().enumerate() {
@@ -83,7 +83,7 @@ impl SmoothCovariance {
         matrix
     }
 
-    /// `C B` for B of unknowns x anything.
+    /// `C B` for B with one row per unknown.
     pub fn times(&self, b: MatRef<'_, f64>) -> Mat<f64> {
         let scaled = |mut matrix: Mat<f64>| {
             for column in matrix.col_iter_mut() {
@@ -101,7 +101,7 @@ impl SmoothCovariance {
     }
 }
 
-/// What the columns of B become, each spread over the lattice, along x and then along y.
+/// Transforms each column of B on the lattice, along x and then along y.
 fn on_lattice(sites: &[[u32; 2]], between_columns: &Mat<f64>, between_rows: &Mat<f64>, mut b: Mat<f64>) -> Mat<f64> {
     let (columns, rows) = (between_columns.nrows(), between_rows.nrows());
     let (mut lattice, mut along_x) = (Mat::zeros(columns, rows), Mat::zeros(columns, rows));
@@ -120,7 +120,7 @@ fn on_lattice(sites: &[[u32; 2]], between_columns: &Mat<f64>, between_rows: &Mat
 }
 
 impl Correlations {
-    /// Where the places lie in one plane of equal z, on the crossings of not too many columns and rows.
+    /// `Some` if the places lie in one plane of equal z, on the crossings of not too many columns and rows.
     fn on_lattice(positions: &[[f64; 3]], length_m: f64) -> Option<Self> {
         let same = SAME * length_m;
         let first = positions.first()?;
@@ -141,7 +141,7 @@ impl Correlations {
     }
 }
 
-/// Sorted values, those within `same` of the one before left out.
+/// Sorted values, without those within `same` of their predecessor.
 fn distinct(mut values: Vec<f64>, same: f64) -> Vec<f64> {
     values.sort_by(f64::total_cmp);
     values.dedup_by(|next, kept| *next - *kept <= same);
@@ -167,7 +167,7 @@ fn all_correlations(positions: &[[f64; 3]], length_m: f64) -> Mat<f64> {
 mod tests {
     use super::*;
 
-    /// Pixels of a disc on a grid of 0.7 mm by 0.5 mm, in any order.
+    /// Pixels of a disc on a grid of 0.7 mm by 0.5 mm, in scrambled order.
     fn disc() -> Vec<[f64; 3]> {
         let all = (0..400_usize).map(|i| (i * 147) % 400);
         let place = |i: usize| [7e-4 * ((i % 20) as f64 - 9.5), 5e-4 * ((i / 20) as f64 - 9.5), 2e-3];
@@ -189,7 +189,7 @@ mod tests {
         assert!(matches!(lattice.correlations, Correlations::Lattice { .. }));
         let correlations = Correlations::All(all_correlations(&positions, 1.3e-3));
         let pairs = SmoothCovariance { scale, correlations };
-        // What is below 2e-8 of one is left out of the pairs.
+        // The explicit form drops correlations below 2e-8.
         close(lattice.dense().as_ref(), pairs.dense().as_ref(), 1e-7);
         let b = Mat::from_fn(positions.len(), 3, |i, j| ((i * 31 + j * 17) % 13) as f64 - 6.0);
         close(lattice.times(b.as_ref()).as_ref(), (lattice.dense() * &b).as_ref(), 1e-10);

@@ -1,5 +1,5 @@
-//! Eigenvalues of the whitened data-space matrix `W^1/2 J P J' W^1/2'`: one decomposition by which every candidate of
-//! lambda is judged.
+//! Eigenvalues of the whitened data-space matrix `W^1/2 J P J' W^1/2'`: one decomposition serves every candidate for
+//! lambda.
 
 use faer::{Mat, MatRef, Side};
 

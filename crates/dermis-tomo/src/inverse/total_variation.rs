@@ -1,7 +1,7 @@
 //! Total variation: `min |W^1/2 (J x - dv)|^2 + lambda^2 sum_e sqrt((x_a - x_b)^2 + beta^2)` over neighbouring
 //! unknowns, by lagged diffusivity (Vogel and Oman, SIAM J. Sci. Comput. 17, 1996): each sweep is a quadratic problem
-//! with the edge weights of the sweep before. Edges stay sharp where one-step priors blur them; for recordings, not
-//! live frames.
+//! with the edge weights of the previous sweep. Edges stay sharp where one-step priors blur them. For recordings
+//! rather than live frames.
 
 use faer::MatRef;
 
@@ -14,18 +14,18 @@ pub struct TotalVariation {
     pub hyperparameter: f64,
     /// Smoothing of the corner at zero, relative to the range of the first image (1e-2 is customary).
     pub relative_beta: f64,
-    /// Largest number of sweeps.
+    /// Maximum number of sweeps.
     pub max_sweeps: usize,
     /// Stop when the relative change of the image falls below this.
     pub tolerance: f64,
 }
 
-/// What the iteration arrived at.
+/// Result of the iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TotalVariationResult {
-    /// The image, one value an unknown.
+    /// The image, one value per unknown.
     pub image: Vec<f64>,
-    /// Sweeps made.
+    /// Number of sweeps made.
     pub sweeps: usize,
     /// Relative change in the last sweep.
     pub last_change: f64,

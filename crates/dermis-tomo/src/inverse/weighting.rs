@@ -1,14 +1,15 @@
-//! W, the inverse noise covariance of the channels, kept as its square root so that data and Jacobian can be whitened.
+//! W, the inverse noise covariance of the channels, stored as its square root so that data and Jacobian can be
+//! whitened.
 
 use faer::{Mat, MatMut, MatRef, Side};
 
 use super::check::positive;
 use super::{InverseError, check_finite};
 
-/// How much each channel counts.
+/// Weight of each channel.
 #[derive(Clone, Debug)]
 pub enum Weighting {
-    /// All channels alike.
+    /// Equal weights.
     Identity,
     /// The diagonal of W: 1 / variance of each channel.
     Diagonal(Vec<f64>),
@@ -17,11 +18,11 @@ pub enum Weighting {
 }
 
 impl Weighting {
-    /// From the noise standard deviation of each channel. Channels without a finite, positive one are given the
-    /// largest of the others.
+    /// Builds weights from the noise standard deviation of each channel. Channels without a finite, positive one get
+    /// the largest of the others.
     ///
     /// # Errors
-    /// No channel with a usable deviation.
+    /// No channel has a usable standard deviation.
     pub fn from_standard_deviations(deviations: &[f64]) -> Result<Self, InverseError> {
         let usable = |d: &f64| d.is_finite() && *d > 0.0;
         let largest = deviations.iter().copied().filter(usable).fold(0.0, f64::max);
@@ -37,10 +38,10 @@ impl Weighting {
         Ok(Self::Diagonal(weights.collect()))
     }
 
-    /// From a full noise covariance (channels x channels).
+    /// Builds weights from a full noise covariance (channels x channels).
     ///
     /// # Errors
-    /// Not square, not finite, or not positive definite (shrink it toward its diagonal first).
+    /// Not square, not finite, or not positive definite (shrink it towards its diagonal first).
     pub fn from_covariance(covariance: MatRef<'_, f64>) -> Result<Self, InverseError> {
         if covariance.nrows() != covariance.ncols() {
             return Err(InverseError::Size {
@@ -60,13 +61,13 @@ impl Weighting {
         Ok(Self::Full(factor.L().to_owned()))
     }
 
-    /// From reciprocity: swapping drive and measurement must give the same transfer impedance, so the difference of
-    /// such a pair tells the error of both channels. `partner[i]` is the reciprocal channel of `i` and `ratio[i]` the
-    /// factor that makes the two comparable (see `Protocol::reciprocal`); channels without partner get the median
-    /// error. `floor` is the smallest standard deviation that is believed, in the unit of the voltages.
+    /// Builds weights from reciprocity: swapping drive and measurement must give the same transfer impedance, so the
+    /// difference within such a pair shows the error of both channels. `partner[i]` holds the reciprocal channel of `i`
+    /// and the factor that makes the two comparable (see `Protocol::reciprocal_channels`); channels without a partner
+    /// get the median error. `floor` is the minimum standard deviation, in the unit of the voltages.
     ///
     /// # Errors
-    /// Lists of different length, a floor that is not positive, or voltages that are not finite.
+    /// Lists of different length, a floor that is not positive, or non-finite voltages.
     pub fn from_reciprocity(
         voltages: &[f64],
         partner: &[Option<(u32, f64)>],
@@ -92,7 +93,7 @@ impl Weighting {
         Self::from_standard_deviations(&errors.into_iter().map(|e| e.unwrap_or(median)).collect::<Vec<_>>())
     }
 
-    /// Checks the size and the values.
+    /// Checks size and values.
     pub(super) fn check(&self, channels: usize) -> Result<(), InverseError> {
         let got = match self {
             Weighting::Identity => channels,
@@ -114,7 +115,7 @@ impl Weighting {
         if got == channels { Ok(()) } else { Err(InverseError::Size { what: "weights", expected: channels, got }) }
     }
 
-    /// Square root of a channel's weight, where weights are one a channel.
+    /// Square root of a channel's weight, if there is one weight per channel.
     pub(super) fn root(&self, channel: usize) -> f64 {
         match self {
             Weighting::Diagonal(weights) => weights[channel].sqrt(),
@@ -122,12 +123,12 @@ impl Weighting {
         }
     }
 
-    /// `W^1/2 A` in place: rows are channels.
+    /// `W^1/2 A` in place, where rows are channels.
     pub(super) fn whiten(&self, a: MatMut<'_, f64>) {
         match self {
             Weighting::Identity => {}
             Weighting::Diagonal(weights) => {
-                // One channel after the other: rows are contiguous in the matrices that this is called for.
+                // Channel by channel: rows are contiguous in the matrices passed here.
                 for (row, weight) in a.row_iter_mut().zip(weights) {
                     let root = weight.sqrt();
                     row.iter_mut().for_each(|value| *value *= root);

@@ -1,38 +1,38 @@
-//! By which rules steps are damped, taken and ended.
+//! Rules for damping, accepting and ending steps.
 
 use super::progress::Progress;
 
-/// Parameters that make no sense.
+/// Invalid parameters.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// One of them.
+    /// A parameter is out of range.
     #[error("{name} of a least-squares fit = {value}: expected {expected}")]
     Parameter {
-        /// Its name, as in the struct that holds it.
+        /// Name of the field.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// The range in words.
+        /// The permitted range in words.
         expected: &'static str,
     },
 }
 
-/// How the damping changes, as a share of the diagonal of the normal equations.
+/// Evolution of the damping, as a share of the diagonal of the normal equations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Damping {
-    /// At the start. At least 0.
+    /// Initial damping, at least 0.
     pub start: f64,
-    /// It never falls below this. At least 0.
+    /// Minimum damping, at least 0.
     pub least: f64,
-    /// The fit ends where it reaches this; infinite for never.
+    /// The fit ends when the damping reaches this; infinite for never.
     pub most: f64,
-    /// Factor after a step that was taken. Above 0 and at most 1.
+    /// Factor after an accepted step, above 0 and at most 1.
     pub decrease: f64,
-    /// Factor after a step that was rejected. Above 1.
+    /// Factor after a rejected step, above 1.
     pub increase: f64,
-    /// After a rejected step it is at least this. At least 0.
+    /// Minimum damping after a rejected step, at least 0.
     pub least_after_rejection: f64,
-    /// Factor where the equations cannot be solved or a step leads nowhere (above 1); without one the fit then ends.
+    /// Factor (above 1) if the equations cannot be solved or a step is not allowed. If `None`, the fit then ends.
     pub refused: Option<f64>,
 }
 
@@ -50,15 +50,15 @@ impl Default for Damping {
     }
 }
 
-/// What makes steps safe.
+/// Method that keeps steps safe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Control {
-    /// Damping of the equations; a rejected step is solved for anew.
+    /// Damped equations, solved again after a rejected step.
     Damping(Damping),
-    /// Whole steps, shortened by a factor between 0 and 1 each time they are rejected. A rejected step that moves no
-    /// farther than the tolerance settles the fit.
+    /// Full steps, shortened by a factor between 0 and 1 each time they are rejected. A rejected step no longer than
+    /// the tolerance settles the fit.
     Shortening {
-        /// The factor.
+        /// Factor between 0 and 1.
         factor: f64,
     },
 }
@@ -97,12 +97,12 @@ impl Control {
     }
 }
 
-/// Which steps are taken.
+/// Condition to accept a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Acceptance {
-    /// Those that lower the cost.
+    /// Steps that lower the cost.
     Lower,
-    /// Those that do not raise it.
+    /// Steps that do not raise the cost.
     NotHigher,
 }
 
@@ -115,22 +115,22 @@ impl Acceptance {
     }
 }
 
-/// When a fit has settled; what is `None` is not asked for.
+/// Conditions under which a fit has settled; `None` disables a condition.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tolerances {
-    /// A step that was taken has moved no farther than this, in the problem's own measure.
+    /// Settled once an accepted step is no longer than this, in the problem's own measure.
     pub moved: Option<f64>,
-    /// It has lowered the cost by no more than this share of what it was.
+    /// Settled once an accepted step lowers the cost by at most this share of the cost before it.
     pub gain: Option<f64>,
-    /// A step would lower the cost by less than this; it is not even tried.
+    /// Settled once a step is predicted to lower the cost by less than this; that step is not tried.
     pub predicted: Option<f64>,
-    /// A step that was taken has lowered the cost as predicted up to less than this: it is a parabola, whose bottom
-    /// this is.
+    /// Settled once the actual drop in cost of an accepted step differs from the predicted one by less than this: the
+    /// cost is then a parabola, and the step has reached its minimum.
     pub agreement: Option<f64>,
 }
 
 impl Tolerances {
-    /// Whether a step that was taken meets one of them.
+    /// True if an accepted step meets one of the conditions.
     pub fn are_met(&self, progress: &Progress) -> bool {
         let Progress { before, after, predicted, moved } = *progress;
         self.moved.is_some_and(|most| moved <= most)
@@ -142,22 +142,22 @@ impl Tolerances {
 /// Rules of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
-    /// What makes steps safe.
+    /// Method that keeps steps safe.
     pub control: Control,
-    /// Which steps are taken.
+    /// Condition to accept a step.
     pub acceptance: Acceptance,
-    /// When it has settled.
+    /// Conditions under which the fit has settled.
     pub tolerances: Tolerances,
-    /// Steps tried at most, rejected ones included.
+    /// Maximum number of steps tried, including rejected ones.
     pub most_trials: usize,
-    /// Linearisations at most.
+    /// Maximum number of linearisations.
     pub most_linearisations: usize,
-    /// The fit ends where so many steps in a row are rejected.
+    /// Maximum number of consecutive rejections; the fit ends when it is reached.
     pub most_rejections: usize,
 }
 
 impl Default for Params {
-    /// Damped steps until they gain less than 1e-9 of the cost; at most 100.
+    /// Damped steps until one gains less than 1e-9 of the cost; at most 100.
     fn default() -> Self {
         Self {
             control: Control::Damping(Damping::default()),
@@ -174,7 +174,7 @@ impl Params {
     /// Checks every number against its range.
     ///
     /// # Errors
-    /// [`Error::Parameter`] naming the field.
+    /// [`Error::Parameter`] with the name of the field.
     pub fn check(&self) -> Result<(), Error> {
         let require = |ok: bool, name, value, expected| match ok {
             true => Ok(()),

@@ -1,13 +1,13 @@
-//! What a step did.
+//! Effect of a step.
 
-/// What a step has done.
+/// Effect of an accepted step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Cost before it.
+    /// Cost before the step.
     pub before: f64,
-    /// Cost after it.
+    /// Cost after the step.
     pub after: f64,
-    /// By how much the cost should have fallen: half of step times right-hand side.
+    /// Predicted drop in cost: half the product of step and right-hand side.
     pub predicted: f64,
     /// As [`Trial::moved`](super::Trial::moved).
     pub moved: f64,

@@ -1,12 +1,12 @@
-//! The loop on problems whose solutions are known.
+//! Tests the loop on problems with known solutions.
 
 use super::*;
 
-/// Rosenbrock's valley as a sum of squares, `r = (10 (y - x^2), 1 - x)`, solved at (1, 1).
+/// Rosenbrock's valley as a sum of squares, `r = (10 (y - x^2), 1 - x)`, with its minimum at (1, 1).
 struct Valley {
     at: [f64; 2],
     tried: [f64; 2],
-    /// Steps lead nowhere where x is above this.
+    /// Steps to points with x above this are refused.
     wall: f64,
 }
 
@@ -114,7 +114,7 @@ fn a_factor_solves_and_indefinite_matrices_are_told() {
     let equations = NormalEquations { normal: vec![4.0, 2.0, 2.0, 3.0], right: vec![2.0, -1.0] };
     let (mut factor, mut step) = (vec![0.0; 4], vec![0.0; 2]);
     assert!(equations.solve_damped(0.0, &mut factor, &mut step));
-    // Up to the floor of 1e-12.
+    // Exact up to the floor of 1e-12.
     assert!((step[0] - 1.0).abs() < 1e-11 && (step[1] + 1.0).abs() < 1e-11, "{step:?}");
     let indefinite = NormalEquations { normal: vec![1.0, 2.0, 2.0, 1.0], right: vec![0.0; 2] };
     assert!(!indefinite.solve_damped(0.0, &mut factor, &mut step));

@@ -1,5 +1,5 @@
-//! The mesh itself: nodes, elements, their measures (area or volume), and electrodes as parts of the mesh.
-//! Every mesh is validated when it is made, so that what uses it later need not check again.
+//! The mesh itself: nodes, elements, their measures (area or volume), and electrodes as parts of the mesh. Every mesh
+//! is validated on construction, so later code need not check again.
 
 mod error;
 
@@ -7,12 +7,12 @@ pub use error::MeshError;
 
 use std::collections::HashMap;
 
-/// What a mesh is made of.
+/// Kind of the elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellKind {
-    /// Three nodes a cell; flat sheets and surfaces in 3D.
+    /// Three nodes per element; flat sheets and surfaces in 3D.
     Triangle,
-    /// Four nodes a cell; solids.
+    /// Four nodes per element; solids.
     Tetrahedron,
 }
 
@@ -31,28 +31,28 @@ impl CellKind {
     }
 }
 
-/// How an electrode touches the mesh.
+/// Contact of an electrode with the mesh.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Contact {
-    /// Faces (edges in 2D, triangles in 3D), `nodes_per_face` node indices each: rim and wall electrodes, and lines
-    /// inside a sheet. Contact impedance in ohm.m^2 (3D) or ohm.m (2D, thickness 1).
+    /// Faces (edges in 2D, triangles in 3D), `nodes_per_face` node indices each: electrodes on rims and walls, and
+    /// lines inside a sheet. Contact impedance in ohm.m^2 (3D) or ohm.m (2D, thickness 1).
     Faces(Vec<Vec<u32>>),
-    /// Elements of a sheet that an electrode pad lies under; contact impedance in ohm.m^2 of pad.
+    /// Elements of a sheet above an electrode pad; contact impedance in ohm.m^2 of pad.
     Area(Vec<u32>),
     /// One node; no contact impedance.
     Point(u32),
 }
 
-/// An electrode: where it touches, and through what.
+/// An electrode: its contact and contact impedance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Electrode {
-    /// Its place on the mesh.
+    /// Contact with the mesh.
     pub contact: Contact,
     /// Specific contact impedance; ignored by point electrodes. Units: see [`Contact`].
     pub contact_impedance: f64,
 }
 
-/// A mesh of triangles or tetrahedra with positive measures, connected, no face shared by more than two elements.
+/// A connected mesh of triangles or tetrahedra with positive measures, where at most two elements share a face.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     kind: CellKind,
@@ -61,22 +61,22 @@ pub struct Mesh {
     measures: Vec<f64>,
 }
 
-/// A mesh with its electrodes, checked against each other.
+/// A mesh with its electrodes, validated together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ElectrodedMesh {
     /// The mesh.
     pub mesh: Mesh,
-    /// Electrode 1 of the user's counting is index 0 here.
+    /// The electrodes. Electrode 1 in the user's numbering has index 0 here.
     pub electrodes: Vec<Electrode>,
 }
 
 impl Mesh {
-    /// Makes a mesh from node coordinates in metres and a flat list of zero-based node indices,
-    /// `kind.nodes_per_element()` an element, in any orientation. Flat meshes have `z = 0` (or any constant).
+    /// Builds a mesh from node coordinates in metres and a flat list of zero-based node indices,
+    /// `kind.nodes_per_element()` per element, in any orientation. Flat meshes have `z = 0` (or any constant).
     ///
     /// # Errors
-    /// Indices out of range, coordinates not finite, elements without measure, elements that fold over each other,
-    /// faces shared by more than two elements, nodes in no element, or a mesh of several unconnected parts.
+    /// Indices out of range, non-finite coordinates, elements without measure, elements that fold over each other,
+    /// faces shared by more than two elements, nodes in no element, or a mesh with several unconnected parts.
     pub fn new(kind: CellKind, nodes: Vec<[f64; 3]>, elements: Vec<u32>) -> Result<Self, MeshError> {
         let per = kind.nodes_per_element();
         if elements.is_empty() || !elements.len().is_multiple_of(per) {
@@ -144,7 +144,7 @@ impl Mesh {
         &self.measures
     }
 
-    /// Side of a square of the elements' mean area, metres, of a mesh of triangles.
+    /// Side of a square with the elements' mean area, metres; for a mesh of triangles.
     pub fn element_size_m(&self) -> f64 {
         (self.measures.iter().sum::<f64>() / self.measures.len().max(1) as f64).sqrt()
     }
@@ -166,7 +166,7 @@ impl Mesh {
         measure(&self.nodes, face)
     }
 
-    /// Smallest and largest coordinates, metres.
+    /// Minimum and maximum coordinates, metres.
     pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         let mut low = [f64::INFINITY; 3];
         let mut high = [f64::NEG_INFINITY; 3];
@@ -179,7 +179,7 @@ impl Mesh {
         (low, high)
     }
 
-    /// Faces that belong to one element only, sorted by node indices, each with its element.
+    /// Faces that belong to only one element, sorted by node indices, each with its element.
     pub fn boundary_faces(&self) -> Vec<(Vec<u32>, u32)> {
         let per = self.kind.nodes_per_face();
         let table = self.face_table();
@@ -235,7 +235,7 @@ impl Mesh {
         self.check_connected()
     }
 
-    /// True where two elements that share a face lie on the same side of it (in-plane, for triangles in 3D).
+    /// True if two elements that share a face lie on the same side of it (in-plane, for triangles in 3D).
     fn folds(&self, face: &[u32], first: u32, second: u32) -> bool {
         let apex = |element: u32| {
             let node = self.element(element as usize).iter().find(|node| !face.contains(node));
@@ -246,7 +246,7 @@ impl Mesh {
         let along = subtract(self.nodes[face[1] as usize], origin);
         let (to_a, to_b) = (subtract(a, origin), subtract(b, origin));
         if face.len() == 2 {
-            // Components perpendicular to the shared edge point to opposite sides of it.
+            // The components perpendicular to the shared edge must point to opposite sides.
             let perpendicular = |v: [f64; 3]| {
                 let share = dot(v, along) / dot(along, along);
                 [v[0] - share * along[0], v[1] - share * along[1], v[2] - share * along[2]]
@@ -293,11 +293,11 @@ impl Mesh {
 }
 
 impl ElectrodedMesh {
-    /// Joins a mesh and its electrodes.
+    /// Combines a mesh and its electrodes.
     ///
     /// # Errors
-    /// Electrodes that touch nothing, name faces, elements or nodes the mesh does not have, share a face, an element
-    /// or (points) a node with another electrode, or have a contact impedance that is not positive and finite.
+    /// An electrode that touches nothing, names faces, elements or nodes that do not exist, shares a face, an element
+    /// or (points) a node with another electrode, or has a contact impedance that is not positive and finite.
     pub fn new(mesh: Mesh, electrodes: Vec<Electrode>) -> Result<Self, MeshError> {
         let per_face = mesh.kind().nodes_per_face();
         let touched = |electrode: &Electrode| matches!(electrode.contact, Contact::Faces(_));
@@ -357,12 +357,13 @@ impl ElectrodedMesh {
         Ok(Self { mesh, electrodes })
     }
 
-    /// A flat sheet bent round a cylinder whose axis runs along y, `radius_m` below the sheet: x becomes arc length,
-    /// the line x = 0 stays where it is, and elements and electrodes keep their numbers. Nodes keep their distances
-    /// along the surface; elements are the chords between them, narrower by a share `(h / radius)^2 / 24`.
+    /// Bends a flat sheet around a cylinder whose axis runs along y, `radius_m` below the sheet. x becomes arc
+    /// length, the line x = 0 stays in place, and elements and electrodes keep their numbers. Nodes keep their
+    /// distances along the surface; elements are the chords between them, narrower by a share `(h / radius)^2 / 24`.
     ///
     /// # Errors
-    /// A mesh of tetrahedra, or a radius that is not positive and finite or that the sheet would reach round entirely.
+    /// A mesh of tetrahedra, or a radius that is not positive and finite or so small that the sheet would reach all
+    /// the way round.
     pub fn bent_onto_cylinder(&self, radius_m: f64) -> Result<Self, MeshError> {
         let (low, high) = self.mesh.bounds();
         let shape =
@@ -383,7 +384,7 @@ impl ElectrodedMesh {
         Ok(Self { mesh, electrodes: self.electrodes.clone() })
     }
 
-    /// Length (m) or area (m^2) of every electrode as meshed; 0 for points.
+    /// Length (m) or area (m^2) of every electrode in the mesh; 0 for points.
     pub fn electrode_measures(&self) -> Vec<f64> {
         let measure = |electrode: &Electrode| match &electrode.contact {
             Contact::Faces(faces) => faces.iter().map(|face| self.mesh.face_measure(face)).sum(),
@@ -394,7 +395,8 @@ impl ElectrodedMesh {
     }
 }
 
-/// Length, area or volume of the simplex over 2, 3 or 4 nodes in 3D: sqrt(det(E'E)) / d! with E its edge vectors.
+/// Length, area or volume of the simplex over 2, 3 or 4 nodes in 3D: sqrt(det(E'E)) / d!, where E holds its edge
+/// vectors.
 fn measure(nodes: &[[f64; 3]], simplex: &[u32]) -> f64 {
     let edge = |corner: usize| subtract(nodes[simplex[corner] as usize], nodes[simplex[0] as usize]);
     match simplex.len() {

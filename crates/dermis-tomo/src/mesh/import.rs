@@ -1,6 +1,6 @@
-//! Reads meshes in Gmsh's MSH formats 2.2 and 4.1, as text and binary (Gmsh reference manual, "MSH file format"): nodes,
+//! Reads meshes in Gmsh's MSH formats 2.2 and 4.1, text and binary (Gmsh reference manual, "MSH file format"): nodes,
 //! first-order triangles and tetrahedra, and electrodes from physical groups. The domain is all tetrahedra, or all
-//! triangles where there are none. Sections that are not needed are skipped; sizes claimed in the file reserve no memory.
+//! triangles if there are no tetrahedra. Unneeded sections are skipped; sizes claimed in the file reserve no memory.
 
 mod binary;
 
@@ -9,11 +9,11 @@ use std::collections::{BTreeMap, HashMap};
 use super::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
 use super::sheet::spread;
 
-/// Which physical groups are electrodes. A group of dimension one below the domain's is a contact of faces, one of the
-/// domain's own dimension (sheets) a contact of area, one of dimension 0 a point.
+/// Selects the physical groups that are electrodes. A group one dimension below the domain's is a contact of faces,
+/// one of the domain's own dimension (sheets) a contact of area, one of dimension 0 a point.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ElectrodeGroups {
-    /// Groups whose name is this prefix and a number, in the numbers' order: `electrode` takes `electrode1`,
+    /// Groups whose name is this prefix and a number, in numerical order: `electrode` matches `electrode1`,
     /// `electrode_2`, `electrode 16`.
     Prefix(String),
     /// These groups, given by dimension and physical tag, in this order.
@@ -23,8 +23,8 @@ pub enum ElectrodeGroups {
 /// Reads a mesh and its electrodes. `contact_impedance` holds one value for all electrodes or one each.
 ///
 /// # Errors
-/// With the line number, whatever the format does not allow or this reader does not know (other versions, elements of
-/// higher order); and everything [`Mesh::new`] and [`ElectrodedMesh::new`] refuse.
+/// Errors with the line number for anything invalid or unsupported (other versions, elements of higher order), and
+/// the errors of [`Mesh::new`] and [`ElectrodedMesh::new`].
 pub fn read_msh(
     bytes: &[u8],
     groups: &ElectrodeGroups,
@@ -101,7 +101,7 @@ fn shortened(line: &str) -> String {
 struct Block {
     dimension: u8,
     entity: i64,
-    /// Node tags, `dimension + 1` an element.
+    /// Node tags, `dimension + 1` per element.
     nodes: Vec<u64>,
 }
 
@@ -233,7 +233,7 @@ impl MshFile {
         lines.close("$EndElements")
     }
 
-    /// An element of version 2.2, of a physical group (0: of none).
+    /// Adds an element of version 2.2 that belongs to a physical group (0 for none).
     fn put_element(&mut self, dimension: u8, group: i64, element: u64, nodes: &[u64]) -> Result<(), String> {
         if let Some(node) = nodes.iter().find(|node| !self.nodes.contains_key(node)) {
             return Err(format!("element {element} names node {node}, which is not there"));

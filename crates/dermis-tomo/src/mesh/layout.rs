@@ -1,6 +1,7 @@
-//! From outline and electrodes to a planar straight-line graph: the nodes and segments that a mesh must hold, and the
-//! element size wanted at every place, `h(x) = min(h0, min_e(h_e + g d(x, e)))` with `d` the distance to electrode `e`.
-//! Everything that could make refinement fail (crossings, overlaps, parts off the domain) is refused here.
+//! From outline and electrodes to a planar straight-line graph: the nodes and segments that a mesh must contain, and
+//! the target element size at every point, `h(x) = min(h0, min_e(h_e + g d(x, e)))` with the distance `d` to
+//! electrode `e`. Anything that could make refinement fail (crossings, overlaps, parts off the domain) is refused
+//! here.
 
 mod features;
 mod size_field;
@@ -13,9 +14,9 @@ use super::plane::{self, Point, contains, distance, lerp, sides, to_segment};
 use super::shapes::{Outline, check_coordinate, check_length};
 use size_field::size_field;
 
-/// More elements than this are refused before any work is done.
+/// Maximum number of elements; larger meshes are refused before any work starts.
 const MOST_ELEMENTS: f64 = 4e6;
-/// Fewest edges of a disc's rim.
+/// Minimum number of edges of a disc's rim.
 const LEAST_RIM_EDGES: f64 = 24.0;
 
 /// The planar straight-line graph.
@@ -39,7 +40,7 @@ fn off(electrode: usize, reason: String) -> MeshError {
     MeshError::Electrode { electrode, reason }
 }
 
-/// Checks an outline's numbers, and that a polygon neither crosses itself nor has holes that leave it or meet.
+/// Checks an outline's numbers, and that a polygon does not cross itself and its holes neither leave it nor meet.
 pub(super) fn check_outline(outline: &Outline) -> Result<(), MeshError> {
     match outline {
         Outline::Disc { radius_m } => check_length("radius_m", *radius_m),
@@ -159,7 +160,7 @@ impl Layout {
         if breaks.is_empty() {
             breaks.push(0.0);
         }
-        // Corners come first in the list and the sort is stable, so of two coinciding breaks the corner stays.
+        // Corners come first in the list and the sort is stable, so the corner survives among coinciding breaks.
         breaks.sort_by(f64::total_cmp);
         breaks.dedup_by(|later, earlier| *later - *earlier <= self.tolerance);
         if breaks.len() > 1 && breaks[0] + perimeter - breaks[breaks.len() - 1] <= self.tolerance {
@@ -191,7 +192,7 @@ impl Layout {
         (0..self.rim.len()).min_by(order).unwrap_or(0)
     }
 
-    /// Adds a closed loop of nodes and returns the index of its first.
+    /// Adds a closed loop of nodes and returns the index of its first node.
     fn add_loop(&mut self, nodes: Vec<Point>) -> usize {
         let (first, count) = (self.nodes.len(), nodes.len());
         self.nodes.extend(nodes);
@@ -281,17 +282,17 @@ impl Layout {
         Ok(())
     }
 
-    /// True where the rim is convex and its nodes, rounded, still are.
+    /// True if the rim is convex and stays convex after rounding of its nodes.
     pub fn has_straight_hull(&self) -> bool {
         !self.slanted
     }
 
-    /// True where edges follow lines inside.
+    /// True if edges follow lines in the interior.
     pub fn has_lines(&self) -> bool {
         self.lined
     }
 
-    /// A disc's rim nodes lie on the circle but its edges do not, so that nothing can be flush with it.
+    /// The rim nodes of a disc lie on the circle but its edges do not, so nothing can be flush with it.
     fn flat_rim(&self) -> bool {
         matches!(self.border, Border::Polygon { .. })
     }
@@ -343,15 +344,15 @@ impl Layout {
     }
 }
 
-/// Divides a curve of the given length (parameter 0 to 1) so that its steps follow the size field: parameters of the
-/// nodes, beginning with 0 and without 1, at equal shares of the integral of ds/h.
+/// Divides a curve of the given length (parameter 0 to 1) so that its steps follow the size field. Returns the
+/// parameters of the nodes at equal shares of the integral of ds/h, starting at 0, without 1.
 fn divide(field: &SizeField, length: f64, least: usize, curve: impl Fn(f64) -> Point) -> std::vec::IntoIter<f64> {
     let mut marks = vec![(0.0, 0.0)];
     let (mut t, mut sum) = (0.0, 0.0);
     while t < 1.0 {
         let size = field.at(curve(t));
         let step = (0.2 * size / length).min(1.0 - t).max(1e-7);
-        // The size half a step on, so that steps toward and away from an electrode are alike.
+        // Use the size at half a step, so that steps towards and away from an electrode are the same.
         let size = field.at(curve((t + step / 2.0).min(1.0)));
         t = if t + step > 1.0 - 1e-9 { 1.0 } else { t + step };
         sum += step * length / size;

@@ -1,23 +1,23 @@
-//! The pixel grid that images live on and its exact overlap with a mesh. Elements are cut at the grid's lines
-//! (triangles as convex polygons, tetrahedra into smaller tetrahedra), so that the weights
-//! `w_kp = |element k within pixel p| / |element k|` are areas or volumes to rounding, not samples. With them
-//! `J_pixel[m, p] = sum_k J[m, k] w_kp` is the Jacobian of a conductivity constant on each pixel.
+//! The pixel grid of images and its exact overlap with a mesh. Elements are cut at the grid lines (triangles as
+//! convex polygons, tetrahedra into smaller tetrahedra), so the weights
+//! `w_kp = |element k within pixel p| / |element k|` are exact areas or volumes up to rounding, not samples. With
+//! them, `J_pixel[m, p] = sum_k J[m, k] w_kp` is the Jacobian for a conductivity that is constant on each pixel.
 
 use super::core::{CellKind, Mesh, MeshError};
 use super::plane::{self, Point};
 
-/// A pixel counts as inside the skin where the mesh covers at least this share of it.
+/// Minimum share of a pixel that the mesh must cover for the pixel to count as inside the skin.
 pub const INSIDE_COVERAGE: f64 = 0.25;
 
-/// Most pixels along a side.
+/// Maximum number of pixels along a side.
 const MOST_PIXELS: usize = 8192;
 
 /// Square pixels in rows, row 0 at the top (+y), column 0 at the left (-x).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelGrid {
-    /// Pixels in a row.
+    /// Number of pixels in a row.
     pub columns: usize,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
     /// x of the left edge, metres.
     pub left_m: f64,
@@ -28,9 +28,9 @@ pub struct PixelGrid {
 }
 
 impl PixelGrid {
-    /// The grid over a rectangle with `pixels` along its longer side; the shorter side gets as many as cover it, and
-    /// what they cover beyond it is shared between its two ends. For a disc give its full diameter
-    /// ([`super::Outline::bounds_m`]): the mesh's own bounds are a little smaller.
+    /// The grid over a rectangle with `pixels` along its longer side. The shorter side gets as many as cover it; any
+    /// excess is split between its two ends. For a disc, pass its full diameter ([`super::Outline::bounds_m`]): the
+    /// bounds of the mesh are slightly smaller.
     ///
     /// # Errors
     /// Bounds that are not finite or in the wrong order, and pixel counts of 0 or above 8192.
@@ -40,7 +40,7 @@ impl PixelGrid {
         super::shapes::check_length("grid height", height)?;
         check_count("pixels", pixels)?;
         let pixel_m = width.max(height) / pixels as f64;
-        // A rectangle that is a whole number of pixels must not gain one through rounding.
+        // Rounding must not add a pixel to a rectangle that is a whole number of pixels wide.
         let count = |side: f64| ((side / pixel_m - 1e-9).ceil() as usize).max(1);
         let (columns, rows) = (count(width), count(height));
         let left_m = (low_m[0] + high_m[0] - columns as f64 * pixel_m) / 2.0;
@@ -62,7 +62,7 @@ impl PixelGrid {
         self.columns * self.rows
     }
 
-    /// True where there are no pixels.
+    /// True if there are no pixels.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -78,7 +78,7 @@ impl PixelGrid {
         (0..self.len()).map(|index| self.centre_m(index)).collect()
     }
 
-    /// Row-major index of the pixel that holds a point, if any does.
+    /// Row-major index of the pixel that contains a point, if any.
     pub fn pixel_at(&self, point_m: [f64; 2]) -> Option<usize> {
         let column = ((point_m[0] - self.left_m) / self.pixel_m).floor();
         let row = ((self.top_m - point_m[1]) / self.pixel_m).floor();
@@ -114,11 +114,11 @@ fn check_count(field: &'static str, count: usize) -> Result<(), MeshError> {
     Err(MeshError::Shape { field, value: count.to_string(), expected: format!("between 1 and {MOST_PIXELS}") })
 }
 
-/// How elements and pixels overlap.
+/// Overlap of elements and pixels.
 ///
-/// Inside pixels are numbered 0, 1, ... in row-major order. What an element shares with a pixel that is not inside
-/// (less than [`INSIDE_COVERAGE`] of it covered), or has outside the grid, is handed to the nearest inside pixel, so
-/// that the weights of every element sum to 1.
+/// Inside pixels are numbered 0, 1, ... in row-major order. The parts of an element in pixels that are not inside
+/// (less than [`INSIDE_COVERAGE`] covered) or outside the grid are assigned to the nearest inside pixel, so the
+/// weights of every element sum to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PixelMap {
     grid: PixelGrid,
@@ -132,11 +132,11 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
-    /// Overlaps a grid with a mesh, seen along z. On a sheet curved in 3D an element's area counts where its shadow
-    /// lies; to unroll a bent sheet, map its flat original, whose elements have the same order.
+    /// Overlaps a grid with a mesh, seen along z. On a sheet curved in 3D an element's area counts at its projection;
+    /// to unroll a bent sheet, map its flat original, whose elements have the same order.
     ///
     /// # Errors
-    /// Grids of no or too many pixels, and grids of which the mesh covers no pixel.
+    /// Grids with no or too many pixels, and grids of which the mesh covers no pixel.
     pub fn new(grid: PixelGrid, mesh: &Mesh) -> Result<Self, MeshError> {
         grid.check()?;
         let overlaps = raw_overlaps(&grid, mesh);
@@ -161,7 +161,7 @@ impl PixelMap {
         Ok(map)
     }
 
-    /// Turns raw overlaps into weights on inside pixels.
+    /// Converts raw overlaps to weights on inside pixels.
     fn gather(&mut self, mesh: &Mesh, overlaps: &Overlaps) {
         const UNKNOWN: u32 = u32::MAX;
         let mut number = vec![UNKNOWN; self.grid.len()];
@@ -200,7 +200,8 @@ impl PixelMap {
         let place = |offset_m: f64, count: usize| ((offset_m / pixel_m).max(0.0) as usize).min(count - 1);
         let (column, row) = (place(p[0] - left_m, columns), place(top_m - p[1], rows));
         let mut best: Option<(f64, u32)> = None;
-        // Squares around the pixel that holds the point. The pixels of the next one are at least this far off.
+        // Search in square rings around the pixel that contains the point. Pixels of the next ring are at least this
+        // far away.
         for ring in 0..columns.max(rows) {
             if best.is_some_and(|(distance, _)| (ring as f64 - 0.5) * pixel_m > distance) {
                 break;
@@ -212,7 +213,7 @@ impl PixelMap {
                 let step = if whole { 1 } else { (2 * ring).max(1) };
                 let first = if whole { left } else { column.wrapping_sub(ring) };
                 for x in (0..).map(|k| first.wrapping_add(k * step)).take(if whole { right - left + 1 } else { 2 }) {
-                    // Left of the first column the number has wrapped.
+                    // Left of the first column the index has wrapped.
                     if x >= columns {
                         continue;
                     }
@@ -237,13 +238,13 @@ impl PixelMap {
         &self.grid
     }
 
-    /// Share of each pixel that the mesh covers, row-major, 0 to 1. For solids the share of the column under the pixel
-    /// over the mesh's whole extent in z.
+    /// Share of each pixel covered by the mesh, row-major, 0 to 1. For solids, the share of the column under the
+    /// pixel over the mesh's whole extent in z.
     pub fn coverage(&self) -> &[f64] {
         &self.coverage
     }
 
-    /// True for each pixel, row-major, of which at least [`INSIDE_COVERAGE`] is covered.
+    /// True for each pixel with at least [`INSIDE_COVERAGE`] covered, row-major.
     pub fn inside_mask(&self) -> Vec<bool> {
         self.coverage.iter().map(|&share| share >= INSIDE_COVERAGE).collect()
     }
@@ -268,22 +269,22 @@ impl PixelMap {
         self.element_measures.len()
     }
 
-    /// Area (m^2) or volume (m^3) that each inside pixel received.
+    /// Area (m^2) or volume (m^3) assigned to each inside pixel.
     pub fn pixel_measures(&self) -> &[f64] {
         &self.pixel_measures
     }
 
-    /// The inside pixels an element lies in, ascending by number, each with the share of the element that it holds;
-    /// the shares sum to 1.
+    /// The inside pixels that an element overlaps, in ascending order, each with its share of the element; the shares
+    /// sum to 1.
     pub fn overlaps_of_element(&self, element: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let range = self.starts[element]..self.starts[element + 1];
         self.pixels[range.clone()].iter().map(|&pixel| pixel as usize).zip(self.weights[range].iter().copied())
     }
 
-    /// Means of per-element values over inside pixels, weighted by what they share.
+    /// Averages per-element values over inside pixels, weighted by overlap.
     ///
     /// # Errors
-    /// A number of values other than that of the elements.
+    /// The number of values is not the number of elements.
     pub fn to_inside(&self, per_element: &[f64]) -> Result<Vec<f64>, MeshError> {
         self.expect("values per element", self.element_count(), per_element.len())?;
         let mut sums = vec![0.0; self.inside.len()];
@@ -307,7 +308,7 @@ impl PixelMap {
     /// A row-major image from values of the inside pixels, `NaN` outside.
     ///
     /// # Errors
-    /// A number of values other than that of the inside pixels.
+    /// The number of values is not the number of inside pixels.
     pub fn image(&self, inside_values: &[f64]) -> Result<Vec<f64>, MeshError> {
         self.expect("values of inside pixels", self.inside.len(), inside_values.len())?;
         let mut image = vec![f64::NAN; self.grid.len()];
@@ -315,11 +316,11 @@ impl PixelMap {
         Ok(image)
     }
 
-    /// Value of each element from values of the inside pixels: their mean weighted by overlap. Its transpose takes a
-    /// Jacobian per element to one per pixel.
+    /// Value of each element from values of the inside pixels: their mean weighted by overlap. The transpose converts
+    /// a Jacobian per element to one per pixel.
     ///
     /// # Errors
-    /// A number of values other than that of the inside pixels.
+    /// The number of values is not the number of inside pixels.
     pub fn to_elements(&self, inside_values: &[f64]) -> Result<Vec<f64>, MeshError> {
         self.expect("values of inside pixels", self.inside.len(), inside_values.len())?;
         let mean =
@@ -335,8 +336,8 @@ impl PixelMap {
     }
 }
 
-/// For each element its pixels (row-major) and the share of the element's measure in each; `shadow` is the same as an
-/// area in the plane (or a volume).
+/// The pixels of each element (row-major), with the share of the element's measure in each. `shadow` is the same as
+/// an area in the plane (or a volume).
 struct Overlaps {
     starts: Vec<usize>,
     shares: Vec<(u32, f64)>,
@@ -379,13 +380,13 @@ impl Overlaps {
     }
 }
 
-/// Cuts a shape at the grid lines across an axis: the number of each strip, and what lies in it.
+/// Cuts a shape at the grid lines across an axis into strips; returns the number and contents of each strip.
 fn slices(grid: &PixelGrid, axis: usize, shape: Shape) -> Vec<(usize, Shape)> {
     let (low, high) = shape.extent(axis);
     let origin = grid.line(axis, 0);
     let count = grid.count(axis);
     let strip = |at: f64| ((at - origin) / grid.pixel_m).floor().clamp(0.0, count as f64) as usize;
-    // One strip to spare at both ends: rounding may put a corner a hair across a line.
+    // One spare strip at both ends, since rounding may move a corner slightly across a line.
     let (first, last) = (strip(low).saturating_sub(1), (strip(high) + 1).min(count - 1));
     let mut rest = if grid.line(axis, first) > low { shape.cut(axis, grid.line(axis, first)).1 } else { shape };
     let mut strips = Vec::with_capacity(last + 1 - first.min(last));
@@ -402,7 +403,7 @@ fn slices(grid: &PixelGrid, axis: usize, shape: Shape) -> Vec<(usize, Shape)> {
     strips
 }
 
-/// What an element is cut into.
+/// Pieces of an element.
 enum Shape {
     Polygon(Vec<Point>),
     Solid(Vec<[[f64; 3]; 4]>),
@@ -454,8 +455,8 @@ fn volume(cell: &[[f64; 3]; 4]) -> f64 {
     dot(cross(edge(1), edge(2)), edge(3)).abs() / 6.0
 }
 
-/// Cuts a tetrahedron at a plane: one corner off leaves a prism, two and two leave two prisms; a prism is three
-/// tetrahedra.
+/// Cuts a tetrahedron at a plane. Cutting off one corner leaves a prism, a two-two split leaves two prisms; a prism
+/// is divided into three tetrahedra.
 fn cut_cell(
     cell: &[[f64; 3]; 4],
     axis: usize,

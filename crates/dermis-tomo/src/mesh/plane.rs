@@ -1,5 +1,5 @@
 //! Plane geometry of polygons: signed areas by the shoelace formula, containment by ray crossing, distances,
-//! crossings of segments, and the cutting of convex polygons by axis-aligned lines. Lengths in metres.
+//! crossings of segments, and clipping of convex polygons at axis-aligned lines. Lengths in metres.
 
 /// A point in the plane, metres.
 pub(super) type Point = [f64; 2];
@@ -17,7 +17,7 @@ pub(super) fn dot2(a: Point, b: Point) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-/// Distance between two points of the plane, in their unit.
+/// Distance between two points in the plane, in their unit.
 pub fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
@@ -26,8 +26,8 @@ pub(super) fn lerp(a: Point, b: Point, t: f64) -> Point {
     [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]
 }
 
-/// Twice-signed-area over two: positive where the loop runs counter-clockwise. Taken about the first vertex, so that
-/// polygons far from the origin lose no digits.
+/// Signed area: positive if the loop runs counter-clockwise. Computed relative to the first vertex, so that polygons
+/// far from the origin lose no digits.
 pub(super) fn signed_area(polygon: &[Point]) -> f64 {
     let Some(&origin) = polygon.first() else { return 0.0 };
     polygon.windows(2).map(|pair| cross2(minus(pair[0], origin), minus(pair[1], origin))).sum::<f64>() / 2.0
@@ -49,8 +49,8 @@ pub(super) fn contains(polygon: &[Point], p: Point) -> bool {
     inside
 }
 
-/// Distance from a point of the plane to the segment from `a` to `b`, and where on it the nearest point is (0 at `a`, 1
-/// at `b`).
+/// Distance from a point in the plane to the segment from `a` to `b`, and the position of the nearest point on it (0
+/// at `a`, 1 at `b`).
 pub fn to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
     let along = minus(b, a);
     let length2 = dot2(along, along);
@@ -63,14 +63,14 @@ pub(super) fn to_polygon(p: Point, polygon: &[Point]) -> f64 {
     sides(polygon).map(|[a, b]| to_segment(p, a, b).0).fold(f64::INFINITY, f64::min)
 }
 
-/// True where the segments come within `tolerance` of each other.
+/// True if the segments come within `tolerance` of each other.
 pub(super) fn touch(first: [Point; 2], second: [Point; 2], tolerance: f64) -> bool {
     cross_properly(first, second, 0.0)
         || first.iter().any(|&p| to_segment(p, second[0], second[1]).0 <= tolerance)
         || second.iter().any(|&p| to_segment(p, first[0], first[1]).0 <= tolerance)
 }
 
-/// True where the segments cross with every end further than `tolerance` from the other's line.
+/// True if the segments cross and every end is farther than `tolerance` from the line of the other segment.
 pub(super) fn cross_properly(first: [Point; 2], second: [Point; 2], tolerance: f64) -> bool {
     let side = |[a, b]: [Point; 2], p: Point| {
         let height = cross2(minus(b, a), minus(p, a)) / distance(a, b).max(f64::MIN_POSITIVE);
@@ -79,14 +79,14 @@ pub(super) fn cross_properly(first: [Point; 2], second: [Point; 2], tolerance: f
     side(first, second[0]) * side(first, second[1]) < 0 && side(second, first[0]) * side(second, first[1]) < 0
 }
 
-/// Smallest and largest coordinates.
+/// Minimum and maximum coordinates.
 pub(super) fn bounds(points: &[Point]) -> (Point, Point) {
     points.iter().fold(([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]), |(low, high), p| {
         ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])])
     })
 }
 
-/// True where the polygons touch or one holds the other; `tolerance` counts as touching.
+/// True if the polygons touch (within `tolerance`) or one contains the other.
 pub(super) fn overlap(first: &[Point], second: &[Point], tolerance: f64) -> bool {
     let ((low_a, high_a), (low_b, high_b)) = (bounds(first), bounds(second));
     let apart = |axis: usize| low_a[axis] > high_b[axis] + tolerance || low_b[axis] > high_a[axis] + tolerance;
@@ -109,8 +109,8 @@ pub(super) fn smallest_angle(corners: [[f64; 3]; 3]) -> f64 {
     angle(0).min(angle(1)).min(angle(2))
 }
 
-/// Cuts a convex polygon at the line `axis = at` (Sutherland and Hodgman's clipping, both sides kept): what lies below
-/// it and what lies above. Either may be empty.
+/// Cuts a convex polygon at the line `axis = at` (Sutherland and Hodgman's clipping, keeping both sides). Returns the
+/// parts below and above; either may be empty.
 pub(super) fn cut(polygon: &[Point], axis: usize, at: f64) -> (Vec<Point>, Vec<Point>) {
     let (mut below, mut above) = (Vec::with_capacity(polygon.len() + 1), Vec::with_capacity(polygon.len() + 1));
     for [a, b] in sides(polygon) {

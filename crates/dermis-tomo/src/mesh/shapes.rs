@@ -1,8 +1,9 @@
-//! What a flat sheet looks like before it is meshed: its outline, the electrodes on it, and generators for the usual
-//! electrode layouts. Lengths in metres, angles in radians counter-clockwise from +x.
+//! Geometry of a flat sheet before meshing: its outline, its electrodes, and generators for common electrode layouts.
+//! Lengths in metres, angles in radians counter-clockwise from +x.
 //!
-//! Positions along the rim run counter-clockwise: on a disc from +x (so that position = angle x radius), on a rectangle
-//! from its bottom-left corner, on a polygon from its first vertex (also where its vertices were listed clockwise).
+//! Positions along the rim run counter-clockwise: on a disc from +x (so that position = angle x radius), on a
+//! rectangle from its bottom-left corner, on a polygon from its first vertex (even if its vertices were listed
+//! clockwise).
 
 use std::f64::consts::TAU;
 
@@ -12,13 +13,13 @@ use super::plane::{Point, sides, signed_area};
 /// The shape of a sheet.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outline {
-    /// Centred at the origin. Meshed as the polygon over its rim nodes, whose area is short of the circle's by a share
-    /// `(2 pi^2 / 3) / n^2` for `n` rim edges, O(h^2) in the element size like the error of linear elements.
+    /// Centred on the origin. Meshed as the polygon over its rim nodes, whose area is smaller than the circle's by a
+    /// share `(2 pi^2 / 3) / n^2` for `n` rim edges, O(h^2) in the element size like the error of linear elements.
     Disc {
         /// Radius.
         radius_m: f64,
     },
-    /// Centred at the origin; a square where both sides are equal.
+    /// Centred on the origin; a square if both sides are equal.
     Rectangle {
         /// Along x.
         width_m: f64,
@@ -27,7 +28,7 @@ pub enum Outline {
     },
     /// Any simple polygon, in either orientation, with holes strictly inside it.
     Polygon {
-        /// Vertices of the rim, the first not repeated.
+        /// Vertices of the rim, without repeating the first.
         outer: Vec<[f64; 2]>,
         /// Vertices of each hole.
         holes: Vec<Vec<[f64; 2]>>,
@@ -41,15 +42,15 @@ pub enum ElectrodeShape {
     RimArc {
         /// Angle of its middle, radians counter-clockwise from +x.
         centre_rad: f64,
-        /// Its length along the arc. The meshed length, that of the chords, is shorter by `(w/r)^2 / (24 n^2)` over
+        /// Length along the arc. The meshed length, measured along the chords, is shorter by `(w/r)^2 / (24 n^2)` for
         /// `n` edges.
         width_m: f64,
     },
-    /// A stretch of any rim; may run round corners.
+    /// A stretch of any rim; may go around corners.
     RimSegment {
         /// Position of its middle along the rim.
         centre_m: f64,
-        /// Its length along the rim.
+        /// Length along the rim.
         width_m: f64,
     },
     /// One node on the rim.
@@ -57,14 +58,14 @@ pub enum ElectrodeShape {
         /// Position along the rim.
         position_m: f64,
     },
-    /// A round pad under the sheet, meshed as a regular polygon of the circle's exact area.
+    /// A round pad under the sheet, meshed as a regular polygon with exactly the circle's area.
     PadCircle {
         /// Centre.
         centre_m: [f64; 2],
         /// Radius.
         radius_m: f64,
     },
-    /// A rectangular pad under the sheet; may lie flush with the rim.
+    /// A rectangular pad under the sheet; may be flush with the rim.
     PadRectangle {
         /// Centre.
         centre_m: [f64; 2],
@@ -72,22 +73,22 @@ pub enum ElectrodeShape {
         width_m: f64,
         /// Along its own y axis.
         height_m: f64,
-        /// Turn of its axes, radians counter-clockwise.
+        /// Rotation of its axes, radians counter-clockwise.
         angle_rad: f64,
     },
     /// One node inside the sheet.
     Point {
-        /// Where.
+        /// Position of the node.
         position_m: [f64; 2],
     },
 }
 
-/// Which way electrodes are numbered round the rim, seen from +z.
+/// Direction in which electrodes are numbered around the rim, seen from +z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// As the hands of a clock.
+    /// Clockwise.
     Clockwise,
-    /// As angles grow.
+    /// Counter-clockwise.
     CounterClockwise,
 }
 
@@ -120,7 +121,7 @@ impl Outline {
         }
     }
 
-    /// Smallest and largest coordinates (of the true circle, for a disc).
+    /// Minimum and maximum coordinates (of the true circle, for a disc).
     pub fn bounds_m(&self) -> ([f64; 2], [f64; 2]) {
         match self {
             Outline::Disc { radius_m } => ([-radius_m, -radius_m], [*radius_m, *radius_m]),
@@ -128,7 +129,7 @@ impl Outline {
         }
     }
 
-    /// True on the sheet, its rim and the sides of its holes included; false in its holes.
+    /// True for points on the sheet, including its rim and the sides of its holes; false in its holes.
     pub fn contains(&self, point_m: [f64; 2]) -> bool {
         let Outline::Polygon { outer, holes } = self else {
             let (low, high) = self.bounds_m();
@@ -137,14 +138,14 @@ impl Outline {
                 _ => (0..2).all(|axis| (low[axis]..=high[axis]).contains(&point_m[axis])),
             };
         };
-        // Which side of a side a point on it is taken to lie is chance, so that sides are asked first.
+        // Check the sides first: for a point exactly on a side, the containment test is arbitrary.
         let slack = 1e-9 * self.perimeter_m();
         let loops = || std::iter::once(outer).chain(holes);
         loops().any(|polygon| super::plane::to_polygon(point_m, polygon) <= slack)
             || super::plane::contains(outer, point_m) && !holes.iter().any(|hole| super::plane::contains(hole, point_m))
     }
 
-    /// How far inside a point of the sheet is: its distance from the rim, or from the nearest hole; 0 off the sheet.
+    /// Depth of a point inside the sheet: its distance from the rim or from the nearest hole; 0 off the sheet.
     pub fn inside_by_m(&self, point_m: [f64; 2]) -> f64 {
         let [x, y] = point_m.map(f64::abs);
         match self {
@@ -158,7 +159,7 @@ impl Outline {
         }
     }
 
-    /// Position along the rim of its point nearest to a place, and the distance between the two, metres.
+    /// Position along the rim of the point nearest to a place, and its distance from the place, metres.
     pub fn nearest_rim(&self, place_m: [f64; 2]) -> (f64, f64) {
         if let Outline::Disc { radius_m } = self {
             let angle = place_m[1].atan2(place_m[0]).rem_euclid(TAU);
@@ -179,7 +180,7 @@ impl Outline {
         nearest
     }
 
-    /// Corners counter-clockwise, beginning where rim positions begin; empty for a disc.
+    /// Corners counter-clockwise, starting where rim positions start; empty for a disc.
     pub(super) fn rim_vertices(&self) -> Vec<Point> {
         match self {
             Outline::Disc { .. } => Vec::new(),
@@ -197,30 +198,30 @@ impl Outline {
         }
     }
 
-    /// `count` electrodes of equal width (arc length) evenly round the rim of a disc, the first with its middle at
+    /// `count` electrodes of equal width (arc length), evenly spaced around the rim of a disc, the first centred at
     /// `start_rad`.
     pub fn rim_arcs(count: usize, width_m: f64, start_rad: f64, direction: Direction) -> Vec<ElectrodeShape> {
         let step = direction.sign() * TAU / count.max(1) as f64;
         (0..count).map(|k| ElectrodeShape::RimArc { centre_rad: start_rad + step * k as f64, width_m }).collect()
     }
 
-    /// `count` electrodes of equal width evenly along any rim, the first with its middle at position `start_m`.
+    /// `count` electrodes of equal width, evenly spaced along any rim, the first centred at position `start_m`.
     pub fn rim_segments(&self, count: usize, width_m: f64, start_m: f64, direction: Direction) -> Vec<ElectrodeShape> {
         self.rim_positions(count, start_m, direction)
             .map(|centre_m| ElectrodeShape::RimSegment { centre_m, width_m })
             .collect()
     }
 
-    /// `count` point electrodes evenly along any rim, the first at position `start_m`.
+    /// `count` point electrodes, evenly spaced along any rim, the first at position `start_m`.
     pub fn rim_points(&self, count: usize, start_m: f64, direction: Direction) -> Vec<ElectrodeShape> {
         self.rim_positions(count, start_m, direction)
             .map(|position_m| ElectrodeShape::RimPoint { position_m })
             .collect()
     }
 
-    /// `per_side` electrodes on every side of a rectangle or polygon, each in the middle of an equal share of its side.
-    /// The first is the first of the first side (bottom, from the left, on a rectangle); clockwise keeps that one first
-    /// and walks the other way.
+    /// `per_side` electrodes on every side of a rectangle or polygon, each in the middle of an equal share of its
+    /// side. Starts with the first electrode of the first side (bottom, from the left, on a rectangle); clockwise
+    /// numbering keeps that one first and goes the other way.
     pub fn rim_per_side(&self, per_side: usize, width_m: f64, direction: Direction) -> Vec<ElectrodeShape> {
         let mut centres = Vec::new();
         let mut begin = 0.0;
@@ -243,8 +244,8 @@ impl Outline {
 }
 
 impl ElectrodeShape {
-    /// Pads like `self` at the places of a `columns` x `rows` grid of the given pitch centred at the origin, row by row
-    /// from the top left. Nothing for shapes that live on the rim.
+    /// Copies of this pad on a `columns` x `rows` grid with the given pitch, centred on the origin, row by row from
+    /// the top left. Empty for shapes on the rim.
     pub fn grid(&self, columns: usize, rows: usize, pitch_m: [f64; 2]) -> Vec<ElectrodeShape> {
         let place = |column: usize, row: usize| {
             let x = (column as f64 - (columns as f64 - 1.0) / 2.0) * pitch_m[0];
@@ -255,8 +256,8 @@ impl ElectrodeShape {
         places.map_while(|(column, row)| place(column, row)).collect()
     }
 
-    /// The outer ring of [`ElectrodeShape::grid`]: `2 (columns + rows) - 4` pads along the edge of a rectangle, from
-    /// the bottom-left corner in the given direction.
+    /// The outer ring of [`ElectrodeShape::grid`]: `2 (columns + rows) - 4` pads along the edge of a rectangle,
+    /// starting at the bottom-left corner in the given direction.
     pub fn ring(&self, columns: usize, rows: usize, pitch_m: [f64; 2], direction: Direction) -> Vec<ElectrodeShape> {
         if columns < 2 || rows < 2 {
             return self.grid(columns, rows, pitch_m);
@@ -289,8 +290,8 @@ impl ElectrodeShape {
     }
 }
 
-/// Refuses a length that is not a number between a nanometre and 1,000 km: beyond it neither the physics nor the
-/// arithmetic of refinement holds.
+/// Refuses a length that is not between a nanometre and 1,000 km. Beyond that range neither the physics nor the
+/// arithmetic of refinement is valid.
 pub(super) fn check_length(field: &'static str, value: f64) -> Result<(), MeshError> {
     if (1e-9..=1e6).contains(&value) {
         return Ok(());
@@ -298,7 +299,7 @@ pub(super) fn check_length(field: &'static str, value: f64) -> Result<(), MeshEr
     Err(MeshError::Shape { field, value: value.to_string(), expected: "a length in metres, 1e-9 to 1e6".into() })
 }
 
-/// Refuses a coordinate or angle that is not finite or is absurdly large.
+/// Refuses a coordinate or angle that is not finite or absurdly large.
 pub(super) fn check_coordinate(field: &'static str, value: f64) -> Result<(), MeshError> {
     if value.abs() <= 1e6 {
         return Ok(());

@@ -1,5 +1,5 @@
-//! Flat sheets: a [`SheetSpec`] says the outline, the electrodes and the sizes; [`SheetSpec::build`] meshes it by
-//! constrained Delaunay refinement (Ruppert 1995) and reports how good the triangles came out. The same specification
+//! Flat sheets: a [`SheetSpec`] describes the outline, the electrodes and the sizes; [`SheetSpec::build`] meshes it
+//! by constrained Delaunay refinement (Ruppert 1995) and reports the quality of the triangles. The same specification
 //! always gives the same mesh.
 
 use super::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
@@ -8,44 +8,44 @@ use super::plane::{Point, distance, smallest_angle};
 use super::shapes::{ElectrodeShape, Outline, check_coordinate, check_length};
 use super::triangulate::{self, Planar};
 
-/// Largest minimum angle that can be asked for; above it refinement does not end.
+/// Maximum value of the minimum angle; above it refinement does not terminate.
 const LARGEST_MIN_ANGLE_DEG: f64 = 33.0;
-/// Fewest sides of the polygon that stands for a round pad.
+/// Minimum number of sides of the polygon that represents a round pad.
 const LEAST_PAD_SIDES: f64 = 12.0;
-/// Sizes that are tried for a number of elements.
+/// Maximum number of element sizes tried to reach a target number of elements.
 const MOST_PLANS: usize = 6;
 
 /// A flat sheet to be meshed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SheetSpec {
-    /// Its shape.
+    /// Outline.
     pub outline: Outline,
-    /// Its electrodes, in order.
+    /// Electrodes, in order.
     pub electrodes: Vec<ElectrodeShape>,
     /// Edge length of the triangles away from electrodes, metres.
     pub element_size_m: f64,
-    /// Edge length at electrodes, metres; grows by 0.35 per unit distance from them to `element_size_m`. Narrow
-    /// electrodes get smaller elements than this by themselves.
+    /// Edge length at electrodes, metres; grows by 0.35 per unit distance from them up to `element_size_m`. Narrow
+    /// electrodes get smaller elements automatically.
     pub electrode_element_size_m: f64,
-    /// Fewest rim edges under one electrode.
+    /// Minimum number of rim edges under an electrode.
     pub least_electrode_segments: usize,
-    /// Smallest angle of any triangle, degrees, at most 33 (above 30 refinement may not complete). Corners of the
-    /// outline sharper than this stay as they are.
+    /// Minimum angle of any triangle, degrees, at most 33 (above 30 refinement may not complete). Sharper corners of
+    /// the outline stay as they are.
     pub min_angle_deg: f64,
-    /// Straight lines inside the sheet (both ends, metres), clear of electrodes and of each other, that edges follow,
-    /// so that [`ElectrodedMesh::opened_along`] can open them. Edges on a line are at most a tenth of it long, and 0.3
-    /// % of it at its ends, where the field about a slit is singular.
+    /// Straight lines inside the sheet (both ends, metres), clear of electrodes and of each other. Edges follow them,
+    /// so that [`ElectrodedMesh::opened_along`] can open them. Edges on a line are at most a tenth of its length, and
+    /// 0.3 % of it at its ends, where the field around a slit is singular.
     pub lines: Vec<[[f64; 2]; 2]>,
 }
 
-/// How good a mesh came out.
+/// Quality of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeshQuality {
-    /// Smallest angle of any triangle (of any face, for tetrahedra), degrees, measured.
+    /// Measured minimum angle of any triangle (of any face, for tetrahedra), degrees.
     pub min_angle_deg: f64,
     /// Number of elements.
     pub element_count: usize,
-    /// False where refinement ran out of nodes before every angle was large enough.
+    /// False if refinement ran out of nodes before every angle was large enough.
     pub refinement_complete: bool,
 }
 
@@ -67,8 +67,8 @@ impl MeshQuality {
 }
 
 impl SheetSpec {
-    /// A sheet with elements half as large at the electrodes as elsewhere, at least 4 rim edges under each, and no
-    /// angle below 25 degrees.
+    /// A sheet with half the element size at the electrodes, at least 4 rim edges under each, and no angle below 25
+    /// degrees.
     pub fn new(outline: Outline, electrodes: Vec<ElectrodeShape>, element_size_m: f64) -> Self {
         Self {
             outline,
@@ -81,16 +81,16 @@ impl SheetSpec {
         }
     }
 
-    /// The same sheet with both element sizes scaled so that it has about `count` elements (within 3 % where its
-    /// electrodes do not force more).
+    /// The same sheet with both element sizes scaled to about `count` elements (within 3 %, unless its electrodes
+    /// require more).
     ///
     /// # Errors
-    /// As [`SheetSpec::build`]; and a count of 0 or above 1,000,000.
+    /// As [`SheetSpec::build`]; also fails for a count of 0 or above 1,000,000.
     pub fn with_target_elements(self, count: usize) -> Result<Self, MeshError> {
         Ok(self.planned_to(count)?.0)
     }
 
-    /// As [`SheetSpec::with_target_elements`] and [`SheetSpec::build`] in one, which meshes the sheet once less.
+    /// [`SheetSpec::with_target_elements`] and [`SheetSpec::build`] in one call, which saves one meshing.
     ///
     /// # Errors
     /// As these.
@@ -105,7 +105,7 @@ impl SheetSpec {
         Ok((spec, mesh, quality))
     }
 
-    /// The sheet with about so many elements, and its mesh without electrodes.
+    /// The sheet scaled to about `count` elements, and its mesh without electrodes.
     fn planned_to(mut self, count: usize) -> Result<(Self, Planar), MeshError> {
         if !(1..=1_000_000).contains(&count) {
             let expected = "between 1 and 1,000,000".to_string();
@@ -115,7 +115,7 @@ impl SheetSpec {
         check_length("element_size_m", self.element_size_m)?;
         check_length("electrode_element_size_m", self.electrode_element_size_m)?;
         super::layout::check_outline(&self.outline)?;
-        // An equilateral triangle of edge h covers sqrt(3)/4 h^2; electrodes and rims ask for more.
+        // An equilateral triangle with edge h covers sqrt(3)/4 h^2; electrodes and rims need more elements.
         let mut size = (self.outline.area_m2() / count as f64 / 0.433).sqrt();
         let mut best: Option<(f64, f64, Planar)> = None;
         for _ in 0..MOST_PLANS {
@@ -139,12 +139,12 @@ impl SheetSpec {
         Ok((self, planar))
     }
 
-    /// Meshes the sheet. `contact_impedance` holds one value for all electrodes or one each; its unit is that of
-    /// [`Contact`] (ohm.m on the rim, ohm.m^2 under pads), and points ignore it.
+    /// Meshes the sheet. `contact_impedance` holds one value for all electrodes or one each, in the unit of
+    /// [`Contact`] (ohm.m on the rim, ohm.m^2 under pads); points ignore it.
     ///
     /// # Errors
-    /// Sizes or coordinates that are not usable numbers, polygons that cross themselves, holes off the sheet,
-    /// electrodes off the sheet or overlapping, a minimum angle above 33 degrees, or a wrong number of impedances.
+    /// Invalid sizes or coordinates, polygons that cross themselves, holes off the sheet, electrodes off the sheet or
+    /// overlapping, a minimum angle above 33 degrees, or the wrong number of impedances.
     pub fn build(&self, contact_impedance: &[f64]) -> Result<(ElectrodedMesh, MeshQuality), MeshError> {
         let impedances = spread(contact_impedance, self.electrodes.len())?;
         self.build_of(self.plan()?, impedances)
@@ -176,7 +176,7 @@ impl SheetSpec {
         self.mesh_features(&features)
     }
 
-    /// Meshes the outline around any features; `electrodes` is not looked at.
+    /// Meshes the outline with these features; `electrodes` is ignored.
     pub(super) fn mesh_features(&self, features: &Features) -> Result<Planar, MeshError> {
         check_length("element_size_m", self.element_size_m)?;
         check_length("electrode_element_size_m", self.electrode_element_size_m)?;
@@ -221,7 +221,7 @@ impl SheetSpec {
     }
 }
 
-/// One value for all, or one each.
+/// Expands one value for all, or passes on one each.
 pub(super) fn spread(contact_impedance: &[f64], count: usize) -> Result<Vec<f64>, MeshError> {
     match contact_impedance {
         [one] => Ok(vec![*one; count]),
@@ -251,7 +251,7 @@ fn rim_faces(planar: &Planar, span: Option<Span>, perimeter: f64) -> Vec<Vec<u32
     edges.into_iter().map(|edge| edge.to_vec()).collect()
 }
 
-/// The stretch of rim under a rim electrode.
+/// The stretch of rim covered by a rim electrode.
 pub(super) fn span_of(outline: &Outline, shape: &ElectrodeShape) -> Option<Span> {
     let (centre, width) = match (shape, outline) {
         (ElectrodeShape::RimArc { centre_rad, width_m }, Outline::Disc { radius_m }) => {
@@ -264,8 +264,8 @@ pub(super) fn span_of(outline: &Outline, shape: &ElectrodeShape) -> Option<Span>
     Some(Span { start, end: start + width })
 }
 
-/// Corners of a round pad's polygon: as many sides as its size asks for (a multiple of 4, at least 12), and a
-/// circumradius that gives it the circle's exact area, `n/2 R^2 sin(2 pi/n) = pi r^2`.
+/// Corners of a round pad's polygon. The number of sides depends on the size (a multiple of 4, at least 12), and the
+/// circumradius gives it exactly the circle's area, `n/2 R^2 sin(2 pi/n) = pi r^2`.
 pub(super) fn pad_polygon(centre: Point, radius: f64, element_size: f64) -> Vec<Point> {
     let sides = (std::f64::consts::TAU * radius / element_size).clamp(LEAST_PAD_SIDES, 4096.0);
     let count = 4 * (sides / 4.0).ceil() as usize;
@@ -284,7 +284,7 @@ pub(super) fn pad_rectangle(centre: Point, width: f64, height: f64, angle: f64) 
     vec![corner(-x, -y), corner(x, -y), corner(x, y), corner(-x, y)]
 }
 
-/// What the mesh must conform to for the sake of the electrodes.
+/// Constraints on the mesh due to the electrodes.
 pub(super) fn features(outline: &Outline, electrodes: &[ElectrodeShape], pad_size: f64) -> Result<Features, MeshError> {
     let perimeter = Border::new(outline).perimeter();
     let mut features = Features::default();

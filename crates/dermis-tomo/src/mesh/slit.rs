@@ -1,5 +1,4 @@
-//! Sheets that are slit: the nodes along a line are doubled, so that what lies on either side is joined at its ends
-//! alone.
+//! Sheets with slits: the nodes along a line are doubled, so the two sides are connected only at the line's ends.
 
 use std::collections::HashMap;
 
@@ -7,18 +6,18 @@ use super::core::{CellKind, ElectrodedMesh, Mesh, MeshError};
 use super::plane::{Point, cross2, distance, minus, to_segment};
 use super::sheet::SheetSpec;
 
-/// A piece of a slit: the edge on its one side, and on its other. Only the slit's ends are nodes of both.
+/// A piece of a slit: the edge on one side and the edge on the other. They share nodes only at the slit's ends.
 pub type SlitEdge = [[u32; 2]; 2];
 
-/// What an edge of a slit adds to the stiffness of a sheet where its sides are joined: `int g (u - u')^2 ds` with u and
-/// u' linear along the edge, g siemens per metre of it, as entries of one triangle of a symmetric matrix over the
-/// nodes.
+/// Contribution of a slit edge to the stiffness of a sheet if its sides are joined: `int g (u - u')^2 ds` with u and
+/// u' linear along the edge and g siemens per metre of edge, as entries of one triangle of a symmetric matrix over
+/// the nodes.
 pub fn joint_entries([one, other]: SlitEdge, length_m: f64, s_per_m: f64) -> Vec<((u32, u32), f64)> {
     let mass = s_per_m * length_m / 6.0;
     let mut entries = Vec::with_capacity(10);
     for i in 0..2 {
         for j in 0..=i {
-            // At a slit's end there is nothing to join.
+            // There is nothing to join at a slit's end.
             if one[i] == other[i] || one[j] == other[j] {
                 continue;
             }
@@ -35,16 +34,16 @@ pub fn joint_entries([one, other]: SlitEdge, length_m: f64, s_per_m: f64) -> Vec
 /// A mesh with slits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlitMesh {
-    /// Elements and electrodes as before; nodes that were added come last.
+    /// Elements and electrodes as before; added nodes come last.
     pub mesh: ElectrodedMesh,
-    /// The edges of each slit, in no order.
+    /// The edges of each slit, in no particular order.
     pub slits: Vec<Vec<SlitEdge>>,
 }
 
 impl SheetSpec {
-    /// Meshes the sheet with slits along straight lines (both ends, metres), beside any lines that it has, and says of
-    /// each whether it could be slit. Those that leave the sheet, or meet an electrode or a line before them, are left
-    /// out.
+    /// Meshes the sheet with slits along straight lines (both ends, metres), in addition to its own lines. The flags
+    /// tell which of them could be slit. Lines that leave the sheet, or meet an electrode or an earlier line, are
+    /// left out.
     ///
     /// # Errors
     /// As [`SheetSpec::build`] without slits.
@@ -75,10 +74,10 @@ impl SheetSpec {
 }
 
 impl ElectrodedMesh {
-    /// The mesh opened along straight lines (both ends, metres) that its edges follow ([`super::SheetSpec::lines`]).
+    /// The mesh, opened along straight lines (both ends, metres) that its edges follow ([`super::SheetSpec::lines`]).
     ///
     /// # Errors
-    /// A mesh that is no flat sheet, and a line that edges do not follow from end to end.
+    /// A mesh that is not a flat sheet, or a line that edges do not follow from end to end.
     pub fn opened_along(&self, lines: &[[[f64; 2]; 2]]) -> Result<SlitMesh, MeshError> {
         let refuse =
             |value: String, expected: &str| Err(MeshError::Shape { field: "lines", value, expected: expected.into() });
@@ -154,7 +153,7 @@ mod tests {
         let SlitMesh { mesh: open, slits } = mesh.opened_along(&[LINE]).unwrap();
         assert_eq!(open.mesh.element_count(), mesh.mesh.element_count());
         let added = open.mesh.nodes().len() - mesh.mesh.nodes().len();
-        // Both faces, node by node: edges are one more than the nodes between the ends.
+        // Count both faces: there is one more edge than nodes between the ends.
         let faces = open.mesh.boundary_faces().len() - mesh.mesh.boundary_faces().len();
         assert_eq!(faces, 2 * (added + 1));
         let length: f64 = open.mesh.boundary_faces().iter().map(|(face, _)| open.mesh.face_measure(face)).sum();
@@ -178,12 +177,12 @@ mod tests {
 
     #[test]
     fn a_slit_holds_back_what_the_closed_form_says() {
-        // Across a strip of width W with insulating sides, current along it meets a row of slits of half length a at W
-        // from each other, whose resistance is that of (2 W / pi) ln sec(pi a / W) more of strip (conformal map by the
-        // sine; Smythe, Static and Dynamic Electricity, 1950). Ends four half widths away see 0.2 % of it as uneven.
+        // Along a strip of width W with insulating sides, the current meets a row of slits of half length a at
+        // spacing W. Their resistance equals that of (2 W / pi) ln sec(pi a / W) more of strip (conformal map by the
+        // sine; Smythe, Static and Dynamic Electricity, 1950). At ends four half widths away, 0.2 % of it is uneven.
         let outline = Outline::Rectangle { width_m: 0.2, height_m: 0.1 };
         let line = [[0.0, -0.02], [0.0, 0.02]];
-        // The rim is counted from the bottom left corner, counter-clockwise.
+        // Rim positions start at the bottom left corner and run counter-clockwise.
         let side = |centre_m: f64| ElectrodeShape::RimSegment { centre_m, width_m: 0.1 };
         let sides = vec![side(0.25), side(0.55)];
         let spec = SheetSpec { lines: vec![line], ..SheetSpec::new(outline, sides, 4e-3) };
@@ -197,8 +196,7 @@ mod tests {
         };
         let found_m = (ohm(&open) - ohm(&sewn)) * 5e-3 * 0.1;
         let expected_m = 0.2 / std::f64::consts::PI * -(0.2 * std::f64::consts::PI).cos().ln();
-        // Linear elements of 4 mm, graded by 0.35 from the ends, are 2.4 % too stiff (of 2 mm and graded by 0.15, 0.9
-        // %).
+        // Linear elements of 4 mm, graded by 0.35 from the ends, are 2.4 % too stiff (0.9 % for 2 mm graded by 0.15).
         assert!((found_m / expected_m - 1.0).abs() < 0.03, "{found_m} {expected_m}");
     }
 

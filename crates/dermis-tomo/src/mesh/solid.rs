@@ -1,6 +1,6 @@
-//! Solids of tetrahedra: a [`SlabSpec`] cut into boxes of six tetrahedra each (Kuhn's subdivision, conforming by
-//! construction), and a [`PrismSpec`], any sheet outline extruded upward, whose prisms split into three tetrahedra by
-//! the order of their node numbers (conforming for the same reason). Electrodes are patches of surface triangles.
+//! Solids of tetrahedra: a [`SlabSpec`] is cut into boxes of six tetrahedra each (Kuhn's subdivision, conforming by
+//! construction), and a [`PrismSpec`] extrudes any sheet outline upward and splits its prisms into three tetrahedra
+//! by the order of their node numbers (conforming for the same reason). Electrodes are patches of surface triangles.
 
 mod grid;
 mod slab;
@@ -21,9 +21,9 @@ pub enum PrismElectrode {
     Side {
         /// [`ElectrodeShape::RimArc`] or [`ElectrodeShape::RimSegment`].
         rim: ElectrodeShape,
-        /// Its lower edge above the bottom, metres.
+        /// Height of its lower edge above the bottom, metres.
         low_m: f64,
-        /// Its upper edge above the bottom, metres.
+        /// Height of its upper edge above the bottom, metres.
         high_m: f64,
     },
     /// One node of the wall.
@@ -42,22 +42,22 @@ pub enum PrismElectrode {
 /// A sheet's outline extruded from z = 0 to its height: cylinders, tanks, thick skins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PrismSpec {
-    /// Shape seen from above.
+    /// Outline seen from above.
     pub outline: Outline,
     /// Height, metres.
     pub height_m: f64,
     /// Edge length of the triangles seen from above, away from electrodes, metres.
     pub element_size_m: f64,
-    /// The same at electrodes, metres.
+    /// Edge length at electrodes, metres.
     pub electrode_element_size_m: f64,
-    /// About how many layers; the edges of wall electrodes may add some.
+    /// Approximate number of layers; the edges of wall electrodes may add some.
     pub layers: usize,
-    /// Its electrodes, in order. Pads on bottom and top must be equal or clear of each other seen from above.
+    /// Electrodes, in order. Pads on bottom and top must be identical or disjoint, seen from above.
     pub electrodes: Vec<PrismElectrode>,
 }
 
 impl PrismSpec {
-    /// An upright cylinder with elements of one size.
+    /// An upright cylinder with uniform element size.
     pub fn cylinder(
         radius_m: f64,
         height_m: f64,
@@ -69,10 +69,10 @@ impl PrismSpec {
         Self { outline, height_m, element_size_m, electrode_element_size_m: element_size_m, layers, electrodes }
     }
 
-    /// Meshes the prism; `contact_impedance` in ohm.m^2, one for all electrodes or one each.
+    /// Meshes the prism; `contact_impedance` in ohm.m^2, one value for all electrodes or one each.
     ///
     /// # Errors
-    /// As [`SheetSpec::build`], and wall electrodes that reach above or below the wall.
+    /// As [`SheetSpec::build`]; also fails if wall electrodes reach above or below the wall.
     pub fn build(&self, contact_impedance: &[f64]) -> Result<ElectrodedMesh, MeshError> {
         let impedances = spread(contact_impedance, self.electrodes.len())?;
         check_length("height_m", self.height_m)?;
@@ -118,7 +118,7 @@ impl PrismSpec {
         ElectrodedMesh::new(mesh, electrodes)
     }
 
-    /// The heights of the layers' faces.
+    /// Heights of the interfaces between layers.
     fn heights(&self) -> Result<Vec<f64>, MeshError> {
         let mut breaks = Vec::new();
         for (electrode, shape) in self.electrodes.iter().enumerate() {
@@ -144,8 +144,8 @@ impl PrismSpec {
         Ok(grid_lines(0.0, self.height_m, self.layers.max(1), &breaks))
     }
 
-    /// Every different plan shape once, and which of them each electrode has: rings of electrodes above each other,
-    /// or pads on bottom and top, share theirs.
+    /// The distinct plan shapes, and the shape of each electrode: rings of electrodes above each other, or pads on
+    /// bottom and top, share theirs.
     fn distinct_shapes(&self) -> (Vec<ElectrodeShape>, Vec<usize>) {
         let mut shapes: Vec<ElectrodeShape> = Vec::new();
         let shape_of = |electrode: &PrismElectrode| {
@@ -224,7 +224,8 @@ impl Place<'_> {
                 continue;
             }
             for edge in rim_edges(self.planar, span, perimeter) {
-                // The diagonal of a wall's quadrilateral runs up from its smaller node number, as in `extrude`.
+                // The diagonal of a wall's quadrilateral starts at its smaller node number and rises, as in
+                // `extrude`.
                 let [a, b] = [edge[0].min(edge[1]), edge[0].max(edge[1])].map(|n| n + level as u32 * per_level);
                 faces.push(vec![a, b, b + per_level]);
                 faces.push(vec![a, a + per_level, b + per_level]);
@@ -240,8 +241,8 @@ impl Place<'_> {
     }
 }
 
-/// Raises triangles into prisms and splits each into three tetrahedra. With corners numbered a < b < c and a', b', c'
-/// above them: abcc', abb'c', aa'b'c'. Neighbours agree on every diagonal because it depends on numbers alone.
+/// Extrudes triangles into prisms and splits each into three tetrahedra. With corners a < b < c and a', b', c' above
+/// them: abcc', abb'c', aa'b'c'. Neighbours agree on every diagonal because it depends only on the numbers.
 fn extrude(planar: &Planar, heights: &[f64]) -> Result<Mesh, MeshError> {
     let per_level = planar.nodes.len() as u32;
     let nodes = heights.iter().flat_map(|&z| planar.nodes.iter().map(move |p| [p[0], p[1], z])).collect();

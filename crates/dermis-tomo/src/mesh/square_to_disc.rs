@@ -1,9 +1,9 @@
-//! A map of the square to the disc that keeps areas, for grids of electrodes and taxels on round skins.
+//! An area-preserving map from the square to the disc, for grids of electrodes and taxels on round skins.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
-/// The equal-area concentric map of Shirley and Chiu (1997): the square [-1, 1]^2 to the unit disc, squares about the
-/// centre to circles. Lengths are relative to half the square's side and to the disc's radius.
+/// The equal-area concentric map of Shirley and Chiu (1997) from the square [-1, 1]^2 to the unit disc; it maps
+/// squares around the centre to circles. Lengths are relative to half the square's side and to the disc's radius.
 pub fn square_to_disc([x, y]: [f64; 2]) -> [f64; 2] {
     let (radius, angle) = if x.abs() > y.abs() {
         (x, FRAC_PI_4 * y / x)

@@ -1,27 +1,27 @@
-//! Sheets bent without stretching. A cylinder is developable: lengths along its surface are those of the sheet laid
-//! flat, so that fields on it are the fields of the unrolled sheet, exactly. A [`Surface`] maps between the two; a mesh
-//! that is bent and solved by its chords instead differs by their shortening, `(h / radius)^2 / 24` of a length h.
+//! Sheets bent without stretching. A cylinder is developable: lengths along its surface equal those of the sheet laid
+//! flat, so fields on it are exactly the fields of the unrolled sheet. A [`Surface`] maps between the two. A mesh
+//! that is bent and solved on its chords instead differs by their shortening, `(h / radius)^2 / 24` for a length h.
 
 use serde::{Deserialize, Serialize};
 
 use super::core::{CellKind, Electrode, ElectrodedMesh, Mesh, MeshError};
 
-/// How a sheet lies in space.
+/// Surface of a sheet in space.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Surface {
     /// In the plane z = 0.
     #[default]
     Flat,
-    /// Round a cylinder whose axis runs along y, one radius below the line x = 0 of the sheet.
+    /// Around a cylinder whose axis runs along y, one radius below the line x = 0 of the sheet.
     Cylinder {
-        /// Its radius, metres.
+        /// Radius of the cylinder, metres.
         radius_m: f64,
     },
 }
 
 impl Surface {
-    /// Where a point of the unrolled sheet (x, y, metres) lies in space.
+    /// Position in space of a point of the unrolled sheet (x, y, metres).
     pub fn point_m(&self, sheet_m: [f64; 2]) -> [f64; 3] {
         match *self {
             Self::Flat => [sheet_m[0], sheet_m[1], 0.0],
@@ -32,7 +32,7 @@ impl Surface {
         }
     }
 
-    /// The point of the unrolled sheet that lies nearest to a point in space (for a cylinder, along the radius).
+    /// The point of the unrolled sheet nearest to a point in space (for a cylinder, along the radius).
     pub fn sheet_m(&self, point_m: [f64; 3]) -> [f64; 2] {
         match *self {
             Self::Flat => [point_m[0], point_m[1]],
@@ -40,7 +40,7 @@ impl Surface {
         }
     }
 
-    /// Unit normal toward the toucher at a point of the sheet.
+    /// Outward unit normal at a point of the sheet.
     pub fn normal(&self, sheet_m: [f64; 2]) -> [f64; 3] {
         match *self {
             Self::Flat => [0.0, 0.0, 1.0],
@@ -51,7 +51,7 @@ impl Surface {
         }
     }
 
-    /// A flat sheet bent onto the surface; elements and electrodes keep their numbers.
+    /// Bends a flat sheet onto the surface; elements and electrodes keep their numbers.
     ///
     /// # Errors
     /// As [`ElectrodedMesh::bent_onto_cylinder`].
@@ -62,10 +62,10 @@ impl Surface {
         }
     }
 
-    /// A sheet on the surface laid flat, every node at its place along the surface.
+    /// Lays a sheet on the surface flat, with every node at its position along the surface.
     ///
     /// # Errors
-    /// Elements that lose their area, or that are not triangles.
+    /// Elements that lose their area, or elements other than triangles.
     pub fn unroll(&self, bent: &ElectrodedMesh) -> Result<ElectrodedMesh, MeshError> {
         let flat = |point: &[f64; 3]| {
             let [x, y] = self.sheet_m(*point);

@@ -1,6 +1,7 @@
-//! Delaunay triangles for a layout: interior nodes seeded on hexagonal lattices whose pitch follows the size field,
-//! a few sweeps of Laplacian smoothing, then Delaunay refinement (Ruppert's algorithm, as in `spade`) until no angle is
-//! smaller than asked. Triangles are told apart (sheet, pad, hole, outside) by flooding between the layout's segments.
+//! Delaunay triangulation of a layout: interior nodes are seeded on hexagonal lattices whose pitch follows the size
+//! field, smoothed by a few sweeps of Laplacian smoothing, and refined (Ruppert's algorithm, as in `spade`) until no
+//! angle is below the limit. Triangles are classified (sheet, pad, hole, outside) by flooding between the layout's
+//! segments.
 
 use spade::{AngleLimit, ConstrainedDelaunayTriangulation, Point2, RefinementParameters, Triangulation};
 
@@ -8,12 +9,12 @@ use super::core::MeshError;
 use super::layout::{Border, Layout};
 use super::plane::{Point, bounds, contains, cross2, distance, minus};
 
-/// Ratio of one lattice's pitch to the next finer one's.
+/// Ratio of the pitches of successive lattices.
 const LEVEL: f64 = 0.840_896_415_253_714_6; // 2^(-1/4)
-/// Seeds keep this many wanted sizes apart: enough below 1 for a lattice one level finer to fit, and enough above
-/// sqrt(1/2) that a seed never enters the diametral circle of a rim edge of the wanted size.
+/// Minimum distance between seeds, in target sizes. Far enough below 1 for a lattice one level finer to fit, and far
+/// enough above sqrt(1/2) that a seed never enters the diametral circle of a rim edge of the target size.
 const APART: f64 = 0.72;
-/// Sweeps of smoothing; more than these gain less than a degree.
+/// Number of smoothing sweeps; further ones gain less than a degree.
 const SWEEPS: usize = 3;
 
 type Cdt = ConstrainedDelaunayTriangulation<Point2<f64>>;
@@ -23,9 +24,9 @@ pub(super) struct Planar {
     pub nodes: Vec<Point>,
     /// Counter-clockwise.
     pub triangles: Vec<[u32; 3]>,
-    /// The pad each triangle lies in.
+    /// The pad that each triangle lies in.
     pub pad: Vec<Option<u32>>,
-    /// Edges on the outer rim, each with the rim position of its middle.
+    /// Edges on the outer rim, each with the rim position of its midpoint.
     pub rim: Vec<([u32; 2], f64)>,
     /// New index of each of the layout's interior points and rim points.
     pub point_nodes: Vec<u32>,
@@ -47,15 +48,15 @@ pub(super) fn mesh(layout: &Layout, min_angle_deg: f64) -> Result<Planar, MeshEr
     let limit = 20 * points.len() + 10_000;
     let parameters = RefinementParameters::new()
         .with_angle_limit(AngleLimit::from_deg(min_angle_deg))
-        // Holes and the outside are `spade`'s only where no pad's loop turns its count of loops about.
+        // `spade` finds holes and outside by counting loops, which the loops of pads and lines would upset.
         .exclude_outer_faces(layout.pads.is_empty() && !layout.has_lines())
         .with_max_additional_vertices(limit);
     let refinement_complete = cdt.refine(parameters).refinement_complete;
     Ok(extract(&cdt, layout, refinement_complete))
 }
 
-/// Corners of a box well outside a polygon. Nodes on a slanted side are collinear but for rounding, so that without the
-/// box the triangulation's convex hull would leave slivers between itself and that side.
+/// Corners of a box well outside a polygon. Nodes on a slanted side are only approximately collinear, so without the
+/// box the convex hull of the triangulation would leave slivers along that side.
 fn frame(layout: &Layout) -> Vec<Point> {
     if layout.has_straight_hull() {
         return Vec::new();
@@ -80,7 +81,8 @@ fn triangulate(points: &[Point], layout: &Layout) -> Result<Cdt, MeshError> {
     Ok(cdt)
 }
 
-/// Rounds what is nothing beside a nanometre to zero: the triangulation refuses denormal coordinates.
+/// Rounds coordinates that are negligible next to a nanometre to zero: the triangulation refuses denormal
+/// coordinates.
 fn clean(coordinate: f64) -> f64 {
     if coordinate.abs() < 1e-25 { 0.0 } else { coordinate }
 }
@@ -95,7 +97,7 @@ fn seeds(layout: &Layout) -> Vec<Point> {
     for level in (0..=levels).rev() {
         let pitch = field.base * LEVEL.powi(level);
         let coarser = pitch / LEVEL;
-        // Boxes of electrodes close together have most places in common, which are looked at once.
+        // Boxes of nearby electrodes overlap; visit the common places only once.
         let mut visited: Vec<(Point, Point)> = Vec::new();
         let mut visit = |box_low: Point, box_high: Point| {
             let holds = |&(low, high): &(Point, Point), p: Point| (0..2).all(|k| (low[k]..=high[k]).contains(&p[k]));
@@ -129,13 +131,13 @@ fn seeds(layout: &Layout) -> Vec<Point> {
 
 fn is_inside(layout: &Layout, p: Point) -> bool {
     match layout.border {
-        // Between a rim edge and its arc nothing is clear of the edge's ends, so the circle will do.
+        // There is no room for a seed between a rim edge and its arc, so testing the circle is enough.
         Border::Circle { radius } => p[0].hypot(p[1]) < radius,
         Border::Polygon { .. } => contains(&layout.rim, p) && !layout.holes.iter().any(|hole| contains(hole, p)),
     }
 }
 
-/// Points of the hexagonal lattice through the origin that lie in a box.
+/// Points within a box of the hexagonal lattice through the origin.
 fn lattice(pitch: f64, low: Point, high: Point) -> impl Iterator<Item = Point> {
     let rise = pitch * 0.75_f64.sqrt();
     let rows = (low[1] / rise).ceil() as i64..=(high[1] / rise).floor() as i64;
@@ -146,7 +148,7 @@ fn lattice(pitch: f64, low: Point, high: Point) -> impl Iterator<Item = Point> {
     })
 }
 
-/// Points in square bins, for the question whether any lies near.
+/// Points in square bins, for queries whether any is near.
 struct Crowd {
     points: Vec<Point>,
     low: Point,
@@ -197,8 +199,8 @@ impl Crowd {
     }
 }
 
-/// Moves every free node to the mean of its neighbours where that turns no triangle over and brings it into no
-/// constraint's diametral circle (which refinement would answer by splitting the constraint).
+/// Moves every free node to the mean of its neighbours, unless that flips a triangle or enters a constraint's
+/// diametral circle (which refinement would answer by splitting the constraint).
 fn smooth(cdt: &Cdt, points: &mut [Point], fixed: usize) {
     let mut ring: Vec<(Point, Point, bool)> = Vec::new();
     for vertex in cdt.vertices().skip(fixed) {
@@ -222,7 +224,7 @@ fn smooth(cdt: &Cdt, points: &mut [Point], fixed: usize) {
     }
 }
 
-/// Floods the faces between constraints; each flooded part is outside (`None`), sheet (`Some(None)`) or a pad.
+/// Floods the faces between constraints. Each flooded part is outside (`None`), sheet (`Some(None)`) or a pad.
 fn regions(cdt: &Cdt, layout: &Layout) -> Vec<Option<Option<u32>>> {
     let mut part = vec![u32::MAX; cdt.num_all_faces()];
     let mut kinds = Vec::new();
@@ -276,7 +278,7 @@ fn extract(cdt: &Cdt, layout: &Layout, refinement_complete: bool) -> Planar {
         let outside = edge.rev().face().as_inner().is_none_or(|face| regions[face.fix().index()].is_none());
         let [a, b] = edge.positions();
         let (gap, position) = layout.border.project([(a.x + b.x) / 2.0, (a.y + b.y) / 2.0]);
-        // A disc has no holes; elsewhere the rim is straight and holes keep clear of it.
+        // A disc has no holes; on other outlines the rim is straight and holes keep clear of it.
         if outside && (matches!(layout.border, Border::Circle { .. }) || gap <= layout.tolerance) {
             rim.push((edge.vertices().map(|vertex| index(vertex.fix().index())), position));
         }

@@ -1,33 +1,33 @@
-//! Why a figure of merit has no value, and what every figure checks.
+//! Errors of figures of merit, and checks shared by all of them.
 
 use thiserror::Error;
 
-/// Why a figure of merit has no value.
+/// Reasons why a figure of merit is undefined.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum QualityError {
-    /// An image has another number of pixels than the grid or the image that it is compared with.
+    /// An image has a different number of pixels than the grid or the other image.
     #[error("{what}: expected {expected} pixels, got {got}")]
     Length {
-        /// Which image.
+        /// Name of the image.
         what: &'static str,
-        /// Pixels expected.
+        /// Number of pixels expected.
         expected: usize,
-        /// Pixels given.
+        /// Number of pixels given.
         got: usize,
     },
-    /// Nothing is left to compute from.
+    /// No data to compute from.
     #[error("{what}: {reason}")]
     Undefined {
-        /// Which figure.
+        /// Name of the figure.
         what: &'static str,
-        /// What is missing.
+        /// The missing data.
         reason: &'static str,
     },
     /// A parameter outside its range.
     #[error("{field} = {value}: expected {expected}")]
     Value {
-        /// Which parameter, with its unit.
+        /// Name of the parameter, with its unit.
         field: &'static str,
         /// Its value.
         value: f64,

@@ -1,6 +1,6 @@
-//! The five figures of merit of an image of one small target, by A. Adler et al., *GREIT: a unified approach to 2D
-//! linear EIT reconstruction of lung images*, Physiol. Meas. 30 (2009) S35, section 3: amplitude response, position
-//! error, resolution, shape deformation and ringing.
+//! The five figures of merit for the image of one small target, from A. Adler et al., *GREIT: a unified approach to
+//! 2D linear EIT reconstruction of lung images*, Physiol. Meas. 30 (2009) S35, section 3: amplitude response,
+//! position error, resolution, shape deformation and ringing.
 
 use super::error::{QualityError, check_positive};
 use super::peak::{centroid_m, distance_m, peak};
@@ -9,39 +9,40 @@ use crate::mesh::PixelGrid;
 /// The target that an image should show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
-    /// Its centre, metres.
+    /// Centre, metres.
     pub centre_m: [f64; 2],
-    /// Its area, m^2.
+    /// Area, m^2.
     pub area_m2: f64,
-    /// Its change, in the unit of the image (S/m for conductivity); negative where it sinks.
+    /// Change, in the unit of the image (S/m for conductivity); negative for a drop.
     pub change: f64,
 }
 
-/// Figures of an image of one target. The quarter-amplitude set q holds the pixels at a quarter of the image's largest
-/// value or more, in the target's direction; C is the disc of the same area about q's centroid.
+/// Figures for the image of one target. The quarter-amplitude set q contains the pixels with at least a quarter of
+/// the image's largest value, in the target's direction; C is the disc of equal area around q's centroid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GreitFigures {
-    /// Sum of the image times the pixel's area, over the target's change times its area: 1 where the whole change is
-    /// found. Should be the same wherever the target is.
+    /// Sum of the image times the pixel area, divided by the target's change times its area: 1 if the whole change is
+    /// recovered. Should not depend on the target's position.
     pub amplitude_response: f64,
-    /// Distance of the target from the skin's centre minus that of q's centroid, metres: positive where the image draws
-    /// it inwards. The centre is that of all pixels on the skin.
+    /// Distance of the target from the skin's centre minus that of q's centroid, metres; positive if the image is
+    /// displaced inwards. The centre is the centroid of all pixels on the skin.
     pub radial_position_error_m: f64,
     /// Distance from q's centroid to the target, metres.
     pub position_error_m: f64,
-    /// Square root of q's area over the skin's: smaller is sharper.
+    /// Square root of q's area relative to the skin's; smaller is sharper.
     pub resolution: f64,
     /// Share of q's pixels outside C: 0 for a round image.
     pub shape_deformation: f64,
-    /// Sum of the values of opposite sign outside C over the sum inside C, by size: 0 without overshoot.
+    /// Sum of the values of opposite sign outside C relative to the sum inside C, in magnitude: 0 without overshoot.
     pub ringing: f64,
 }
 
 impl GreitFigures {
-    /// Of an image (row-major, NaN outside the skin) on a grid.
+    /// Figures of an image (row-major, NaN outside the skin) on a grid.
     ///
     /// # Errors
-    /// A length that is not the grid's, a target without area or change, an image without a value of the target's sign.
+    /// A length that does not match the grid, a target without area or change, or an image without a value of the
+    /// target's sign.
     pub fn of(image: &[f64], grid: &PixelGrid, target: &Target) -> Result<Self, QualityError> {
         check_positive("target area_m2", target.area_m2)?;
         if !target.change.is_finite() || target.change == 0.0 {
@@ -83,7 +84,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// A disc of radius 1 m in 200 x 200 pixels with a value given at each point.
+    /// A disc of radius 1 m in 200 x 200 pixels, with values from a function of position.
     fn disc(value: impl Fn(f64, f64) -> f64) -> (PixelGrid, Vec<f64>) {
         let grid = PixelGrid { columns: 200, rows: 200, left_m: -1.0, top_m: 1.0, pixel_m: 0.01 };
         let image = grid.centres_m().into_iter().map(|[x, y]| if x.hypot(y) > 1.0 { f64::NAN } else { value(x, y) });
@@ -101,7 +102,7 @@ mod tests {
         });
         let target = Target { centre_m: [0.5, 0.0], area_m2: 0.04 * PI, change: -2.0 };
         let figures = GreitFigures::of(&image, &grid, &target).unwrap();
-        // Areas: 0.04 pi and 0.05 pi; discs of 20 pixels' radius have them within 1 %.
+        // Areas of 0.04 pi and 0.05 pi; discs with a radius of 20 pixels have them within 1 %.
         let response = (2.0 * 0.04 - 0.1 * 0.05) / (2.0 * 0.04);
         assert!((figures.amplitude_response - response).abs() < 0.01, "{figures:?}");
         assert!((figures.position_error_m - 0.1).abs() < 1e-9, "{figures:?}");
@@ -113,13 +114,13 @@ mod tests {
 
     #[test]
     fn an_oblong_image_is_deformed_by_the_share_outside_the_equal_disc() {
-        // A 4:1 rectangle 0.8 x 0.2 m: the disc of its area has a radius of 0.22568 m, and cuts it at x = +-sqrt(r^2 -
-        // y^2).
+        // A 4:1 rectangle of 0.8 x 0.2 m. The disc of equal area has a radius of 0.22568 m and intersects it at x =
+        // +-sqrt(r^2 - y^2).
         let (grid, image) = disc(|x, y| f64::from(u8::from(x.abs() < 0.4 && y.abs() < 0.1)));
         let target = Target { centre_m: [0.0, 0.0], area_m2: 0.16, change: 1.0 };
         let figures = GreitFigures::of(&image, &grid, &target).unwrap();
         let r2 = 0.16 / PI;
-        // Inside both: 4 times the integral of sqrt(r^2 - y^2) from 0 to 0.1.
+        // Overlap of the two: 4 times the integral of sqrt(r^2 - y^2) from 0 to 0.1.
         let h = 0.1_f64;
         let inside = 2.0 * (h * (r2 - h * h).sqrt() + r2 * (h / r2.sqrt()).asin());
         let exact = 1.0 - inside / 0.16;

@@ -1,22 +1,23 @@
-//! Where an image's strongest response lies and how wide it is. The response is taken in the direction of `sign`:
-//! `1.0` for pressed (positive), `-1.0` for damage.
+//! Position and width of the strongest response of an image. The response is taken in the direction of `sign`: `1.0`
+//! for pressed (positive), `-1.0` for damage.
 
 use super::error::{QualityError, check_length};
 use crate::mesh::PixelGrid;
 
-/// Centre of the pixel of largest value (times the sign of `sign`), metres. The first in row-major order among equals.
+/// Centre of the pixel with the largest value (times the sign of `sign`), metres. Ties go to the first in row-major
+/// order.
 ///
 /// # Errors
-/// A length that is not the grid's; no pixel whose value has that sign.
+/// A length that does not match the grid, or no pixel with a value of that sign.
 pub fn peak_m(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<[f64; 2], QualityError> {
     Ok(grid.centre_m(peak(image, grid, sign)?.0))
 }
 
-/// Centroid (unweighted) of the region that holds the peak and where the image is at least `fraction` of it, metres.
-/// The region is connected through the sides of pixels. The papers use a fraction of 0.5.
+/// Centroid (unweighted) of the region around the peak where the image is at least `fraction` of it, metres. The
+/// region is connected through the sides of pixels. The papers use a fraction of 0.5.
 ///
 /// # Errors
-/// As [`peak_m`]; a fraction that is not above 0 and at most 1.
+/// As [`peak_m`]; also fails if the fraction is not above 0 and at most 1.
 pub fn centroid_above_m(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Result<[f64; 2], QualityError> {
     let region = region_above(image, grid, sign, fraction)?;
     Ok(centroid_m(grid, &region))
@@ -48,8 +49,8 @@ pub fn position_error_by_centroid_m(
     Ok(distance_m(centroid_above_m(image, grid, sign, 0.5)?, true_m))
 }
 
-/// Width of a point-spread function, metres: the diameter of the disc whose area is that of the region around the peak
-/// at half its height or more; the full width at half maximum for a round peak. In whole pixels of area.
+/// Width of a point-spread function, metres: the diameter of a disc with the area of the region around the peak at
+/// half its height or more, which is the full width at half maximum of a round peak. The area is in whole pixels.
 ///
 /// # Errors
 /// As [`peak_m`].
@@ -104,7 +105,7 @@ fn region_above(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Re
             (column + 1 < grid.columns).then(|| index + 1),
         ];
         for neighbour in neighbours.into_iter().flatten() {
-            // NaN compares false: outside pixels end the region.
+            // NaN compares false, so outside pixels end the region.
             if !seen[neighbour] && sign.signum() * image[neighbour] >= level {
                 seen[neighbour] = true;
                 region.push(neighbour);
@@ -134,12 +135,12 @@ mod tests {
         let (grid, image) = gaussian([0.0104, -0.0047], 6e-3);
         let peak = peak_m(&image, &grid, 1.0).unwrap();
         assert!((peak[0] - 0.010).abs() < 1e-12 && (peak[1] + 0.005).abs() < 1e-12, "{peak:?}");
-        // 157 pixels above half: their centroid is good to a tenth of a pixel.
+        // The centroid of 157 pixels above half is accurate to a tenth of a pixel.
         let error = position_error_by_centroid_m(&image, &grid, 1.0, [0.0104, -0.0047]).unwrap();
         assert!(error < 1e-4, "{error}");
         let by_peak = position_error_by_peak_m(&image, &grid, 1.0, [0.0104, -0.0047]).unwrap();
         assert!((by_peak - 0.5e-3).abs() < 1e-12, "{by_peak}");
-        // Full width at half maximum: 2 sqrt(2 ln 2) sigma; area in whole pixels, 1 % of it.
+        // Full width at half maximum: 2 sqrt(2 ln 2) sigma. The area in whole pixels is accurate to 1 %.
         let width = spread_width_m(&image, &grid, 1.0).unwrap();
         let exact = 2.0 * (2.0 * 2.0_f64.ln()).sqrt() * 6e-3;
         assert!((width / exact - 1.0).abs() < 0.01, "{width} {exact}");

@@ -1,13 +1,13 @@
-//! Correlation and relative error of an image against a known truth, as in the self-healing skin's paper (Chen, Wang
-//! et al.), equations 6 and 7. Pixels that are not finite in either image are left out.
+//! Correlation and relative error of an image against a known truth, as in equations 6 and 7 of the paper on the
+//! self-healing skin (Chen, Wang et al.). Pixels that are not finite in both images are left out.
 
 use super::error::{QualityError, check_length};
 
-/// Image correlation coefficient, equation 6: the Pearson correlation of image and truth, from -1 to 1. Independent of
-/// scale and offset of either.
+/// Image correlation coefficient, equation 6: the Pearson correlation of image and truth, from -1 to 1. Independent
+/// of scale and offset.
 ///
 /// # Errors
-/// Images of different length; no pixel finite in both; an image that is the same everywhere.
+/// Images of different length, no pixel that is finite in both, or a constant image.
 pub fn icc(truth: &[f64], image: &[f64]) -> Result<f64, QualityError> {
     check_length("image", truth.len(), image.len())?;
     let count = pairs(truth, image).count() as f64;
@@ -23,7 +23,7 @@ pub fn icc(truth: &[f64], image: &[f64]) -> Result<f64, QualityError> {
         square_t += t * t;
         square_i += i * i;
     }
-    // A constant image leaves rounding of its mean at most.
+    // A constant image leaves at most the rounding error of its mean.
     let rounding = |mean: f64| count * (4.0 * f64::EPSILON * mean).powi(2);
     if square_t <= rounding(mean_t) || square_i <= rounding(mean_i) {
         return Err(undefined("ICC", "an image is the same everywhere"));
@@ -32,10 +32,10 @@ pub fn icc(truth: &[f64], image: &[f64]) -> Result<f64, QualityError> {
 }
 
 /// Relative image error, equation 7: `|image - truth| / |truth|` in the Euclidean norm; 0 is perfect. Both must have
-/// one scale.
+/// the same scale.
 ///
 /// # Errors
-/// Images of different length; a truth that is zero everywhere or has no pixel finite in both images.
+/// Images of different length, or a truth that is zero everywhere or has no pixel that is finite in both images.
 pub fn rie(truth: &[f64], image: &[f64]) -> Result<f64, QualityError> {
     check_length("image", truth.len(), image.len())?;
     let (error, size) = pairs(truth, image)
@@ -71,7 +71,7 @@ mod tests {
     fn scale_and_offset_leave_the_correlation_and_outside_pixels_count_nothing() {
         let truth = [1.0, 2.0, 4.0, f64::NAN, 7.0];
         let image = [5.0, 3.0, -1.0, 8.0, f64::NAN];
-        // 7 - 2 x on the three pixels both have.
+        // 7 - 2 x on the three common pixels.
         assert!((icc(&truth, &image).unwrap() + 1.0).abs() < 1e-14);
         // (16 + 1 + 25) / (1 + 4 + 16) = 2.
         assert!((rie(&truth, &image).unwrap() - 2.0_f64.sqrt()).abs() < 1e-14);

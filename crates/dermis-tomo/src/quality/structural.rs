@@ -1,36 +1,36 @@
 //! Structural similarity (SSIM) of two images: Wang, Bovik, Sheikh and Simoncelli, IEEE Trans. Image Processing 13
-//! (2004) 600, equation 13; equation 8 of the self-healing skin's paper. With the default options it is the figure
-//! that scikit-image's `structural_similarity` gives for the same `data_range`.
+//! (2004) 600, equation 13; equation 8 of the paper on the self-healing skin. With the default options it equals
+//! scikit-image's `structural_similarity` for the same `data_range`.
 
 use super::error::{QualityError, check_length, check_positive};
 
-/// The window that local means and variances are taken over.
+/// The window for local means and variances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SsimWindow {
-    /// A square of this odd side, in pixels, all weights equal.
+    /// A square with this odd side, in pixels, with equal weights.
     Uniform(usize),
-    /// A Gaussian of this standard deviation in pixels, cut at 3.5 standard deviations: 11 x 11 for 1.5.
+    /// A Gaussian with this standard deviation in pixels, truncated at 3.5 standard deviations: 11 x 11 for 1.5.
     Gaussian(f64),
 }
 
-/// How SSIM is computed.
+/// Options of SSIM.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SsimOptions {
     /// The window; scikit-image's default is `Uniform(7)`, its `gaussian_weights=True` is `Gaussian(1.5)`.
     pub window: SsimWindow,
-    /// Range of the values, in their unit: largest minus smallest possible.
+    /// Range of the values, in their unit: largest possible minus smallest possible.
     pub data_range: f64,
     /// Stabilises the means: `C1 = (k1 data_range)^2`.
     pub k1: f64,
     /// Stabilises the variances: `C2 = (k2 data_range)^2`.
     pub k2: f64,
-    /// Whether variances are those of a sample, `n / (n - 1)` with n pixels a window, as scikit-image has it; Wang et
-    /// al. have it without.
+    /// True for sample variances, `n / (n - 1)` with n pixels per window, as in scikit-image; Wang et al. do without
+    /// the factor.
     pub sample_covariance: bool,
 }
 
 impl SsimOptions {
-    /// scikit-image's defaults at this range: 7 x 7 uniform, K1 = 0.01, K2 = 0.03, sample covariance.
+    /// scikit-image's defaults for this range: 7 x 7 uniform, K1 = 0.01, K2 = 0.03, sample covariance.
     #[must_use]
     pub fn new(data_range: f64) -> Self {
         Self { window: SsimWindow::Uniform(7), data_range, k1: 0.01, k2: 0.03, sample_covariance: true }
@@ -42,7 +42,7 @@ impl SsimOptions {
         Self { window: SsimWindow::Gaussian(1.5), ..Self::new(data_range) }
     }
 
-    /// One-dimensional weights of the window, which add to 1.
+    /// One-dimensional weights of the window, which sum to 1.
     fn weights(&self) -> Result<Vec<f64>, QualityError> {
         match self.window {
             SsimWindow::Uniform(side) if side % 2 == 1 && side > 1 => Ok(vec![1.0 / side as f64; side]),
@@ -64,14 +64,14 @@ impl SsimOptions {
     }
 }
 
-/// Mean structural similarity of two row-major images of `columns` pixels a row; 1 for equal images.
+/// Mean structural similarity of two row-major images with `columns` pixels per row; 1 for equal images.
 ///
-/// The mean is over the windows that lie wholly in the image and hold finite pixels only (scikit-image crops in the
-/// same way, and knows no pixels outside the skin).
+/// The mean is over the windows that lie entirely in the image and contain only finite pixels (scikit-image crops in
+/// the same way, but has no pixels outside the skin).
 ///
 /// # Errors
-/// Images of different or ragged length, an image smaller than the window, parameters out of range, no window without
-/// a pixel outside the skin.
+/// Images of different or ragged length, an image smaller than the window, parameters out of range, or no window
+/// without a pixel outside the skin.
 pub fn ssim(truth: &[f64], image: &[f64], columns: usize, options: &SsimOptions) -> Result<f64, QualityError> {
     check_length("image", truth.len(), image.len())?;
     check_positive("data_range", options.data_range)?;
@@ -117,7 +117,7 @@ pub fn ssim(truth: &[f64], image: &[f64], columns: usize, options: &SsimOptions)
     Ok(sum / count as f64)
 }
 
-/// Weighted means over the windows that lie wholly inside, row by row; NaN where a window holds one.
+/// Weighted means over the windows that lie entirely inside, row by row; NaN if a window contains one.
 fn filter(values: &[f64], columns: usize, weights: &[f64]) -> Vec<f64> {
     let side = weights.len();
     let (rows, kept) = (values.len() / columns, columns + 1 - side);
@@ -152,8 +152,8 @@ pub(super) mod tests {
             .unzip()
     }
 
-    /// scikit-image 0.26 on [`formula_images`]: rows, columns, `data_range`, default, `gaussian_weights=True`, and the
-    /// latter with `use_sample_covariance=False`.
+    /// scikit-image 0.26 on [`formula_images`]: rows, columns, `data_range`, default, `gaussian_weights=True`, and
+    /// `gaussian_weights=True` with `use_sample_covariance=False`.
     const REFERENCE: [(usize, usize, f64, f64, f64, f64); 2] = [
         (24, 31, 2.5, 0.2141204392753887, 0.2691808087418625, 0.269187300842515),
         (40, 40, 3.0, 0.03909701353610576, 0.05155407135021488, 0.05155463931707714),
@@ -163,7 +163,7 @@ pub(super) mod tests {
     fn equal_to_scikit_image() {
         for (rows, columns, range, uniform, gaussian, population) in REFERENCE {
             let (a, b) = formula_images(rows, columns);
-            // Rounding of the order of additions only; 1e-6 is asked for.
+            // Differences come only from rounding and the order of additions; 1e-6 is required.
             let close = |options: &SsimOptions, expected: f64| {
                 let got = ssim(&a, &b, columns, options).unwrap();
                 assert!((got - expected).abs() < 1e-11, "{options:?}: {got} {expected}");
@@ -182,7 +182,7 @@ pub(super) mod tests {
         let (a, b) = formula_images(16, 14);
         let options = SsimOptions::new(2.0);
         assert!((ssim(&a, &a, 14, &options).unwrap() - 1.0).abs() < 1e-12);
-        // With the two top rows outside in one image, it is the SSIM of the rows below.
+        // With the two top rows outside in one image, the result is the SSIM of the remaining rows.
         let mut masked = b.clone();
         masked[..28].fill(f64::NAN);
         let below = ssim(&a[28..], &b[28..], 14, &options).unwrap();

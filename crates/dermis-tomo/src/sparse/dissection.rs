@@ -1,7 +1,7 @@
-//! The fill-reducing order of elimination by coordinates (George, SIAM Journal on Numerical Analysis 10, 1973): halve
-//! the widest extent, eliminate the halves first and what separates them last, and so on within each half.
+//! Fill-reducing elimination order by coordinates (George, SIAM Journal on Numerical Analysis 10, 1973): halve the
+//! largest extent, eliminate the halves first and their separator last, and recurse within each half.
 
-/// Parts of so few unknowns are not divided further.
+/// Maximum size of a part that is not divided further, in unknowns.
 const LEAF: usize = 8;
 
 /// Nested dissection: forward and inverse permutation (new to old, old to new).
@@ -87,7 +87,7 @@ fn split(nodes: &mut [u32], xyz: &[[f64; 3]], adjacency: &Adjacency, side: &mut 
     for (position, &node) in nodes.iter().enumerate() {
         side[node as usize] = if position < middle { 1 } else { 2 };
     }
-    // The separator: nodes of the left half that touch the right one.
+    // The separator: nodes of the left half with neighbours in the right half.
     let mut left = Vec::with_capacity(middle);
     let mut separator = Vec::new();
     for &node in &nodes[..middle] {

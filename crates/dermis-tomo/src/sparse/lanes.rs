@@ -1,5 +1,5 @@
-//! Several right-hand sides together, their values at one unknown side by side: products with a complex symmetric
-//! matrix and solutions with a real factor, as iterations that are preconditioned by one want them.
+//! Several right-hand sides at once, with their values at one unknown adjacent in memory: products with a complex
+//! symmetric matrix and solutions with a real factor, as needed by preconditioned iterations.
 
 use faer::Mat;
 use faer::sparse::linalg::cholesky::SymbolicCholeskyRaw;
@@ -24,8 +24,8 @@ impl SpdStructure {
         ordered.iter().zip(old_of_new).for_each(|(value, &old)| x[old as usize] = *value);
     }
 
-    /// Product of the complex symmetric matrix `real + j imaginary` (both in this structure) with W/2 complex vectors,
-    /// the real parts in the first half of the lanes, the imaginary ones in the second.
+    /// Product of the complex symmetric matrix `real + j imaginary` (both in this structure) with W/2 complex
+    /// vectors. The real parts are in the first half of the lanes, the imaginary parts in the second.
     pub fn multiply_complex_lanes<const W: usize>(
         &self,
         real: &[f64],

@@ -1,7 +1,7 @@
 //! Multifrontal Cholesky factorisation (Duff and Reid, ACM Trans. Math. Softw. 9, 1983; Liu, SIAM Rev. 34, 1992) over
-//! the supernodes that `faer` found: each supernode's columns are factored as one dense block, and what they change
-//! further up is computed as one dense product and handed to the parent. Small blocks, of which a sheet's mesh has
-//! many, are done by loops here; large ones by `faer`.
+//! the supernodes found by `faer`. Each supernode's columns are factored as one dense block; their update of later
+//! columns is computed as one dense product and passed to the parent. Small blocks, which dominate in the mesh of a
+//! sheet, are handled by loops here, large ones by `faer`.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{self as dense, LltRegularization};
@@ -12,28 +12,28 @@ use faer::sparse::linalg::cholesky::supernodal::SymbolicSupernodalCholesky;
 use faer::sparse::linalg::cholesky::{SymbolicCholesky, SymbolicCholeskyRaw};
 use faer::{Accum, MatMut, Par};
 
-/// Where everything goes, known before any value is.
+/// Destinations of all values, known before the values themselves.
 #[derive(Debug)]
 pub(super) struct Fronts {
-    /// For each value of the matrix's lower triangle its place in the factor's values.
+    /// Position in the factor of each value of the matrix's lower triangle.
     targets: Vec<u32>,
     /// Children of each supernode, from `child_starts[s]` to `child_starts[s + 1]`.
     children: Vec<u32>,
     child_starts: Vec<u32>,
-    /// For each row of each supernode's pattern its row in the parent's front, from `place_starts[s]` on.
+    /// Row in the parent's front of each row of each supernode's pattern, from `place_starts[s]` on.
     places: Vec<u32>,
     place_starts: Vec<u32>,
-    /// Scratch that `faer` asks for to factor the widest block.
+    /// Scratch size that `faer` needs to factor the widest block.
     widest: usize,
 }
 
 /// Blocks with fewer columns are factored by loops.
 const FEW_COLUMNS: usize = 24;
-/// Products with fewer multiplications are done by loops.
+/// Products with fewer multiplications are computed by loops.
 const FEW_PRODUCTS: usize = 12_000;
 
 impl Fronts {
-    /// `None` where the factorisation is not supernodal or too large for 32-bit places.
+    /// `None` if the factorisation is not supernodal or too large for 32-bit positions.
     pub(super) fn new(pattern: &SymbolicSparseColMat<u32>, symbolic: &SymbolicCholesky<u32>) -> Option<Self> {
         let SymbolicCholeskyRaw::Supernodal(supernodal) = symbolic.raw() else { return None };
         u32::try_from(supernodal.len_val()).ok()?;
@@ -43,7 +43,7 @@ impl Fronts {
         for supernode in 0..count {
             supernode_of[begins[supernode] as usize..ends[supernode] as usize].fill(supernode as u32);
         }
-        // Row of a front: first the supernode's own columns, then its pattern, which is sorted.
+        // Row of a front: the supernode's own columns come first, then its sorted pattern.
         let row_in = |supernode: usize, row: u32| -> Option<u32> {
             let (begin, end) = (begins[supernode], ends[supernode]);
             if row < end {
@@ -82,7 +82,7 @@ impl Fronts {
         Some(Self { targets, children, child_starts, places, place_starts, widest })
     }
 
-    /// Most numbers that fronts on their way to their parents take at once.
+    /// Peak number of values in fronts waiting for their parents.
     pub(super) fn working_len(&self, symbolic: &SymbolicCholesky<u32>) -> usize {
         let SymbolicCholeskyRaw::Supernodal(symbolic) = symbolic.raw() else { return 0 };
         let square = |supernode: usize| symbolic.supernode(supernode).pattern().len().pow(2);
@@ -96,7 +96,7 @@ impl Fronts {
         most
     }
 
-    /// Factors the matrix of these values into `factor`; an error is the pivot that was not positive.
+    /// Factors the matrix with these values into `factor`. The error is the pivot that was not positive.
     pub(super) fn factor(
         &self,
         symbolic: &SymbolicSupernodalCholesky<u32>,
@@ -178,7 +178,7 @@ fn extend_add(from: &[f64], places: &[u32], columns: usize, below: usize, block:
     for (column, &place) in places.iter().enumerate() {
         let source = &from[column * size + column..(column + 1) * size];
         let place = place as usize;
-        // In the update, rows count from behind the parent's own columns.
+        // Rows of the update are counted from the end of the parent's own columns.
         let (target, shift) = if place < columns {
             (&mut block[place * rows..(place + 1) * rows], 0)
         } else {
@@ -190,7 +190,8 @@ fn extend_add(from: &[f64], places: &[u32], columns: usize, below: usize, block:
     }
 }
 
-/// Cholesky factor of a block (rows = columns + below, column-major) in place; an error is the column that failed.
+/// Cholesky factorisation of a block (rows = columns + below, column-major) in place. The error is the column that
+/// failed.
 #[inline(always)]
 fn factor_block(block: &mut [f64], columns: usize, below: usize, stack: &mut MemStack) -> Result<(), usize> {
     let rows = columns + below;
@@ -205,7 +206,7 @@ fn factor_block(block: &mut [f64], columns: usize, below: usize, stack: &mut Mem
     for column in 0..columns {
         let (done, rest) = block.split_at_mut((column + 1) * rows);
         let pivot = &mut done[column * rows + column..];
-        // NaN fails as well.
+        // NaN fails too.
         if pivot[0] <= 0.0 || pivot[0].is_nan() {
             return Err(column);
         }
@@ -221,7 +222,7 @@ fn factor_block(block: &mut [f64], columns: usize, below: usize, stack: &mut Mem
     Ok(())
 }
 
-/// `update -= B B'`, lower triangle, with B the lower rows of a factored block.
+/// `update -= B B'`, lower triangle, where B holds the lower rows of a factored block.
 #[inline(always)]
 fn subtract_product(block: &[f64], columns: usize, below: usize, update: &mut [f64]) {
     let rows = columns + below;

@@ -1,32 +1,32 @@
-//! Forward and backward substitution for sources at a few unknowns, several right-hand sides together: the values of
-//! all of them at one unknown lie side by side.
+//! Forward and backward substitution for sources at a few unknowns, with several right-hand sides at once: their
+//! values at one unknown are adjacent in memory.
 
 use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
 
-/// Which rows of columns of the inverse are wanted.
+/// The rows to compute in columns of the inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rows {
     All,
     Same,
 }
 
-/// Right-hand sides handled together: their values at one unknown fill a few vector registers.
+/// Number of right-hand sides processed together: their values at one unknown fill a few vector registers.
 pub(super) const WIDTH: usize = 16;
 
-/// A numeric factor, for sources at unknowns from `first` on (in the order of elimination).
+/// A numeric factor for sources at unknowns from `first` on (in elimination order).
 pub(super) struct Supernodal<'a> {
     pub(super) factor: SupernodalLltRef<'a, u32, f64>,
     pub(super) first: usize,
 }
 
 impl Supernodal<'_> {
-    /// Forward substitution where the sources are, backward substitution to the rows wanted.
+    /// Forward substitution from the sources, backward substitution to the required rows.
     pub(super) fn solve<const W: usize>(&self, x: &mut [[f64; W]], rows: Rows) {
         pulp::Arch::new().dispatch(Substitution { factor: self, x, rows });
     }
 
-    /// Entries of one column of a supernode: first those of its square block (the part above the diagonal has no
-    /// meaning), then those of its pattern.
+    /// Entries of one column of a supernode: first those of its square block (meaningless above the diagonal), then
+    /// those of its pattern.
     #[inline(always)]
     fn column(&self, supernode: usize, column: usize) -> &[f64] {
         let begin = self.factor.symbolic().col_ptr_for_val()[supernode] as usize;

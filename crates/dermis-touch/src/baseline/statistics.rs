@@ -1,14 +1,14 @@
-//! Mean and scatter of values among which some may be far off.
+//! Robust mean and standard deviation of values with outliers.
 
-/// Gaussian standard deviation over median absolute deviation, 1 / Phi^-1(3/4).
+/// Ratio of a Gaussian's standard deviation to its median absolute deviation, 1 / Phi^-1(3/4).
 const MAD_TO_STD: f64 = 1.482_602_218_505_602;
-/// Gaussian standard deviation over mean absolute deviation, sqrt(pi/2).
+/// Ratio of a Gaussian's standard deviation to its mean absolute deviation, sqrt(pi/2).
 const MEAN_DEVIATION_TO_STD: f64 = 1.253_314_137_315_500_3;
 
 /// Mean of the values within three robust standard deviations of the median, and that standard deviation.
 ///
-/// Where more than half of the values are equal (coarse quantisation) the deviation is taken from the mean absolute
-/// deviation instead (Iglewicz and Hoaglin, *How to Detect and Handle Outliers*, 1993). NaN without values.
+/// If more than half of the values are equal (coarse quantisation), the standard deviation comes from the mean
+/// absolute deviation instead (Iglewicz and Hoaglin, *How to Detect and Handle Outliers*, 1993). NaN without values.
 pub(super) fn robust_mean_and_std(values: impl Iterator<Item = f64>, sorted: &mut Vec<f64>) -> (f64, f64) {
     sorted.clear();
     sorted.extend(values.filter(|value| value.is_finite()));
@@ -16,7 +16,7 @@ pub(super) fn robust_mean_and_std(values: impl Iterator<Item = f64>, sorted: &mu
         return (f64::NAN, f64::NAN);
     }
     let centre = median(sorted);
-    // From here on the buffer holds deviations, by size.
+    // From here on the buffer holds deviations, sorted by size.
     for value in sorted.iter_mut() {
         *value -= centre;
     }

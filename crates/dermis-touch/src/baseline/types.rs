@@ -1,22 +1,23 @@
-//! What a baseline is told and tells: its rules, its state, what changed it and where it came from.
+//! Parameters, states, changes and records of a baseline.
 
 use serde::{Deserialize, Serialize};
 
-/// Whether drift is followed.
+/// How drift is followed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DriftCompensation {
     /// The baseline changes only by tare.
     Off,
-    /// The baseline follows the raw values while the skin is free.
+    /// The baseline follows the raw values while nothing touches the skin.
     Exponential {
-        /// Time constant tau, seconds, above 0: a step in the raw values has faded to 1/e after it. A touch too weak to
-        /// be reported as load fades with it too.
+        /// Time constant tau, seconds, above 0: the time after which a step in the raw values has decayed to 1/e. A
+        /// touch too weak to be reported as load decays with it.
         time_constant_s: f64,
-        /// The baseline stays frozen for so long after a load has gone, seconds, at least 0: the material relaxes.
+        /// How long the baseline stays frozen after a load is removed, while the material relaxes. Seconds, at least
+        /// 0.
         settle_s: f64,
     },
-    /// The baseline follows a change of all channels by the same share, and nothing else, while the skin is free.
+    /// The baseline follows only changes of all channels by the same share, while nothing touches the skin.
     Uniform {
         /// Time constant tau, seconds, above 0.
         time_constant_s: f64,
@@ -25,77 +26,78 @@ pub enum DriftCompensation {
     },
 }
 
-/// Rules of a [`Baseline`](super::Baseline).
+/// Parameters of a [`Baseline`](super::Baseline).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BaselineParams {
-    /// Frames of the start-up baseline. At least 1; from 8 on it shrugs off outliers and a short touch.
+    /// Number of frames in the start-up baseline, at least 1. With 8 or more it is robust to outliers and a short
+    /// touch.
     pub startup_frames: usize,
     /// Drift compensation.
     pub drift: DriftCompensation,
 }
 
 impl Default for BaselineParams {
-    /// 32 frames; drift followed with 60 s, 2 s after release.
+    /// 32 frames; drift followed with a time constant of 60 s, from 2 s after release.
     fn default() -> Self {
         Self { startup_frames: 32, drift: DriftCompensation::Exponential { time_constant_s: 60.0, settle_s: 2.0 } }
     }
 }
 
-/// Whether the skin is touched in a frame, as judged by the caller (from contacts of its image, say).
+/// Load on the skin in a frame, as judged by the caller, for example from the contacts in its image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Load {
-    /// Nothing touches it.
+    /// Nothing touches the skin.
     Free,
-    /// Something does.
+    /// Something touches the skin.
     Touched,
 }
 
-/// What a tare does about load.
+/// How a tare treats load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TareGuard {
-    /// Refused while touched, and called off when a touch begins during it.
+    /// The tare is refused while touched, and cancelled if a touch begins during it.
     RefuseUnderLoad,
-    /// Carried out whatever the load; recorded as forced.
+    /// The tare proceeds whatever the load, and is recorded as forced.
     Force,
 }
 
-/// How far the baseline is.
+/// Progress of start-up or tare.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BaselineState {
-    /// Gathering start-up frames; nothing is compensated yet.
+    /// Collecting start-up frames; nothing is compensated yet.
     Starting {
-        /// Frames gathered.
+        /// Frames collected.
         have: usize,
         /// Frames needed.
         want: usize,
     },
     /// In use.
     Ready,
-    /// In use, while a tare gathers frames for the next one.
+    /// In use, while a tare collects frames for the next baseline.
     Taring {
-        /// Frames gathered.
+        /// Frames collected.
         have: usize,
         /// Frames needed.
         want: usize,
     },
 }
 
-/// What [`Baseline::learn`](super::Baseline::learn) changed.
+/// The effect of one call of [`Baseline::learn`](super::Baseline::learn).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BaselineChange {
-    /// Nothing, or only drift.
+    /// Nothing changed, except perhaps by drift.
     None,
-    /// The start-up baseline is there.
+    /// The start-up baseline is complete.
     Started,
-    /// A tare is done.
+    /// A tare is complete.
     Tared,
-    /// A tare was called off because a touch began.
+    /// A tare was cancelled because a touch began.
     TareCancelled,
 }
 
-/// Where a baseline came from.
+/// Origin of a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReferenceOrigin {
@@ -107,7 +109,7 @@ pub enum ReferenceOrigin {
     ForcedTare,
     /// Values given by the caller.
     Given,
-    /// The skin at rest with a damage that was found, so that touches are found beside it.
+    /// The skin at rest with known damage, so that touches are measured relative to the damaged skin.
     Damage,
 }
 
@@ -116,9 +118,9 @@ pub enum ReferenceOrigin {
 pub struct ReferenceRecord {
     /// Time of the frame that completed it, nanoseconds.
     pub time_ns: u64,
-    /// Frames that it is the mean of; 0 when given.
+    /// Number of frames averaged; 0 if given by the caller.
     pub frames: usize,
-    /// Where it came from.
+    /// Its origin.
     pub origin: ReferenceOrigin,
     /// The caller's reason; empty at start-up.
     pub reason: String,

@@ -1,4 +1,4 @@
-//! Where the pixels of a flat grid lie on the skin.
+//! Pixel positions of a flat grid on the skin.
 
 use crate::error::{TouchError, require};
 use serde::{Deserialize, Serialize};
@@ -36,13 +36,13 @@ impl GridGeometry {
         self.columns * self.rows
     }
 
-    /// True of a grid without pixels.
+    /// True if the grid has no pixels.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Position of a point given in pixel coordinates (column, row), where whole numbers are pixel centres.
+    /// Position of a point in pixel coordinates (column, row), where whole numbers are pixel centres.
     #[must_use]
     pub fn position_m(&self, column: f64, row: f64) -> [f64; 2] {
         [self.left_m + (column + 0.5) * self.pixel_m, self.top_m - (row + 0.5) * self.pixel_m]
@@ -54,7 +54,7 @@ impl GridGeometry {
         self.position_m((index % self.columns) as f64, (index / self.columns) as f64)
     }
 
-    /// Index of the pixel that holds a point, if any does.
+    /// Index of the pixel that contains a point, if any.
     #[must_use]
     pub fn pixel_at(&self, position_m: [f64; 2]) -> Option<usize> {
         let column = ((position_m[0] - self.left_m) / self.pixel_m).floor();
@@ -63,7 +63,7 @@ impl GridGeometry {
         inside.then(|| row as usize * self.columns + column as usize)
     }
 
-    /// Pixels that share an edge with one: left, right, above, below.
+    /// Pixels that share an edge with this one: left, right, above, below.
     pub(crate) fn edge_neighbours(&self, index: usize) -> impl Iterator<Item = usize> {
         let (column, row) = (index % self.columns, index / self.columns);
         let neighbours = [
@@ -75,7 +75,7 @@ impl GridGeometry {
         neighbours.into_iter().flatten()
     }
 
-    /// Pixels that share an edge or a corner with one, row by row.
+    /// Pixels that share an edge or a corner with this one, row by row.
     pub(crate) fn neighbours(&self, index: usize) -> impl Iterator<Item = usize> {
         let (column, row) = (index % self.columns, index / self.columns);
         let rows = row.saturating_sub(1)..=(row + 1).min(self.rows - 1);
@@ -109,7 +109,7 @@ mod tests {
         let grid = GridGeometry::centred(4, 2, 0.01);
         let first = grid.pixel_centre_m(0);
         let last = grid.pixel_centre_m(7);
-        // Binary fractions of 0.01: rounding only.
+        // 0.01 is not exact in binary: allow for rounding only.
         assert!((first[0] + 0.015).abs() < 1e-15 && (first[1] - 0.005).abs() < 1e-15);
         assert!((last[0] - 0.015).abs() < 1e-15 && (last[1] + 0.005).abs() < 1e-15);
     }

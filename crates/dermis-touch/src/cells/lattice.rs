@@ -1,13 +1,13 @@
-//! Cells as the contact finder walks them. A lattice keeps the values of cells in slots, and measures in units of the
-//! cell size from an origin of its own: on a grid in pixels, so that sums over pixels are exact. The finder is compiled
-//! once for each kind, so that a grid pays nothing for what surfaces need.
+//! Cells in the form that the contact finder walks. A lattice keeps cell values in slots and has coordinates of its
+//! own, in units of the cell size. On a grid the unit is the pixel, which makes sums over pixels exact. The finder is
+//! compiled separately for each kind, so a grid pays nothing for what surfaces need.
 
 use super::{GridGeometry, SurfaceCells};
 use std::fmt::Debug;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A rectangle that holds cells, in the lattice's units: smallest and largest coordinates.
+/// A rectangle around cells, in lattice units: smallest and largest coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bounds {
     pub first: [f64; 2],
@@ -27,58 +27,59 @@ impl Bounds {
     }
 }
 
-/// Cells in slots.
+/// Cells stored in slots.
 pub(crate) trait Lattice: Clone + Debug {
-    /// Number of slots, some of which may belong to no cell.
+    /// Number of slots, some of which may hold no cell.
     fn slots(&self) -> usize;
 
     /// Number of cells.
     fn cells(&self) -> usize;
 
-    /// At most so many cells have no higher neighbour.
+    /// Maximum number of cells that can be local peaks.
     fn most_peaks(&self) -> usize;
 
-    /// Slots and cells that follow each other in the same order, piece by piece.
+    /// Pairs of slot and cell ranges, in the same order.
     fn pieces(&self) -> impl Iterator<Item = (Range<usize>, Range<usize>)>;
 
-    /// Slots next to a cell's, over edges and corners; some may belong to no cell.
+    /// Slots next to a cell's, over edges and corners. Some may hold no cell.
     fn neighbours(&self, slot: usize) -> impl Iterator<Item = usize>;
 
-    /// Calls `work` with room for one number a neighbour.
+    /// Calls `work` with working memory for one number per neighbour.
     fn with_room<R>(&mut self, work: impl FnOnce(&Self, &mut [u32]) -> R) -> R;
 
     /// The cell of a slot.
     fn cell(&self, slot: usize) -> usize;
 
-    /// Side of a square of the mean cell, metres: the unit of coordinates.
+    /// Unit of coordinates, metres: the side of a square with the mean cell's area.
     fn unit_m(&self) -> f64;
 
-    /// Place of a slot's cell, units.
+    /// Coordinates of a slot's cell.
     fn coordinates(&self, slot: usize) -> [f64; 2];
 
-    /// Position of a point, metres, x right and y up.
+    /// Position in metres of a point given in coordinates; x right, y up.
     fn position_m(&self, coordinates: [f64; 2]) -> [f64; 2];
 
-    /// From one point to another, units, x right and y up.
+    /// Vector from one point to another, lattice units, x right and y up.
     fn offset(&self, from: [f64; 2], to: [f64; 2]) -> [f64; 2];
 
     /// Area of a slot's cell, square units.
     fn area(&self, slot: usize) -> f64;
 
-    /// Slots of all cells within bounds, and perhaps of others.
+    /// Slots of all cells within the bounds, and possibly of others.
     fn slots_within(&self, bounds: Bounds) -> impl Iterator<Item = usize>;
 
-    /// Where the cells lie, units.
+    /// Extent of the cells along each axis, lattice units.
     fn extent(&self) -> [f64; 2];
 
-    /// Side of the blocks, units, that cells are gathered in where a block may be at most this large.
+    /// Side of the blocks that cells are grouped in, lattice units, given the largest side allowed.
     fn block(&self, largest: f64) -> f64;
 
-    /// Shift in units and height of a smooth peak through a cell and its neighbours, which may be NaN.
+    /// Fits a smooth peak through a cell and its neighbours, which may be NaN. Returns its offset in units and its
+    /// height.
     fn refined_peak(&self, values: &[f32], slot: usize) -> ([f64; 2], f64);
 }
 
-/// A grid with a border of one pixel, so that neighbours need no bounds.
+/// A grid with a border of one pixel, so that neighbours need no bounds checks.
 #[derive(Debug, Clone)]
 pub(crate) struct GridLattice {
     grid: GridGeometry,
@@ -105,7 +106,7 @@ impl Lattice for GridLattice {
     }
 
     fn most_peaks(&self) -> usize {
-        // Of two by two pixels one is highest.
+        // Any 2 x 2 block of pixels holds at most one peak.
         self.grid.columns.div_ceil(2) * self.grid.rows.div_ceil(2)
     }
 
@@ -137,7 +138,7 @@ impl Lattice for GridLattice {
         self.grid.pixel_m
     }
 
-    /// Column and row.
+    /// Column and row of the slot.
     #[inline]
     fn coordinates(&self, slot: usize) -> [f64; 2] {
         let (column, row) = self.column_row(slot);
@@ -170,19 +171,19 @@ impl Lattice for GridLattice {
         [self.grid.columns as f64, self.grid.rows as f64]
     }
 
-    /// Whole pixels.
+    /// A whole number of pixels.
     fn block(&self, largest: f64) -> f64 {
         (largest as usize).clamp(1, self.grid.columns.max(self.grid.rows)) as f64
     }
 
-    /// The quadratic through the peak and its eight neighbours.
+    /// Quadratic through the peak and its eight neighbours.
     fn refined_peak(&self, values: &[f32], slot: usize) -> ([f64; 2], f64) {
         let stride = self.stride;
         let at = |index: usize| f64::from(values[index]);
         let top = at(slot);
         let axis = |less: f64, more: f64| {
             let (slope, bend) = (0.5 * (more - less), more - 2.0 * top + less);
-            // NaN neighbours compare false.
+            // Comparisons with NaN neighbours are false.
             if bend < 0.0 { (slope, bend) } else { (0.0, -1.0) }
         };
         let (slope_x, bend_x) = axis(at(slot - 1), at(slot + 1));
@@ -190,7 +191,7 @@ impl Lattice for GridLattice {
         let twist =
             0.25 * (at(slot + stride + 1) - at(slot + stride - 1) - at(slot - stride + 1) + at(slot - stride - 1));
         let determinant = bend_x * bend_y - twist * twist;
-        // A saddle-like or one-sided neighbourhood is fitted along the axes only.
+        // Fit a saddle-like or one-sided neighbourhood along the axes only.
         let (twist, determinant) = if determinant > 0.1 * bend_x * bend_y && slope_x != 0.0 && slope_y != 0.0 {
             (twist, determinant)
         } else {
@@ -203,11 +204,11 @@ impl Lattice for GridLattice {
     }
 }
 
-/// Cells of any shape: slots are cells.
+/// Cells of any shape; slots are cells.
 #[derive(Debug, Clone)]
 pub(crate) struct SurfaceLattice {
     cells: Arc<SurfaceCells>,
-    /// Corner of the cells' bounds, metres: the origin of coordinates.
+    /// Lower left corner of the cells' bounds, metres: the origin of coordinates.
     low_m: [f64; 2],
     extent: [f64; 2],
     room: Vec<u32>,
@@ -287,12 +288,12 @@ impl Lattice for SurfaceLattice {
         self.extent
     }
 
-    /// At least half a cell: smaller blocks would only be empty.
+    /// At least half a cell, since smaller blocks would be empty.
     fn block(&self, largest: f64) -> f64 {
         largest.clamp(0.5, self.extent[0].max(self.extent[1]))
     }
 
-    /// The quadratic through the peak that is nearest to its neighbours.
+    /// Least-squares quadratic through the peak.
     fn refined_peak(&self, values: &[f32], slot: usize) -> ([f64; 2], f64) {
         let (here, top) = (self.coordinates(slot), f64::from(values[slot]));
         let none = ([0.0; 2], top);
@@ -317,7 +318,7 @@ impl Lattice for SurfaceLattice {
         }
         let Some([slope_x, slope_y, bend_x, twist, bend_y]) = solved(equations) else { return none };
         let determinant = bend_x * bend_y - twist * twist;
-        // Saddles and valleys have no top to move to.
+        // A saddle or valley has no maximum to move to.
         if !(bend_x < 0.0 && determinant > 0.0) {
             return none;
         }
@@ -331,10 +332,11 @@ impl Lattice for SurfaceLattice {
     }
 }
 
-/// Slopes and second derivatives of a quadratic through a given point.
+/// Unknowns of a quadratic through a given point: two slopes and three second derivatives.
 const TERMS: usize = 5;
 
-/// Solution of a small symmetric system, right-hand side last, by elimination; none where a pivot is not positive.
+/// Solves a small symmetric system by elimination; the right-hand side is the last column. `None` if a pivot is too
+/// small.
 fn solved(mut rows: [[f64; TERMS + 1]; TERMS]) -> Option<[f64; TERMS]> {
     let largest = (0..TERMS).map(|k| rows[k][k]).fold(0.0, f64::max);
     for pivot in 0..TERMS {

@@ -1,30 +1,32 @@
-//! Cells of any shape, given by lists: places, areas and neighbours. The elements of a triangle mesh are such cells.
+//! Cells of any shape, given by lists of positions, areas and neighbours. The elements of a triangle mesh are such
+//! cells.
 
 use crate::error::{TouchError, require, require_length};
 
-/// A point is on a cell when it is within so many times the side of a square of the cell's area.
+/// Largest distance of a point from its cell, in sides of a square with the cell's area.
 const REACH: f64 = 2.0;
 
-/// Cells with places on a chart of the skin (x right, y up, metres), areas and neighbours.
+/// Cells with positions on a chart of the skin (x right, y up, metres), areas and neighbours.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfaceCells {
     places_m: Vec<[f64; 2]>,
     areas_m2: Vec<f64>,
-    /// Neighbours of cell i are `neighbours[starts[i]..starts[i + 1]]`, ascending, those over an edge first.
+    /// Neighbours of cell i are `neighbours[starts[i]..starts[i + 1]]`: first those across an edge, then those at a
+    /// corner, each ascending.
     starts: Vec<u32>,
-    /// Where the neighbours over an edge end.
+    /// End of the edge neighbours of each cell.
     edge_ends: Vec<u32>,
     neighbours: Vec<u32>,
     cell_size_m: f64,
 }
 
 impl SurfaceCells {
-    /// Cells from lists. `edge_neighbours` and `corner_neighbours` have the neighbours of each cell that share an edge
-    /// with it, and those that share only a corner; who is a neighbour of whom must hold both ways.
+    /// Builds cells from lists. `edge_neighbours` lists the neighbours of each cell that share an edge with it,
+    /// `corner_neighbours` those that share only a corner. Both must be symmetric.
     ///
     /// # Errors
-    /// [`TouchError::Length`] for lists of different lengths; [`TouchError::Parameter`] for no cells, places or areas
-    /// that are not finite, areas not above 0, and neighbours that do not exist or do not hold both ways.
+    /// [`TouchError::Length`] for lists of different lengths. [`TouchError::Parameter`] for no cells, positions or
+    /// areas that are not finite, areas not above 0, and neighbours that do not exist or are not mutual.
     pub fn new(
         places_m: Vec<[f64; 2]>,
         areas_m2: Vec<f64>,
@@ -55,11 +57,12 @@ impl SurfaceCells {
         Ok(cells)
     }
 
-    /// The elements of a triangle mesh: `triangles` are corners by index into `nodes_m`. Neighbours share an edge or a
-    /// corner; a place is a centroid.
+    /// The elements of a triangle mesh. `triangles` holds indices into `nodes_m`. Neighbours share an edge or a
+    /// corner; the position of a cell is its centroid.
     ///
     /// # Errors
-    /// [`TouchError::Parameter`] for corners that do not exist and triangles without area; as [`SurfaceCells::new`].
+    /// [`TouchError::Parameter`] for corners that do not exist and triangles without area; otherwise as for
+    /// [`SurfaceCells::new`].
     pub fn from_triangles(nodes_m: &[[f64; 2]], triangles: &[[u32; 3]]) -> Result<Self, TouchError> {
         let mut at_node: Vec<Vec<u32>> = vec![Vec::new(); nodes_m.len()];
         let (mut places_m, mut areas_m2) = (Vec::new(), Vec::new());
@@ -81,7 +84,7 @@ impl SurfaceCells {
             around.clear();
             around.extend(triangle.iter().flat_map(|&node| &at_node[node as usize]).filter(|&&t| t != index as u32));
             around.sort_unstable();
-            // A triangle met at two corners shares the edge between them.
+            // A triangle that appears twice shares two corners, hence an edge.
             for group in around.chunk_by(|a, b| a == b) {
                 let list = if group.len() > 1 { &mut edges } else { &mut corners };
                 list[index].push(group[0]);
@@ -109,13 +112,13 @@ impl SurfaceCells {
         self.places_m.len()
     }
 
-    /// Never true: there is at least one cell.
+    /// Always false: there is at least one cell.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.places_m.is_empty()
     }
 
-    /// Places of the cells, metres.
+    /// Positions of the cells, metres.
     #[must_use]
     pub fn places_m(&self) -> &[[f64; 2]] {
         &self.places_m
@@ -127,19 +130,19 @@ impl SurfaceCells {
         &self.areas_m2
     }
 
-    /// Neighbours of a cell: those over an edge, ascending, then those over a corner, ascending.
+    /// Neighbours of a cell: first those across an edge, then those at a corner, each ascending.
     #[must_use]
     pub fn neighbours(&self, cell: usize) -> &[u32] {
         &self.neighbours[self.starts[cell] as usize..self.starts[cell + 1] as usize]
     }
 
-    /// Neighbours of a cell over an edge, ascending.
+    /// Neighbours of a cell across an edge, ascending.
     #[must_use]
     pub fn edge_neighbours(&self, cell: usize) -> &[u32] {
         &self.neighbours[self.starts[cell] as usize..self.edge_ends[cell] as usize]
     }
 
-    /// Side of a square as large as the mean cell, metres.
+    /// Side of a square with the mean cell's area, metres.
     #[must_use]
     pub fn cell_size_m(&self) -> f64 {
         self.cell_size_m
@@ -149,7 +152,7 @@ impl SurfaceCells {
         self.areas_m2[cell] / (self.cell_size_m * self.cell_size_m)
     }
 
-    /// The cell whose place is nearest to a point, if the point is on it or near it.
+    /// The cell nearest to a point, if the point is on it or close to it.
     pub(super) fn cell_at(&self, [x, y]: [f64; 2]) -> Option<usize> {
         let square = |place: &[f64; 2]| (place[0] - x).powi(2) + (place[1] - y).powi(2);
         let distances = self.places_m.iter().map(square).enumerate();
@@ -158,7 +161,7 @@ impl SurfaceCells {
     }
 }
 
-/// Appends what is not in the list from `from` on yet, in ascending order.
+/// Appends, in ascending order, those cells of `new` that the list does not already hold from index `from` on.
 fn add_sorted(list: &mut Vec<u32>, from: usize, new: &[u32]) {
     let mut sorted: Vec<u32> = new.iter().copied().filter(|cell| !list[from..].contains(cell)).collect();
     sorted.sort_unstable();
@@ -172,7 +175,7 @@ mod tests {
 
     #[test]
     fn triangles_know_edges_from_corners() {
-        // A fan of three triangles about node 0: the outer ones share only that node.
+        // A fan of three triangles around node 0: the outer two share only that node.
         let nodes = [[0.0, 0.0], [3.0, 0.0], [3.0, 3.0], [0.0, 3.0], [-3.0, 3.0]];
         let cells = SurfaceCells::from_triangles(&nodes, &[[0, 1, 2], [0, 2, 3], [0, 3, 4]]).unwrap();
         assert_eq!(cells.neighbours(0), [1, 2]);

@@ -1,5 +1,5 @@
-//! Damage that the caller knows to stay, beside what the monitor finds in the mean of free frames: it is believed at
-//! once, and how much of it is left is the caller's word.
+//! Damage that the caller knows to be permanent, in addition to what the monitor finds in the mean of free frames. It
+//! is confirmed at once, and the caller says how much of it is left.
 
 use super::region::Region;
 use super::{DamageEvent, DamageMonitor, DamageState};
@@ -7,7 +7,7 @@ use crate::contact::PixelNoise;
 use crate::error::{TouchError, require_length};
 
 impl DamageMonitor {
-    /// Begins a frame that is judged by [`DamageMonitor::declare`] alone: what happened before is no longer told.
+    /// Begins a frame that only [`DamageMonitor::declare`] judges. Clears earlier events.
     ///
     /// # Errors
     /// [`TouchError::TimeReversed`].
@@ -20,9 +20,9 @@ impl DamageMonitor {
         Ok(())
     }
 
-    /// Takes the image of a change that is known to stay (below zero is damage) for that of damage. The deepest region
-    /// is its place, and the others are side lobes; where damage is known there already, that has grown. The identity
-    /// of the damage, or none where no region is deep enough.
+    /// Declares the image of a permanent change as damage (below zero is damage). The deepest region gives its
+    /// position; the others are treated as side lobes. If a damage site is already known there, it has grown. Returns
+    /// the identity of the site, or `None` if no region is deep enough.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -60,10 +60,10 @@ impl DamageMonitor {
         Ok(Some(damage.id))
     }
 
-    /// Takes an image that another operator has made of what is left of a known damage: place, extent and depth are
-    /// those in it from now on, and it stays what it is in all else. `left` is the share of its worst that the image
-    /// shows. Where the image is of this damage alone, its deepest region is the damage; otherwise the nearest one.
-    /// Where no region is deep enough, place and extent stay.
+    /// Updates position, extent and depth of a known damage site from an image of its remainder, made by another
+    /// operator. Nothing else changes. `left` is the share of its worst state that the image shows. If the image
+    /// shows only this site, the deepest region is used, otherwise the nearest. If no region is deep enough, position
+    /// and extent stay.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -94,7 +94,7 @@ impl DamageMonitor {
         Ok(())
     }
 
-    /// So much is left of a damage, by the caller's word: it heals, or has healed.
+    /// Sets how much of a damage site is left, as known by the caller. This may mark it as healing or healed.
     pub fn set_share(&mut self, id: u64, share: f64) {
         let [healing, healed] = [self.params.healing_share, self.params.healed_share];
         let open = self.records.iter_mut().find(|record| record.damage.id == id && record.damage.is_open());

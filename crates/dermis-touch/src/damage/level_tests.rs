@@ -1,10 +1,10 @@
-//! Levels of hand-made channels: drift of each, white noise, steps of known size.
+//! Tests of the level watch on synthetic channels: individual drift, white noise, steps of known size.
 
 use super::{LevelChange, LevelParams, LevelWatch};
 
 const CHANNELS: usize = 40;
 
-/// White noise of deviation 1 or so, the same in every run.
+/// White noise with a standard deviation of about 1, the same in every run.
 fn noise(frame: u64, channel: usize) -> f64 {
     let mut state = (frame * CHANNELS as u64 + channel as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let mut uniform = || {
@@ -16,7 +16,7 @@ fn noise(frame: u64, channel: usize) -> f64 {
     (0..12).map(|_| uniform()).sum()
 }
 
-/// Frames eight seconds apart, with levels of 1,000 that drift by -1 to 1 in each frame.
+/// Frames eight seconds apart, at levels of 1,000 that drift by -1 to 1 per frame.
 struct Bench {
     watch: LevelWatch,
     frame: u64,
@@ -32,7 +32,7 @@ impl Bench {
         bench
     }
 
-    /// Runs frames whose even channels are off by so much; what was said of the last.
+    /// Runs frames whose even channels are off by `step`. Returns the result of the last.
     fn run(&mut self, frames: u64, step: f64) -> Option<LevelChange> {
         let mut said = None;
         for _ in 0..frames {

@@ -1,62 +1,64 @@
-//! Levels that drift, each channel by itself, and changes that stay. A gel that dries and warms changes its readings by
-//! amounts that no common factor describes. [`LevelWatch`] follows level and slope of every channel, judges each
-//! frame's innovations by their own noise, and stands still where they jump. Once the readings have come to rest at
-//! other levels it says by how much they changed, and whether something was let go on the way there: a press that goes
-//! takes its change with it, a cut leaves one behind.
+//! Per-channel levels that drift, and permanent changes. A gel that dries and warms changes its readings by amounts
+//! that no common factor describes. [`LevelWatch`] tracks level and slope of every channel, compares each frame's
+//! innovations with their own noise, and freezes when they jump. Once the readings have come to rest at new levels,
+//! it reports the change and whether a load was released on the way: a press takes its change with it, a cut leaves
+//! one behind.
 //!
 //! Level and slope follow the innovation `e = raw - (level + slope dt)` by `level += a e`, `slope += a^2 e / (4 dt)`
-//! with `a = 1 - exp(-dt / follow_s)`; the noise of a channel is the mean of `|e|` over the last frames, as that of a
-//! Gaussian.
+//! with `a = 1 - exp(-dt / follow_s)`. The noise of a channel is the mean of `|e|` over recent frames, scaled to the
+//! standard deviation of a Gaussian.
 
 use crate::blob::seconds_between;
 use crate::error::{TouchError, require, require_length};
 
-/// Frames that levels, slopes and noise begin from: at most so many of the last.
+/// Maximum number of frames that initialise levels, slopes and noise.
 const MOST_AT_START: usize = 32;
-/// Of these, so many at either end make level and slope.
+/// Number of these frames at each end that determine level and slope.
 const AT_AN_END: usize = 8;
-/// Noise is a mean over so many frames.
+/// Averaging length of the noise, frames.
 const NOISE_FRAMES: f64 = 64.0;
-/// However slow the frames, a level is the mean of several.
+/// Maximum gain of the level, so that it averages several frames even at low frame rates.
 const MOST_FOLLOWED: f64 = 0.25;
-/// Innovations beyond so many standard deviations move levels and noise no further.
+/// Clip innovations to this many standard deviations when updating levels and noise.
 const CLIPPED: f64 = 4.0;
-/// No channel counts for more than so many standard deviations in a jump.
+/// Clip a channel's contribution to a jump to this many standard deviations.
 const LARGEST: f64 = 30.0;
-/// No channel is less noisy than this share of the median channel, relative to its level.
+/// Minimum relative noise of a channel, as a share of the median channel's.
 const QUIETEST: f64 = 0.1;
-/// Mean deviation of what innovations usually are, as a share of it, before enough of them have been seen.
+/// Initial mean deviation of the innovations' RMS, as a share of that RMS, until enough frames have been seen.
 const FIRST_SPREAD: f64 = 0.2;
-/// Innovations whose root mean square is below this are no jump, however quiet the skin has been.
+/// Minimum RMS of the innovations, in standard deviations, for a jump, however quiet the skin has been.
 const LEAST_JUMP: f64 = 1.5;
-/// Rest is looked for in so many means, one after another.
+/// Number of consecutive means compared to detect rest.
 const SEGMENTS: usize = 3;
-/// They may differ by this share of the change, or by so many times what innovations usually are: two frames of white
-/// noise differ by 1.4 times.
+/// Consecutive means may differ by this share of the change, or by `RESTING_SIGMA` times the usual RMS of the
+/// innovations. Two frames of white noise differ by 1.4 times that RMS.
 const RESTING: f64 = 0.1;
 const RESTING_SIGMA: f64 = 2.0;
-/// Something was let go where the change is below this share of what it was at most: the greater part has gone.
+/// A load was released if the change is below this share of its peak.
 const RELEASED: f64 = 0.5;
-/// Below this share it is what the material has not yet given back.
+/// Below this share, the remainder is the material's slow recovery.
 const REMAINDER: f64 = 0.1;
-/// A change that has grown by more than this since it first rested came on slowly.
+/// A change that has grown by more than this factor since it first rested developed slowly.
 const CREPT: f64 = 1.5;
-/// Slopes fade while they are not seen, with so many times the time constant.
+/// Time constant at which slopes decay during a disturbance, in multiples of `follow_s`.
 const SLOPES_FADE: f64 = 10.0;
-/// Standard deviation of a Gaussian over its mean deviation.
+/// Ratio of a Gaussian's standard deviation to its mean absolute deviation.
 const OF_MEAN_DEVIATION: f64 = 1.253_314_137_315_500_3;
-/// And over its median deviation.
+/// Ratio of a Gaussian's standard deviation to its median absolute deviation.
 const OF_MEDIAN_DEVIATION: f64 = 1.482_602_218_505_602;
 
-/// How drift is followed, and what counts as a change.
+/// How drift is followed, and which changes count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LevelParams {
-    /// Time constant of the levels, seconds, above 0; infinite where they are not to move.
+    /// Time constant of the levels, seconds, above 0; infinite to freeze them.
     pub follow_s: f64,
-    /// A jump is so many deviations above what the innovations usually are, and a change that counts is so many
-    /// standard deviations of the channels' noise (root mean square over the channels). Above 0.
+    /// Threshold of a jump: this many standard deviations above the usual RMS of the innovations. It is also the
+    /// minimum size of a change that counts, in standard deviations of the channels' noise (RMS over the channels).
+    /// Above 0.
     pub jump_sigma: f64,
-    /// Readings that rest for so long, and for three frames, have come to rest, seconds. At least 0.
+    /// Readings have come to rest if they are steady for this long and for at least three frames, seconds. At least
+    /// 0.
     pub rest_s: f64,
 }
 
@@ -70,52 +72,52 @@ impl LevelParams {
     }
 }
 
-/// Readings that have come to rest at other levels than they had.
+/// Readings that have come to rest at new levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LevelChange {
-    /// When the levels were left, nanoseconds.
+    /// When the readings left the levels, nanoseconds.
     pub since_ns: u64,
-    /// Root mean square of the change over the channels, in standard deviations of their noise; channels count for 30
-    /// at most.
+    /// RMS of the change over the channels, in standard deviations of their noise; each channel is clipped at 30.
     pub significance: f64,
-    /// Mean size of the change over the channels, in the same terms, as a share of the largest since the levels were
-    /// left.
+    /// Mean absolute change over the channels, also in standard deviations, as a share of its peak since the readings
+    /// left the levels.
     pub share_of_peak: f64,
-    /// The same over what it was when the readings first rested away from the levels.
+    /// Mean absolute change divided by its value when the readings first came to rest at new levels.
     pub growth: f64,
 }
 
 impl LevelChange {
-    /// True where something was let go on the way, which explains what has gone and not what is left.
+    /// True if a load was released on the way. The release explains the part of the change that is gone, not the
+    /// rest.
     #[must_use]
     pub fn was_released(&self) -> bool {
         self.share_of_peak <= RELEASED
     }
 
-    /// True where most of it came on while the readings seemed to rest: drift goes on under what lies still.
+    /// True if most of the change developed while the readings seemed to rest, as drift does under a resting load.
     #[must_use]
     pub fn has_crept(&self) -> bool {
         self.growth > CREPT
     }
 
-    /// True where so little is left of what there was that it is the material's memory.
+    /// True if the remainder is small enough to be the material's slow recovery.
     #[must_use]
     pub fn is_remainder(&self) -> bool {
         self.share_of_peak < REMAINDER
     }
 }
 
-/// The levels were left, and are not yet back.
+/// State while the readings are away from the levels.
 #[derive(Debug, Clone, Copy)]
 struct Disturbance {
     since_ns: u64,
-    /// Largest mean size of the change.
+    /// Peak of the mean absolute change.
     peak: f64,
-    /// Its mean size when the readings first rested.
+    /// Mean absolute change when the readings first came to rest.
     first: Option<f64>,
 }
 
-/// A mean over part of the time in which readings rest.
+/// Mean over one part of the rest period.
 #[derive(Debug, Clone, Default)]
 struct Segment {
     mean: Vec<f64>,
@@ -123,7 +125,7 @@ struct Segment {
     since_ns: u64,
 }
 
-/// Follows the levels of all channels, frame by frame, in memory of its own.
+/// Tracks the levels of all channels, frame by frame. Owns its working memory.
 #[derive(Debug, Clone)]
 pub struct LevelWatch {
     params: LevelParams,
@@ -134,22 +136,22 @@ pub struct LevelWatch {
     /// Change per second.
     slopes: Vec<f64>,
     noise: Vec<f64>,
-    /// Mean of the innovations' root mean square, and its mean deviation.
+    /// Mean RMS of the innovations, and its mean deviation.
     usual: f64,
     spread: f64,
     time_ns: Option<u64>,
     disturbance: Option<Disturbance>,
     segments: [Segment; SEGMENTS],
-    /// No channel's noise is below this.
+    /// Lower bound on each channel's noise.
     least_noise: Vec<f64>,
-    /// Mean change over the segments, as measured; NaN where channels have no part.
+    /// Mean change over the segments, in measured units; NaN for excluded channels.
     change: Vec<f64>,
-    /// Sum of the relative drift that was followed, one a channel.
+    /// Accumulated relative drift of each channel.
     drift: Vec<f64>,
 }
 
 impl LevelWatch {
-    /// A watch over `channels` channels, which gathers frames until [`LevelWatch::start`].
+    /// A watch over `channels` channels that collects frames until [`LevelWatch::start`].
     ///
     /// # Errors
     /// [`TouchError::Parameter`] when a parameter is out of range.
@@ -173,26 +175,25 @@ impl LevelWatch {
         })
     }
 
-    /// Levels that the undisturbed skin has now, as measured.
+    /// Current levels of the undisturbed skin, in measured units.
     #[must_use]
     pub fn levels(&self) -> &[f64] {
         &self.levels
     }
 
-    /// Standard deviation of each channel's innovations, as measured.
+    /// Standard deviation of each channel's innovations, in measured units.
     #[must_use]
     pub fn noise(&self) -> &[f64] {
         &self.noise
     }
 
-    /// Change of each channel that was found last, as measured: rest less level. NaN where a channel has no part in it.
+    /// Last change found in each channel, in measured units: resting value minus level. NaN for excluded channels.
     #[must_use]
     pub fn change(&self) -> &[f64] {
         &self.change
     }
 
-    /// Relative change since the start that was followed as drift, mean over the channels; changes that were accepted
-    /// are no part of it.
+    /// Relative drift followed since the start, averaged over the channels. Excludes changes that were accepted.
     #[must_use]
     pub fn drift(&self) -> f64 {
         let finite = self.drift.iter().filter(|share| share.is_finite());
@@ -206,8 +207,8 @@ impl LevelWatch {
         self.disturbance.map(|disturbance| disturbance.since_ns)
     }
 
-    /// Begins to follow: level, slope and noise are those of the last frames, or `levels` and `noise` (as measured)
-    /// where fewer than eight were seen.
+    /// Starts tracking. Level, slope and noise come from the last frames, or from `levels` and `noise` (in measured
+    /// units) if fewer than eight frames were seen.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -229,7 +230,7 @@ impl LevelWatch {
         Ok(())
     }
 
-    /// Goes on from other levels (those of a tare), with slopes and noise as they are.
+    /// Continues from other levels (those of a tare), keeping slopes and noise.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -240,11 +241,11 @@ impl LevelWatch {
         Ok(())
     }
 
-    /// Takes in one frame. `has_part` says of each channel whether it is sound. A change is returned in every frame in
-    /// which the readings rest away from the levels.
+    /// Takes one frame. `has_part` says whether a channel is sound. Returns a change for every frame in which the
+    /// readings rest away from the levels.
     ///
     /// # Errors
-    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; nothing has then changed.
+    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; the state is then unchanged.
     pub fn process(
         &mut self,
         time_ns: u64,
@@ -269,7 +270,7 @@ impl LevelWatch {
         let jump = self.deviation(innovation, &has_part);
         let size = self.mean_over(innovation, &has_part, f64::abs);
         if jump <= self.limit() {
-            // What was away is back, or never went.
+            // The readings are back, or never left.
             self.disturbance = None;
             self.follow(raw, jump, elapsed_s);
             return Ok(None);
@@ -283,7 +284,7 @@ impl LevelWatch {
         Ok(self.rest(&has_part))
     }
 
-    /// The change found last has become part of the levels.
+    /// Adds the last change found to the levels.
     pub fn accept(&mut self) {
         for (level, change) in self.levels.iter_mut().zip(&self.change).filter(|(_, change)| change.is_finite()) {
             *level += change;
@@ -291,7 +292,7 @@ impl LevelWatch {
         self.disturbance = None;
     }
 
-    /// Above this, the root mean square of the innovations is a jump.
+    /// Threshold of a jump, on the RMS of the innovations.
     fn limit(&self) -> f64 {
         let usual = self.usual + self.params.jump_sigma * OF_MEAN_DEVIATION * self.spread;
         usual.clamp(LEAST_JUMP, self.params.jump_sigma.max(LEAST_JUMP))
@@ -333,7 +334,7 @@ impl LevelWatch {
         self.usual += (jump - self.usual) / NOISE_FRAMES;
     }
 
-    /// Level and slope from the ends of the frames before the start, noise from their differences.
+    /// Computes level and slope from the ends of the frames before the start, noise from their differences.
     fn begin_from_frames(&mut self) {
         let frames = self.start.len();
         let time_s = |frame: usize| seconds_between(self.start[0].0, self.start[frame].0);
@@ -353,12 +354,13 @@ impl LevelWatch {
             let middle = median(&mut steps).unwrap_or(0.0);
             let mut sizes: Vec<f64> = steps.iter().map(|step| (step - middle).abs()).collect();
             (self.levels[channel], self.slopes[channel]) = (last + slope * since_mean_s, slope);
-            // Of white noise the differences have twice the variance; of a level that wanders they are the innovations.
+            // For a wandering level the differences are the innovations; for white noise they have twice the
+            // variance.
             self.noise[channel] = median(&mut sizes).map_or(f64::NAN, |size| OF_MEDIAN_DEVIATION * size);
         }
     }
 
-    /// Root mean square of how far the last frames before the start are from level and slope.
+    /// RMS deviation of the last frames before the start from level and slope.
     fn usual_at_start(&self) -> f64 {
         let last_ns = self.start.last().map_or(0, |(time_ns, _)| *time_ns);
         let frames = self.start.iter().rev().take(AT_AN_END);
@@ -371,7 +373,7 @@ impl LevelWatch {
         if count > 0.0 && sum > 0.0 { f64::sqrt(sum / count) } else { 1.0 }
     }
 
-    /// Coarse converters and channels that happen to repeat themselves have noise all the same.
+    /// Applies a lower bound on noise for coarse converters and channels that happen to repeat a value.
     fn limit_noise(&mut self) {
         let relative = |(noise, level): (&f64, &f64)| noise / level.abs();
         let shares = self.noise.iter().zip(&self.levels).map(relative);
@@ -383,7 +385,7 @@ impl LevelWatch {
         }
     }
 
-    /// Root mean square over the sound channels of changes from the levels, in standard deviations.
+    /// RMS over the sound channels of changes from the levels, in standard deviations.
     fn deviation(&self, change: impl Fn(usize) -> f64, has_part: &impl Fn(usize) -> bool) -> f64 {
         self.mean_over(change, has_part, |ratio| ratio.clamp(-LARGEST, LARGEST).powi(2)).sqrt()
     }
@@ -400,7 +402,7 @@ impl LevelWatch {
         if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    /// Adds a frame to the last segment, or begins another.
+    /// Adds a frame to the last segment, or starts a new one.
     fn gather(&mut self, time_ns: u64, raw: &[f64]) {
         let last = &self.segments[SEGMENTS - 1];
         let long_s = self.params.rest_s / SEGMENTS as f64;
@@ -417,7 +419,7 @@ impl LevelWatch {
         segment.mean.iter_mut().zip(raw).for_each(|(mean, value)| *mean += share * (value - *mean));
     }
 
-    /// The change of readings that rest, where they do.
+    /// The change, if the readings are at rest.
     fn rest(&mut self, has_part: &impl Fn(usize) -> bool) -> Option<LevelChange> {
         let Disturbance { since_ns, peak, first } = self.disturbance?;
         if self.segments.iter().any(|segment| segment.frames == 0) {

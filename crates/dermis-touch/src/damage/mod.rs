@@ -1,8 +1,8 @@
-//! Damage told from touch. Touches are fast and raise the image of a skin against its intact reference; damage lowers
-//! it and stays. [`DamageMonitor`] watches that image with the touches of each frame and keeps a [`Damage`] for every
-//! place that stays low: found only while nothing touches, kept while something presses on it, and followed as it
-//! heals. [`LevelWatch`] does without an image: it follows the levels of channels that drift, and tells what changed
-//! them for good.
+//! Damage, distinguished from touch. Touches are fast and raise the image of a skin against its intact reference;
+//! damage lowers it and stays. [`DamageMonitor`] watches that image and the touches of each frame, and keeps a
+//! [`Damage`] for every place that stays low. It finds damage only while nothing touches the skin, keeps it while
+//! something presses on it, and follows it as it heals. [`LevelWatch`] needs no image: it tracks the drifting channel
+//! levels and reports permanent changes.
 
 mod declared;
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The monitor itself: a mean over free frames, low regions in it, and the life of each damage.
+//! The damage monitor: a mean over free frames, low regions in it, and the life of each damage site.
 
 use super::region::{Region, RegionFinder};
 use super::{Damage, DamageEvent, DamageParams, DamageShape, DamageState};
@@ -8,16 +8,16 @@ use crate::contact::PixelNoise;
 use crate::error::{TouchError, require_length};
 use crate::touch::Touch;
 
-/// A suspicion that is not seen for so long is dropped, seconds.
+/// Drop a suspicion that has not been seen for this long, seconds.
 const DROP_S: f64 = 0.3;
-/// A damage that measures so much more than its worst so far has grown.
+/// A damage site has grown if its volume exceeds its previous worst by this factor.
 const GROWN: f64 = 1.25;
-/// What is left of a low region's depth, of which the damage known already makes up the rest, if it is one of its own.
+/// Minimum share of a low region's depth that known damage must leave unexplained for the region to be a new site.
 const OF_ITS_OWN: f64 = 0.5;
-/// A healed place with this much of its worst again has opened.
+/// A healed site has reopened above this share of its worst.
 const REOPENED: f64 = 0.6;
 
-/// What a network says of each cell, in the order of the image, 0 to 1; NaN outside the skin.
+/// A network's class probabilities for each cell, in image order, 0 to 1; NaN outside the skin.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassProbabilities<'a> {
     /// Damaged.
@@ -26,53 +26,52 @@ pub struct ClassProbabilities<'a> {
     pub compressed: &'a [f32],
 }
 
-/// What is known of one frame.
+/// The inputs from one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct DamageFrame<'a> {
-    /// Its time, nanoseconds; not before the last one's.
+    /// Time of the frame, nanoseconds; must not decrease.
     pub time_ns: u64,
-    /// The image against the intact reference: below zero is damage. NaN outside the skin.
+    /// Image against the intact reference: below zero is damage. NaN outside the skin.
     pub image: &'a [f32],
     /// Standard deviation of that image's noise.
     pub noise: PixelNoise<'a>,
     /// The touches on the skin.
     pub touches: &'a [Touch],
-    /// True while anything touches the skin, contacts that are not yet touches included.
+    /// True while anything touches the skin, including contacts that are not yet touches.
     pub loaded: bool,
-    /// What a model makes of the damage known already, as an image: where it explains a low region, that is a side lobe
-    /// and begins nothing.
+    /// Model image of the known damage. A low region that it explains is a side lobe and begins no new site.
     pub known: Option<&'a [f32]>,
-    /// The classes of the cells, where a network gives them: a damage begins only where most of its place is called
-    /// damaged, and is covered where most is called compressed.
+    /// Class probabilities of the cells, if a network provides them. A damage then begins only where most of its area
+    /// is classified as damaged, and counts as covered where most of it is classified as compressed.
     pub classes: Option<ClassProbabilities<'a>>,
 }
 
-/// A damage with what only the monitor knows.
+/// A damage site with the monitor's private state.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Record {
     pub(super) damage: Damage,
     seen_ns: u64,
-    /// Since when `share` asks for another state.
+    /// Since when `share` has called for another state.
     leaning_ns: Option<u64>,
-    /// Share that a model has found, in place of the image's.
+    /// True if a model determined the share, not the image.
     pub(super) modelled: bool,
     pub(super) bit: u16,
     /// Since when no touch has been on it.
     clear_ns: Option<u64>,
 }
 
-/// Tells damage from touch, frame by frame, in memory of its own.
+/// Distinguishes damage from touch, frame by frame. Owns its working memory.
 ///
-/// Damage is looked for in the mean of frames in which nothing touches the skin, from a while after the last touch on,
-/// so that neither the lobes of a touch nor what it leaves behind become damage. Nothing here changes the reference:
-/// what the image is taken against is the caller's, and must be the intact skin.
+/// Damage is searched for in the mean of frames in which nothing touches the skin, starting a while after the last
+/// touch. Neither the lobes of a touch nor its after-effects then become damage. The monitor never changes the
+/// reference: the caller owns it, and it must be the intact skin.
 #[derive(Debug, Clone)]
 pub struct DamageMonitor {
     pub(super) cells: ImageCells,
     pub(super) params: DamageParams,
     pub(super) finder: RegionFinder,
     mean: Vec<f32>,
-    /// Weight of the mean's noise: variance over that of one frame; none before the first free frame.
+    /// Noise variance of the mean over that of one frame.
     variance: f64,
     free_since_ns: Option<u64>,
     loaded_ns: Option<u64>,
@@ -106,7 +105,7 @@ impl DamageMonitor {
             time_ns: None,
             records: Vec::with_capacity(params.most),
             damages: Vec::with_capacity(params.most),
-            // At most two things happen to a damage in one frame, and one by a model's word.
+            // At most two events per site and frame, and one more from a model.
             events: Vec::with_capacity(3 * params.most),
             masks: vec![0; count],
             next_id: 1,
@@ -119,40 +118,40 @@ impl DamageMonitor {
         &self.params
     }
 
-    /// All damages, suspected and healed ones included, oldest first.
+    /// All damage sites, suspected and healed ones included, oldest first.
     #[must_use]
     pub fn damages(&self) -> &[Damage] {
         &self.damages
     }
 
-    /// What happened in the last frame, and since.
+    /// Events of the last frame, and any added since.
     #[must_use]
     pub fn events(&self) -> &[DamageEvent] {
         &self.events
     }
 
-    /// True where neither damage nor suspicion stands: what the skin is now may serve as its intact reference.
+    /// True if there is neither damage nor suspicion, so that the skin as it is may serve as the intact reference.
     #[must_use]
     pub fn is_intact(&self) -> bool {
         self.damages.iter().all(|damage| damage.state == DamageState::Healed)
     }
 
-    /// True while something is suspected.
+    /// True while some damage is suspected.
     #[must_use]
     pub fn is_suspicious(&self) -> bool {
         self.damages.iter().any(|damage| damage.state == DamageState::Suspected)
     }
 
-    /// Mean image over the last free frames, NaN outside the skin and before there were any.
+    /// Mean image over recent free frames. NaN outside the skin and before the first free frame.
     #[must_use]
     pub fn mean_image(&self) -> &[f32] {
         &self.mean
     }
 
-    /// Takes in one frame. Allocates nothing.
+    /// Processes one frame. Allocates nothing.
     ///
     /// # Errors
-    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; nothing has then changed.
+    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; the state is then unchanged.
     pub fn process(&mut self, frame: &DamageFrame<'_>) -> Result<(), TouchError> {
         self.check(frame)?;
         self.events.clear();
@@ -175,8 +174,8 @@ impl DamageMonitor {
         Ok(())
     }
 
-    /// Takes over what a model has found of a damage: its shape, and the share of its worst that is left, if the model
-    /// can tell.
+    /// Takes a model's estimate of a damage site: its shape, and the share of its worst that is left, if the model has
+    /// one.
     pub fn refine(&mut self, id: u64, shape: DamageShape, share: Option<f64>) {
         if let Some(record) = self.records.iter_mut().find(|record| record.damage.id == id) {
             record.damage.shape = shape;
@@ -196,8 +195,8 @@ impl DamageMonitor {
         self.publish();
     }
 
-    /// The intact reference was replaced by the skin as it is: what is healed is part of it from now on, and is
-    /// forgotten.
+    /// Call this after replacing the intact reference with the skin as it is. Healed damage is now part of the
+    /// reference and is dropped.
     pub fn renew(&mut self) {
         let freed = |record: &Record| if record.damage.state == DamageState::Healed { record.bit } else { 0 };
         let bits = self.records.iter().map(freed).fold(0, |all, bit| all | bit);
@@ -207,7 +206,7 @@ impl DamageMonitor {
         self.publish();
     }
 
-    /// What is suspected is no damage: it is forgotten, and the mean begins anew.
+    /// Drops all suspicions as false and restarts the mean.
     pub fn dismiss(&mut self) {
         let suspected = |record: &Record| record.damage.state == DamageState::Suspected;
         let bits = self.records.iter().filter(|record| suspected(record)).fold(0, |all, record| all | record.bit);
@@ -217,7 +216,7 @@ impl DamageMonitor {
         self.publish();
     }
 
-    /// The image is made otherwise from now on (another operator): the mean begins anew.
+    /// Restarts the mean, for example after a change of the operator that makes the image.
     pub fn restart(&mut self) {
         self.free_since_ns = None;
         self.mean.fill(f32::NAN);
@@ -242,7 +241,7 @@ impl DamageMonitor {
     fn average(&mut self, frame: &DamageFrame<'_>, elapsed_s: f64) {
         let first = self.free_since_ns.is_none();
         let follow = -(-elapsed_s / self.params.average_s).exp_m1();
-        // A plain mean until that is as good as the exponential one.
+        // Plain mean until the exponential mean is as good.
         let gain = if first { 1.0 } else { follow.max(self.variance / (1.0 + self.variance)) };
         self.variance = gain * gain + (1.0 - gain) * (1.0 - gain) * if first { 0.0 } else { self.variance };
         for (mean, &value) in self.mean.iter_mut().zip(frame.image) {
@@ -250,7 +249,7 @@ impl DamageMonitor {
         }
     }
 
-    /// What presses on which damage.
+    /// Updates which damage sites are covered by touches.
     fn cover(&mut self, frame: &DamageFrame<'_>) {
         let DamageParams { reach_m, settle_s, .. } = self.params;
         for index in 0..self.records.len() {
@@ -273,7 +272,8 @@ impl DamageMonitor {
                 }
             } else if damage.state == DamageState::Covered {
                 let since_ns = *record.clear_ns.get_or_insert(frame.time_ns);
-                // A touch elsewhere does not make it covered; seen again it is only once all have gone.
+                // The touch has moved elsewhere for long enough: the site counts as visible again. Without load,
+                // `follow` decides.
                 if frame.loaded && seconds_between(since_ns, frame.time_ns) >= settle_s {
                     record.damage.state = DamageState::Confirmed;
                     self.events.push(DamageEvent::Uncovered(record.damage));
@@ -299,7 +299,8 @@ impl DamageMonitor {
                 _ => {}
             }
         }
-        // One at a time, the largest first: once a model knows it, the others may turn out to be its lobes.
+        // Confirm one suspicion at a time, the largest first: once a model knows it, the others may prove to be its
+        // lobes.
         let seen = |record: &&Record| record.damage.state == DamageState::Suspected && record.seen_ns == frame.time_ns;
         let largest = |a: &&Record, b: &&Record| a.damage.volume_m2.total_cmp(&b.damage.volume_m2);
         let first = self.records.iter().filter(seen).max_by(largest).map(|record| record.damage.id);
@@ -312,7 +313,7 @@ impl DamageMonitor {
         self.drop_unseen(frame.time_ns);
     }
 
-    /// The record whose place a region is: most of its cells, or the nearest within both extents.
+    /// The nearest record whose cells overlap the region, or whose shape lies close to it.
     pub(super) fn record_of(&self, region: &Region) -> Option<usize> {
         let distance = |record: &Record| {
             let own = record.damage.shape.distance_m(region.shape.centre_m);
@@ -328,7 +329,7 @@ impl DamageMonitor {
         candidates.min_by(|a, b| distance(a.1).total_cmp(&distance(b.1))).map(|(index, _)| index)
     }
 
-    /// Whether a region is more than what the known damage does there.
+    /// True if the region is deeper than known damage explains.
     fn is_of_its_own(&self, region: &Region, known: Option<&[f32]>) -> bool {
         let Some(known) = known else { return true };
         let cells = self.finder.labels().iter().zip(self.mean.iter().zip(known));
@@ -359,14 +360,15 @@ impl DamageMonitor {
         self.paint(bit, region.bit);
     }
 
-    /// Gives a record the cells of a region.
+    /// Assigns the cells of a region to a record.
     pub(super) fn paint(&mut self, bit: u16, region_bit: u16) {
         for (mask, label) in self.masks.iter_mut().zip(self.finder.labels()) {
             *mask = if label & region_bit != 0 { *mask | bit } else { *mask & !bit };
         }
     }
 
-    /// A record is seen in a region: it is as bad as it ever was, or worse.
+    /// Updates a record from a region in which it is seen. Position and size change only if it is suspected or has
+    /// grown.
     fn measure(&mut self, index: usize, region: &Region, time_ns: u64) {
         let Record { damage, bit, seen_ns, .. } = &mut self.records[index];
         *seen_ns = time_ns;
@@ -385,7 +387,7 @@ impl DamageMonitor {
         }
     }
 
-    /// One free frame in the life of a record.
+    /// Advances a record by one free frame.
     fn follow(&mut self, index: usize, frame: &DamageFrame<'_>) {
         let time_ns = frame.time_ns;
         let is_suspicious = self.is_suspicious();
@@ -404,7 +406,7 @@ impl DamageMonitor {
         }
         let wanted = match record.damage.state {
             DamageState::Suspected => DamageState::Confirmed,
-            // A new cut turns the current, and the others seem shallower until it is known.
+            // A new cut diverts current, which makes other damage look shallower until the cut is known.
             DamageState::Confirmed if share < params.healing_share && !is_suspicious => DamageState::Healing,
             DamageState::Healing if share < params.healed_share => DamageState::Healed,
             DamageState::Healing if share > 0.5 + 0.5 * params.healing_share => DamageState::Confirmed,
@@ -456,14 +458,14 @@ impl DamageMonitor {
     }
 }
 
-/// The cells of a mask with their values, as far as those are finite.
+/// The cells of a mask with finite values.
 fn within<'a>(masks: &'a [u16], bit: u16, values: &'a [f32]) -> impl Iterator<Item = (usize, f32)> + 'a {
     let inside =
         masks.iter().zip(values).enumerate().filter(move |(_, (mask, value))| **mask & bit != 0 && value.is_finite());
     inside.map(|(cell, (_, value))| (cell, *value))
 }
 
-/// Mean over the cells of a mask, all alike.
+/// Unweighted mean over the cells of a mask.
 fn mean_within(masks: &[u16], bit: u16, values: &[f32]) -> f64 {
     let (sum, count) = within(masks, bit, values).fold((0.0, 0u32), |(sum, n), (_, v)| (sum + f64::from(v), n + 1));
     if count > 0 { sum / f64::from(count) } else { f64::NAN }

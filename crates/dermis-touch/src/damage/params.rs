@@ -1,4 +1,4 @@
-//! The rules by which low places become damages, and damages heal.
+//! Thresholds and times for damage to be found and to heal.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,31 +10,32 @@ use crate::error::{TouchError, require};
 pub struct DamageParams {
     /// Damage is suspected below minus this many standard deviations of the averaged image. Above 0.
     pub begin_sigma: f64,
-    /// No damage is shallower than this, image units. Above 0.
+    /// Minimum depth of damage, image units. Above 0.
     pub smallest_depth: f64,
-    /// Nor shallower than this part of the largest rise in the image: below stand side lobes. From 0 to 1.
+    /// Minimum depth of damage as a share of the largest rise in the image; shallower dips are side lobes. From 0 to
+    /// 1.
     pub lobe_share: f64,
-    /// Nothing is judged for so long after a touch, seconds: the material relaxes. At least 0.
+    /// Pause after a touch before damage is judged, while the material relaxes, seconds. At least 0.
     pub settle_s: f64,
-    /// What is seen for so long in free frames is believed, seconds. At least 0.
+    /// Damage is confirmed after it has been seen in free frames for this long, seconds. At least 0.
     pub confirm_s: f64,
     /// Time constant of the mean over free frames, seconds. Above 0.
     pub average_s: f64,
-    /// Below this share of its worst a damage is healing. From `healed_share` to 1.
+    /// Damage is healing below this share of its worst. From `healed_share` to 1.
     pub healing_share: f64,
-    /// Below this it is healed. From 0 to 1.
+    /// Damage is healed below this share of its worst. From 0 to 1.
     pub healed_share: f64,
-    /// A touch covers what lies within its radius and so much more, metres. At least 0.
+    /// A touch covers damage within its radius plus this margin, metres. At least 0.
     pub reach_m: f64,
-    /// Standard deviation, along an axis, of the region that a damage of no extent makes in the image, metres. At least
+    /// Standard deviation, along an axis, of the region that point-like damage makes in the image, metres. At least
     /// 0.
     pub point_spread_m: f64,
-    /// At most so many damages are kept, from 1 to 16.
+    /// Maximum number of damage sites kept, from 1 to 16.
     pub most: usize,
 }
 
 impl Default for DamageParams {
-    /// For a skin of the size of a hand at 10 to 1,000 frames a second.
+    /// Suits a skin the size of a hand at 10 to 1,000 frames a second.
     fn default() -> Self {
         Self {
             begin_sigma: 8.0,

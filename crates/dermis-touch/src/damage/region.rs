@@ -1,5 +1,5 @@
-//! Low regions of an image: the cells connected over edges to a minimum that lie below half of it, with their moments.
-//! The extent of a line in them follows from the larger second moment, less that of a point: a line of length L has the
+//! Low regions of an image: the cells connected over edges to a minimum that are below half of it, with their
+//! moments. The length of a line follows from the larger second moment minus a point's: a line of length L has the
 //! variance L^2/12.
 
 use super::{DamageParams, DamageShape};
@@ -11,21 +11,21 @@ pub(super) struct Region {
     pub shape: DamageShape,
     /// Depth of its minimum.
     pub depth: f64,
-    /// Noise there.
+    /// Noise at the minimum.
     pub sigma: f64,
     pub volume_m2: f64,
     /// Its bit in the label image.
     pub bit: u16,
 }
 
-/// Finds them, in memory of its own.
+/// Finds low regions. Owns its working memory.
 #[derive(Debug, Clone)]
 pub(super) struct RegionFinder {
     /// Bit of the region that each cell belongs to.
     labels: Vec<u16>,
     stack: Vec<u32>,
     regions: Vec<Region>,
-    /// Bits of what lies too near to a region to be one of its own.
+    /// Cells that belong to a region or to the slope around it, and cannot start another.
     taken: Vec<bool>,
 }
 
@@ -86,7 +86,8 @@ impl RegionFinder {
         &self.labels
     }
 
-    /// Finds the regions of an image whose minimum is below minus `limit(cell)`.
+    /// Finds the regions of an image. A minimum must be at least `least` deep, and exceed the parameters' multiple of
+    /// `sigma(cell)` and share of the deepest minimum.
     pub fn find(
         &mut self,
         image: &[f32],
@@ -117,7 +118,7 @@ impl RegionFinder {
         }
     }
 
-    /// Takes the cells connected to a minimum that lie below half of it, and shuts off the slope about them.
+    /// Collects the cells connected to a minimum that are below half of it, and marks the slope around them as taken.
     fn flood(&mut self, image: &[f32], cells: &ImageCells, seed: usize, bit: u16) -> Moments {
         let half = 0.5 * -image[seed];
         let mut moments = Moments::default();
@@ -133,7 +134,7 @@ impl RegionFinder {
                 moments.add(cells.place_m(index), f64::from(value) * area, weight * area);
             }
             cells.for_each_edge_neighbour(index, |next| {
-                // Down the slope while it is part of the region, then on while it still rises to zero.
+                // Spread across the region, then onwards only while the image rises towards zero.
                 let lies = -image[next];
                 if !self.taken[next] && lies > 0.0 && (lies >= half || lies <= value) {
                     self.taken[next] = true;

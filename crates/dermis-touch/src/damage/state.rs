@@ -1,25 +1,25 @@
-//! What is known of a damage, and what happened to it.
+//! State of a damage site, and events in its life.
 
 use serde::{Deserialize, Serialize};
 
-/// What is known of a damage now.
+/// State of a damage site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DamageState {
-    /// Seen, but not for long enough to be believed. Reported in no event yet.
+    /// Seen, but not for long enough to be confirmed. No event has reported it yet.
     Suspected,
-    /// Believed, and seen whenever nothing touches the skin.
+    /// Confirmed, and seen whenever nothing touches the skin.
     Confirmed,
-    /// Something presses on it, or did a moment ago: the image shows that and not the damage.
+    /// Something presses on it, or did a moment ago, and hides it in the image.
     Covered,
-    /// Less of it is left than there was.
+    /// Less of it is left than before.
     Healing,
-    /// Nothing, or only a scar, is left of it.
+    /// Nothing is left of it but a scar at most.
     Healed,
 }
 
 impl DamageState {
-    /// The word for it in files and streams.
+    /// Name of the state in files and streams.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -32,19 +32,19 @@ impl DamageState {
     }
 }
 
-/// Where a damage lies: the segment of a line, or a spot where `length_m` is 0.
+/// Position and extent of a damage site: a line segment, or a spot if `length_m` is 0.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DamageShape {
-    /// Its middle, in the skin's frame, metres.
+    /// Centre, in the skin's frame, metres.
     pub centre_m: [f64; 2],
-    /// Its length, metres, at least 0.
+    /// Length, metres, at least 0.
     pub length_m: f64,
-    /// Its width, metres, at least 0; 0 where it cannot be told from none.
+    /// Width, metres, at least 0; 0 if it cannot be resolved.
     pub width_m: f64,
-    /// Its direction from +x counter-clockwise, radians, above -pi/2 and at most pi/2.
+    /// Direction, counter-clockwise from +x, radians, above -pi/2 and at most pi/2.
     pub direction_rad: f64,
-    /// Standard deviations of the middle in x and y, of length and direction (metres, metres, metres, radians), where a
-    /// model was fitted; none where the image alone tells.
+    /// Standard deviations of the centre in x and y, of length and of direction (metres, metres, metres, radians), if
+    /// a model was fitted. `None` if the shape comes from the image alone.
     pub deviations: Option<[f64; 4]>,
 }
 
@@ -58,7 +58,7 @@ impl DamageShape {
         [[x - half * c, y - half * s], [x + half * c, y + half * s]]
     }
 
-    /// Distance of a point from it, metres.
+    /// Distance of a point from the shape, metres.
     #[must_use]
     pub fn distance_m(&self, point_m: [f64; 2]) -> f64 {
         let (s, c) = self.direction_rad.sin_cos();
@@ -68,56 +68,56 @@ impl DamageShape {
     }
 }
 
-/// One damage.
+/// One damage site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Damage {
-    /// Identity; counts up from 1, never used twice.
+    /// Identity; counts up from 1, never reused.
     pub id: u64,
-    /// What is known of it now.
+    /// Its current state.
     pub state: DamageState,
-    /// Where it lies.
+    /// Its position and extent.
     pub shape: DamageShape,
-    /// Largest drop of the image within it when it was at its worst, image units (relative drop of conductivity).
+    /// Largest drop of the image within it at its worst, image units (relative drop of conductivity).
     pub depth: f64,
-    /// Drop of the image summed over its area when it was at its worst, image units times m^2.
+    /// Drop of the image integrated over its area at its worst, image units times m^2.
     pub volume_m2: f64,
-    /// Share of the worst that is left: 1 for a damage that has not healed, 0 where nothing is left. Its healing has
-    /// come `1 - share` of the way.
+    /// Share of the worst that is left: 1 if nothing has healed, 0 if nothing is left. Healing progress is
+    /// `1 - share`.
     pub share: f64,
-    /// Depth over the noise of the averaged image when it was last measured.
+    /// Depth over the noise of the averaged image, when it was last measured.
     pub significance: f64,
-    /// When it was first seen, nanoseconds on the frames' axis.
+    /// When it was first seen, nanoseconds on the time axis of the frames.
     pub since_ns: u64,
     /// When it was last seen with nothing touching the skin.
     pub confirmed_ns: u64,
 }
 
 impl Damage {
-    /// True where it is believed to be there, seen or covered.
+    /// True if it is believed to exist, visible or covered.
     #[must_use]
     pub fn is_open(&self) -> bool {
         matches!(self.state, DamageState::Confirmed | DamageState::Covered | DamageState::Healing)
     }
 }
 
-/// Something that happened to a damage.
+/// An event in the life of a damage site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DamageEvent {
-    /// It is believed from now on.
+    /// It has been confirmed.
     Begin(Damage),
-    /// It has grown, has begun to heal or has opened again.
+    /// It has grown, begun to heal or reopened.
     Update(Damage),
     /// Something presses on it.
     Covered(Damage),
-    /// Nothing presses on it any more, and it is seen again.
+    /// Nothing presses on it any more, and it is visible again.
     Uncovered(Damage),
-    /// Nothing, or only a scar, is left of it.
+    /// Nothing is left of it but a scar at most.
     Healed(Damage),
 }
 
 impl DamageEvent {
-    /// The damage as it is after the event.
+    /// The damage site after the event.
     #[must_use]
     pub fn damage(&self) -> &Damage {
         match self {
@@ -129,7 +129,7 @@ impl DamageEvent {
         }
     }
 
-    /// The word for it in files and streams.
+    /// Name of the event in files and streams.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {

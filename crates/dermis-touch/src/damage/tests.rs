@@ -1,4 +1,4 @@
-//! Damage in images made by hand: dips and bumps of known place, depth and length.
+//! Tests of the damage monitor on synthetic images: dips and bumps of known position, depth and length.
 
 use super::*;
 use crate::cells::GridGeometry;
@@ -12,7 +12,7 @@ fn geometry() -> GridGeometry {
     GridGeometry::centred(GRID, GRID, 2e-3)
 }
 
-/// A line of Gaussian spots of 5 mm, from end to end, of a depth.
+/// A line of Gaussian spots with a standard deviation of 5 mm, from end to end, of a given height.
 fn line(image: &mut [f32], from: [f64; 2], to: [f64; 2], height: f64) {
     for (index, value) in image.iter_mut().enumerate() {
         let [x, y] = geometry().pixel_centre_m(index);
@@ -110,14 +110,15 @@ fn what_stays_low_is_damage_with_place_direction_and_length() {
     let [damage] = bench.monitor.damages() else { panic!("{:?}", bench.monitor.damages()) };
     let middle = [0.5 * (FROM[0] + TO[0]), 0.5 * (FROM[1] + TO[1])];
     let off = (damage.shape.centre_m[0] - middle[0]).hypot(damage.shape.centre_m[1] - middle[1]);
-    // Pixels of 2 mm: the centroid of a symmetric ridge is good to a small part of one.
+    // With pixels of 2 mm, the centroid of a symmetric ridge is accurate to a small part of one.
     assert!(off < 0.5e-3, "{off}");
     let direction = (TO[1] - FROM[1]).atan2(TO[0] - FROM[0]);
     assert!((damage.shape.direction_rad - direction).abs() < 0.05, "{:?}", damage.shape);
-    // 30 mm; half-height regions cut tails off, which the width of a point allows for only roughly.
+    // The true length is 30 mm. Half-height regions cut off the tails, and subtracting a point's width corrects that
+    // only roughly.
     assert!((damage.shape.length_m - 0.03).abs() < 8e-3, "{:?}", damage.shape);
     assert!((damage.depth - 0.2).abs() < 0.01 && damage.significance > 100.0, "{damage:?}");
-    // Seen once the first mean holds as much of the cut as the threshold wants, about one frame after it.
+    // The damage is seen once the first mean contains enough of the cut for the threshold, about one frame after it.
     assert!((0.8..1.4).contains(&(damage.since_ns as f64 * 1e-9)), "{damage:?}");
 }
 
@@ -133,7 +134,7 @@ fn lobes_of_a_touch_never_become_damage() {
     bench.run(8, &image.iter().map(|v| 0.6 * v).collect::<Vec<_>>(), &[]);
     bench.run(100, &flat(), &[]);
     assert!(bench.events.is_empty() && bench.monitor.damages().is_empty(), "{:?}", bench.events);
-    // Without a touch, a dip below half of the largest rise is a lobe of whatever rose.
+    // Without a touch, a dip below half of the largest rise is a side lobe of that rise.
     bench.run(200, &image, &[]);
     assert!(bench.monitor.damages().is_empty());
 }
@@ -163,7 +164,7 @@ fn a_touch_elsewhere_leaves_it_confirmed() {
     bench.run(100, &both, &[touch([0.03, -0.03])]);
     assert_eq!(bench.names(), ["begin"]);
     assert_eq!(bench.monitor.damages()[0].state, DamageState::Confirmed);
-    // Sliding from it to elsewhere uncovers it although something still touches.
+    // Sliding off it uncovers it although something still touches the skin.
     bench.run(20, &both, &[touch([-0.008, 0.021])]);
     bench.run(30, &both, &[touch([0.03, -0.03])]);
     assert_eq!(bench.names(), ["begin", "covered", "uncovered"]);
@@ -235,7 +236,7 @@ fn a_damage_that_another_operator_images_keeps_its_identity_and_its_share() {
     let [x, y] = damage.shape.centre_m;
     assert!((x + 0.01).hypot(y + 0.012) < 1e-3 && (damage.depth - 0.6).abs() < 0.02, "{damage:?}");
     assert!(damage.id == id && damage.share == 0.5 && monitor.events().is_empty(), "{damage:?}");
-    // Where nothing is to be seen it stays where it was, and what is not known is left alone.
+    // If nothing is visible it stays where it was. An unknown identity is ignored.
     let before = *damage;
     monitor.redraw(id, &flat(), NOISE, 0.5, true).unwrap();
     monitor.redraw(id + 1, &image_at([0.02, 0.02], 0.3), NOISE, 1.0, true).unwrap();

@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use crate::error::{TouchError, require};
 use faer::prelude::*;
 
-/// A curve counts as saturated where signal per force has fallen to this share of what it was.
+/// A curve is saturated where signal per force has dropped to this share of its usual value.
 const SATURATION_SHARE: f64 = 0.05;
 
-/// Points at which slopes are looked at.
+/// Number of points at which slopes are evaluated.
 const SLOPE_POINTS: usize = 200;
 
-/// Which curve is fitted.
+/// Kind of curve to fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CurveKind {
@@ -19,8 +19,8 @@ pub enum CurveKind {
     Linear,
     /// `F = a + b s + c s^2`.
     Quadratic,
-    /// Isotonic least squares (pool adjacent violators), joined by the monotone cubic of Fritsch and Butland, SIAM J.
-    /// Sci. Stat. Comput. 5 (1984) 300 (PCHIP).
+    /// Isotonic least squares (pool adjacent violators), interpolated by the monotone cubic of Fritsch and Butland,
+    /// SIAM J. Sci. Stat. Comput. 5 (1984) 300 (PCHIP).
     Monotone,
 }
 
@@ -30,13 +30,13 @@ pub enum CurveKind {
 pub enum Curve {
     /// `F = sum_k c_k s^k`, newtons; two or three coefficients.
     Polynomial(Vec<f64>),
-    /// Monotone cubic pieces, held constant beyond their ends.
+    /// Monotone cubic pieces, constant beyond their ends.
     Pchip {
         /// Ascending signals.
         signals: Vec<f64>,
-        /// Forces there, newtons.
+        /// Forces at these signals, newtons.
         forces_n: Vec<f64>,
-        /// Slopes there, newtons per signal.
+        /// Slopes at these signals, newtons per signal.
         slopes: Vec<f64>,
     },
 }
@@ -56,7 +56,7 @@ impl Curve {
         }
     }
 
-    /// Force of a signal, newtons.
+    /// Force for a signal, newtons.
     #[must_use]
     pub fn force_n(&self, signal: f64) -> f64 {
         match self {
@@ -65,7 +65,7 @@ impl Curve {
         }
     }
 
-    /// Checks that lengths fit and numbers are finite.
+    /// Checks lengths, and that numbers are finite.
     pub(super) fn check(&self) -> Result<(), TouchError> {
         let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
         let ok = match self {
@@ -80,7 +80,7 @@ impl Curve {
         require(ok, "force curve", f64::NAN, expected)
     }
 
-    /// Checks that force does not fall with signal within the range, and rises over it.
+    /// Checks that force never falls with signal within the range, and rises over the range as a whole.
     pub(super) fn check_rising(&self, [low, high]: [f64; 2]) -> Result<(), TouchError> {
         require(high > low, "range of calibrated signals", high - low, "above 0")?;
         let rise = self.force_n(high) - self.force_n(low);
@@ -90,7 +90,7 @@ impl Curve {
         require(ok, "least slope of the force curve", least, "zero or more: it folds back, take another curve")
     }
 
-    /// Signal from which signal per force stays below a twentieth of its mean over the lower half of the range.
+    /// Signal above which signal per force stays below a twentieth of its mean over the lower half of the range.
     pub(super) fn saturation(&self, [low, high]: [f64; 2]) -> Option<f64> {
         let middle = 0.5 * (low + high);
         let usual = (self.force_n(middle) - self.force_n(low)) / (middle - low);
@@ -109,7 +109,7 @@ impl Curve {
     }
 }
 
-/// Least squares by QR, in a signal scaled to at most 1.
+/// Least squares by QR, with the signal scaled to at most 1.
 fn polynomial(points: &[(f64, f64)], terms: usize) -> Result<Curve, TouchError> {
     let mut distinct: Vec<f64> = points.iter().map(|point| point.0).collect();
     distinct.dedup();
@@ -122,8 +122,8 @@ fn polynomial(points: &[(f64, f64)], terms: usize) -> Result<Curve, TouchError> 
     Ok(Curve::Polynomial((0..terms).map(|power| solution[(power, 0)] / scale.powi(power as i32)).collect()))
 }
 
-/// Isotonic regression (pool adjacent violators) of sorted points; equal signals are averaged first, and every signal
-/// keeps the mean of its block.
+/// Isotonic regression (pool adjacent violators) of sorted points. Averages equal signals first. Every signal gets
+/// the mean of its block.
 fn isotonic(points: &[(f64, f64)]) -> (Vec<f64>, Vec<f64>) {
     let mut groups: Vec<(f64, f64, f64)> = Vec::new();
     for &(signal, force) in points {
@@ -147,7 +147,7 @@ fn isotonic(points: &[(f64, f64)]) -> (Vec<f64>, Vec<f64>) {
     (groups.iter().map(|group| group.0).collect(), forces)
 }
 
-/// Slopes that keep the pieces monotone: harmonic means inside, three-point formula limited at the ends.
+/// Slopes that keep the pieces monotone: harmonic means inside, the limited three-point formula at the ends.
 fn pchip_slopes(x: &[f64], y: &[f64]) -> Vec<f64> {
     let count = x.len();
     let h: Vec<f64> = x.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -205,7 +205,7 @@ mod tests {
     fn pieces_agree_with_scipy() {
         let (x, y) = ([0.0, 1.0, 2.5, 3.0, 5.0], [0.0, 0.5, 0.6, 2.0, 2.2]);
         let slopes = pchip_slopes(&x, &y);
-        // scipy 1.17, PchipInterpolator.
+        // Values from scipy 1.17, PchipInterpolator.
         let expected = [
             (0.3, 0.19917008264462807),
             (1.7, 0.5427142589136723),
@@ -222,7 +222,7 @@ mod tests {
     fn regression_agrees_with_scipy() {
         let y = [1.0, 3.0, 2.0, 4.0, 3.5, 3.0, 6.0];
         let points: Vec<(f64, f64)> = y.iter().enumerate().map(|(k, &y)| (k as f64, y)).collect();
-        // scipy 1.17, optimize.isotonic_regression.
+        // Values from scipy 1.17, optimize.isotonic_regression.
         assert_eq!(isotonic(&points).1, [1.0, 2.5, 2.5, 3.5, 3.5, 3.5, 6.0]);
     }
 }

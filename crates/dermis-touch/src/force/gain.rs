@@ -1,36 +1,36 @@
-//! Gain over the surface: how much more or less than average a skin answers at a place.
+//! Gain over the surface: local sensitivity of a skin relative to its average.
 
 use faer::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TouchError, require, require_length};
 
-/// Signal at a place relative to the average place. Always positive.
+/// Signal at a position relative to the average position. Always positive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum GainMap {
     /// `exp(sum c_k m_k)` with the monomials 1, x, y, x^2, xy, y^2 of positions over `scale_m`.
     Quadratic {
-        /// Length that positions are divided by, metres.
+        /// Length by which positions are divided, metres.
         scale_m: f64,
         /// Six coefficients.
         coefficients: [f64; 6],
     },
     /// Mean of known gains, weighted by distance^-2 (Shepard).
     InverseDistance {
-        /// Places, metres.
+        /// Positions, metres.
         positions_m: Vec<[f64; 2]>,
-        /// Gains there.
+        /// Gains at these positions.
         gains: Vec<f64>,
     },
 }
 
 impl GainMap {
-    /// A smooth map through gains measured at places (for example, slopes of signal against force), divided by their
+    /// A smooth map fitted to measured gains (for example, slopes of signal against force), divided by their
     /// geometric mean.
     ///
     /// # Errors
-    /// Lengths that differ, fewer than 6 places, places on one conic, values that are not positive and finite.
+    /// Different lengths, fewer than 6 positions, positions on one conic, values that are not positive and finite.
     pub fn quadratic(positions_m: &[[f64; 2]], gains: &[f64]) -> Result<Self, TouchError> {
         let gains = normalised(positions_m, gains)?;
         require(gains.len() >= 6, "places of a quadratic gain map", gains.len() as f64, "at least 6")?;
@@ -49,16 +49,16 @@ impl GainMap {
         Ok(Self::Quadratic { scale_m, coefficients: std::array::from_fn(|k| solution[(k, 0)]) })
     }
 
-    /// The map that holds the measured gains exactly, divided by their geometric mean.
+    /// The map that interpolates the measured gains exactly, divided by their geometric mean.
     ///
     /// # Errors
-    /// Lengths that differ, no places, values that are not positive and finite.
+    /// Different lengths, no positions, values that are not positive and finite.
     pub fn inverse_distance(positions_m: &[[f64; 2]], gains: &[f64]) -> Result<Self, TouchError> {
         let gains = normalised(positions_m, gains)?;
         Ok(Self::InverseDistance { positions_m: positions_m.to_vec(), gains })
     }
 
-    /// Gain at a place (metres).
+    /// Gain at a position (metres).
     #[must_use]
     pub fn gain_at(&self, position_m: [f64; 2]) -> f64 {
         match self {

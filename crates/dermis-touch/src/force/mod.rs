@@ -1,6 +1,6 @@
-//! Force from a touch's signal: a calibration curve (linear, quadratic or monotone), a gain map that makes all places
-//! of a skin alike, and an honest statement of where it holds. A reading outside the calibrated range says so, and a
-//! calibration belongs to one skin and one indenter area, which are saved with it.
+//! Force from a touch's signal: a calibration curve (linear, quadratic or monotone), a gain map that equalises the
+//! skin, and the range in which they hold. A reading outside the calibrated range says so. A calibration belongs to
+//! one skin and one indenter area, which are saved with it.
 //!
 //! Forces in newtons, positions in metres in the skin's frame, signals in any one unit.
 
@@ -18,15 +18,15 @@ use crate::error::{TouchError, require};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceSample {
-    /// Where, metres.
+    /// Position, metres.
     pub position_m: [f64; 2],
-    /// How hard, newtons.
+    /// Force, newtons.
     pub force_n: f64,
-    /// What was read.
+    /// Signal.
     pub signal: f64,
 }
 
-/// What a calibration belongs to.
+/// The skin and indenter that a calibration is valid for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationScope {
@@ -34,11 +34,11 @@ pub struct CalibrationScope {
     pub skin: String,
     /// Area of the indenter, m^2: signals depend on it.
     pub indenter_area_m2: f64,
-    /// Day of calibration, as `2026-01-31`; kept, not read.
+    /// Date of calibration, as `2026-01-31`; stored but not interpreted.
     pub date: String,
 }
 
-/// A force calibration. Save it with serde; [`ForceCalibration::check`] what was loaded.
+/// A force calibration. Save it with serde, and run [`ForceCalibration::check`] after loading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceCalibration {
@@ -46,21 +46,22 @@ pub struct ForceCalibration {
     pub scope: CalibrationScope,
     /// Force against compensated signal.
     pub curve: Curve,
-    /// Gain over the surface, where compensated.
+    /// Gain over the surface, if compensated.
     pub gain: Option<GainMap>,
-    /// Compensated signals between which it was calibrated.
+    /// Range of compensated signals in the calibration.
     pub valid_signal: [f64; 2],
-    /// Forces between which it was calibrated, newtons.
+    /// Range of forces in the calibration, newtons.
     pub valid_force_n: [f64; 2],
-    /// Compensated signal from which the curve is too flat to tell forces apart, where there is one.
+    /// Compensated signal above which the curve is too flat to distinguish forces, if any.
     pub saturation_signal: Option<f64>,
-    /// Root mean square of the curve's error over the samples, newtons.
+    /// RMS error of the curve over the samples, newtons.
     pub residual_n: f64,
-    /// Samples it was fitted to.
+    /// Number of samples fitted.
     pub samples: usize,
 }
 
-/// A force, or why there is none to trust. The value outside is that of the curve held at its end.
+/// A force, or the reason why there is no reliable one. Out-of-range readings carry the force at that end of the
+/// curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ForceReading {
@@ -69,24 +70,24 @@ pub enum ForceReading {
         /// The force.
         force_n: f64,
     },
-    /// Weaker than the weakest press calibrated.
+    /// Weaker than the weakest calibrated press.
     BelowRange {
-        /// The least force calibrated: the true one is probably less.
+        /// The smallest calibrated force. The true force is probably smaller.
         least_n: f64,
     },
-    /// Stronger than the strongest press calibrated.
+    /// Stronger than the strongest calibrated press.
     AboveRange {
-        /// The largest force calibrated: the true one is probably more.
+        /// The largest calibrated force. The true force is probably larger.
         most_n: f64,
     },
-    /// The skin hardly answers to more force.
+    /// The skin hardly responds to more force.
     Saturated {
-        /// Force at which it begins: the true one is probably more.
+        /// Force at the onset of saturation. The true force is probably larger.
         from_n: f64,
     },
     /// The signal is not a finite number.
     NotFinite,
-    /// No calibration: the law of the layer in the skin's file, newtons.
+    /// Not calibrated: estimated from the layer's force law in the skin file, newtons.
     FromLaw {
         /// The force.
         force_n: f64,
@@ -96,13 +97,13 @@ pub enum ForceReading {
 }
 
 impl ForceReading {
-    /// The force where it can be trusted.
+    /// The force, if it is reliable.
     #[must_use]
     pub fn valid_n(self) -> Option<f64> {
         if let Self::Valid { force_n } = self { Some(force_n) } else { None }
     }
 
-    /// The force, or the end of the range that it lies beyond ([`ForceReading::range`] tells which).
+    /// The force, or the end of the range that it exceeds ([`ForceReading::range`] says which).
     #[must_use]
     pub fn nearest_n(self) -> Option<f64> {
         match self {
@@ -115,14 +116,14 @@ impl ForceReading {
         }
     }
 
-    /// Standard deviation, newtons, where it is known: of forces from the layer's law.
+    /// Standard deviation, newtons. Known only for forces from the layer's force law.
     #[must_use]
     pub fn sigma_n(self) -> Option<f64> {
         if let Self::FromLaw { sigma_n, .. } = self { Some(sigma_n) } else { None }
     }
 
-    /// Where the signal lies in the calibration: `within`, `below`, `above`, `saturated`, or `none`; `law` where there is
-    /// no calibration and the law of the layer gives the force.
+    /// Position of the signal in the calibration: `within`, `below`, `above`, `saturated` or `none`; `law` if there
+    /// is no calibration and the layer's force law gives the force.
     #[must_use]
     pub fn range(self) -> &'static str {
         match self {
@@ -137,11 +138,11 @@ impl ForceReading {
 }
 
 impl ForceCalibration {
-    /// Fits a curve to presses, after dividing their signals by the gain where they were made.
+    /// Fits a curve to presses, after dividing their signals by the local gain.
     ///
     /// # Errors
-    /// Too few samples for the curve, values that are not finite, forces or an indenter that are negative, a curve that
-    /// does not rise over the range of the samples.
+    /// Too few samples for the curve, values that are not finite, negative forces or a negative indenter area, a
+    /// curve that does not rise over the range of the samples.
     pub fn fit(
         kind: CurveKind,
         samples: &[ForceSample],
@@ -169,7 +170,7 @@ impl ForceCalibration {
         })
     }
 
-    /// The force of a signal at a place.
+    /// The force for a signal at a position.
     #[must_use]
     pub fn read(&self, position_m: [f64; 2], signal: f64) -> ForceReading {
         let signal = signal / self.gain.as_ref().map_or(1.0, |map| map.gain_at(position_m));
@@ -190,10 +191,10 @@ impl ForceCalibration {
         ForceReading::Valid { force_n: self.curve.force_n(signal) }
     }
 
-    /// Checks a loaded calibration against the skin that it is to serve.
+    /// Checks a loaded calibration, and that it is for this skin.
     ///
     /// # Errors
-    /// [`TouchError::OtherSkin`]; numbers that make no sense.
+    /// [`TouchError::OtherSkin`] for another skin; other errors for invalid numbers.
     pub fn check(&self, skin: &str) -> Result<(), TouchError> {
         if self.scope.skin != skin {
             return Err(TouchError::OtherSkin { expected: skin.to_owned(), got: self.scope.skin.clone() });

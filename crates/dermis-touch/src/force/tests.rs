@@ -15,7 +15,7 @@ fn polynomials_are_recovered() {
     assert!(linear.residual_n < 1e-14);
     let force = linear.read([0.0; 2], 0.65e-3).valid_n().unwrap();
     assert!((force - 0.45).abs() < 1e-12);
-    // F = s + 0.5 s^2: the root of the quadratic is the signal.
+    // F = s + 0.5 s^2, and the signal is the root of that quadratic.
     let signal = |f: f64| -1.0 + (1.0 + 2.0 * f).sqrt();
     let quadratic = ForceCalibration::fit(CurveKind::Quadratic, &samples(signal), None, scope()).unwrap();
     let Curve::Polynomial(c) = &quadratic.curve else { panic!("a polynomial was asked for") };
@@ -24,13 +24,13 @@ fn polynomials_are_recovered() {
 
 #[test]
 fn a_saturating_skin_is_followed_and_says_where_it_ends() {
-    // Signal tanh(4 F), calibrated from 0.380 to 0.9993: over the lower half 0.310 for 0.112 N; a twentieth of that is
-    // reached where 4 (1 - s^2) = 0.138, F = 0.59.
+    // The signal is tanh(4 F), calibrated from 0.380 to 0.9993. The lower half spans a signal of 0.310 for 0.112 N. A
+    // twentieth of that slope is reached where 4 (1 - s^2) = 0.138, F = 0.59.
     let monotone = ForceCalibration::fit(CurveKind::Monotone, &samples(|f| (4.0 * f).tanh()), None, scope()).unwrap();
     let force = monotone.read([0.0; 2], (4.0_f64 * 0.3).tanh()).valid_n().unwrap();
     assert!((force - 0.3).abs() < 1e-12);
     let ForceReading::Saturated { from_n } = monotone.read([0.0; 2], 0.999) else { panic!("saturated") };
-    // The cubic pieces lie 0.1 N apart there.
+    // The cubic pieces are 0.1 N apart there.
     assert!((0.54..0.64).contains(&from_n), "{from_n}");
     assert_eq!(monotone.read([0.0; 2], 0.01), ForceReading::BelowRange { least_n: 0.1 });
     assert_eq!(monotone.read([0.0; 2], f64::NAN), ForceReading::NotFinite);
@@ -46,7 +46,7 @@ fn location_is_compensated() {
     let gains: Vec<f64> = places.iter().map(|&p| truth(p)).collect();
     let smooth = GainMap::quadratic(&places, &gains).unwrap();
     let (a, b) = ([0.021, -0.033], [-0.04, 0.01]);
-    // The model is of the map's own form: ratios are exact.
+    // The truth has the same form as the map, so ratios are exact.
     assert!((smooth.gain_at(a) / smooth.gain_at(b) - truth(a) / truth(b)).abs() < 1e-11);
     let presses: Vec<ForceSample> = places
         .iter()

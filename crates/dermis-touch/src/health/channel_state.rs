@@ -1,23 +1,23 @@
-//! What one frame says of one channel, and how evidence adds up over frames.
+//! Evidence about one channel from one frame, and how it accumulates over frames.
 
 use super::{ChannelFaultKind, HEALTH_WINDOW, HealthParams};
 
 /// Weight of a new frame in running means.
 const RECENT: f64 = 0.3;
-/// Weight of a new frame in the offset that a bad channel settles at.
+/// Weight of a new frame in the offset at which a bad channel settles.
 const SETTLING: f64 = 0.1;
-/// A difference of successive readings counts up to so many variances.
+/// Upper bound on the contribution of one difference of successive readings, in variances.
 const MOST_FLICKER: f64 = 100.0;
-/// Differences this many times as large as usual, in variances, are noise.
+/// A channel is noisy if its squared differences reach this many times their usual size.
 const NOISY: f64 = 6.0;
-/// Repetitions and pairs are halved when so many pairs have been counted, so that they are of the recent past.
+/// Halve the counts of repetitions and pairs at this many pairs, so that they describe the recent past.
 const MOST_PAIRS: f64 = 4096.0;
 
-/// Everything that is remembered of a channel.
+/// State of one channel.
 #[derive(Debug, Clone)]
 pub(super) struct ChannelState {
     last: f64,
-    /// Readings in a row equal to the one before.
+    /// Consecutive readings equal to their predecessor.
     run: u32,
     repeats: f64,
     pairs: f64,
@@ -28,25 +28,25 @@ pub(super) struct ChannelState {
     pub sigma: f64,
     /// Resting value, model volts.
     pub rest: f64,
-    /// Standard deviation of what the others leave unexplained.
+    /// Standard deviation of the residual that the other channels leave unexplained.
     pub unexplained_sigma: f64,
-    /// What the comparison with others settles at while the channel is bad.
+    /// Offset from the other channels at which a bad channel settles.
     offset: f64,
-    /// Mean square of successive differences over what noise makes of it.
+    /// Mean square of successive differences over its value for noise alone.
     flicker: f64,
-    /// Mean size of what the others leave unexplained.
+    /// Mean size of the residual that the other channels leave unexplained.
     pub unexplained: f64,
     last_difference: f64,
-    /// Frames in a row without fault.
+    /// Consecutive frames without fault.
     pub clean: u32,
-    /// The first frame of the evidence that is being gathered.
+    /// First frame of the evidence being gathered.
     pub suspect_since: Option<(u64, u64)>,
     pub bad: Option<(ChannelFaultKind, u64, u64)>,
-    /// What this frame shows without comparison to other channels.
+    /// Fault that this frame shows without comparison to other channels.
     pub direct: Option<ChannelFaultKind>,
     /// Evidence of this frame alone.
     pub now: f32,
-    /// It has read the same for so long that nothing more need be waited for.
+    /// It has repeated itself for long enough to be declared at once.
     pub frozen: bool,
 }
 
@@ -76,7 +76,7 @@ impl ChannelState {
         }
     }
 
-    /// Forgets comparisons, which a new baseline puts on another footing; what is bad stays so.
+    /// Clears comparisons, which a new baseline invalidates. A bad channel stays bad.
     pub fn restart(&mut self, rest: f64, sigma: f64, unexplained_sigma: f64) {
         (self.rest, self.sigma, self.unexplained_sigma) = (rest, sigma, unexplained_sigma);
         self.window = [0.0; HEALTH_WINDOW];
@@ -85,12 +85,12 @@ impl ChannelState {
         self.suspect_since = None;
     }
 
-    /// Share of readings that are equal to the one before.
+    /// Share of readings equal to their predecessor.
     pub fn repeat_share(&self) -> f64 {
         (self.repeats + f64::from(self.run)) / (self.pairs + f64::from(self.run)).max(1.0)
     }
 
-    /// True where all readings so far were the same.
+    /// True if no reading has differed from the first.
     pub fn never_moved(&self) -> bool {
         self.pairs == 0.0 && self.run > 0
     }
@@ -99,8 +99,8 @@ impl ChannelState {
         reading == self.last
     }
 
-    /// Takes in a reading. In a frame that repeats the one before as a whole, `whole_frame_repeats`, runs do not grow:
-    /// that says nothing of a channel.
+    /// Takes a reading. If `whole_frame_repeats`, the run of repetitions does not grow, since the frame as a whole
+    /// repeats the previous one and that says nothing about a single channel.
     pub fn read(&mut self, reading: f64, whole_frame_repeats: bool, largest: f64, params: &HealthParams) {
         (self.direct, self.frozen) = (None, false);
         if !reading.is_finite() {
@@ -111,7 +111,8 @@ impl ChannelState {
         if reading == self.last {
             self.run += u32::from(!whole_frame_repeats);
         } else if self.last.is_finite() {
-            // The run's repetitions count once it is over, so that a frozen channel does not look usual.
+            // Count a run's repetitions only when it ends, so that a frozen channel does not make repetition look
+            // usual.
             self.repeats += f64::from(self.run);
             self.pairs += f64::from(self.run) + 1.0;
             self.run = 0;
@@ -120,7 +121,7 @@ impl ChannelState {
             }
         }
         self.last = reading;
-        // A channel that never moved is known from the baseline, and stays so until it does.
+        // A channel that never moved is declared at the baseline, and stays so until it moves.
         let known = matches!(self.bad, Some((ChannelFaultKind::Stuck | ChannelFaultKind::Saturated, ..)));
         self.frozen = self.is_frozen(params) || (known && self.run as usize > HEALTH_WINDOW);
         let at_end = params.full_scale.is_some_and(|end| reading.abs() >= 0.999 * end);
@@ -131,18 +132,18 @@ impl ChannelState {
         }
     }
 
-    /// Chance that the next reading equals this one, by those that did; three more are allowed than were seen, for luck.
+    /// Probability that the next reading equals this one, from past repetitions plus three for safety.
     pub fn repeat_chance(&self) -> f64 {
         (self.repeats + 3.0) / (self.pairs + 4.0)
     }
 
-    /// True where so long a run of equal readings is no chance, by [`Self::repeat_chance`].
+    /// True if a run of equal readings this long cannot be chance, given [`Self::repeat_chance`].
     fn is_frozen(&self, params: &HealthParams) -> bool {
         let usual = self.repeat_chance();
         usual < 1.0 && self.pairs > 0.0 && f64::from(self.run) * usual.ln() < params.stuck_chance.ln()
     }
 
-    /// Follows successive differences, which tell noise from steps.
+    /// Tracks successive differences, which distinguish noise from steps.
     pub fn follow(&mut self, difference: f64) {
         let step = difference - self.last_difference;
         self.last_difference = difference;
@@ -156,7 +157,7 @@ impl ChannelState {
         self.flicker > NOISY
     }
 
-    /// Deviation from what others let expect, in standard deviations beyond what is tolerated.
+    /// Deviation from the value expected from other channels, beyond the tolerance, in standard deviations.
     pub fn excess(&mut self, apart: f64, tolerated: f64, deviation: f64) -> f64 {
         if !apart.is_finite() {
             return 0.0;
@@ -165,7 +166,7 @@ impl ChannelState {
         if self.bad.is_some() {
             self.offset += SETTLING * from_offset;
         }
-        // Back where it was, or settled where it is.
+        // Either back where it was, or settled at its offset.
         (from_offset.abs().min(apart.abs()) - tolerated).max(0.0) / deviation
     }
 
@@ -182,7 +183,7 @@ impl ChannelState {
         self.window[self.next] = evidence;
         self.next = (self.next + 1) % HEALTH_WINDOW;
         if self.next == 0 {
-            // Against the rounding of many additions.
+            // Recompute now and then, to limit accumulated rounding.
             self.sum = self.window.iter().sum();
         }
         if evidence > 9.0 {
@@ -193,13 +194,13 @@ impl ChannelState {
         self.clean = if evidence < 16.0 && self.direct.is_none() { self.clean + 1 } else { 0 };
     }
 
-    /// What the channel suffers from, as far as can be told now.
+    /// The most likely fault of the channel.
     pub fn kind(&self) -> ChannelFaultKind {
         let noisy = if self.is_noisy() { ChannelFaultKind::Noisy } else { ChannelFaultKind::Inconsistent };
         self.direct.unwrap_or(noisy)
     }
 
-    /// Takes the channel back.
+    /// Acquits the channel.
     pub fn acquit(&mut self) {
         self.bad = None;
         self.window = [0.0; HEALTH_WINDOW];

@@ -1,13 +1,13 @@
-//! From bad channels to electrodes: an electrode is lost when most of its channels are bad and other electrodes do not
-//! explain them; two are shorted when exactly what is driven or read across the two is gone.
+//! Infers faulty electrodes from bad channels. An electrode is lost if most of its channels are bad and other
+//! electrodes do not explain them. Two are shorted if exactly the channels driven or read across the two are gone.
 
 use super::wiring::Wiring;
 use super::{ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, HealthParams};
 
-/// Fewest channels that may speak for an electrode.
+/// Minimum number of channels needed to judge an electrode.
 const FEWEST: usize = 3;
 
-/// Judges electrodes in memory of its own.
+/// Judges electrodes. Owns its working memory.
 #[derive(Debug, Clone)]
 pub(super) struct ElectrodeFaults {
     lost: Vec<bool>,
@@ -25,12 +25,13 @@ impl ElectrodeFaults {
         }
     }
 
-    /// Electrodes lost.
+    /// Lost electrodes.
     pub fn lost(&self) -> &[bool] {
         &self.lost
     }
 
-    /// Refills `faults` from the channels that are `bad` (and how, and since when). Shorts are told from dead channels.
+    /// Refills `faults` from the channels that are `bad` (with kind and onset). Shorts are inferred from dead
+    /// channels.
     pub fn judge(
         &mut self,
         wiring: &Wiring,
@@ -58,7 +59,8 @@ impl ElectrodeFaults {
         faults.sort_by_key(|fault| fault.electrode);
     }
 
-    /// An electrode between two lost ones has no good channel either, but is needed to explain none.
+    /// Acquits electrodes that other lost ones explain. An electrode between two lost ones has no good channel
+    /// either, but its loss is not needed to explain anything.
     fn acquit_the_explained(&mut self, wiring: &Wiring, bad: &impl Fn(u32) -> Option<(ChannelFaultKind, u64, u64)>) {
         for suspect in 0..self.lost.len() {
             if !self.lost[suspect] {
@@ -71,7 +73,7 @@ impl ElectrodeFaults {
             let needed = |c: &&u32| bad(**c).is_some() && !self.explained[**c as usize];
             let count = wiring.channels_of(suspect as u32).iter().filter(needed).count();
             let own = wiring.channels_of(suspect as u32).iter().filter(|&&c| !self.explained[c as usize]).count();
-            // Channels that no other lost electrode explains must speak against it, and most of them.
+            // Most of the channels that no other lost electrode explains must be bad.
             self.lost[suspect] = count > 0 && 2 * count > own;
         }
     }

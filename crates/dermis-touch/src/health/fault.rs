@@ -1,29 +1,29 @@
-//! What is wrong with channels and electrodes.
+//! Faults of channels, electrodes and frames.
 
 use serde::Serialize;
 
-/// What is wrong with a channel.
+/// Kind of fault of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ChannelFaultKind {
-    /// It goes with its electrode: it uses one that is lost, or is driven or read across a short.
+    /// Caused by an electrode: the channel uses a lost one, or is driven or read across a short.
     Electrode,
-    /// It contradicts its reciprocal channel, or what the others let expect.
+    /// Contradicts its reciprocal channel, or the value expected from the other channels.
     Inconsistent,
-    /// Its noise is several times what it was.
+    /// Its noise is several times its earlier value.
     Noisy,
-    /// Its signal has gone, together with that of the channels that share its drive or measuring pair.
+    /// Its signal has vanished, together with those of the channels that share its drive or measuring pair.
     Dead,
-    /// It reads the same, frame after frame.
+    /// Reads the same value, frame after frame.
     Stuck,
-    /// It stands at the converter's end.
+    /// Is at the converter's limit.
     Saturated,
-    /// It has no value.
+    /// Has no value.
     Missing,
 }
 
 impl ChannelFaultKind {
-    /// The kind in a word, as in files.
+    /// Name of the kind, as in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -38,63 +38,63 @@ impl ChannelFaultKind {
     }
 }
 
-/// What is wrong with an electrode or coil.
+/// Kind of fault of an electrode or coil.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ElectrodeFaultKind {
     /// Its channels are lost: no contact, a broken wire, a dead coil or multiplexer line.
     Lost,
-    /// It is connected to another one, index from 0; the channels driven or read across the two are lost.
+    /// Connected to another electrode. The channels driven or read across the two are lost.
     Shorted {
-        /// The other one.
+        /// The other electrode, index from 0.
         with: u32,
     },
 }
 
-/// A channel that is left out.
+/// An excluded channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct ChannelFault {
     /// Index from 0.
     pub channel: u32,
-    /// What is wrong.
+    /// Kind of fault.
     pub kind: ChannelFaultKind,
-    /// Time of the first frame that showed it, nanoseconds.
+    /// Time of the first frame that showed the fault, nanoseconds.
     pub since_ns: u64,
-    /// Number of that frame.
+    /// Sequence number of that frame.
     pub since_sequence: u64,
 }
 
-/// An electrode that is blamed for its channels.
+/// An electrode held responsible for its channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct ElectrodeFault {
     /// Index from 0.
     pub electrode: u32,
-    /// What is wrong.
+    /// Kind of fault.
     pub kind: ElectrodeFaultKind,
-    /// Time of the first frame that showed it, nanoseconds.
+    /// Time of the first frame that showed the fault, nanoseconds.
     pub since_ns: u64,
-    /// Number of that frame.
+    /// Sequence number of that frame.
     pub since_sequence: u64,
 }
 
-/// What is wrong with frames as a whole.
+/// Kind of fault of whole frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameFaultKind {
-    /// Every channel reads what it read in the frame before, to the last bit, though the channels have noise.
+    /// Every channel repeats its value of the previous frame to the last bit, although the channels have noise.
     Frozen,
-    /// Most channels stand at the same largest magnitude: the end of the converter's range.
+    /// Most channels are at the same largest magnitude: the converter's limit.
     Saturated,
-    /// The frame is the resting frame with the other sign.
+    /// The frame is the resting frame with opposite sign.
     Flipped,
-    /// The readings are far larger than any press makes them.
+    /// The readings are far larger than any press could make them.
     OutOfRange,
-    /// The readings have gone: what is left is a small share of the resting frame, or noise.
+    /// The readings have vanished: only a small share of the resting frame, or noise, is left.
     Blank,
 }
 
 impl FrameFaultKind {
-    /// The kind in a word, as in files.
+    /// Name of the kind, as in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -107,31 +107,31 @@ impl FrameFaultKind {
     }
 }
 
-/// A fault of all channels together. Nobody knows what touches the skin while it lasts.
+/// A fault of all channels together. While it lasts, touches cannot be determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct FrameFault {
-    /// What is wrong.
+    /// Kind of fault.
     pub kind: FrameFaultKind,
-    /// Time of the first frame that showed it, nanoseconds.
+    /// Time of the first frame that showed the fault, nanoseconds.
     pub since_ns: u64,
-    /// Number of that frame.
+    /// Sequence number of that frame.
     pub since_sequence: u64,
 }
 
-/// What is known to be broken, both lists in the order of their indices.
+/// All known faults; both lists are in index order.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Health<'a> {
-    /// What is wrong with the frames as a whole. While there is something, touches are unknown: none are reported, and
-    /// that says nothing of whether the skin is touched.
+    /// Fault of whole frames. While there is one, touches are unknown: none are reported, but the skin may be
+    /// touched.
     pub frame: Option<FrameFault>,
-    /// Channels left out.
+    /// Excluded channels.
     pub channels: &'a [ChannelFault],
-    /// Electrodes blamed.
+    /// Faulty electrodes.
     pub electrodes: &'a [ElectrodeFault],
 }
 
 impl Health<'_> {
-    /// True where nothing is.
+    /// True if no fault is known.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         self.frame.is_none() && self.channels.is_empty() && self.electrodes.is_empty()

@@ -1,59 +1,59 @@
-//! Frames that are wrong as a whole: frozen, saturated, with their sign flipped, or larger than any press makes them.
-//! Reciprocity and residuals say nothing of these, since every channel agrees with every other.
+//! Frames that are wrong as a whole: frozen, saturated, with opposite sign, or larger than any press could make them.
+//! Reciprocity and residuals cannot detect these, since the channels agree with each other.
 //!
-//! A frame is compared with the resting frame in the unit of the readings, before anything is made of it.
+//! Frames are compared with the resting frame in the unit of the readings, before any processing.
 
 use super::{FrameFault, FrameFaultKind};
 
-/// Repetitions of a whole frame in a row that make it frozen, unless start-up has seen longer ones.
+/// Consecutive repetitions of a whole frame that count as frozen, unless start-up saw longer runs.
 const FROZEN_REPEATS: u32 = 4;
-/// Frames of start-up, which tell whether readings move and how often frames repeat.
+/// Number of start-up frames, which show whether readings move and how often frames repeat.
 const START_FRAMES: u32 = 32;
-/// Start-up sees only a few dozen frames: longer repetitions than it saw are allowed by this factor.
+/// Allow runs of repetitions this many times as long as any in start-up, since start-up sees only a few dozen frames.
 const LONGER_THAN_SEEN: u32 = 3;
 /// Largest probability of repeating by chance at which a run of equal frames still counts as frozen.
 const FROZEN_CHANCE: f64 = 1e-12;
-/// Suspect frames in a row that make a verdict. One frame may be a disturbance on the wire.
+/// Consecutive suspect frames needed for a verdict. A single one may be interference on the wire.
 const SUSPECT_FRAMES: u32 = 3;
-/// Sound frames in a row that end a verdict.
+/// Consecutive sound frames that end a verdict.
 const SOUND_FRAMES: u32 = 3;
-/// Share of the channels that must have changed sign, vanished or left the range together: one wild channel, or an
-/// electrode that is lost, is none of these.
+/// Share of the channels that must flip sign or vanish together. One wild channel or a lost electrode cannot reach
+/// it.
 const TOGETHER: f64 = 0.8;
-/// Share of the channels that must be out of range together: those that rest near zero may stay in it.
+/// Share of the channels that must be out of range together. Channels that rest near zero may remain in range.
 const OUT_TOGETHER: f64 = 0.5;
-/// A reading has changed sign where it is between these multiples of minus its resting value.
+/// A reading has flipped its sign if it is between these multiples of minus its resting value.
 const FLIPPED: [f64; 2] = [0.1, 10.0];
-/// A reading is out of range above this multiple of its resting value, or of a tenth of the resting frame's root mean
-/// square. Presses make voltages several times as large.
+/// A reading is out of range above this multiple of its resting value, or of `LEAST_OF_FRAME` times the RMS of the
+/// resting frame if that is larger. Presses change voltages only by factors of several.
 const OUT_OF_RANGE: f64 = 100.0;
 const LEAST_OF_FRAME: f64 = 0.1;
-/// A reading has vanished below this share of its resting value, or within this many standard deviations.
+/// A reading has vanished below this share of its resting value, or within this many standard deviations of zero.
 const BLANK: f64 = 0.02;
 const BLANK_DEVIATIONS: f64 = 3.0;
-/// Share of the channels that stand at the largest magnitude of a saturated frame, and how close, relative.
+/// Share of the channels at the largest magnitude in a saturated frame, and the relative tolerance for being there.
 const SATURATED_SHARE: f64 = 0.5;
 const AT_THE_END: f64 = 1e-3;
-/// A resting value within this many standard deviations of zero has neither sign nor size.
+/// A resting value within this many standard deviations of zero has neither a reliable sign nor size.
 const LEAST_REST: f64 = 10.0;
-/// Fewest channels of which a frame can be told from a channel.
+/// Minimum number of channels for judging a frame as a whole.
 const FEWEST_CHANNELS: usize = 2;
 
-/// Judges whole frames, one after the other. Allocates nothing once made.
+/// Judges whole frames, one after another. Allocates nothing after construction.
 #[derive(Debug, Clone)]
 pub(super) struct FrameJudge {
     last: Vec<f64>,
     rest: Vec<f64>,
     deviation: Vec<f64>,
-    /// Root mean square of the resting frame.
+    /// RMS of the resting frame.
     rest_size: f64,
-    /// More than half of the channels stand at the end of the range in the resting frame too.
+    /// At least half of the channels are at one magnitude in the resting frame too.
     rests_at_one_magnitude: bool,
     full_scale: Option<f64>,
     repeats: u32,
-    /// Frames of start-up so far.
+    /// Number of start-up frames seen.
     started: u32,
-    /// Longest run of repetitions in start-up, and whether any frame differed from the one before.
+    /// Longest run of repetitions in start-up, and whether any frame differed from the previous one.
     longest_at_start: u32,
     has_moved: bool,
     begun: bool,
@@ -86,7 +86,7 @@ impl FrameJudge {
         }
     }
 
-    /// Compares with this resting frame from now on, in the unit of the readings (NaN where missing), with the standard
+    /// Sets the resting frame for comparison, in the unit of the readings (NaN where missing), with the standard
     /// deviations of its channels.
     pub fn begin(&mut self, rest: &[f64], deviation: &[f64]) {
         self.rest.copy_from_slice(rest);
@@ -97,8 +97,8 @@ impl FrameJudge {
         self.begun = true;
     }
 
-    /// Takes in the readings of a frame. `left_out` are channels known to be broken, `repeat_chance` the chance of each
-    /// channel to repeat itself, as a logarithm.
+    /// Takes the readings of a frame. `left_out` marks channels known to be broken. `repeat_chance` is the log
+    /// probability that a channel repeats itself.
     pub fn read(&mut self, readings: &[f64], left_out: &[bool], repeat_chance: impl Fn(usize) -> f64) {
         let is_in = |channel: usize| !left_out[channel] && readings[channel].is_finite();
         let mut counted = 0_usize;
@@ -120,7 +120,7 @@ impl FrameJudge {
         }
         self.last.copy_from_slice(readings);
         let limit = FROZEN_REPEATS.max(LONGER_THAN_SEEN * self.longest_at_start);
-        // An instrument that did not move at rest has no noise: that it stands still says nothing.
+        // An instrument that did not move at rest has no noise, so a repeated frame means nothing.
         let is_started = self.started == START_FRAMES && self.has_moved;
         let is_frozen = is_started && self.repeats >= limit && f64::from(self.repeats) * chance < FROZEN_CHANCE.ln();
         self.suspect = if !self.begun || counted < FEWEST_CHANNELS {
@@ -145,7 +145,7 @@ impl FrameJudge {
         {
             return Some(FrameFaultKind::Saturated);
         }
-        // Channels whose resting value has a sign and a size.
+        // Channels whose resting value has a reliable sign and size.
         let tells = |&c: &usize| is_in(c) && self.rest[c].abs() > LEAST_REST * self.deviation[c];
         let (mut all, mut flipped, mut blank, mut out) = (0_usize, 0, 0, 0);
         for channel in (0..readings.len()).filter(tells) {
@@ -166,7 +166,7 @@ impl FrameJudge {
         }
     }
 
-    /// At least half of the channels stand at the largest magnitude, and that is not zero.
+    /// True if at least half of the channels are at the largest magnitude, and that is not zero.
     fn stands_at_one_magnitude(&self, readings: &[f64], is_in: impl Fn(usize) -> bool) -> bool {
         let sizes = || (0..readings.len()).filter(|&c| is_in(c) && readings[c].is_finite()).map(|c| readings[c].abs());
         let (largest, count) = sizes().fold((0.0_f64, 0_usize), |(most, count), size| (most.max(size), count + 1));
@@ -174,7 +174,7 @@ impl FrameJudge {
         largest > 0.0 && at_end > FEWEST_CHANNELS && at_end as f64 >= SATURATED_SHARE * count as f64
     }
 
-    /// Judges the frame read last: true where the verdict has changed.
+    /// Judges the last frame read. True if the verdict has changed.
     pub fn judge(&mut self, at: (u64, u64)) -> bool {
         let Some(kind) = self.suspect else {
             self.suspect_frames = 0;
@@ -186,7 +186,7 @@ impl FrameJudge {
         self.suspect_frames = self.suspect_frames.saturating_add(1);
         let (since_ns, since_sequence) = *self.suspect_since.get_or_insert(at);
         match &mut self.fault {
-            // What stands at the end of the range, say, does not move either: the first word stays.
+            // Keep the first verdict: a frame at the converter's limit, for example, is soon frozen too.
             Some(_) => false,
             None if kind == FrameFaultKind::Frozen || self.suspect_frames >= SUSPECT_FRAMES => {
                 self.fault = Some(FrameFault { kind, since_ns, since_sequence });
@@ -196,13 +196,12 @@ impl FrameJudge {
         }
     }
 
-    /// What is wrong with all frames now.
+    /// Current fault of whole frames.
     pub fn fault(&self) -> Option<FrameFault> {
         self.fault
     }
 
-    /// The frame read last is not to be believed, or the frames before were not and it is too early to believe this
-    /// one.
+    /// True if the last frame read is suspect, or if earlier frames were and it is too early to trust this one.
     pub fn is_suspect(&self) -> bool {
         self.suspect.is_some() || self.fault.is_some()
     }

@@ -1,13 +1,14 @@
-//! Health of channels and electrodes, frame by frame: readings that are missing, frozen, at the converter's end, gone
-//! to zero, noisy, or that contradict what the others say. Channels are judged first; an electrode (or coil) is blamed
-//! when the channels that use it agree.
+//! Health of channels and electrodes, frame by frame: readings that are missing, frozen, at the converter's limit,
+//! gone to zero, noisy, or inconsistent with other channels. Channels are judged first; an electrode (or coil) is
+//! blamed if the channels that use it agree.
 //!
-//! The yardstick that no touch can move is reciprocity: swapping drive and measurement leaves a transfer impedance as
-//! it is, pressed or not (Geselowitz, IEEE Trans. Biomed. Eng. 18 (1971) 38), so that what two reciprocal channels
-//! differ by beyond their noise is a fault of the instrument. Channels without such a partner are compared with what
-//! the others let expect under the linear model, far more generously, since touches are not small.
+//! The test that no touch can disturb is reciprocity: swapping drive and measurement leaves a transfer impedance
+//! unchanged, pressed or not (Geselowitz, IEEE Trans. Biomed. Eng. 18 (1971) 38). A difference between two reciprocal
+//! channels beyond their noise is therefore a fault of the instrument. Channels without a reciprocal partner are
+//! compared with the value that the linear model expects from the others, with far wider tolerance, since touches are
+//! not small.
 //!
-//! Frames that were recorded one by one, each press with a resting frame before it, are judged by these resting frames:
+//! Frames recorded one by one, each press with its own resting frame, are judged by these resting frames:
 //! [`RestScatter`].
 
 mod channel_state;

@@ -1,4 +1,4 @@
-//! The monitor: one frame after the other, in memory that it keeps.
+//! The monitor that judges one frame after another.
 
 use super::channel_state::ChannelState;
 use super::electrode_faults::ElectrodeFaults;
@@ -7,19 +7,21 @@ use super::wiring::Wiring;
 use super::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health, HealthParams};
 use crate::error::{TouchError, require_length};
 
-/// Resting values below so many standard deviations say nothing of whether a channel is dead.
+/// Resting values below this many standard deviations cannot show whether a channel is dead.
 const LEAST_SIGNAL: f64 = 50.0;
-/// Fewest channels whose agreement counts.
+/// Minimum number of channels whose agreement counts.
 pub(super) const FEWEST_TOGETHER: usize = 3;
-/// Where one of two reciprocal channels is this many times farther from what the others let expect, it alone is blamed.
+/// Blame only one of two reciprocal channels if its residual against the others is this many times the other's.
 const FARTHER: f64 = 3.0;
-/// A channel is not suspected beside one that is farther off by this: what is wrong with one is spread over all.
+/// Suspect a channel only if its residual is at least this share of the largest: one bad channel disturbs all
+/// residuals.
 const BESIDE: f64 = 0.3;
-/// Where there is nothing to compare with, a step of this share of the largest resting value is more than touches make.
+/// Largest step that a touch can cause, as a share of the largest resting value. Used if there is nothing to compare
+/// with.
 const GROSS_STEP: f64 = 0.5;
 
-/// Judges channels and electrodes frame by frame; allocates nothing once made. Which frames it sees, in which order, is
-/// all that decides: no clock and no chance.
+/// Judges channels and electrodes frame by frame. Allocates nothing after construction. The result depends only on
+/// the frames and their order: no clock and no randomness.
 #[derive(Debug, Clone)]
 pub struct HealthMonitor {
     pub(super) wiring: Wiring,
@@ -29,9 +31,9 @@ pub struct HealthMonitor {
     pub(super) frame: FrameJudge,
     faults: Vec<ChannelFault>,
     electrode_faults: Vec<ElectrodeFault>,
-    /// Declared: bad, or using a lost electrode.
+    /// Declared channels: bad, or using a lost electrode.
     declared: Vec<bool>,
-    /// Declared, or suspect in this frame.
+    /// Declared channels, and those suspect in this frame.
     excluded: Vec<bool>,
     recovered: Vec<u32>,
     dead: Vec<bool>,
@@ -44,7 +46,7 @@ pub struct HealthMonitor {
 }
 
 impl HealthMonitor {
-    /// A monitor of channels so wired.
+    /// A monitor for channels with this wiring.
     #[must_use]
     pub fn new(wiring: Wiring, params: HealthParams) -> Self {
         let count = wiring.channel_count();
@@ -75,51 +77,51 @@ impl HealthMonitor {
         self.channels.len()
     }
 
-    /// What is known to be broken.
+    /// All known faults.
     #[must_use]
     pub fn health(&self) -> Health<'_> {
         Health { frame: self.frame.fault(), channels: &self.faults, electrodes: &self.electrode_faults }
     }
 
-    /// Channels to leave out for good: those of [`HealthMonitor::health`].
+    /// Channels to exclude permanently: those of [`HealthMonitor::health`].
     #[must_use]
     pub fn declared(&self) -> &[bool] {
         &self.declared
     }
 
-    /// Channels to leave out of the frame judged last: those declared, and those that it shows far off.
+    /// Channels to exclude from the last frame judged: the declared ones, and any that are far off in this frame.
     #[must_use]
     pub fn excluded(&self) -> &[bool] {
         &self.excluded
     }
 
-    /// True where the frame judged last shows channels far off that are not declared yet: what is made of it is
+    /// True if the last frame judged has channels that are far off but not declared yet, which makes its results
     /// doubtful.
     #[must_use]
     pub fn is_doubtful(&self) -> bool {
         self.excluded.iter().zip(&self.declared).any(|(excluded, declared)| *excluded && !*declared)
     }
 
-    /// True where the frame read last is wrong as a whole, or follows frames that were: nothing is to be made of it.
+    /// True if the last frame read is wrong as a whole, or follows frames that were. Do not process it.
     #[must_use]
     pub fn is_frame_suspect(&self) -> bool {
         self.frame.is_suspect()
     }
 
-    /// True where the frame judged last shows no fault of a channel.
+    /// True if the last frame judged shows no fault of a channel.
     #[must_use]
     pub fn is_clean(&self, channel: usize) -> bool {
         self.channels.get(channel).is_some_and(|state| state.clean > 0)
     }
 
-    /// Channels that the last frame took back.
+    /// Channels acquitted by the last frame.
     #[must_use]
     pub fn recovered(&self) -> &[u32] {
         &self.recovered
     }
 
-    /// Takes in the readings of a frame as they came (NaN where missing); to be called for every frame, those before
-    /// the baseline included: they tell how often a channel repeats itself.
+    /// Takes the raw readings of a frame (NaN where missing). Call it for every frame, including those before the
+    /// baseline: they show how often a channel repeats itself.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -137,9 +139,10 @@ impl HealthMonitor {
         Ok(())
     }
 
-    /// Judges the frame read last from its difference data (model volts, NaN where missing): true where what is known
-    /// has changed. A frame that is wrong as a whole says nothing of its channels. `unexplained` is how far each channel is from what the good ones let expect (model volts), where
-    /// that is known. `at` is the frame's time in nanoseconds and its number.
+    /// Judges the last frame read from its difference data (model volts, NaN where missing). True if the known faults
+    /// changed. A frame that is wrong as a whole says nothing about its channels. `unexplained` is each channel's
+    /// residual against the value expected from the good channels (model volts), if available. `at` is the frame's
+    /// time in nanoseconds and its sequence number.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -178,7 +181,7 @@ impl HealthMonitor {
         Ok(changed)
     }
 
-    /// Groups of channels (of a drive, of a measuring pair, of an electrode) whose signal has gone together.
+    /// Finds groups of channels (of a drive, a measuring pair or an electrode) whose signals have vanished together.
     fn find_dead(&mut self, difference: &[f64]) {
         self.dead.fill(false);
         for group in &self.wiring.groups {
@@ -191,7 +194,7 @@ impl HealthMonitor {
         }
     }
 
-    /// The evidence of one frame, channel by channel.
+    /// Gathers the evidence of one frame for each channel.
     fn gather(&mut self, at: (u64, u64), difference: &[f64], unexplained: Option<&[f64]>) {
         for (state, _) in self.channels.iter_mut().zip(&self.dead).filter(|(_, dead)| **dead) {
             state.direct.get_or_insert(ChannelFaultKind::Dead);
@@ -220,7 +223,7 @@ impl HealthMonitor {
         }
     }
 
-    /// The reciprocal channel, unless that is known to be at fault itself while nothing is known of this one.
+    /// The reciprocal channel, unless it is known to be faulty and this one is not.
     fn usable_partner(&self, channel: usize) -> Option<(usize, f64)> {
         let (partner, ratio) = self.wiring.partners[channel]?;
         let (this, other) = (&self.channels[channel], &self.channels[partner as usize]);
@@ -234,7 +237,8 @@ impl HealthMonitor {
     fn against_partner(&mut self, channel: usize, partner: usize, ratio: f64, difference: &[f64]) -> f64 {
         let (own, others) = (difference[channel], ratio * difference[partner]);
         let rest = self.channels[channel].rest.abs();
-        // The two are read at different moments of a frame; what both changed by since the last one may lie between.
+        // The two are read at different moments of a frame, so their common change since the previous frame may come
+        // between.
         let steps = [own - self.previous[channel], others - ratio * self.previous[partner]];
         let moved = steps.map(f64::abs).into_iter().fold(f64::INFINITY, f64::min);
         let tolerated = self.params.share_of_change * own.abs().max(others.abs())
@@ -268,7 +272,7 @@ impl HealthMonitor {
         *self.sizes.select_nth_unstable_by(middle, f64::total_cmp).1
     }
 
-    /// Declares and acquits channels; true where any was.
+    /// Declares and acquits channels. True if any changed.
     fn declare(&mut self, at: (u64, u64)) -> bool {
         for channel in 0..self.channels.len() {
             self.spared[channel] = self.is_convicted(channel) && self.partner_is_to_blame(channel);
@@ -302,8 +306,8 @@ impl HealthMonitor {
         state.bad.is_none() && (state.frozen || state.sum >= self.params.bad_sum)
     }
 
-    /// Of two reciprocal channels that contradict each other, is it the other one? A partner with a fault of its own
-    /// was not what this one was compared with.
+    /// True if the partner is the faulty one of two contradicting reciprocal channels. A partner with its own fault
+    /// was not used for comparison.
     fn partner_is_to_blame(&self, channel: usize) -> bool {
         let Some((partner, _)) = self.usable_partner(channel) else { return false };
         let (this, other) = (&self.channels[channel], &self.channels[partner]);
@@ -314,7 +318,7 @@ impl HealthMonitor {
             || (self.has_expectation && other.unexplained > FARTHER * this.unexplained)
     }
 
-    /// Electrodes, and both lists, from the channels.
+    /// Derives faulty electrodes and the lists of faults from the channels.
     pub(super) fn conclude(&mut self) {
         let channels = &self.channels;
         let bad = |channel: u32| channels[channel as usize].bad;
@@ -339,7 +343,7 @@ impl HealthMonitor {
         self.recovered.extend(before.filter(|(_, (was, is))| **was && !**is).map(|(channel, _)| channel as u32));
     }
 
-    /// Whether a channel is lost with an electrode: it uses a lost one, or is driven or read across a short.
+    /// True if an electrode fault explains a channel: it uses a lost electrode, or is driven or read across a short.
     fn explains(&self, fault: &ElectrodeFault, channel: usize) -> bool {
         let [drive, pattern] = self.wiring.channels[channel];
         let [driven, read] = [&self.wiring.drives[drive as usize], &self.wiring.patterns[pattern as usize]];
@@ -350,7 +354,7 @@ impl HealthMonitor {
         across(driven) || across(read)
     }
 
-    /// Puts comparisons on the footing of a new baseline.
+    /// Resets comparisons for a new baseline.
     pub(super) fn restart(&mut self, rest: &[f64], sigma: &[f64], unexplained_sigma: Option<&[f64]>) {
         self.has_expectation = unexplained_sigma.is_some();
         self.largest_rest = rest.iter().map(|v| v.abs()).filter(|v| v.is_finite()).fold(0.0, f64::max);
@@ -363,7 +367,7 @@ impl HealthMonitor {
     }
 }
 
-/// Whether a channel's resting value is large enough to be missed.
+/// True if a channel's resting value is large enough to notice its loss.
 fn tells(state: &ChannelState) -> bool {
     state.rest.abs() > LEAST_SIGNAL * state.sigma
 }

@@ -1,40 +1,41 @@
-//! The limits of what is healthy.
+//! Limits of healthy behaviour.
 
-/// Frames over which evidence is summed: a fault is recognised within as many.
+/// Number of frames over which evidence is summed; a fault is recognised within that many.
 pub const HEALTH_WINDOW: usize = 10;
 
 /// Limits of a [`HealthMonitor`](super::HealthMonitor).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HealthParams {
-    /// A squared deviation (in units of its variance) counts up to this.
+    /// Upper bound on one frame's squared deviation, in units of its variance.
     pub most_per_frame: f32,
-    /// A channel is bad when the squared deviations of the last ten frames come to this. Of Gaussian noise their sum is
-    /// chi-squared with 10 degrees of freedom, which exceeds 120 once in 10^20 times; noise 3.5 times as large as usual
-    /// reaches it on average.
+    /// A channel is bad if the squared deviations of the last ten frames sum to this. For Gaussian noise the sum is
+    /// chi-squared with 10 degrees of freedom and exceeds 120 with probability 10^-20. Noise 3.5 times as large as
+    /// usual reaches it on average.
     pub bad_sum: f32,
-    /// Reciprocal channels may differ by this share of their change: gains differ.
+    /// Tolerated difference of reciprocal channels as a share of their change, since gains differ.
     pub share_of_change: f64,
-    /// And by so many times what both have changed by since the frame before: they are read at different moments.
+    /// Additional tolerance, in multiples of their common change since the previous frame: they are read at different
+    /// moments.
     pub share_of_motion: f64,
-    /// And by this share of their resting value, for slow drift of gains.
+    /// Additional tolerance as a share of their resting value, for slow gain drift.
     pub share_of_rest: f64,
-    /// Channels without partner may differ from what the others let expect by this share of their resting value.
+    /// Tolerated residual of channels without a partner, as a share of their resting value.
     pub unpartnered_share_of_rest: f64,
-    /// And by so many times the median change of all channels.
+    /// Additional tolerance, in multiples of the median change of all channels.
     pub unpartnered_changes: f64,
-    /// A reading below this share of its resting value is gone.
+    /// A reading below this share of its resting value has vanished.
     pub dead_share: f64,
-    /// Share of the channels of a drive, of a measuring pair or of an electrode that must be gone at once.
+    /// Share of the channels of a drive, measuring pair or electrode that must vanish together.
     pub dead_agreement: f64,
-    /// Chance at which a run of equal readings is taken for a frozen channel.
+    /// Probability below which a run of equal readings counts as a frozen channel.
     pub stuck_chance: f64,
-    /// An electrode is blamed when this share of its channels is bad.
+    /// An electrode is blamed if this share of its channels is bad.
     pub blame_share: f64,
-    /// And acquitted when no more than this share is.
+    /// A blamed electrode is acquitted once less than this share is bad.
     pub acquit_share: f64,
-    /// A bad channel is taken back after so many frames in a row without fault.
+    /// Consecutive fault-free frames after which a bad channel is acquitted.
     pub clean_frames: u32,
-    /// The converter's end, in the unit of the readings, where known.
+    /// The converter's limit, in the unit of the readings, if known.
     pub full_scale: Option<f64>,
 }
 

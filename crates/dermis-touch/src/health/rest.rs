@@ -1,25 +1,25 @@
-//! Channels that do not rest while nothing touches the skin: loose contacts of a torn sheet jump, and a channel whose
-//! noise has grown since it was calibrated no longer says what it said then.
+//! Channels that are unsteady while nothing touches the skin. Loose contacts of a torn sheet jump, and a channel
+//! whose noise has grown since calibration can no longer be trusted.
 
 use crate::typical::median;
 
-/// Fewer resting frames than this say nothing.
+/// Minimum number of resting frames.
 pub const FEWEST_AT_REST: usize = 8;
-/// A channel jumps where its standard deviation is so many times the robust one: drift makes it 0.8 times, Gaussian
-/// noise 1.
+/// A channel jumps if its standard deviation is this many times the robust one. The ratio is 0.8 for drift and 1 for
+/// Gaussian noise.
 const JUMPS: f64 = 2.5;
 /// A channel that jumps in this share of a session is unsound.
 const OFTEN: f64 = 0.5;
-/// Frames of a piece of a session.
+/// Frames per piece of a session.
 const PIECE: usize = 15;
-/// Noise has grown where it is so many times what it was.
+/// Noise has grown if it is this many times its earlier value.
 const GROWN: f64 = 2.5;
-/// Where more channels than this share would be left out, that is how this skin rests.
+/// If more than this share of the channels would be unsound, the skin normally rests this way.
 const MOST_LEFT_OUT: f64 = 0.8;
-/// A median absolute deviation of Gaussian noise is this part of the standard deviation.
+/// Ratio of a Gaussian's standard deviation to its median absolute deviation.
 const GAUSSIAN: f64 = 1.4826;
 
-/// How much each channel scatters over resting frames, in their unit.
+/// Scatter of each channel over resting frames, in their unit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RestScatter {
     /// Share of the session in which each channel jumps.
@@ -28,9 +28,9 @@ pub struct RestScatter {
 }
 
 impl RestScatter {
-    /// Of frames of the untouched skin, all of one length; NaN where missing. Nothing for fewer than
-    /// [`FEWEST_AT_REST`]. A session is looked at in pieces of some 15 frames, so that what the skin does from
-    /// one hour to the next is not its noise.
+    /// Measures the scatter of frames of the untouched skin, all of one length; NaN where missing. `None` for fewer
+    /// than [`FEWEST_AT_REST`] frames. The session is divided into pieces of some 15 frames, so that slow changes of
+    /// the skin do not count as noise.
     pub fn of(frames: &[Vec<f64>]) -> Option<Self> {
         let channels = frames.first().filter(|_| frames.len() >= FEWEST_AT_REST)?.len();
         let pieces = (frames.len() / PIECE).max(1);
@@ -48,13 +48,13 @@ impl RestScatter {
         Some(Self { jumping, robust })
     }
 
-    /// Standard deviation of each channel, jumps left aside; NaN where it has no readings.
+    /// Standard deviation of each channel without jumps; NaN where it has no readings.
     pub fn robust(&self) -> &[f64] {
         &self.robust
     }
 
-    /// Channels that jump, or whose scatter is well above the `usual` (as [`RestScatter::robust`] was when the skin was
-    /// calibrated). None where they would be nearly all: then that is no fault of theirs.
+    /// Channels that jump, or whose scatter is well above `usual` (the value of [`RestScatter::robust`] at
+    /// calibration). Empty if nearly all channels qualify, since the cause is then not the channels.
     pub fn unsound(&self, usual: Option<&[f64]>) -> Vec<u32> {
         let usual = usual.filter(|usual| usual.len() == self.robust.len());
         let has_grown = |c: usize| usual.is_some_and(|usual| usual[c] > 0.0 && self.robust[c] > GROWN * usual[c]);
@@ -64,7 +64,7 @@ impl RestScatter {
     }
 }
 
-/// Standard deviation and robust standard deviation of what is finite; NaN of fewer than two values.
+/// Standard deviation and robust standard deviation of the finite values; NaN for fewer than two.
 fn scatter(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let count = values.len() as f64;
@@ -87,8 +87,8 @@ mod tests {
         (0..12).map(uniform).sum::<f64>() - 6.0
     }
 
-    /// Twenty frames: noise, noise with jumps, drift, six times the noise, constant, never read, and noise like the
-    /// first.
+    /// Twenty frames of seven channels: noise, noise with jumps, drift, six times the noise, constant, never read,
+    /// and noise like the first.
     fn frames() -> Vec<Vec<f64>> {
         (0..20)
             .map(|k: u64| {
@@ -105,7 +105,8 @@ mod tests {
         assert_eq!(scatter.unsound(None), [1]);
         let usual = [1.0, 1.0, 7.0, 1.0, 0.0, 1.0, 1.0];
         assert_eq!(scatter.unsound(Some(&usual)), [1, 3]);
-        // A uniform drift over 20 has a median absolute deviation of 5; Gaussian noise of 20 samples one of 1 +- 0.25.
+        // A uniform drift over 20 has a median absolute deviation of 5. The robust deviation of 20 Gaussian samples
+        // is 1 +- 0.25.
         assert!((scatter.robust()[2] / (GAUSSIAN * 5.0) - 1.0).abs() < 0.05, "{:?}", scatter.robust());
         assert!((0.6..1.6).contains(&scatter.robust()[0]) && scatter.robust()[5].is_nan(), "{:?}", scatter.robust());
     }

@@ -1,35 +1,34 @@
-//! What can be said when a baseline is there: channels that were broken from the start, and what later frames are
-//! compared with.
+//! Checks at the baseline: channels that were broken from the start, and the reference for later frames.
 
 use super::monitor::{FEWEST_TOGETHER, HealthMonitor};
 use super::{ChannelFaultKind, HealthParams};
 use crate::error::{TouchError, require_length};
 
-/// Noise this many times the median channel's, and this share of the largest resting value, is no noise of an
-/// instrument.
+/// Noise beyond this many times the median channel's and `NOISE_SHARE` of the largest resting value is a fault, not
+/// instrument noise.
 const NOISE_RATIO: f64 = 10.0;
 const NOISE_SHARE: f64 = 0.05;
-/// Model values below this share of the largest do not tell whether a channel is dead.
+/// Model values below this share of the largest cannot show whether a channel is dead.
 const LEAST_SHARE: f64 = 0.02;
 
-/// What frames are compared with. One value a channel.
+/// The reference that frames are compared with. One value per channel.
 #[derive(Debug, Clone, Copy)]
 pub struct HealthReference<'a> {
     /// Resting values, model volts.
     pub rest: &'a [f64],
     /// Standard deviation of a reading, model volts.
     pub deviation: &'a [f64],
-    /// Resting values in the unit of the readings; empty where whole frames are not to be judged.
+    /// Resting values in the unit of the readings; empty to skip the check of whole frames.
     pub readings: &'a [f64],
-    /// Standard deviation of these, in the unit of the readings.
+    /// Standard deviation of `readings`, in the unit of the readings.
     pub readings_deviation: &'a [f64],
-    /// Standard deviation of what the other channels leave unexplained, model volts, where that is worked out.
+    /// Standard deviation of the residual that the other channels leave unexplained, model volts, if it is computed.
     pub unexplained: Option<&'a [f64]>,
 }
 
 impl HealthMonitor {
-    /// Looks for channels that are broken while a baseline is made: `baseline` and `noise` as measured (NaN where
-    /// missing), `expected` by the model in any unit. They are declared as of the frame `at`.
+    /// Looks for channels that are broken while the baseline is taken. `baseline` and `noise` are as measured (NaN if
+    /// missing), `expected` is from the model in any unit. Broken channels are declared as of frame `at`.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -76,7 +75,7 @@ impl HealthMonitor {
         Ok(())
     }
 
-    /// Compares with this from now on.
+    /// Sets the reference for later frames.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -95,7 +94,7 @@ impl HealthMonitor {
     }
 }
 
-/// Channels whose signal is missing together with that of most of a group.
+/// Channels whose signal has vanished together with most of a group.
 fn dead_together(
     groups: &[Vec<u32>],
     params: &HealthParams,
@@ -108,7 +107,7 @@ fn dead_together(
         let members: Vec<usize> = group.iter().map(|&c| c as usize).filter(|&c| telling(c)).collect();
         let silent = members.iter().filter(|&&c| gone(c)).count();
         if members.len() >= FEWEST_TOGETHER && silent as f64 >= params.dead_agreement * members.len() as f64 {
-            // What the model expects to be small is dead with the rest of its group.
+            // Channels that the model expects to be small are dead with the rest of their group.
             group.iter().map(|&c| c as usize).filter(|&c| !telling(c) || gone(c)).for_each(|c| dead[c] = true);
         }
     }

@@ -1,4 +1,5 @@
-//! A made-up instrument of eight electrodes: adjacent drives, adjacent readings, reciprocal by construction.
+//! Tests on a synthetic instrument with eight electrodes: adjacent drives, adjacent readings, reciprocal by
+//! construction.
 
 use super::*;
 
@@ -21,13 +22,13 @@ fn wiring() -> Wiring {
     Wiring::new(ELECTRODES as usize, all.clone(), all, channels, partners).unwrap()
 }
 
-/// Resting value of a channel, the same with drive and reading swapped.
+/// Resting value of a channel, unchanged when drive and reading are swapped.
 fn rest(channel: [u32; 2]) -> f64 {
     let [low, high] = [channel[0].min(channel[1]), channel[0].max(channel[1])];
     1.0 + 0.1 * f64::from(low) + 0.01 * f64::from(high)
 }
 
-/// Deviates of a unit normal from a fixed sequence.
+/// Standard normal numbers from a fixed sequence.
 struct Noise(u64);
 
 impl Noise {
@@ -46,12 +47,12 @@ struct Bench {
     channels: Vec<[u32; 2]>,
     noise: Noise,
     frame: u64,
-    /// What differences are taken against: of channels taken back, what they read then.
+    /// Reference of the differences. Channels acquitted are set to their reading at that time.
     baseline: Vec<f64>,
 }
 
 impl Bench {
-    /// With a baseline.
+    /// A bench with a baseline.
     fn new() -> Self {
         let channels = pairs();
         let mut monitor = HealthMonitor::new(wiring(), HealthParams::default());
@@ -64,7 +65,7 @@ impl Bench {
         Self { monitor, channels, noise: Noise(7), frame: 0, baseline: rest }
     }
 
-    /// A frame whose readings `change` may change, knowing channel, reading and a random number.
+    /// Runs a frame whose readings `change` may alter, given channel, reading and a random number.
     fn step(&mut self, change: impl Fn([u32; 2], f64, f64) -> f64) {
         let readings: Vec<f64> = (0..self.channels.len())
             .map(|k| {
@@ -85,7 +86,7 @@ impl Bench {
         (0..frames).for_each(|_| self.step(|_, v, _| v));
     }
 
-    /// Frames until `known`, at most the window's ten.
+    /// Frames until `known` is true, at most the ten of the window.
     fn until(&mut self, change: impl Fn([u32; 2], f64, f64) -> f64, known: impl Fn(Health<'_>) -> bool) -> usize {
         for frames in 1..=HEALTH_WINDOW {
             self.step(&change);
@@ -101,7 +102,7 @@ impl Bench {
     }
 }
 
-/// What the twins make of an open electrode: readings float, drives carry no current.
+/// An open electrode as the twins simulate it: readings float, drives carry no current.
 fn open(lost: u32) -> impl Fn([u32; 2], f64, f64) -> f64 {
     let uses = move |pair: u32| pair == lost || (pair + 1) % ELECTRODES == lost;
     move |[drive, read], value, uniform| {
@@ -124,7 +125,7 @@ fn lost(health: Health<'_>) -> Vec<u32> {
 fn noise_and_touches_of_any_size_are_no_faults() {
     let mut bench = Bench::new();
     for frame in 0..4000 {
-        // Reciprocal changes of up to half of the resting value, that come within one frame.
+        // Reciprocal changes of up to half of the resting value, arriving within one frame.
         let size = if frame / 13 % 2 == 0 { 0.0 } else { 0.5 * f64::from(frame % 7) / 6.0 };
         bench.step(|c, v, _| v - size * rest(c) * f64::from((c[0] + c[1]) % 3));
         assert!(bench.monitor.health().is_sound(), "{frame}: {:?}", bench.monitor.health());
@@ -135,7 +136,7 @@ fn noise_and_touches_of_any_size_are_no_faults() {
 fn reciprocal_channels_read_at_different_moments_of_a_press_are_no_faults() {
     let mut bench = Bench::new();
     for frame in 0..600 {
-        // Three taps in sixteen frames, each channel seeing its own moment of the frame.
+        // Three taps in sixteen frames; each channel samples its own moment of the frame.
         let size = |c: [u32; 2]| {
             let moment = f64::from(frame) + f64::from(c[0] * 8 + c[1]) / 64.0;
             0.3 * (1.0 - (std::f64::consts::TAU * moment * 3.0 / 16.0).cos())
@@ -200,7 +201,7 @@ fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_no_fault_of_a_channel() {
         }
         *slot
     };
-    // The first frame is stuck to from the second on.
+    // The first frame is repeated from the second on.
     (0..5).for_each(|_| bench.step(freeze));
     let fault = bench.monitor.health().frame.unwrap();
     assert_eq!((fault.kind, fault.since_sequence), (FrameFaultKind::Frozen, 204));
@@ -216,7 +217,7 @@ fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_no_fault_of_a_channel() {
     assert_eq!((fault.channel, fault.kind), (bench.index([1, 4]), ChannelFaultKind::Stuck));
 }
 
-/// Frames until the whole frame has a verdict, at most five, and the verdict.
+/// The verdict on whole frames, which must come within five frames.
 fn verdict(bench: &mut Bench, change: impl Fn([u32; 2], f64, f64) -> f64) -> FrameFaultKind {
     for _ in 0..5 {
         bench.step(&change);
@@ -228,7 +229,7 @@ fn verdict(bench: &mut Bench, change: impl Fn([u32; 2], f64, f64) -> f64) -> Fra
     panic!("not known after five frames: {:?}", bench.monitor.health());
 }
 
-/// What a reading becomes, of its channel, its value and that of the uniform sheet.
+/// Alters a reading, given its channel, its value and a uniform random number.
 type Spoil<'a> = &'a dyn Fn([u32; 2], f64, f64) -> f64;
 
 #[test]

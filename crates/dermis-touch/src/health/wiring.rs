@@ -1,8 +1,8 @@
-//! Which channels share a drive, a measuring pair, an electrode, and which are reciprocal.
+//! Which channels share a drive, a measuring pair or an electrode, and which are reciprocal.
 
 use crate::error::{TouchError, require, require_length};
 
-/// How the channels of a skin use its electrodes (or coils).
+/// Assignment of a skin's channels to its electrodes (or coils).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Wiring {
     /// Electrodes of each drive and of each measuring pattern.
@@ -10,15 +10,15 @@ pub struct Wiring {
     pub(super) patterns: Vec<Vec<u32>>,
     /// Drive and pattern of each channel.
     pub(super) channels: Vec<[u32; 2]>,
-    /// The reciprocal channel and the factor that makes its voltage equal.
+    /// The reciprocal channel and the factor that makes the two voltages equal.
     pub(super) partners: Vec<Option<(u32, f64)>>,
     /// Channels of each drive, then of each pattern, then of each electrode.
     pub(super) groups: Vec<Vec<u32>>,
 }
 
 impl Wiring {
-    /// From the electrodes of each drive and of each measuring pattern (indices from 0), the drive and the pattern of
-    /// each channel, and its reciprocal channel with the factor that makes the two equal, where it has one.
+    /// Builds the wiring from the electrodes of each drive and of each measuring pattern (indices from 0), the drive
+    /// and pattern of each channel, and its reciprocal channel, if any, with the factor that makes the two equal.
     ///
     /// # Errors
     /// [`TouchError::Length`], and [`TouchError::Parameter`] for an index that does not exist.

@@ -1,19 +1,20 @@
-//! The covariance between channels: that of the regression's residuals, shrunk to its diagonal, about what another skin
-//! of the family says.
+//! The covariance between channels: the covariance of the regression's residuals, shrunk to its diagonal and combined
+//! with a prior from another skin of the family.
 
 use faer::{Mat, Side};
 
 use super::error::LocatorError;
 
-/// What another skin of the family says about the covariance between channels, in the coordinates of the regression:
-/// the mode of an inverse Wishart prior, worth `examples` pokes. Only its shape counts, not its scale.
+/// Prior on the covariance between channels from another skin of the family, in the coordinates of the regression:
+/// the mode of an inverse Wishart prior worth `examples` pokes. Only its shape matters, not its scale.
 #[derive(Debug, Clone)]
 pub(super) struct ChannelPrior {
     pub covariance: Mat<f64>,
     pub examples: f64,
 }
 
-/// Cholesky factor of the residual covariance between channels, shrunk to its diagonal, with `least` on that.
+/// Cholesky factor of the residual covariance between channels, shrunk to its diagonal, with `least` added to the
+/// diagonal.
 pub(super) fn channel_factor(
     residual: &Mat<f64>,
     alpha: &Mat<f64>,

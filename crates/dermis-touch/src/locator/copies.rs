@@ -1,6 +1,7 @@
-//! Correlations of examples by the distance between their places, and of turned copies of examples.
+//! Correlations of examples by the distance between their positions, and of rotated copies of examples.
 
-/// Variance of a frame, relative to the map's prior variance, about a map of copies, whatever the amplitude.
+/// Variance of a frame about a map that is built from rotated copies, at any amplitude, relative to the map's prior
+/// variance.
 pub(super) const APART: f64 = 0.17;
 
 /// Squared distance between two positions.
@@ -14,10 +15,10 @@ pub(super) fn matern52(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
     (1.0 + s + s * s / 3.0) * (-s).exp()
 }
 
-/// Which rows of a design are turned copies.
+/// Which rows of a design are rotated copies.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Copies {
-    /// How often each row is turned.
+    /// Number of steps each row is rotated by.
     pub(super) steps: Vec<usize>,
     pub(super) resemblance: Vec<f64>,
 }

@@ -1,9 +1,10 @@
-//! How far a skin's model puts touches from where they are, and how strong it shows them, learnt from pokes: each a
-//! constant and a smooth field over the skin. Both coordinates of the shift, and the logarithm of the amplitude, are
-//! regressed on the place that the model gives, with the covariance r (k(p, p') + 1) relative to the scatter, k the
-//! Matern 5/2 correlation; places scatter as the model says of each, in proportion. r and the length of k are those
-//! that predict left-out pokes best, and r = 0 (places stay as they are, one gain for all) stands unless another is
-//! clearly better. Rasmussen & Williams (2006), section 5.4.2, for leaving one poke out without refitting.
+//! Corrections learned from pokes: how far a skin's model misplaces touches, and how strong it shows them. Each is a
+//! constant plus a smooth field over the skin. Both coordinates of the shift, and the logarithm of the amplitude, are
+//! regressed on the position given by the model, with covariance r (k(p, p') + 1) relative to the scatter, where k is
+//! the Matern 5/2 correlation. Each position scatters in proportion to the variance that the model states for it. r
+//! and the length of k are those that predict left-out pokes best. r = 0 (positions unchanged, one gain for all) is
+//! kept unless another value is clearly better. Rasmussen & Williams (2006), section 5.4.2, for leaving one poke out
+//! without refitting.
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
@@ -17,47 +18,47 @@ use crate::typical::median;
 
 /// Lengths tried, relative to half the shorter side of the skin.
 const LENGTHS: [f64; 4] = [0.3, 0.6, 1.2, 3.0];
-/// Variances of the field tried, relative to that of the scatter.
+/// Variances of the field tried, relative to the variance of the scatter.
 const STRENGTHS: [f64; 5] = [0.3, 1.0, 3.0, 10.0, 30.0];
-/// A field is believed where it makes left-out errors (root mean square) smaller than this part of those without.
+/// Use a field only if it reduces the RMS left-out error below this share of the error without it.
 const WORTH_IT: f64 = 0.97;
-/// The model has mistaken a poke for another one beyond this distance, relative to half the shorter side.
+/// Beyond this distance, relative to half the shorter side, the model has mistaken a poke for another.
 const MISTAKEN: f64 = 0.5;
-/// A place scatters at least and at most so many times the median variance.
+/// Bounds on the scatter of a position, in multiples of the median variance.
 const SCATTER: (f64, f64) = (0.25, 100.0);
-/// The part of coordinates that lies within one standard deviation.
+/// Share of coordinates within one standard deviation.
 const WITHIN_ONE_SIGMA: f64 = 0.683;
-/// Quantities that the left-out pokes chose: length, strength, sigma.
+/// Number of quantities chosen by left-out pokes: length, strength, sigma.
 const CHOSEN: f64 = 3.0;
 
-/// A poke as the skin's model sees it, and as it was.
+/// A poke as the skin's model sees it, and its true position and load.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SeenPoke {
-    /// Where the model puts it, metres.
+    /// Position given by the model, metres.
     pub seen_m: [f64; 2],
-    /// Variance of each coordinate of that according to the model, m^2, above zero; 1 where nobody knows.
+    /// Variance of each coordinate of `seen_m` according to the model, m^2, above zero; 1 if unknown.
     pub variance_m2: f64,
-    /// How strong the model shows it, above zero.
+    /// Amplitude given by the model, above zero.
     pub amplitude: f64,
-    /// Where it was, metres.
+    /// True position, metres.
     pub truth_m: [f64; 2],
-    /// How hard it was relative to a typical poke, above zero; 1 where nobody knows.
+    /// Load relative to a typical poke, above zero; 1 if unknown.
     pub load_share: f64,
 }
 
-/// What a skin's model makes of a poke.
+/// How a skin's model sees a poke.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PokeSight {
-    /// The one touch that it is.
+    /// As a single touch, which is correct.
     Single(SeenPoke),
-    /// Several touches: this is the strongest.
+    /// As several touches; this is the strongest.
     Several(SeenPoke),
-    /// No touch at this place, metres.
+    /// Not at all; the poke was at this position, metres.
     Nothing([f64; 2]),
 }
 
 impl PokeSight {
-    /// The poke, where the model sees one touch.
+    /// The poke, if the model sees a single touch.
     pub fn single(&self) -> Option<&SeenPoke> {
         match self {
             Self::Single(poke) => Some(poke),
@@ -66,7 +67,7 @@ impl PokeSight {
     }
 }
 
-/// Moves the places that a model gives to where pokes say they are, and scales amplitudes to those of a typical poke.
+/// Corrects the positions given by a model, and gives the amplitude of a typical poke for scaling.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "StoredCorrection", into = "StoredCorrection")]
 pub struct PlaceCorrection {
@@ -76,28 +77,28 @@ pub struct PlaceCorrection {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StoredCorrection {
-    /// Places of the pokes as the model has them, metres.
+    /// Positions of the pokes as given by the model, metres.
     places_m: Vec<[f64; 2]>,
     /// Length of the field of shifts, metres.
     shift_length_m: f64,
-    /// What each poke adds to the shift at its own place, metres; all zero where places stay as they are.
+    /// Contribution of each poke to the shift at its own position, metres; all zero if positions are not corrected.
     shifts_m: Vec<[f64; 2]>,
-    /// Standard deviation of each coordinate afterwards, metres.
+    /// Standard deviation of each coordinate after correction, metres.
     sigma_m: f64,
-    /// Logarithm of the amplitude that the model shows of a typical poke.
+    /// Logarithm of the model's amplitude for a typical poke.
     log_amplitude: f64,
-    /// Length of the field about it, metres, and what each poke adds to it.
+    /// Length of the amplitude field, metres, and each poke's contribution to it.
     amplitude_length_m: f64,
     log_amplitudes: Vec<f64>,
     left_out: LeaveOneOut,
 }
 
 impl PlaceCorrection {
-    /// Of pokes on a skin of which half the shorter side is `half_width_m`, metres.
+    /// Fits a correction to pokes on a skin whose shorter side is twice `half_width_m`, metres.
     ///
     /// # Errors
-    /// Fewer than [`MIN_EXAMPLES`] pokes that the model did not mistake, or values that are not finite and, but for
-    /// places, above zero.
+    /// Fewer than [`MIN_EXAMPLES`] pokes that the model did not mistake, or values that are not finite or, except for
+    /// positions, not above zero.
     pub fn fit(pokes: &[SeenPoke], half_width_m: f64) -> Result<Self, LocatorError> {
         let seen: Vec<[f64; 2]> = pokes.iter().map(|poke| poke.seen_m).collect();
         let truth_m: Vec<[f64; 2]> = pokes.iter().map(|poke| poke.truth_m).collect();
@@ -131,7 +132,7 @@ impl PlaceCorrection {
         let coordinates: Vec<f64> = shifts.errors.iter().flatten().map(|error| error.abs()).collect();
         let allowance = 1.0 + CHOSEN / near.len() as f64;
         let sigma_m = allowance * quantile(&coordinates, WITHIN_ONE_SIGMA);
-        // A mistaken poke is as wrong as the model has it, whatever the others say.
+        // A mistaken poke keeps the model's error: the correction does not apply to it.
         let mut errors: Vec<[f64; 2]> = pokes.iter().map(shift).collect();
         near.iter().zip(&shifts.errors).for_each(|(&i, error)| errors[i] = *error);
         Ok(Self {
@@ -148,7 +149,7 @@ impl PlaceCorrection {
         })
     }
 
-    /// Where a touch is that the model puts at `place_m`, metres.
+    /// Corrected position of a touch that the model puts at `place_m`, metres.
     pub fn corrected(&self, place_m: [f64; 2]) -> [f64; 2] {
         let mut corrected = place_m;
         for (poke_m, shift_m) in self.stored.places_m.iter().zip(&self.stored.shifts_m) {
@@ -158,30 +159,30 @@ impl PlaceCorrection {
         corrected
     }
 
-    /// The amplitude that the model shows of a typical poke where it puts it at `place_m`, metres.
+    /// Amplitude that the model gives a typical poke placed at `place_m`, metres.
     pub fn typical_amplitude(&self, place_m: [f64; 2]) -> f64 {
         let StoredCorrection { places_m, log_amplitudes, amplitude_length_m, log_amplitude, .. } = &self.stored;
         field_at(places_m, log_amplitudes, *amplitude_length_m, *log_amplitude, place_m).exp()
     }
 
-    /// Standard deviation of each coordinate of a corrected place, metres: what left-out pokes were off by.
+    /// Standard deviation of each coordinate of a corrected position, metres, from the errors of left-out pokes.
     pub fn sigma_m(&self) -> f64 {
         self.stored.sigma_m
     }
 
-    /// How well each poke is placed by the model and the shifts of the others.
+    /// Errors of each poke when located by the model and the shifts of the others.
     pub fn leave_one_out(&self) -> &LeaveOneOut {
         &self.stored.left_out
     }
 
-    /// With what another locator found out about the same pokes beside places, and with what becomes of those that the
-    /// model does not see as one touch.
+    /// Adds another locator's results on the same pokes (other than positions), and the pokes that the model does not
+    /// see as one touch.
     #[must_use]
     pub fn beside(mut self, other: &LeaveOneOut, unseen: &[PokeSight]) -> Self {
         let examples = &mut self.stored.left_out.examples;
         for sight in unseen {
             examples.extend(match sight {
-                // As wrong as the strongest of them.
+                // As wrong as its strongest touch.
                 PokeSight::Several(poke) => {
                     Some(example(poke.truth_m, [0, 1].map(|k| poke.truth_m[k] - poke.seen_m[k]), self.stored.sigma_m))
                 }
@@ -199,25 +200,26 @@ impl PlaceCorrection {
     }
 }
 
-/// How strong something (a model, a locator) shows a typical poke, over the skin: what its amplitudes are to be divided
-/// by, so that they count in pokes.
+/// Amplitude of a typical poke over the skin, as seen by a model or a locator. Dividing amplitudes by it expresses
+/// them in pokes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TypicalAmplitude {
-    /// Places of the pokes, metres.
+    /// Positions of the pokes, metres.
     places_m: Vec<[f64; 2]>,
     /// Logarithm of the median amplitude.
     log_amplitude: f64,
-    /// Length of the field about it, metres, and what each poke adds to it.
+    /// Length of the amplitude field, metres, and each poke's contribution to it.
     length_m: f64,
     log_amplitudes: Vec<f64>,
 }
 
 impl TypicalAmplitude {
-    /// Of pokes at places, metres, with the amplitudes that they were shown with, each divided by the poke's load
-    /// relative to a typical one where loads are known, on a skin of which half the shorter side is `half_width_m`.
+    /// Fits the field to pokes at some positions, metres, with their observed amplitudes. If loads are known, divide
+    /// each amplitude by the poke's load relative to a typical one. The shorter side of the skin is twice
+    /// `half_width_m`.
     ///
     /// # Errors
-    /// No pokes, numbers of places and amplitudes that differ, amplitudes that are not finite and above zero.
+    /// No pokes, different numbers of positions and amplitudes, amplitudes that are not finite and above zero.
     pub fn fit(places_m: &[[f64; 2]], amplitudes: &[f64], half_width_m: f64) -> Result<Self, LocatorError> {
         check_length("amplitudes", places_m.len(), amplitudes.len())?;
         check_positions("places_m", places_m)?;
@@ -234,19 +236,19 @@ impl TypicalAmplitude {
         Ok(Self { places_m: places_m.to_vec(), log_amplitude, length_m: field.length_m, log_amplitudes })
     }
 
-    /// At a place, metres.
+    /// Typical amplitude at a position, metres.
     pub fn at(&self, place_m: [f64; 2]) -> f64 {
         field_at(&self.places_m, &self.log_amplitudes, self.length_m, self.log_amplitude, place_m).exp()
     }
 }
 
-/// A field at a place: its constant, and what each poke adds.
+/// Value of a field at a position: its constant plus the contribution of each poke.
 fn field_at(pokes_m: &[[f64; 2]], added: &[f64], length_m: f64, constant: f64, place_m: [f64; 2]) -> f64 {
     let add = |(poke_m, added): (&[f64; 2], &f64)| added * share(place_m, *poke_m, length_m);
     constant + pokes_m.iter().zip(added).map(add).sum::<f64>()
 }
 
-/// What a poke's weight counts at another place.
+/// Factor on a poke's weight at another position.
 fn share(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
     1.0 + matern52(a, b, length_m)
 }
@@ -255,13 +257,13 @@ fn share(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
 struct Field<const K: usize> {
     length_m: f64,
     weights: Vec<[f64; K]>,
-    /// What is left at each poke when it was left out.
+    /// Error at each poke when it is left out.
     errors: Vec<[f64; K]>,
 }
 
 impl<const K: usize> Field<K> {
-    /// The one that predicts left-out pokes best; none at all unless another is clearly better. `scatter`: variance of
-    /// each target, relative to that of a usual one.
+    /// The field that predicts left-out pokes best, or the zero field unless another is clearly better. `scatter` is
+    /// the variance of each target relative to the usual one.
     fn best(
         places: &[[f64; 2]],
         targets: &[[f64; K]],
@@ -302,7 +304,7 @@ impl<const K: usize> Field<K> {
         })
     }
 
-    /// Root mean square of the errors, each relative to its scatter.
+    /// RMS of the errors, each relative to its scatter.
     fn rms(&self, scatter: &[f64]) -> f64 {
         let weighted = |(errors, s): (&[f64; K], &f64)| errors.iter().map(|error| error * error).sum::<f64>() / s;
         let sum: f64 = self.errors.iter().zip(scatter).map(weighted).sum();
@@ -310,7 +312,7 @@ impl<const K: usize> Field<K> {
     }
 }
 
-/// A poke at `truth_m` that was placed wrong by -`error_m`.
+/// A poke at `truth_m` whose located position is off by -`error_m`.
 fn example(truth_m: [f64; 2], error_m: [f64; 2], sigma_m: f64) -> LeftOut {
     LeftOut {
         position_m: truth_m,
@@ -321,7 +323,7 @@ fn example(truth_m: [f64; 2], error_m: [f64; 2], sigma_m: f64) -> LeftOut {
     }
 }
 
-/// What left-out pokes tell together.
+/// Summary of the left-out pokes.
 fn report(examples: Vec<LeftOut>) -> LeaveOneOut {
     let errors: Vec<f64> = examples.iter().map(|example| example.error_m).collect();
     let is_within = |axis: usize, e: &LeftOut| (e.located_m[axis] - e.position_m[axis]).abs() <= e.sigma_m[axis];
@@ -366,7 +368,7 @@ impl From<PlaceCorrection> for StoredCorrection {
 mod tests {
     use super::*;
 
-    /// Places on a 7 x 7 grid of 60 mm, and a repeatable scatter of about 0.1 mm.
+    /// Positions on a 7 x 7 grid of 60 mm, and a repeatable scatter of about 0.1 mm.
     fn grid() -> Vec<[f64; 2]> {
         (0..49_usize).map(|i| [-0.03 + 0.01 * (i % 7) as f64, -0.03 + 0.01 * (i / 7) as f64]).collect()
     }
@@ -375,12 +377,12 @@ mod tests {
         [1, 2].map(|k| 1e-4 * (((i * 37 + k * 101) % 17) as f64 / 8.5 - 1.0))
     }
 
-    /// A stretch, a turn and an offset, as a skin has whose drawing is not what was built.
+    /// A stretch, a rotation and an offset, as on a skin that was not built exactly as drawn.
     fn truth(p: [f64; 2]) -> [f64; 2] {
         [1.04 * p[0] - 0.02 * p[1] + 0.001, 0.02 * p[0] + 0.98 * p[1] - 0.0005]
     }
 
-    /// Pokes seen on the grid and made by `truth` of that, with the scatter.
+    /// Pokes seen on the grid and made at `truth` of that, with the scatter.
     fn pokes(truth: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<SeenPoke> {
         let poke = |(i, seen_m): (usize, [f64; 2])| SeenPoke {
             seen_m,
@@ -395,15 +397,15 @@ mod tests {
     #[test]
     fn a_stretch_a_turn_and_an_offset_are_learnt() {
         let correction = PlaceCorrection::fit(&pokes(truth), 0.035).unwrap();
-        // Between the pokes, and against the true map rather than the scattered pokes.
+        // Evaluated between the pokes, and against the true map rather than the scattered pokes.
         let between = [0.0137, -0.0214];
         let (found, wanted) = (correction.corrected(between), truth(between));
         let off = |found: [f64; 2]| (found[0] - wanted[0]).hypot(found[1] - wanted[1]);
-        // Uncorrected it is 1 mm off; the scatter of one poke is 0.08 mm.
+        // Uncorrected, it is 1 mm off; the scatter of one poke is 0.08 mm.
         assert!(off(between) > 0.8e-3 && off(found) < 1e-4, "{} m", off(found));
         assert!((0.5e-4..2e-4).contains(&correction.sigma_m()), "{}", correction.sigma_m());
         let again: PlaceCorrection = serde_json::from_str(&serde_json::to_string(&correction).unwrap()).unwrap();
-        // The text holds the last digit or the one before.
+        // The text preserves all but the last digit.
         assert!((0..2).all(|axis| (again.corrected(between)[axis] - found[axis]).abs() < 1e-12));
     }
 
@@ -420,7 +422,7 @@ mod tests {
     #[test]
     fn amplitudes_are_those_of_a_typical_poke_whatever_the_load_and_the_place() {
         let mut pokes = pokes(|p| p);
-        // A skin twice as sensitive at its right end as at its left one, poked with loads that differ.
+        // A skin twice as sensitive at its right end as at its left one, poked with different loads.
         let sensitivity = |p: [f64; 2]| 3.0 * (p[0] / 0.06 * std::f64::consts::LN_2).exp();
         for (i, poke) in pokes.iter_mut().enumerate() {
             poke.load_share = 1.0 + 0.5 * (i % 3) as f64;
@@ -459,7 +461,7 @@ mod tests {
             |pokes: &[SeenPoke]| (PlaceCorrection::fit(pokes, 0.035).unwrap().corrected([0.0; 2])[0] - 1e-3).abs();
         let with_doubts = off(&pokes);
         pokes.iter_mut().for_each(|poke| poke.variance_m2 = 1.0);
-        // A third of the pokes 8 mm off: trusted like the others, they pull places by 2.7 mm.
+        // A third of the pokes are 8 mm off. Weighted like the others they pull positions by 2.7 mm.
         assert!(with_doubts < 2e-4 && off(&pokes) > 1e-3, "{with_doubts} m");
     }
 

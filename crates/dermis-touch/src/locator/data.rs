@@ -1,17 +1,17 @@
-//! What a locator is made from and what it gives back: pokes with known positions, predicted signatures over the skin,
-//! options, and located touches. Plain arrays in SI units; nothing here knows how they were obtained.
+//! Inputs and outputs of a locator: pokes with known positions, predicted signatures over the skin, options, and
+//! located touches. Plain arrays in SI units, independent of how they were obtained.
 
 use super::error::{LocatorError, check_finite, check_length, check_positions};
 
-/// Fewest examples a locator can be fitted to: leave-one-out says nothing about fewer.
+/// Minimum number of examples for fitting a locator; leave-one-out is meaningless for fewer.
 pub const MIN_EXAMPLES: usize = 5;
-/// Fewest usable channels a frame must have.
+/// Minimum number of usable channels in a frame.
 pub const MIN_CHANNELS: usize = 3;
 
 /// Pokes at known positions: what the skin measured, and where it was touched.
 ///
-/// A frame holds difference data, v - v0 or v/v0 - 1 (either, but the same here, in the [`SignatureMap`] and at
-/// prediction). A channel that was not measured is NaN.
+/// A frame holds difference data, either v - v0 or v/v0 - 1, but the same here, in the [`SignatureMap`] and at
+/// prediction. A channel that was not measured is NaN.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Examples {
     pub(super) channels: usize,
@@ -25,8 +25,8 @@ impl Examples {
     /// Takes `frames`, row-major, one row of `channels` values for each of `positions_m` (x, y in metres).
     ///
     /// # Errors
-    /// Fewer than [`MIN_EXAMPLES`] examples or [`MIN_CHANNELS`] channels, lengths that do not fit, an infinite value,
-    /// or a position that is not finite.
+    /// Fewer than [`MIN_EXAMPLES`] examples or [`MIN_CHANNELS`] channels, lengths that do not match, an infinite
+    /// value, or a position that is not finite.
     pub fn new(channels: usize, frames: Vec<f64>, positions_m: Vec<[f64; 2]>) -> Result<Self, LocatorError> {
         check_channels(channels)?;
         let count = positions_m.len();
@@ -42,11 +42,11 @@ impl Examples {
         Ok(Self { channels, frames, positions_m, loads: None, channel_noise: None })
     }
 
-    /// Adds how hard each poke was: a force in newtons or a depth in metres, any positive quantity that grows with the
-    /// amplitude of the frame. The locator then estimates the same quantity.
+    /// Adds the load of each poke: a force in newtons, a depth in metres, or any other positive quantity that grows
+    /// with the amplitude of the frame. The locator then estimates the same quantity.
     ///
     /// # Errors
-    /// Another number of loads than examples, or a load that is not finite and positive.
+    /// Different numbers of loads and examples, or a load that is not finite and positive.
     pub fn with_loads(mut self, loads: Vec<f64>) -> Result<Self, LocatorError> {
         check_length("loads", self.len(), loads.len())?;
         if let Some(index) = loads.iter().position(|v| !(v.is_finite() && *v > 0.0)) {
@@ -58,10 +58,10 @@ impl Examples {
     }
 
     /// Adds the standard deviation of each channel's noise, in the unit of the frames. Channels are weighted by its
-    /// inverse; one with an infinite or NaN deviation is never used. Without it all channels count alike.
+    /// inverse; one with an infinite or NaN deviation is never used. Without it all channels have equal weight.
     ///
     /// # Errors
-    /// Another number of deviations than channels, a negative one, or none that is finite and above zero.
+    /// Different numbers of deviations and channels, a negative deviation, or too few that are finite and above zero.
     pub fn with_channel_noise(mut self, noise: Vec<f64>) -> Result<Self, LocatorError> {
         check_length("channel_noise", self.channels, noise.len())?;
         if let Some(index) = noise.iter().position(|v| *v < 0.0) {
@@ -81,22 +81,22 @@ impl Examples {
         self.positions_m.len()
     }
 
-    /// Whether there are no examples; never true of a value made by [`Examples::new`].
+    /// True if there are no examples. Never true for a value made by [`Examples::new`].
     pub fn is_empty(&self) -> bool {
         self.positions_m.is_empty()
     }
 
-    /// Number of channels of a frame.
+    /// Number of channels in a frame.
     pub fn channels(&self) -> usize {
         self.channels
     }
 }
 
-/// What physics predicts: for each candidate position, the frame that a small touch there would give.
+/// Prediction by physics: for each candidate position, the frame that a small touch there would give.
 ///
-/// The positions are where touches are looked for, so they cover the skin about evenly, at a spacing of no more than
-/// about twice the accuracy wanted (pixel centres of the image do well). Signatures need no scale of their own: only
-/// their direction counts, and a sign common to all is found from the examples.
+/// Touches are searched for at these positions, so they should cover the skin about evenly, at a spacing of at most
+/// about twice the accuracy wanted; the image's pixel centres work well. The scale of signatures does not matter,
+/// only their direction, and a common sign is determined from the examples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SignatureMap {
     pub(super) channels: usize,
@@ -108,7 +108,7 @@ impl SignatureMap {
     /// Takes `signatures`, row-major, one row of `channels` values for each of `positions_m` (x, y in metres).
     ///
     /// # Errors
-    /// Fewer than four positions, lengths that do not fit, or a value that is not finite.
+    /// Fewer than four positions, lengths that do not match, or a value that is not finite.
     pub fn new(channels: usize, positions_m: Vec<[f64; 2]>, signatures: Vec<f64>) -> Result<Self, LocatorError> {
         check_channels(channels)?;
         let count = positions_m.len();
@@ -121,7 +121,7 @@ impl SignatureMap {
         Ok(Self { channels, positions_m, signatures })
     }
 
-    /// A map that predicts nothing: the locator then learns from the examples alone, which takes more of them.
+    /// A map that predicts nothing. The locator then learns from the examples alone, which takes more of them.
     ///
     /// # Errors
     /// As [`SignatureMap::new`].
@@ -135,7 +135,7 @@ impl SignatureMap {
         self.positions_m.len()
     }
 
-    /// Whether there are no candidate positions; never true of a value made by [`SignatureMap::new`].
+    /// True if there are no candidate positions. Never true for a value made by [`SignatureMap::new`].
     pub fn is_empty(&self) -> bool {
         self.positions_m.is_empty()
     }
@@ -152,18 +152,18 @@ fn check_channels(channels: usize) -> Result<(), LocatorError> {
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hyperparameters {
-    /// Length over which the deviation of the measured from the physical signature varies, in metres.
+    /// Length over which the deviation of the measured from the physical signature varies, metres.
     pub length_m: f64,
-    /// Variance of a frame of median amplitude about the smooth map, relative to the variance of that deviation.
+    /// Variance of a frame of median amplitude around the smooth map, relative to the variance of that deviation.
     pub noise: f64,
     /// Weight, from 0 to 1, of the diagonal in the covariance between channels; the rest is the sample covariance.
     pub shrinkage: f64,
 }
 
-/// How the hyperparameters are found.
+/// How hyperparameters are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Selection {
-    /// By the leave-one-out predictive score of the examples, coordinate by coordinate from a default.
+    /// Coordinate search from a default, by the leave-one-out predictive score of the examples.
     #[default]
     LeaveOneOut,
     /// As given.
@@ -173,12 +173,11 @@ pub enum Selection {
 /// Options of [`Locator::fit`](super::Locator::fit).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LocatorOptions {
-    /// How the hyperparameters are found.
+    /// How hyperparameters are chosen.
     pub selection: Selection,
-    /// At most so many examples, evenly drawn, take part in finding the hyperparameters. All take part in the final
-    /// fit.
+    /// Maximum number of examples, evenly drawn, used for choosing the hyperparameters. The final fit uses all.
     pub selection_examples: usize,
-    /// Frames with more channels than this are projected on so many principal directions of examples and physics.
+    /// Frames with more channels than this are projected on this many principal directions of examples and physics.
     pub max_rank: usize,
 }
 
@@ -195,28 +194,29 @@ pub struct Located {
     pub x_m: f64,
     /// Posterior mean, y in metres.
     pub y_m: f64,
-    /// Calibrated standard deviation of `x_m`: 68 % of left-out examples lay within it.
+    /// Calibrated standard deviation of `x_m`: 68 % of left-out examples were within it.
     pub sigma_x_m: f64,
     /// Calibrated standard deviation of `y_m`.
     pub sigma_y_m: f64,
-    /// Covariance of x and y, in square metres.
+    /// Covariance of x and y, square metres.
     pub covariance_xy_m2: f64,
-    /// Most probable of the map's positions, x in metres; far from `x_m` when the posterior has several peaks.
+    /// Most probable of the map's positions, x in metres; far from `x_m` if the posterior has several peaks.
     pub peak_x_m: f64,
     /// Most probable of the map's positions, y in metres.
     pub peak_y_m: f64,
-    /// Root mean square of the weighted frame: in units of the channel noise where that was given.
+    /// RMS of the weighted frame, in units of the channel noise if that was given.
     pub amplitude: f64,
-    /// How hard the touch is, where the examples told their loads and amplitude was found to follow them.
+    /// Estimated load, if the examples had loads and amplitude was found to follow them.
     pub load: Option<LoadEstimate>,
-    /// Logarithm of the mean likelihood of the frame's direction over the map, untempered; comparable between frames
-    /// with the same channels missing.
+    /// Logarithm of the mean likelihood of the frame's direction over the map, untempered. Comparable between frames
+    /// with the same missing channels.
     pub log_evidence: f64,
-    /// Part of the map's prior variance that the examples have left around the located position: near 0 among pokes,
+    /// Share of the map's prior variance that the examples leave around the located position: near 0 among pokes,
     /// near 1 where nothing was poked and physics stands alone.
     pub unexplained: f64,
-    /// Misfit of the frame at its peak over the 95 % quantile of left-out examples: well above 1 the frame resembles no
-    /// single touch that was learnt (two touches, damage, a loose electrode) and the position is not to be trusted.
+    /// Misfit of the frame at its peak over the 95 % quantile of left-out examples. Well above 1, the frame resembles
+    /// no single touch in the training data (two touches, damage, a loose electrode) and the position is not
+    /// reliable.
     pub novelty: f64,
 }
 
@@ -229,13 +229,13 @@ pub struct LoadEstimate {
     pub sigma: f64,
 }
 
-/// One example as it was located by the locator fitted to all the others.
+/// One example as located by the locator fitted to all the others.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeftOut {
-    /// Where the poke was, metres.
+    /// True position of the poke, metres.
     pub position_m: [f64; 2],
-    /// Where the others put it, metres.
+    /// Position located from the others, metres.
     pub located_m: [f64; 2],
     /// Predicted standard deviations of x and y, metres.
     pub sigma_m: [f64; 2],
@@ -245,34 +245,35 @@ pub struct LeftOut {
     pub novelty: f64,
 }
 
-/// How good a locator is, judged on each example by the others.
+/// Accuracy of a locator, judged on each example by the others.
 ///
-/// Position, signature map and covariance between channels are all found without the example; the hyperparameters and
-/// the channel gains of the physics are not, which the sigma makes up for (see the module's text).
+/// Position, signature map and covariance between channels are all found without the example. The hyperparameters and
+/// the channel gains of the physics are not; the sigma allows for that (see the module's documentation).
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LeaveOneOut {
-    /// Every example, in the order given.
+    /// Every example, in the given order.
     pub examples: Vec<LeftOut>,
-    /// Median distance in metres.
+    /// Median distance, metres.
     pub median_error_m: f64,
-    /// Distance that nine in ten examples stay below, in metres.
+    /// Distance that nine in ten examples stay below, metres.
     pub p90_error_m: f64,
-    /// Fraction of examples whose error in x, in y is within one sigma.
+    /// Share of examples whose error in x, and in y, is within one sigma.
     pub coverage: [f64; 2],
-    /// Mean cosine between measured and physical signatures at the examples: what physics alone explains; 0 without.
+    /// Mean cosine between measured and physical signatures at the examples, which shows what physics alone explains;
+    /// 0 without physics.
     pub physics_cosine: f64,
-    /// Root mean square relative error of the load, where loads were given and could be fitted.
+    /// RMS relative error of the load, if loads were given and could be fitted.
     pub load_error: Option<f64>,
 }
 
-/// A place where one more poke would help.
+/// A position where one more poke would help.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SuggestedPoke {
-    /// Where to poke, metres.
+    /// Position to poke, metres.
     pub position_m: [f64; 2],
-    /// Position uncertainty expected there now: root mean square over x and y, metres.
+    /// Expected position uncertainty there now: RMS over x and y, metres.
     pub sigma_m: f64,
-    /// Part of the map's prior variance that the examples have left there: 1 where nothing is known yet.
+    /// Share of the map's prior variance that the examples leave there: 1 if nothing is known yet.
     pub unexplained: f64,
 }

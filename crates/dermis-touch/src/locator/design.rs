@@ -1,6 +1,6 @@
-//! From raw examples to what the regression sees: noise-weighted unit-length frames z = w f / |w f|, the physical
-//! signatures in the same form at the examples and over the map, and, for very many channels, a projection on principal
-//! directions.
+//! Prepares raw examples for the regression: noise-weighted unit-length frames z = w f / |w f|, the physical
+//! signatures in the same form at the examples and over the map, and, for very many channels, a projection on
+//! principal directions.
 
 use faer::{Mat, Side};
 
@@ -9,30 +9,30 @@ use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
 use crate::typical::median;
 
-/// Channel noise below this fraction of the median is raised to it, so that a channel stuck at one value does not rule.
+/// Channel noise is raised to at least this share of the median, so that a stuck channel does not dominate.
 const NOISE_FLOOR: f64 = 0.05;
-/// Pseudo-examples behind the gain common to all channels, against which each channel's own gain must argue.
+/// Prior weight of the gain common to all channels, in pseudo-examples, against each channel's own gain.
 const GAIN_PRIOR_EXAMPLES: f64 = 25.0;
 
-/// Weighted unit frames of the examples, and what is needed to bring a new frame to the same form.
+/// Weighted unit frames of the examples, and what is needed to bring a new frame into the same form.
 #[derive(Debug, Clone)]
 pub(super) struct Design {
-    /// Examples by channels; missing channels filled.
+    /// Examples by channels; missing channels are filled.
     pub z: Mat<f64>,
-    /// Root mean square over channels of each weighted frame.
+    /// RMS over channels of each weighted frame.
     pub amplitude: Vec<f64>,
-    /// Where each example was, metres.
+    /// Position of each example, metres.
     pub positions_m: Vec<[f64; 2]>,
-    /// Which rows are turned copies of others, where there are any.
+    /// Which rows are rotated copies of others, if any.
     pub copies: Option<Copies>,
-    /// Weight of each channel; 0 for one that is never used.
+    /// Weight of each channel; 0 if it is never used.
     pub weights: Vec<f64>,
     /// Mean square of each channel of z.
     pub energy: Vec<f64>,
     /// Missing entries as (example, channel).
     pub missing: Vec<(usize, usize)>,
-    /// Variance that measurement noise has in every direction of z, for an example of median amplitude; 0 where the
-    /// noise of the channels is not known.
+    /// Variance of measurement noise in every direction of z, for an example of median amplitude; 0 if the channel
+    /// noise is unknown.
     pub noise_variance: f64,
 }
 
@@ -92,7 +92,7 @@ impl Design {
         Ok(design)
     }
 
-    /// Puts `fitted` values where channels are missing and restores unit length.
+    /// Fills missing channels with `fitted` values and restores unit length.
     pub(super) fn fill(&mut self, fitted: &Mat<f64>) {
         for &(i, k) in &self.missing {
             self.z[(i, k)] = fitted[(i, k)];
@@ -105,7 +105,7 @@ impl Design {
         self.measure_energy();
     }
 
-    /// Variance of a frame about the map that no example tells: that of copies, which are never wholly alike.
+    /// Extra variance of a frame about the map: rotated copies are never exactly alike.
     pub(super) fn apart(&self) -> f64 {
         self.copies.as_ref().map_or(0.0, |_| APART)
     }
@@ -124,7 +124,7 @@ impl Design {
         Mat::from_fn(positions.len(), n, |p, i| factor(i) * matern52(positions[p], places[i], length_m))
     }
 
-    /// The rows named, of a design without copies, as one of their own.
+    /// The given rows of a design without copies, as a design.
     pub(super) fn subset(&self, rows: &[usize]) -> Self {
         Self {
             z: Mat::from_fn(rows.len(), self.z.ncols(), |i, k| self.z[(rows[i], k)]),
@@ -138,7 +138,7 @@ impl Design {
         }
     }
 
-    /// Part of a typical frame's energy that the channels measured in each example hold.
+    /// Share of a typical frame's energy in the measured channels, for each example.
     fn seen_energy(&self) -> Vec<f64> {
         let total: f64 = self.energy.iter().sum();
         let mut lost = vec![0.0; self.z.nrows()];
@@ -162,7 +162,7 @@ impl Design {
     }
 }
 
-/// 1 / noise, floored; 0 for a channel without finite noise or measured in fewer than half of the examples.
+/// 1 / noise, limited; 0 for a channel without finite noise or measured in fewer than half of the examples.
 pub(super) fn channel_weights(examples: &Examples) -> Vec<f64> {
     let (n, c) = (examples.len(), examples.channels);
     let mut weights = match &examples.channel_noise {
@@ -201,8 +201,8 @@ pub(super) struct Prior {
 }
 
 impl Prior {
-    /// Weights, normalises and interpolates the signatures, then fits one gain per channel by ridge regression towards
-    /// the gain common to all: `g_k = (sum_i u_ik z_ik + a g) / (sum_i u_ik^2 + a)`.
+    /// Weights, normalises and interpolates the signatures, then fits one gain per channel by ridge regression
+    /// towards the common gain: `g_k = (sum_i u_ik z_ik + a g) / (sum_i u_ik^2 + a)`.
     pub(super) fn new(map: &SignatureMap, design: &Design) -> Result<Self, LocatorError> {
         let (c, n) = (map.channels, design.positions_m.len());
         check_length("signature map channels", design.weights.len(), c)?;
@@ -250,14 +250,14 @@ impl Prior {
         }
     }
 
-    /// The rows named of the part at the examples, with the whole map.
+    /// The given rows of the part at the examples, with the whole map.
     pub(super) fn subset(&self, rows: &[usize]) -> Self {
         let at_examples = Mat::from_fn(rows.len(), self.at_examples.ncols(), |i, k| self.at_examples[(rows[i], k)]);
         Self { at_examples, over_map: self.over_map.clone(), cosine: self.cosine }
     }
 }
 
-/// The four nearest map positions and their inverse-square-distance shares.
+/// The four nearest map positions and their weights by inverse square distance.
 pub(super) fn nearest(positions: &[[f64; 2]], at: [f64; 2]) -> Vec<(usize, f64)> {
     let mut best: Vec<(usize, f64)> = Vec::with_capacity(5);
     for (p, position) in positions.iter().enumerate() {
@@ -273,8 +273,8 @@ pub(super) fn nearest(positions: &[[f64; 2]], at: [f64; 2]) -> Vec<(usize, f64)>
     best.iter().map(|b| (b.0, 1.0 / ((b.1 + soft) * total))).collect()
 }
 
-/// Orthonormal directions (channels by rank) that hold examples and prior; `None` when there are no more than
-/// `max_rank` channels and nothing need be projected.
+/// Orthonormal directions (channels by rank) that span examples and prior. `None` if there are at most `max_rank`
+/// channels, since no projection is needed.
 pub(super) fn basis(design: &Design, prior: &Prior, max_rank: usize) -> Result<Option<Mat<f64>>, LocatorError> {
     let (n, c, g) = (design.z.nrows(), design.z.ncols(), prior.over_map.nrows());
     if c <= max_rank {

@@ -1,38 +1,38 @@
-//! What can be wrong with the examples, the physics, a frame or a stored locator, with the offending value.
+//! Errors in the examples, the physics, a frame or a stored locator, with the offending value.
 
 /// The errors of [`Locator`](super::Locator).
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LocatorError {
-    /// A buffer has another length than the counts beside it ask for.
+    /// A buffer's length does not match the corresponding counts.
     #[error("{field}: expected {expected} values, got {got}")]
     Length {
-        /// Which buffer.
+        /// Name of the buffer.
         field: &'static str,
-        /// Its right length.
+        /// Expected length.
         expected: usize,
-        /// Its length as given.
+        /// Actual length.
         got: usize,
     },
-    /// Fewer of something than the method needs, or more than it can hold.
+    /// The number of items is too small or too large for the method.
     #[error("{field}: expected {expected}, got {got}")]
     Count {
-        /// What was counted.
+        /// Name of the items counted.
         field: &'static str,
-        /// The count found.
+        /// Actual count.
         got: usize,
-        /// The range in words.
+        /// Description of the range.
         expected: &'static str,
     },
-    /// A number that must be finite, or within a range, is not.
+    /// A number is not finite, or not within its range.
     #[error("{field}, index {index}: expected {expected}, got {value}")]
     Value {
-        /// Which buffer or parameter.
+        /// Name of the buffer or parameter.
         field: &'static str,
-        /// Index into it; 0 for a single parameter.
+        /// Index of the value; 0 for a single parameter.
         index: usize,
-        /// The value found.
+        /// The value.
         value: f64,
-        /// The range in words.
+        /// Description of the range.
         expected: &'static str,
     },
     /// A frame has too few channels that are finite and known to the locator.
@@ -40,24 +40,24 @@ pub enum LocatorError {
     TooFewChannels {
         /// Index of the frame among the examples; 0 at prediction.
         frame: usize,
-        /// Usable channels found.
+        /// Number of usable channels.
         got: usize,
-        /// Usable channels needed.
+        /// Minimum number of usable channels.
         expected: usize,
     },
-    /// All usable channels of a frame are exactly zero: it has no direction to compare.
+    /// All usable channels of a frame are exactly zero, so it has no direction to compare.
     #[error("frame {frame}: every usable channel is zero, so it holds no touch to locate")]
     EmptyFrame {
         /// Index of the frame among the examples; 0 at prediction.
         frame: usize,
     },
-    /// A covariance could not be factorised or diagonalised; the examples are degenerate.
+    /// A covariance could not be factorised or diagonalised: the examples are degenerate.
     #[error("{what} is not positive definite: are the examples all alike?")]
     Singular {
-        /// Which matrix.
+        /// Name of the matrix.
         what: &'static str,
     },
-    /// A stored locator was written by another version of this module.
+    /// A stored locator has a different format version.
     #[error("stored locator has version {got}, expected {expected}: calibrate again")]
     Version {
         /// The version this module reads.
@@ -67,12 +67,12 @@ pub enum LocatorError {
     },
 }
 
-/// Refuses a slice whose length is not `expected`.
+/// Rejects a slice of the wrong length.
 pub(super) fn check_length(field: &'static str, expected: usize, got: usize) -> Result<(), LocatorError> {
     if expected == got { Ok(()) } else { Err(LocatorError::Length { field, expected, got }) }
 }
 
-/// Refuses a slice with a value that is NaN or infinite.
+/// Rejects a slice with a value that is NaN or infinite.
 pub(super) fn check_finite(field: &'static str, values: &[f64]) -> Result<(), LocatorError> {
     match values.iter().position(|v| !v.is_finite()) {
         Some(index) => Err(LocatorError::Value { field, index, value: values[index], expected: "a finite number" }),
@@ -80,7 +80,7 @@ pub(super) fn check_finite(field: &'static str, values: &[f64]) -> Result<(), Lo
     }
 }
 
-/// Refuses positions with a coordinate that is NaN or infinite; `index` in the error counts positions.
+/// Rejects positions with a coordinate that is NaN or infinite. `index` in the error counts positions.
 pub(super) fn check_positions(field: &'static str, positions: &[[f64; 2]]) -> Result<(), LocatorError> {
     match positions.iter().position(|p| !(p[0].is_finite() && p[1].is_finite())) {
         Some(index) => {
@@ -91,7 +91,7 @@ pub(super) fn check_positions(field: &'static str, positions: &[[f64; 2]]) -> Re
     }
 }
 
-/// Refuses the first value that is not accepted.
+/// Rejects the first value that `accept` does not accept.
 pub(super) fn check_first(
     field: &'static str,
     mut values: impl Iterator<Item = f64>,

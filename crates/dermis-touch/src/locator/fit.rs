@@ -1,4 +1,4 @@
-//! Fitting a locator to pokes and physics: choosing hyperparameters, and judging each example by the others.
+//! Fits a locator to pokes and physics: chooses hyperparameters, and judges each example by the others.
 
 use faer::Mat;
 
@@ -16,19 +16,19 @@ use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
 use super::turn::Turn;
 use crate::typical::{median, spacing};
 
-/// Passes of filling missing channels of the examples with what the regression makes of the others.
+/// Number of passes that fill missing channels of the examples from the regression on the others.
 const FILLING_PASSES: usize = 3;
 /// Correlation lengths tried, as fractions of the skin's radius; the first is the default.
 const LENGTHS: [f64; 3] = [0.38, 0.25, 0.57];
 /// Noise variances tried; the first is the default.
 const NOISES: [f64; 3] = [0.04, 0.02, 0.08];
-/// Gain in total log score that a hyperparameter must bring to leave its default: as much as Akaike's criterion charges
-/// for one parameter, so that few examples do not choose by chance.
+/// Gain in total log score that a hyperparameter must bring to leave its default. This is the penalty of Akaike's
+/// criterion for one parameter, so that few examples do not choose by chance.
 pub(super) const SELECTION_MARGIN: f64 = 1.0;
-/// Parts into which the examples are split by direction from their centroid, to see how well one part of the skin is
-/// located by the others.
+/// Number of sectors, by direction from the centroid, for testing how well one part of the skin is located from the
+/// others.
 pub(super) const SECTORS: usize = 4;
-/// Up to so many examples with turned copies are left out one by one; more in so many parts.
+/// Up to this many examples with rotated copies are left out one by one; more are left out in `PARTS` parts.
 const SINGLY: usize = 20;
 const PARTS: usize = 10;
 /// Shrinkages tried.
@@ -36,7 +36,7 @@ const SHRINKAGES: [f64; 4] = [0.9, 0.6, 0.3, 0.97];
 /// The candidates of [`Locator::fit`].
 const GRID: Grid = Grid { lengths: &LENGTHS, noises: &NOISES, shrinkages: &SHRINKAGES };
 
-/// Candidates of each hyperparameter, lengths as fractions of the skin's radius; the first of each is the default.
+/// Candidates of each hyperparameter; lengths are fractions of the skin's radius. The first of each is the default.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
     pub(super) lengths: &'static [f64],
@@ -44,26 +44,26 @@ pub(super) struct Grid {
     pub(super) shrinkages: &'static [f64],
 }
 
-/// What every fit over the same map shares.
+/// Inputs common to every fit over the same map.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fitting<'a> {
     pub(super) positions: &'a [[f64; 2]],
     pub(super) basis: Option<&'a Mat<f64>>,
     pub(super) spacing_m: f64,
     pub(super) channel_prior: Option<&'a ChannelPrior>,
-    /// Turns under which every example has copies.
+    /// Rotations under which every example has copies.
     pub(super) turn: Option<&'a Turn>,
     pub(super) grid: Grid,
 }
 
-/// A fit with its calibration and the log-likelihoods (positions by examples) and misfits of the left-out examples.
+/// A fit with its calibration, and the log-likelihoods (positions by examples) and misfits of the left-out examples.
 #[derive(Debug, Clone)]
 pub(super) struct Judged {
     pub(super) map: FittedMap,
     pub(super) calibration: Calibration,
     pub(super) left_out: Mat<f64>,
     pub(super) misfits: Vec<f64>,
-    /// Remaining variance of the map (positions by examples) without each example, where it was fitted anew for that.
+    /// Remaining variance of the map (positions by examples) without each example, if it was refitted for that.
     refitted_variance: Option<Mat<f64>>,
 }
 
@@ -77,12 +77,12 @@ impl Judged {
 impl Locator {
     /// Fits a locator to pokes and physics.
     ///
-    /// Costs a few products of (positions x channels) with (channels x examples) for each of up to eight choices of
-    /// hyperparameters: about a second for 400 examples of 192 channels over 2,000 positions.
+    /// The cost is a few products of (positions x channels) with (channels x examples) for each of up to eight
+    /// choices of hyperparameters: about a second for 400 examples of 192 channels over 2,000 positions.
     ///
     /// # Errors
-    /// Channel counts that differ, an example without enough usable channels or without signal, hyperparameters or
-    /// options out of range, or examples so alike that their covariance is singular.
+    /// Different channel counts, an example without enough usable channels or without signal, hyperparameters or
+    /// options out of range, or examples so similar that their covariance is singular.
     pub fn fit(examples: &Examples, physics: &SignatureMap, options: &LocatorOptions) -> Result<Self, LocatorError> {
         check_options(options)?;
         check_length("channels of the signature map", examples.channels, physics.channels)?;
@@ -119,7 +119,7 @@ impl Locator {
 }
 
 impl LocatorState {
-    /// Gathers the state from a finished fit.
+    /// Builds the state from a finished fit.
     pub(super) fn assemble(
         design: &Design,
         prior: &Prior,
@@ -164,7 +164,8 @@ impl LocatorState {
 }
 
 impl Fitting<'_> {
-    /// Fits, leaves out each example in turn, and calibrates; `worked_out` is of the same design and prior, or new.
+    /// Fits, leaves out each example in turn, and calibrates. `worked_out` must belong to the same design and prior,
+    /// or be new.
     pub(super) fn judge(
         &self,
         design: &Design,
@@ -186,7 +187,8 @@ impl Fitting<'_> {
         Ok(Judged { map, calibration, left_out, misfits, refitted_variance })
     }
 
-    /// The map of these examples, and of their turned copies where there are any, about nothing then.
+    /// Fits the map to these examples. If they have rotated copies, it is fitted to those too, with a prior mean of
+    /// zero.
     pub(super) fn fit_map(
         &self,
         design: &Design,
@@ -203,8 +205,8 @@ impl Fitting<'_> {
         FittedMap::new(&copies, &nothing, positions, basis, hyper, channel_prior, worked_out)
     }
 
-    /// Log-likelihoods of the examples by maps that were fitted without them and their copies, a part of them at a
-    /// time, with their misfits and the variance that the maps have left.
+    /// Log-likelihoods of the examples under maps fitted without them and their copies, one part of the examples at a
+    /// time. Also returns their misfits and the remaining variance of these maps.
     fn refit_without(
         &self,
         design: &Design,
@@ -228,8 +230,9 @@ impl Fitting<'_> {
         Ok((misfits, variance))
     }
 
-    /// Goes once through the candidates of each hyperparameter, from a start with its score, and keeps what the
-    /// left-out examples like best, with its score. `worked_out` is what judging the start left.
+    /// Goes once through the candidates of each hyperparameter, starting from given values with their score. Keeps
+    /// the value that predicts the left-out examples best, and returns it with its score. `worked_out` comes from
+    /// judging the start.
     pub(super) fn select(
         &self,
         design: &Design,
@@ -260,7 +263,7 @@ impl Fitting<'_> {
         Ok(best)
     }
 
-    /// Each example as the others locate it.
+    /// Each example as located by the others.
     pub(super) fn near_trials(&self, design: &Design, judged: &Judged) -> Vec<Trial> {
         let mut weights = vec![0.0; self.positions.len()];
         let temperature = judged.calibration.temperature;
@@ -272,7 +275,7 @@ impl Fitting<'_> {
         (0..judged.misfits.len()).map(trial).collect()
     }
 
-    /// Each example as those of the other sectors locate it; none when too few would be left.
+    /// Each example as located by those of the other sectors; empty if too few would be left.
     fn far_trials(
         &self,
         design: &Design,
@@ -318,7 +321,7 @@ impl Fitting<'_> {
         }
     }
 
-    /// The report on the left-out examples.
+    /// Report on the left-out examples.
     fn report(
         &self,
         design: &Design,
@@ -338,7 +341,7 @@ impl Fitting<'_> {
     }
 }
 
-/// Indices of positions in order of their direction from the centroid.
+/// Indices of positions, sorted by their direction from the centroid.
 pub(super) fn by_direction(positions: &[[f64; 2]]) -> Vec<usize> {
     let n = positions.len() as f64;
     let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
@@ -348,7 +351,7 @@ pub(super) fn by_direction(positions: &[[f64; 2]]) -> Vec<usize> {
     order
 }
 
-/// Brings examples and physics to the same form and fills what examples lack.
+/// Brings examples and physics into the same form and fills the examples' missing channels.
 pub(super) fn prepare(
     examples: &Examples,
     physics: &SignatureMap,

@@ -1,10 +1,11 @@
-//! What the examples come to that were left out, one after the other.
+//! Summary of the examples that were left out one by one.
 
 use super::data::{LeaveOneOut, LeftOut};
 use super::posterior::{Trial, quantile};
 
 impl LeaveOneOut {
-    /// What left-out examples come to: where the others put them, and the deviations that they are given, metres.
+    /// Summarises left-out examples: their positions as located by the others, and the standard deviations stated for
+    /// them, metres.
     pub(super) fn of(
         truth: &[[f64; 2]],
         trials: &[Trial],

@@ -1,8 +1,9 @@
-//! Locating one frame, without allocating: whiten, one product with the signatures of all positions, moments.
+//! Locates one frame without allocating: whitening, one product with the signatures of all positions, moments.
 //!
-//! A missing channel k is a value y_k not known but for its prior N(0, e_k), e_k its mean square in the examples.
-//! Summing it out changes the metric from I to (I + D E D')^-1, D the columns of the transform that belong to missing
-//! channels; Woodbury's formula makes that a small factor, kept in the scratch until other channels go missing.
+//! For a missing channel k, the value y_k is known only by its prior N(0, e_k), where e_k is its mean square in the
+//! examples. Marginalising over it changes the metric from I to (I + D E D')^-1, where D holds the columns of the
+//! transform that belong to missing channels. Woodbury's formula reduces that to a small factor, kept in the scratch
+//! until the set of missing channels changes.
 
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, Side};
@@ -16,7 +17,7 @@ use super::rows::{dot, logarithms, products};
 
 /// Working memory of [`Locator::predict_into`], kept by the caller between frames.
 ///
-/// It grows at first use and when the set of missing channels changes; otherwise locating allocates nothing.
+/// It grows at first use and when the set of missing channels changes. Otherwise locating allocates nothing.
 #[derive(Debug, Clone, Default)]
 pub struct LocatorScratch {
     fingerprint: Option<u64>,
@@ -24,30 +25,30 @@ pub struct LocatorScratch {
     pub(super) whitened: Vec<f32>,
     missing: Vec<usize>,
     pub(super) missing_now: Vec<usize>,
-    /// E = L^-1 D', a row of rank values for each missing channel.
+    /// E = L^-1 D', a row of `rank` values for each missing channel.
     removed: Vec<f32>,
-    /// E y, one value for each missing channel.
+    /// E y, one value per missing channel.
     shares: Vec<f32>,
     /// Inner product of each signature with the whitened frame.
     pub(super) along: Vec<f32>,
     /// Logarithms of the variances.
     logarithms: Vec<f32>,
-    /// Squared lengths of the signatures in the metric in use.
+    /// Squared lengths of the signatures in the current metric.
     squares: Vec<f64>,
     pub(super) log_likelihood: Vec<f64>,
     pub(super) posterior: Vec<f64>,
 }
 
 impl LocatorScratch {
-    /// Probability of each of the map's positions after the last frame located; sums to 1. Empty before the first.
+    /// Probability of each map position for the last frame located; sums to 1. Empty before the first frame.
     ///
-    /// This is the tempered posterior whose covariance, calibrated, is reported.
+    /// This is the tempered posterior whose calibrated covariance is reported.
     pub fn posterior(&self) -> &[f64] {
         &self.posterior
     }
 }
 
-/// Amplitude of a frame and the part of a typical frame's energy in the channels it has.
+/// Amplitude of a frame and the share of a typical frame's energy in its channels.
 pub(super) struct Weighed {
     pub amplitude: f64,
     usable: usize,
@@ -61,18 +62,19 @@ impl Locator {
         scratch
     }
 
-    /// Locates the touch behind `frame`, difference data in the unit of the examples; NaN or infinite channels are
-    /// taken as missing.
+    /// Locates the touch in `frame`, difference data in the unit of the examples. NaN or infinite channels count as
+    /// missing.
     ///
     /// # Errors
-    /// Another number of channels than the examples had, too few usable ones, or a frame that is all zero.
+    /// A different number of channels than in the examples, too few usable ones, or a frame that is all zero.
     pub fn predict_into(&self, frame: &[f64], scratch: &mut LocatorScratch) -> Result<Located, LocatorError> {
         check_length("frame", self.channels(), frame.len())?;
         let (weighed, misfit_at_peak) = self.compare(frame, scratch)?;
         Ok(self.read_out(&weighed, misfit_at_peak, scratch))
     }
 
-    /// Log-likelihoods over the map, in the scratch, with the misfit per channel at the most likely position.
+    /// Computes log-likelihoods over the map, in the scratch. Returns the misfit per channel at the most likely
+    /// position.
     pub(super) fn compare(&self, frame: &[f64], scratch: &mut LocatorScratch) -> Result<(Weighed, f64), LocatorError> {
         if scratch.fingerprint != Some(self.fingerprint) {
             self.adopt(scratch);
@@ -83,7 +85,7 @@ impl Locator {
         Ok((weighed, misfit_at_peak))
     }
 
-    /// [`Locator::predict_into`] with memory of its own.
+    /// Like [`Locator::predict_into`], with its own memory.
     ///
     /// # Errors
     /// As [`Locator::predict_into`].
@@ -110,8 +112,8 @@ impl Locator {
         scratch.posterior.resize(positions, 0.0);
     }
 
-    /// Weights the frame, brings it to the length it would have were it complete, and renews the metric when other
-    /// channels are missing than before.
+    /// Weights the frame, scales it to the length it would have if complete, and updates the metric if the set of
+    /// missing channels has changed.
     fn weigh(&self, frame: &[f64], scratch: &mut LocatorScratch) -> Result<Weighed, LocatorError> {
         let state = &self.state;
         scratch.missing_now.clear();
@@ -144,7 +146,7 @@ impl Locator {
         Ok(Weighed { amplitude: (sum / seen / frame.len() as f64).sqrt(), usable })
     }
 
-    /// Rebuilds the factor that sums out the channels in `missing_now`.
+    /// Rebuilds the factor that marginalises over the channels in `missing_now`.
     fn renew_metric(&self, scratch: &mut LocatorScratch) -> Result<(), LocatorError> {
         let (rank, channels) = (self.state.rank, self.channels());
         let known = |k: &&usize| self.state.energy[**k] > 0.0;
@@ -172,16 +174,16 @@ impl Locator {
         Ok(())
     }
 
-    /// y = T z, less its part along missing channels.
+    /// y = T z, minus its part along missing channels.
     fn whiten(&self, scratch: &mut LocatorScratch) {
         products(&self.state.transform, self.channels(), &scratch.frame, &mut scratch.whitened);
     }
 
-    /// L(p) for every position; returns the misfit per channel at the most likely one.
+    /// L(p) for every position. Returns the misfit per channel at the most likely one.
     fn fill_log_likelihood(&self, weighed: &Weighed, scratch: &mut LocatorScratch) -> f64 {
         let state = &self.state;
         let mut square: f64 = scratch.whitened.iter().map(|v| f64::from(*v).powi(2)).sum();
-        // All shares are taken of the vector as it came before any is removed: the rows are not orthogonal.
+        // Take all shares from the original vector before removing any, since the rows are not orthogonal.
         for (share, row) in scratch.shares.iter_mut().zip(scratch.removed.chunks_exact(state.rank)) {
             *share = dot(row, &scratch.whitened);
             square -= f64::from(*share).powi(2);

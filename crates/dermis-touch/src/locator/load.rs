@@ -1,12 +1,12 @@
-//! How hard: the amplitude of a frame follows the load by a power law whose factor varies over the skin,
-//! ln a = c0 + c1 ln F + g(x, y) + e, with g a Gaussian process. Solved for F at the located position.
+//! The load of a touch. The amplitude of a frame follows the load by a power law whose factor varies over the skin,
+//! ln a = c0 + c1 ln F + g(x, y) + e, with g a Gaussian process. It is solved for F at the located position.
 
 use faer::Mat;
 
 use super::error::LocatorError;
 use super::regression::{correlations, inverse_covariance};
 
-/// Noise variances, relative to that of g, among which the left-out examples choose.
+/// Noise variances tried, relative to the variance of g; left-out examples choose.
 const NOISE_RATIOS: [f64; 4] = [0.03, 0.1, 0.3, 1.0];
 
 /// The fitted law over the map.
@@ -22,8 +22,8 @@ pub(super) struct LoadLaw {
 }
 
 impl LoadLaw {
-    /// Fits the law; `None` when the loads do not vary or the amplitude does not grow with them. `summary` makes the
-    /// relative error of the load from those of left-out examples.
+    /// Fits the law. `None` if the loads do not vary or the amplitude does not grow with them. `summary` reduces the
+    /// errors of left-out examples to the relative error of the load.
     pub(super) fn fit(
         map: &[[f64; 2]],
         positions: &[[f64; 2]],
@@ -55,13 +55,13 @@ impl LoadLaw {
     }
 }
 
-/// Root mean square of values.
+/// RMS of values.
 pub(super) fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Trend (c0, c1) by generalised least squares and K^-1 times what it leaves; `None` when the exponent is not above
-/// zero by two standard errors.
+/// Trend (c0, c1) by generalised least squares, and K^-1 times the residual. `None` unless the exponent exceeds zero
+/// by two standard errors.
 fn generalised_least_squares(inverse: &Mat<f64>, x: &[f64], y: &[f64]) -> Option<([f64; 2], Vec<f64>)> {
     let n = x.len();
     let apply = |v: &dyn Fn(usize) -> f64| -> Vec<f64> {

@@ -1,19 +1,23 @@
-//! A calibrated touch locator: from one frame to the position of one touch and an honest uncertainty, learnt from a few
-//! dozen to a few hundred pokes at known positions and carried between them by physics.
+//! A calibrated touch locator: from one frame to the position of one touch with a calibrated uncertainty, learned
+//! from a few dozen to a few hundred pokes at known positions and interpolated between them by physics.
 //!
-//! The frame of a touch at p, weighted by the channel noise and brought to unit length, is modelled as z(p) ~ N(G u(p),
-//! k(p, p') S) + noise, where u is the physical signature, G a diagonal of channel gains, k a Matern 5/2 correlation
-//! and S the covariance between channels. Conditioning on the pokes gives a mean signature m(p) and a variance v(p) at
-//! every position of the map, and a new frame the log-likelihood L(p) = -[d(p)^2 / (v(p) + s) + C ln(v(p) + s)] / 2,
-//! with d the distance (in the metric of S) from the frame to the nearest positive multiple of m(p), and s the noise,
-//! larger for weaker touches. Position and covariance are the moments of exp(b L(p)); the temperature b, which
-//! accounts for errors shared between channels, and a factor on sigma are chosen so that each example, left out, is
-//! predicted best and lies within one sigma in 68 % of cases. Where no poke was near, a second term of sigma grows with
-//! v; its size is found by locating each quarter of the skin from the others. Because the model runs from position to
-//! frame, it interpolates what is smooth, needs few pokes, and its posterior may have several peaks where the skin is
-//! ambiguous. Sigma is raised by the factor 1 + 7/n for the seven quantities that the same left-out examples chose.
+//! The frame of a touch at p, weighted by the channel noise and scaled to unit length, is modelled as z(p) ~ N(G
+//! u(p), k(p, p') S) + noise, where u is the physical signature, G a diagonal of channel gains, k a Matern 5/2
+//! correlation and S the covariance between channels. Conditioning on the pokes gives a mean signature m(p) and a
+//! variance v(p) at every position of the map. A new frame has the log-likelihood L(p) = -[d(p)^2 / (v(p) + s) + C
+//! ln(v(p) + s)] / 2, with d the distance (in the metric of S) from the frame to the nearest positive multiple of
+//! m(p), and s the noise, which is larger for weaker touches.
 //!
-//! The module is pure and knows no forward model: physics arrives as plain arrays ([`SignatureMap`]).
+//! Position and covariance are the moments of exp(b L(p)). The temperature b accounts for errors shared between
+//! channels. It and a factor on sigma are chosen so that each example, when left out, is predicted best and is within
+//! one sigma in 68 % of cases. Far from any poke, a second term of sigma grows with v; its size is found by locating
+//! each quarter of the skin from the others. Sigma is also multiplied by 1 + 7/n for the seven quantities chosen by
+//! the same left-out examples.
+//!
+//! Because the model runs from position to frame, it interpolates smooth functions, needs few pokes, and its
+//! posterior may have several peaks where the skin is ambiguous.
+//!
+//! The module is pure and has no forward model: physics arrives as plain arrays ([`SignatureMap`]).
 
 mod channel_covariance;
 mod copies;

@@ -4,14 +4,14 @@ use super::data::{Hyperparameters, LeaveOneOut};
 use super::error::LocatorError;
 use super::state::LocatorState;
 
-/// A fitted locator. Serialisable; reading one back checks its version, lengths and values.
+/// A fitted locator. Serialisable; deserialising checks version, lengths and values.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "LocatorState", into = "LocatorState")]
 pub struct Locator {
     pub(super) state: LocatorState,
     /// Squared length of each whitened signature.
     pub(super) squares: Vec<f64>,
-    /// Distinguishes locators, so that scratch prepared for one is not taken for another's.
+    /// Identifies the locator, so that scratch memory of one is not used for another.
     pub(super) fingerprint: u64,
 }
 
@@ -34,7 +34,7 @@ fn squared_length(row: &[f32]) -> f64 {
 }
 
 impl Locator {
-    /// How well each example is located by the others.
+    /// Accuracy of each example as located by the others.
     pub fn leave_one_out(&self) -> &LeaveOneOut {
         &self.state.report
     }
@@ -49,12 +49,12 @@ impl Locator {
         self.state.weights.len()
     }
 
-    /// The positions among which touches are looked for, metres.
+    /// The positions at which touches are searched for, metres.
     pub fn positions_m(&self) -> &[[f64; 2]] {
         &self.state.positions_m
     }
 
-    /// Checks a state and derives what is not stored.
+    /// Checks a state and computes the values that are not stored.
     pub(super) fn from_state(state: LocatorState) -> Result<Self, LocatorError> {
         state.check()?;
         let squares = state.signatures.chunks_exact(state.rank).map(squared_length).collect();

@@ -1,23 +1,24 @@
-//! From log-likelihoods over the map's positions to a position and its uncertainty, and the two numbers that make that
-//! uncertainty honest: the temperature b of p(x) ~ exp(b L(x)) and a factor on sigma, both from left-out examples.
+//! Turns log-likelihoods over the map's positions into a position and its uncertainty. Left-out examples choose the
+//! two numbers that calibrate the uncertainty: the temperature b of p(x) ~ exp(b L(x)) and a factor on sigma.
 
 use faer::Mat;
 
 use super::rows::tempered_sums;
 
-/// Temperatures tried: from nearly flat to colder than the likelihood, evenly in the logarithm.
+/// Number of temperatures tried, and their range from nearly flat to sharper than the likelihood, even in the
+/// logarithm.
 const TEMPERATURES: usize = 20;
 const COLDEST: f64 = 2.0;
 const HOTTEST: f64 = 0.003;
-/// Logarithms of weights below this count for nothing.
+/// Ignore log weights below this.
 const NEGLIGIBLE: f64 = -40.0;
-/// Positions that count for nothing are looked for anew after so many temperatures.
+/// Look for negligible positions again after this many temperatures.
 const THINNED_EVERY: usize = 3;
-/// Fraction of errors within one standard deviation of a Gaussian.
+/// Share of errors within one standard deviation of a Gaussian.
 pub(super) const ONE_SIGMA: f64 = 0.6827;
-/// Number of quantities that the examples chose and that leaving one out does not undo (length, noise, shrinkage,
-/// common gain, temperature, both terms of sigma): left-out errors are too small by about that many parts in their
-/// number.
+/// Number of quantities chosen by the examples that leaving one out does not undo: length, noise, shrinkage, common
+/// gain, temperature, both terms of sigma. Left-out errors are too small by about this number over the number of
+/// examples.
 pub(super) const CHOSEN_QUANTITIES: f64 = 7.0;
 
 /// Mean and covariance of a posterior over positions.
@@ -29,11 +30,11 @@ pub(super) struct Moments {
     pub covariance_m2: [f64; 3],
     /// Index of the most probable position.
     pub peak: usize,
-    /// Logarithm of the mean of the untempered likelihood over the positions.
+    /// Logarithm of the mean untempered likelihood over the positions.
     pub log_evidence: f64,
 }
 
-/// Turns log-likelihoods into a tempered posterior; `weights` receives the probabilities.
+/// Turns log-likelihoods into a tempered posterior. `weights` receives the probabilities.
 pub(super) fn moments(
     positions: &[[f64; 2]],
     log_likelihood: &[f64],
@@ -81,12 +82,12 @@ pub(super) fn moments(
     }
 }
 
-/// A temperature, with the predictive score it reaches.
+/// A temperature and its predictive score.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Calibration {
     /// Exponent of the likelihood.
     pub temperature: f64,
-    /// Mean log predictive density of an example's position (Student t, 4 degrees of freedom, constants left out).
+    /// Mean log predictive density of an example's position (Student t, 4 degrees of freedom, constants omitted).
     pub score: f64,
 }
 
@@ -102,7 +103,7 @@ pub(super) fn calibrate(
         let share = step as f64 / (TEMPERATURES - 1) as f64;
         HOTTEST * (COLDEST / HOTTEST).powf(share)
     };
-    // Per temperature: errors with the posterior's deviations, x and y of each example.
+    // For each temperature, errors and posterior standard deviations, x and y of each example.
     let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::new(); TEMPERATURES];
     let mut likely = Likely::default();
     for (i, position) in truth.iter().enumerate() {
@@ -127,18 +128,18 @@ pub(super) fn calibrate(
     best
 }
 
-/// Positions with the logarithms of their likelihoods, those that count.
+/// The positions that are not negligible, with the logarithms of their likelihoods.
 #[derive(Default)]
 struct Likely {
-    /// How far the logarithm lies below the largest, zero or above.
+    /// Difference of the logarithm from the largest, zero or above.
     below: Vec<f32>,
-    /// Coordinates relative to the likeliest position, metres.
+    /// Coordinates relative to the most likely position, metres.
     x_m: Vec<f32>,
     y_m: Vec<f32>,
 }
 
 impl Likely {
-    /// Takes all positions; returns the likeliest.
+    /// Takes all positions. Returns the most likely one.
     fn fill(&mut self, positions: &[[f64; 2]], log_likelihood: &[f64]) -> [f64; 2] {
         let better = |best: usize, p: usize| if log_likelihood[p] > log_likelihood[best] { p } else { best };
         let peak = (0..positions.len()).fold(0, better);
@@ -152,7 +153,7 @@ impl Likely {
         origin
     }
 
-    /// Forgets positions that lie farther below the likeliest than this, given as a number below zero.
+    /// Drops positions whose log-likelihood relative to the peak is below `least`, which is negative.
     fn forget_below(&mut self, least: f32) {
         let mut kept = 0;
         for i in 0..self.below.len() {
@@ -164,7 +165,7 @@ impl Likely {
         self.y_m.truncate(kept);
     }
 
-    /// Mean, relative to the likeliest position, and variances along x and y of the tempered posterior.
+    /// Mean, relative to the most likely position, and variances along x and y of the tempered posterior.
     fn spread(&self, temperature: f64, spacing_m: f64) -> ([f64; 2], [f64; 2]) {
         let sums = tempered_sums(&self.below, &self.x_m, &self.y_m, temperature as f32);
         let mean = sums.firsts.map(|sum| sum / sums.total);
@@ -174,8 +175,8 @@ impl Likely {
     }
 }
 
-/// One example as located by others: its error, the posterior's variances before calibration, and the part of the map's
-/// prior variance left where it was placed.
+/// One example as located by others: its error, the posterior's variances before calibration, and the share of the
+/// map's prior variance left at its located position.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Trial {
     pub error_m: [f64; 2],
@@ -183,8 +184,8 @@ pub(super) struct Trial {
     pub unexplained: f64,
 }
 
-/// How sigma follows from the posterior: sigma^2 = (factor s)^2 + (extrapolation u)^2, with s the posterior's deviation
-/// and u the unexplained part of the map's variance: where no example was near, the map itself may be displaced.
+/// Computes sigma from the posterior: sigma^2 = (factor s)^2 + (extrapolation u)^2, with s the posterior's standard
+/// deviation and u the unexplained share of the map's variance. Far from any example the map itself may be displaced.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Spread {
     pub factor: f64,
@@ -197,9 +198,9 @@ impl Spread {
         posterior_m2 * self.factor.powi(2) + (self.extrapolation_m * unexplained).powi(2)
     }
 
-    /// Finds both terms: extrapolation from `far`, examples located by those of other parts of the skin, the factor
-    /// from `near`, examples located by all the others, so that 68 % of the errors of each lie within one sigma; raised
-    /// for what the examples `chose`.
+    /// Fits both terms so that 68 % of the errors are within one sigma. The extrapolation comes from `far`, examples
+    /// located by those of other parts of the skin, and the factor from `near`, examples located by all the others.
+    /// The factor is raised for the number of quantities the examples `chose`.
     pub(super) fn fit(near: &[Trial], far: &[Trial], chose: f64) -> Self {
         let alone = Self::factor_for(near, 0.0);
         let needed = |t: &Trial, axis: usize| {
@@ -212,7 +213,7 @@ impl Spread {
         Self { factor: factor * (1.0 + chose / near.len() as f64), extrapolation_m }
     }
 
-    /// The factor from `near` for a given extrapolation, raised for what the examples chose.
+    /// The factor from `near` for a given extrapolation, raised for the quantities that the examples chose.
     pub(super) fn factor_with(near: &[Trial], extrapolation_m: f64) -> f64 {
         Self::factor_for(near, extrapolation_m) * (1.0 + CHOSEN_QUANTITIES / near.len() as f64)
     }
@@ -227,12 +228,13 @@ impl Spread {
     }
 }
 
-/// Log density of a Student t with 4 degrees of freedom, without its constants: outliers cost little more than misses.
+/// Log density of a Student t with 4 degrees of freedom without constants, so that outliers cost little more than
+/// misses.
 pub(super) fn log_student(error: f64, sigma: f64) -> f64 {
     -2.5 * (1.0 + (error / sigma).powi(2) / 4.0).ln() - sigma.ln()
 }
 
-/// The `fraction` quantile of values that are not empty, linear between order statistics.
+/// The `fraction` quantile of a non-empty list of values, with linear interpolation.
 pub(super) fn quantile(values: &[f64], fraction: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -242,7 +244,7 @@ pub(super) fn quantile(values: &[f64], fraction: f64) -> f64 {
     sorted[low] + (at - low as f64) * (sorted[high] - sorted[low])
 }
 
-/// Root mean square distance of positions from their centroid, times sqrt 2: the radius of a disc evenly covered.
+/// RMS distance of positions from their centroid, times sqrt 2: the radius if they cover a disc evenly.
 pub(super) fn extent(positions: &[[f64; 2]]) -> f64 {
     let n = positions.len() as f64;
     let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);

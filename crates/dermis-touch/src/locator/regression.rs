@@ -1,6 +1,6 @@
-//! The map from position to frame: matrix-normal Gaussian-process regression about the physical signatures,
-//! z(p) ~ N(g u(p), k(p, p') S), k Matern 5/2, with noise s (0.2 + (A/a)^2) on a frame of amplitude a (A: the median).
-//! S, the covariance between channels, is the regression's own residual covariance shrunk to its diagonal. Rasmussen &
+//! The map from position to frame: matrix-normal Gaussian-process regression about the physical signatures, z(p) ~
+//! N(g u(p), k(p, p') S), k Matern 5/2, with noise s (0.2 + (A/a)^2) on a frame of amplitude a (A: the median). S,
+//! the covariance between channels, is the regression's own residual covariance shrunk to its diagonal. Rasmussen &
 //! Williams (2006), sections 2.2 and 5.4.2, for the regression and for leaving one example out without refitting.
 
 use std::cell::OnceCell;
@@ -17,7 +17,7 @@ use super::design::{Design, Prior};
 use super::error::LocatorError;
 use crate::typical::median;
 
-/// Noise of the strongest frames relative to that of the median one: what a position never explains.
+/// Noise of the strongest frames relative to the median frame: the part that is independent of amplitude.
 const AMPLITUDE_INDEPENDENT_NOISE: f64 = 0.2;
 
 /// Noise variance, relative to the map's prior variance, of a frame of `amplitude`.
@@ -39,7 +39,7 @@ pub(super) fn inverse_covariance(
     inverse_with_noise(correlations(positions, positions, length_m), noise)
 }
 
-/// Inverse of the examples' covariance: their correlations with each one's noise added.
+/// Inverse of the examples' covariance: their correlations plus each one's noise.
 fn inverse_with_noise(mut k: Mat<f64>, noise: &[f64]) -> Result<Mat<f64>, LocatorError> {
     for (i, noise) in noise.iter().enumerate() {
         k[(i, i)] += noise;
@@ -48,7 +48,7 @@ fn inverse_with_noise(mut k: Mat<f64>, noise: &[f64]) -> Result<Mat<f64>, Locato
     Ok(factor.inverse())
 }
 
-/// The regression's smoothed value at each example, to stand in for missing channels.
+/// The regression's smoothed value at each example, used to fill missing channels.
 pub(super) fn smoothed(design: &Design, prior: &Prior, hyper: &Hyperparameters) -> Result<Mat<f64>, LocatorError> {
     let noise = example_noise(design, hyper.noise);
     let inverse = inverse_covariance(&design.positions_m, &noise, hyper.length_m)?;
@@ -56,18 +56,18 @@ pub(super) fn smoothed(design: &Design, prior: &Prior, hyper: &Hyperparameters) 
     Ok(Mat::from_fn(alpha.nrows(), alpha.ncols(), |i, k| design.z[(i, k)] - noise[i] * alpha[(i, k)]))
 }
 
-/// Noise variance of every example; of copies with what they never tell of the map.
+/// Noise variance of every example, including the extra variance of rotated copies.
 pub(super) fn example_noise(design: &Design, noise: f64) -> Vec<f64> {
     let median = median(&design.amplitude);
     let apart = design.apart();
     design.amplitude.iter().map(|&a| apart + noise_variance(noise, a, median)).collect()
 }
 
-/// The fitted map in whitened coordinates y = T z, in which the covariance between channels is the identity, with what
-/// leaving one example out needs.
+/// The fitted map in whitened coordinates y = T z, in which the covariance between channels is the identity, with
+/// everything needed to leave one example out.
 #[derive(Debug, Clone)]
 pub(super) struct FittedMap {
-    /// Made when asked for: candidates of a search are judged without.
+    /// Computed on demand, since judging the candidates of a search does not need it.
     transform: OnceCell<Mat<f64>>,
     signatures: OnceCell<Mat<f64>>,
     /// Whitened examples: rank by examples.
@@ -83,12 +83,12 @@ pub(super) struct FittedMap {
     signatures_alpha: Mat<f64>,
 }
 
-/// The fitted map before its channels are whitened: what does not depend on their covariance.
+/// The part of the fitted map that does not depend on the covariance between channels.
 #[derive(Debug)]
 pub(super) struct UnwhitenedMap {
     /// Noise variance of each example.
     noise: Vec<f64>,
-    /// Examples, and what of them the prior does not explain: examples by rank.
+    /// Examples, and their residuals against the prior: examples by rank.
     z: Mat<f64>,
     residual: Mat<f64>,
     /// K^-1 times the residual.
@@ -100,11 +100,11 @@ pub(super) struct UnwhitenedMap {
     variance: Vec<f64>,
     /// Positions by rank.
     map: Mat<f64>,
-    /// Where the prior is zero everywhere: the map is `to_map` of these times `alpha`.
+    /// Set if the prior is zero everywhere: the map is then their `to_map` times `alpha`.
     without_prior: Option<Arc<Correlations>>,
 }
 
-/// Correlations of places at one length.
+/// Correlations of positions for one length.
 #[derive(Debug)]
 struct Correlations {
     among_examples: Mat<f64>,
@@ -112,11 +112,11 @@ struct Correlations {
     to_map: Mat<f64>,
 }
 
-/// What searches through hyperparameters have worked out for examples and a map at the same places, by length.
+/// Results of a hyperparameter search for examples and a map at the same positions, by length.
 #[derive(Debug, Clone, Default)]
 struct Known(Arc<Mutex<Vec<AtLength>>>);
 
-/// A length with what was worked out for it.
+/// A length with the correlations for it.
 type AtLength = (f64, Arc<Correlations>);
 
 impl Known {
@@ -132,17 +132,17 @@ impl Known {
     }
 }
 
-/// What a search through hyperparameters has worked out last for one design, prior, map and basis: most of it serves
+/// Latest intermediate results of a hyperparameter search for one design, prior, map and basis. Most of them serve
 /// the next candidate too.
 #[derive(Debug, Default)]
 pub(super) struct WorkedOut {
     correlations: Known,
-    /// By length and noise.
+    /// Keyed by length and noise.
     unwhitened: Option<([f64; 2], Arc<UnwhitenedMap>)>,
 }
 
 impl WorkedOut {
-    /// For another design and prior with examples and a map at the same places.
+    /// Results that remain valid for another design and prior with examples and a map at the same positions.
     pub(super) fn elsewhere(&self) -> Self {
         Self { correlations: self.correlations.clone(), unwhitened: None }
     }
@@ -198,8 +198,8 @@ impl UnwhitenedMap {
 }
 
 impl FittedMap {
-    /// Fits the map to a design whose rows `basis` (if any) projects; `worked_out` is of the same design, prior,
-    /// positions and basis, or new.
+    /// Fits the map to a design whose rows `basis` (if any) projects. `worked_out` must belong to the same design,
+    /// prior, positions and basis, or be new.
     pub(super) fn new(
         design: &Design,
         prior: &Prior,
@@ -212,7 +212,7 @@ impl FittedMap {
         let unwhitened = worked_out.unwhitened(design, prior, positions, basis, hyper)?;
         let UnwhitenedMap { z, residual, alpha, map, .. } = &*unwhitened;
         let n = z.nrows();
-        // Directions made for the examples hold little of another frame but its noise.
+        // Directions made for the examples contain little of another frame except its noise.
         let least = basis.map_or(0.0, |_| design.noise_variance / noise_variance(hyper.noise, 1.0, 1.0));
         let factor = channel_factor(residual, alpha, hyper.shrinkage, least, channel_prior)?;
         let (frames, alpha) = (whitened(&factor, z), whitened(&factor, alpha));
@@ -220,7 +220,7 @@ impl FittedMap {
         if let Some(q) = basis {
             let _ = transform.set(whitened(&factor, q));
         }
-        // Few examples: signatures are sums over them, and so are their products.
+        // With few examples, signatures are sums over the examples, and so are their products.
         let short = unwhitened.without_prior.as_deref().filter(|_| 4 * n < 5 * z.ncols());
         let (squares, signatures_frames, signatures_alpha) = match short {
             Some(Correlations { to_map, .. }) => {
@@ -269,14 +269,13 @@ impl FittedMap {
         &self.unwhitened.variance
     }
 
-    /// Remaining variance of the map at position `p` under the fit without example `i`.
+    /// Remaining variance of the map at position `p` in the fit without example `i`.
     pub(super) fn left_out_variance(&self, i: usize, p: usize) -> f64 {
         let UnwhitenedMap { variance, influence, inverse_diagonal, .. } = &*self.unwhitened;
         variance[p] + influence[(p, i)].powi(2) / inverse_diagonal[i]
     }
 
-    /// Log-likelihood over the map of a frame of a design that this fit has not seen; returns the misfit at the best
-    /// position.
+    /// Log-likelihood over the map of a frame that was not in the fit. Returns the misfit at the best position.
     pub(super) fn log_likelihood(&self, z: RowRef<'_, f64>, noise: f64, out: &mut [f64]) -> f64 {
         let frame = self.transform() * z.transpose();
         let along = self.signatures().transpose() * &frame;
@@ -294,11 +293,11 @@ impl FittedMap {
         best.1 / rank
     }
 
-    /// Log-likelihood over the map of example `i` under the fit without it; returns the misfit at the best position.
+    /// Log-likelihood over the map of example `i` in the fit without it. Returns the misfit at the best position.
     ///
-    /// Without example i the map is m(p) - h r, with r = alpha_i / K^-1_ii and h = (k(p, .) K^-1)_i, its variance grows
-    /// by h^2 / K^-1_ii, and the sample covariance loses alpha_i alpha_i' / K^-1_ii, which Sherman and Morrison's
-    /// formula turns into one extra term of every inner product.
+    /// Without example i the map is m(p) - h r, with r = alpha_i / K^-1_ii and h = (k(p, .) K^-1)_i. Its variance
+    /// grows by h^2 / K^-1_ii, and the sample covariance loses alpha_i alpha_i' / K^-1_ii. By the Sherman-Morrison
+    /// formula the latter adds one term to every inner product.
     pub(super) fn left_out_log_likelihood(&self, i: usize, out: &mut [f64]) -> f64 {
         let UnwhitenedMap { variance: remaining, influence, inverse_diagonal, noise, .. } = &*self.unwhitened;
         let diagonal = inverse_diagonal[i];
@@ -356,7 +355,7 @@ impl Products {
     }
 }
 
-/// 1 - k K^-1 k' at every map position, never below a small positive number, and what is `apart` from it.
+/// 1 - k K^-1 k' at every map position, with a small positive lower bound, plus `apart`.
 fn remaining_variance(to_map: &Mat<f64>, influence: &Mat<f64>, apart: f64) -> Vec<f64> {
     let explained = |p: usize| (0..to_map.ncols()).map(|i| to_map[(p, i)] * influence[(p, i)]).sum::<f64>();
     (0..to_map.nrows()).map(|p| (1.0 - explained(p)).max(1e-6) + apart).collect()
@@ -387,8 +386,8 @@ mod tests {
         (design, prior, map)
     }
 
-    /// Leaving an example out by the closed form is refitting without it. With no shrinkage the sample covariance over
-    /// n - 1 examples is n / (n - 1) of the closed form's, which keeps n.
+    /// The closed form for leaving an example out agrees with refitting without it. Without shrinkage the two sample
+    /// covariances differ by a factor: n - 1 examples give n / (n - 1) times the closed form's, which keeps n.
     #[test]
     fn leaving_out_equals_refitting() {
         let (n, channels, out) = (40, 6, 11);
@@ -414,8 +413,9 @@ mod tests {
         }
     }
 
-    /// With fewer examples than channels the sample covariance nearly vanishes across the example that is left out; the
-    /// closed form must see that. It keeps the diagonal and the count of all n examples, hence the tolerance.
+    /// With fewer examples than channels, the sample covariance nearly vanishes in the direction of the left-out
+    /// example, and the closed form must reproduce that. It keeps the diagonal and the count of all n examples, hence
+    /// the tolerance.
     #[test]
     fn leaving_out_one_of_few_examples_is_not_flattering() {
         let (n, channels) = (10, 60);
@@ -438,8 +438,8 @@ mod tests {
         }
     }
 
-    /// With few examples and no prior, products of signatures are summed over the examples; they are those of the
-    /// signatures themselves, to rounding.
+    /// With few examples and no prior, products of signatures are summed over the examples. Up to rounding, they
+    /// agree with direct products.
     #[test]
     fn products_without_signatures_are_those_of_signatures() {
         let (design, prior, map) = made_up(10, 60);

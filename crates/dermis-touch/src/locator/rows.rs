@@ -1,4 +1,4 @@
-//! Loops over many rows of single precision, compiled for the vector instructions that the machine has.
+//! Loops over many rows in single precision, compiled for the vector instructions of the machine.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -53,7 +53,7 @@ impl<F: Fn(f32) -> f32> WithSimd for Each<'_, F> {
     }
 }
 
-/// Matern 5/2 correlations in place of squared distances.
+/// Replaces squared distances by Matern 5/2 correlations.
 pub(super) fn matern52(squared: &mut [f32], inverse_length: f32) {
     Arch::new().dispatch(Each(
         squared,
@@ -62,18 +62,18 @@ pub(super) fn matern52(squared: &mut [f32], inverse_length: f32) {
     ));
 }
 
-/// exp(-s) in place of each s, none below zero.
+/// Replaces each s, zero or above, by exp(-s).
 pub(super) fn exponentials(values: &mut [f32]) {
     Arch::new().dispatch(Each(
         values,
-        // A function would not be inlined into the vector code.
+        // A function pointer would not be inlined into the vector code.
         #[allow(clippy::redundant_closure)]
         #[inline(always)]
         |s| exp_minus(s),
     ));
 }
 
-/// Natural logarithms in place of values above zero.
+/// Replaces values above zero by their natural logarithms.
 pub(super) fn logarithms(values: &mut [f32]) {
     Arch::new().dispatch(Each(
         values,
@@ -86,15 +86,15 @@ pub(super) fn logarithms(values: &mut [f32]) {
 /// Sums over positions weighted by their likelihoods.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TemperedSums {
-    /// Of the weights.
+    /// Sum of the weights.
     pub total: f64,
-    /// Of weights times x, and times y.
+    /// Sums of weights times x, and times y.
     pub firsts: [f64; 2],
-    /// Of weights times x squared, and times y squared.
+    /// Sums of weights times x squared, and times y squared.
     pub seconds: [f64; 2],
 }
 
-/// Sums over positions x, y with the weights exp(-temperature * below), `below` not below zero.
+/// Sums over positions x, y with the weights exp(-temperature * below); `below` is not negative.
 pub(super) fn tempered_sums(below: &[f32], x: &[f32], y: &[f32], temperature: f32) -> TemperedSums {
     Arch::new().dispatch(Tempered { below, x, y, temperature })
 }
@@ -159,19 +159,19 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums[0] + rest
 }
 
-/// Matern 5/2 of a squared distance, in single precision. Without branches, so that loops over it are vectorised.
+/// Matern 5/2 correlation for a squared distance, in single precision. Branch-free, so that loops over it vectorise.
 #[inline(always)]
 pub(super) fn matern52_of(d2: f32, inverse_length: f32) -> f32 {
     let s = (5.0 * d2).sqrt() * inverse_length;
     (1.0 + s + s * s * (1.0 / 3.0)) * exp_minus(s)
 }
 
-/// exp(-s) for s from 0 up, to 4e-6 of its value; next to nothing beyond 80. 2^n times the Taylor series of the rest.
+/// exp(-s) for s from 0 up, to a relative 4e-6; practically zero above 80. Computed as 2^n times a Taylor series.
 #[inline(always)]
 fn exp_minus(s: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
     let x = -s.min(80.0) * std::f32::consts::LOG2_E;
-    // Adding and taking away 1.5 * 2^23 rounds to the nearest whole number.
+    // Adding and subtracting 1.5 * 2^23 rounds to the nearest whole number.
     let shifted = x + ROUND;
     let rest = (x - (shifted - ROUND)) * std::f32::consts::LN_2;
     let series = 1.0 + rest * (1.0 + rest * (0.5 + rest * (1.0 / 6.0 + rest * (1.0 / 24.0 + rest * (1.0 / 120.0)))));
@@ -179,10 +179,10 @@ fn exp_minus(s: f32) -> f32 {
     series * f32::from_bits(whole.wrapping_add(127) << 23)
 }
 
-/// ln v of a normal number above zero: v = m 2^e with m about 1, and ln m = 2 artanh((m - 1) / (m + 1)) by its series.
+/// ln v of a normal number above zero: v = m 2^e with m near 1, and the series of ln m = 2 artanh((m - 1) / (m + 1)).
 #[inline(always)]
 fn logarithm(v: f32) -> f32 {
-    // Subtracting the bits of 0.7 splits so that m lies from 0.7 to 1.4.
+    // Subtracting the bits of 0.7 splits v so that m is between 0.7 and 1.4.
     let shifted = v.to_bits().wrapping_sub(0x3f33_3333) as i32;
     let exponent = shifted >> 23;
     let m = f32::from_bits(v.to_bits().wrapping_sub((exponent << 23) as u32));

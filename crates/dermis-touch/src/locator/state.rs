@@ -1,11 +1,11 @@
-//! What a locator keeps, as plain arrays that can be stored and are checked when read back.
+//! State of a locator, as plain arrays that can be stored and are checked when read back.
 
 use super::data::{Hyperparameters, LeaveOneOut};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
 use super::load::LoadLaw;
 use super::posterior::Spread;
 
-/// Version of the stored form; a locator of another version is refused.
+/// Format version; a locator with a different version is rejected.
 pub const LOCATOR_VERSION: u32 = 1;
 
 /// The stored form of a [`Locator`](super::Locator).
@@ -23,21 +23,21 @@ pub(super) struct LocatorState {
     pub energy: Vec<f64>,
     /// Number of whitened coordinates.
     pub rank: usize,
-    /// From channels to whitened coordinates: rank rows of channels.
+    /// Transform from channels to whitened coordinates: `rank` rows of channels.
     pub transform: Vec<f32>,
-    /// Whitened signatures: a row of rank values for each map position.
+    /// Whitened signatures: a row of `rank` values for each map position.
     pub signatures: Vec<f32>,
     /// Remaining variance of each signature.
     pub variance: Vec<f64>,
-    /// Median amplitude of the examples, to which the noise is relative.
+    /// Median amplitude of the examples; the noise is relative to it.
     pub median_amplitude: f64,
-    /// The misfit that 95 % of left-out examples stay below.
+    /// 95 % quantile of the misfit of left-out examples.
     pub usual_misfit: f64,
     /// Exponent of the likelihood in the posterior.
     pub temperature: f64,
     /// Factor on the posterior's standard deviations.
     pub sigma_factor: f64,
-    /// Sigma, metres, that a wholly unexplained map adds.
+    /// Standard deviation that a wholly unexplained map adds, metres.
     pub extrapolation_m: f64,
     pub hyperparameters: Hyperparameters,
     /// Noise variance of each example.
@@ -47,7 +47,7 @@ pub(super) struct LocatorState {
 }
 
 impl LocatorState {
-    /// Refuses a state whose arrays do not fit together or hold values no fit produces.
+    /// Rejects a state whose arrays do not match or hold values no fit produces.
     pub(super) fn check(&self) -> Result<(), LocatorError> {
         if self.version != LOCATOR_VERSION {
             return Err(LocatorError::Version { expected: LOCATOR_VERSION, got: self.version });
@@ -93,13 +93,13 @@ impl LocatorState {
         Ok(())
     }
 
-    /// How sigma follows from the posterior.
+    /// The rule that turns the posterior into sigma.
     pub(super) fn spread(&self) -> Spread {
         Spread { factor: self.sigma_factor, extrapolation_m: self.extrapolation_m }
     }
 }
 
-/// Refuses hyperparameters out of range.
+/// Rejects hyperparameters that are out of range.
 pub(super) fn check_hyperparameters(hyper: &Hyperparameters) -> Result<(), LocatorError> {
     check_above_zero("length_m", &[hyper.length_m])?;
     check_above_zero("noise", &[hyper.noise])?;

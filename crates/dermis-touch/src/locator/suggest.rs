@@ -1,6 +1,6 @@
-//! Where more pokes would help: the position uncertainty to expect at every place of the map, and the places where a
-//! poke takes most of it away. A poke at q lowers the map's variance by c(p)^2 / (c(q) + s), c(p) the covariance of the
-//! signatures at p and q given the examples.
+//! Suggests where more pokes would help: the position uncertainty expected across the map, and the positions where a
+//! poke reduces it most. A poke at q lowers the map's variance by c(p)^2 / (c(q) + s), where c(p) is the signatures'
+//! covariance between p and q given the examples.
 
 use faer::Mat;
 
@@ -12,23 +12,23 @@ use super::posterior::moments;
 use super::regression::{Products, correlations, inverse_covariance, noise_variance};
 use super::rows::dot;
 
-/// At most so many of the map's positions are considered.
+/// Maximum number of map positions considered.
 const CANDIDATES: usize = 600;
 
 impl Locator {
-    /// The position uncertainty to expect of a touch of median amplitude at each map position: root mean square of
-    /// sigma x and sigma y, metres. It contains what the examples have left unknown of the map and what the skin cannot
-    /// tell apart.
+    /// Expected position uncertainty of a touch of median amplitude at each map position: RMS of sigma x and sigma y,
+    /// metres. It includes what the examples leave unknown of the map, and the ambiguity of the skin itself.
     pub fn expected_sigma_m(&self) -> Vec<f64> {
         let mut weights = vec![0.0; self.state.positions_m.len()];
         let mut log_likelihood = weights.clone();
         (0..weights.len()).map(|p| self.expected_sigma_at(p, &mut log_likelihood, &mut weights)).collect()
     }
 
-    /// Up to `count` places where one more poke would help most, best first; each takes the ones before it as done.
+    /// Up to `count` positions where one more poke would help most, best first. Each assumes that the earlier ones
+    /// have been poked.
     ///
     /// # Errors
-    /// The covariance of the examples is singular, which a fitted locator's is not.
+    /// The covariance of the examples is singular, which does not happen for a fitted locator.
     pub fn suggest_pokes(&self, count: usize) -> Result<Vec<SuggestedPoke>, LocatorError> {
         let state = &self.state;
         let chosen = evenly(state.positions_m.len(), CANDIDATES);
@@ -55,7 +55,7 @@ impl Locator {
         Ok(suggestions)
     }
 
-    /// Sigma of the posterior that the mean signature at `p` would give, with the misfit that its noise adds.
+    /// Sigma of the posterior for the mean signature at `p`, with the misfit that its noise adds.
     fn expected_sigma_at(&self, p: usize, log_likelihood: &mut [f64], weights: &mut [f64]) -> f64 {
         let state = &self.state;
         let rank = state.rank;
@@ -86,7 +86,7 @@ fn conditional_covariance(
     Ok(correlations(places, places, length_m) - &across * &inverse * across.transpose())
 }
 
-/// Adds a poke of noise variance `noise` at place `q`.
+/// Conditions on a poke of noise variance `noise` at position index `q`.
 fn condition_on(covariance: &mut Mat<f64>, q: usize, noise: f64) {
     let column: Vec<f64> = covariance.col_as_slice(q).to_vec();
     let scale = 1.0 / (column[q] + noise);

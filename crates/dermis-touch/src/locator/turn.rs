@@ -1,12 +1,12 @@
-//! A skin that looks the same when it is turned. On a skin whose electrodes stand round its rim, turning by one
-//! electrode puts every channel in the place of another: with t the turn of the skin and P that of the channels, what
-//! is read at t p is about P z(p). A poke is then worth one at each of the turned places, the less the farther it was
-//! turned:
+//! A skin with rotational symmetry. If its electrodes are evenly spaced around the rim, rotating it by one electrode
+//! replaces every channel by another: with t the rotation of the skin and P the permutation of the channels, the
+//! frame at t p is about P z(p). A poke then also informs each of the rotated positions, the less the further it was
+//! rotated:
 //!
-//! cov(z_c(p), z_c'(p')) = r(s) k(p, t^s p') S_c where c = P^s c', r the resemblance after s turns.
+//! cov(z_c(p), z_c'(p')) = r(s) k(p, t^s p') S_c where c = P^s c', r the resemblance after s steps.
 //!
 //! Copies of the pokes with these correlations are examples of the same regression, since the factor is the same for
-//! all channels. Which channels belong together is learnt from a sister's map ([`turn_search`](super::turn_search)).
+//! all channels. The permutation is learned from a sister's map ([`turn_search`](super::turn_search)).
 
 use faer::{Mat, Side};
 
@@ -16,36 +16,36 @@ use super::design::{Design, Prior};
 use super::error::LocatorError;
 use super::regression::example_noise;
 
-/// Variance of a channel below this part of the mean counts as that much.
+/// Lower bound on the variance of a channel, as a share of the mean.
 const SMALLEST_SHARE: f64 = 1e-3;
 
-/// What turning a skin does to its channels.
+/// Effect of rotating a skin on its channels.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Turn {
-    /// `channels[s][c]`: the channel that reads, s turns on, what channel c reads.
+    /// `channels[s][c]`: the channel that reads, s steps on, what channel c reads.
     pub channels: Vec<Vec<usize>>,
-    /// Correlation of a channel's map with its map s turns on, brought back.
+    /// Correlation of a channel's map with its map s steps on, rotated back.
     pub resemblance: Vec<f64>,
-    /// Angle of one turn, radians; below zero clockwise.
+    /// Angle of one step, radians; negative is clockwise.
     pub angle: f64,
-    /// What it is turned about, metres.
+    /// Centre of rotation, metres.
     pub centre_m: [f64; 2],
 }
 
 impl Turn {
-    /// The same channels on a skin whose electrodes are numbered the other way round.
+    /// The same channels on a skin whose electrodes are numbered in the opposite direction.
     pub(super) fn reversed(&self) -> Self {
         Self { angle: -self.angle, ..self.clone() }
     }
 
-    /// A place turned `turns` times.
+    /// A position rotated by `turns` steps.
     pub(super) fn place_m(&self, place_m: [f64; 2], turns: f64) -> [f64; 2] {
         let (sin, cos) = (self.angle * turns).sin_cos();
         let [x, y] = [0, 1].map(|axis| place_m[axis] - self.centre_m[axis]);
         [self.centre_m[0] + cos * x - sin * y, self.centre_m[1] + sin * x + cos * y]
     }
 
-    /// The examples with all their turned copies. A channel that is never used lends nothing and is lent nothing.
+    /// The examples with all their rotated copies. A channel that is never used neither gives nor receives values.
     pub(super) fn copies(&self, design: &Design) -> Design {
         let (n, c) = (design.z.nrows(), design.z.ncols());
         let turns = self.resemblance.len();
@@ -70,8 +70,8 @@ impl Turn {
         }
     }
 
-    /// By how much the examples are likelier as copies of each other than as each for itself: the difference of the
-    /// logarithms of their densities.
+    /// Log evidence for rotated copies: log density of the examples with correlated copies minus that with
+    /// independent ones.
     pub(super) fn evidence(&self, design: &Design, hyper: &Hyperparameters) -> Result<f64, LocatorError> {
         let mut single = self.clone();
         single.resemblance.iter_mut().enumerate().for_each(|(s, r)| *r = if s == 0 { 1.0 } else { 0.0 });
@@ -79,8 +79,8 @@ impl Turn {
     }
 }
 
-/// Logarithm of the density of the examples about a mean of zero, the variance of each channel being the likeliest; of
-/// copies for each of the turns, since every example is in every copy.
+/// Log density of the examples about a mean of zero, with the maximum-likelihood variance of each channel. For copies
+/// it is divided by their number, since every example appears in every copy.
 pub(super) fn log_density(design: &Design, hyper: &Hyperparameters) -> Result<f64, LocatorError> {
     let (rows, c) = (design.z.nrows(), design.z.ncols());
     let mut covariance = design.correlations_among(hyper.length_m);
@@ -101,7 +101,7 @@ pub(super) fn log_density(design: &Design, hyper: &Hyperparameters) -> Result<f6
 }
 
 impl Prior {
-    /// Nothing is expected of any frame.
+    /// A prior that expects nothing of any frame.
     pub(super) fn nothing(examples: usize, positions: usize, channels: usize) -> Self {
         let zeros = |rows: usize| Mat::zeros(rows, channels);
         Self { at_examples: zeros(examples), over_map: zeros(positions), cosine: 0.0 }
@@ -156,8 +156,8 @@ mod tests {
         assert_eq!([copied.z[(0, 0)], copied.z[(1, 0)], copied.z[(1, 1)]], [0.6, 0.0, 0.0]);
     }
 
-    /// Frames at places opposite each other that are each other's, exchanged, speak for the turn; frames that are not
-    /// speak against it.
+    /// Frames at opposite positions support the rotation if they are each other's with channels exchanged, and
+    /// contradict it otherwise.
     #[test]
     fn evidence_tells_a_turn_from_none() {
         let hyper = Hyperparameters { length_m: 0.02, noise: 0.05, shrinkage: 1.0 };

@@ -1,7 +1,9 @@
-//! Finds what turning does to the channels of a skin in a map of its signatures. Channels are taken to be listed drive
-//! by drive, in as many equal blocks as there are electrodes, and round the skin within a block; where a block begins
-//! need not be known: block after block is brought back to the place of the first and begun where it agrees best with
-//! the others. Of all numbers of electrodes and both senses the one is taken under which the map is likeliest.
+//! Finds how rotation permutes a skin's channels, from a map of its signatures.
+//!
+//! Channels must be listed drive by drive, in as many equal blocks as there are electrodes, and around the skin
+//! within a block. The channel at which a block starts need not be known: each block is rotated back onto the first
+//! and shifted cyclically to agree best with the others. All numbers of electrodes and both senses are tried, and the
+//! one under which the map is most likely is chosen.
 
 use std::f64::consts::TAU;
 
@@ -11,21 +13,22 @@ use super::data::SignatureMap;
 use super::error::LocatorError;
 use super::turn::Turn;
 
-/// Numbers of electrodes that are tried, where the channels make as many blocks.
+/// Numbers of electrodes tried, if they divide the number of channels.
 const ELECTRODES: std::ops::RangeInclusive<usize> = 4..=64;
-/// Places a side at which maps are compared, within a circle of this part of half the shorter side.
+/// Positions per side at which maps are compared, within a circle of `WITHIN` times half the shorter side.
 const PLACES: usize = 18;
 const WITHIN: f64 = 0.8;
-/// Rounds of beginning every block anew.
+/// Maximum number of rounds of shifting every block.
 const ROUNDS: usize = 6;
-/// Where the map says less than this of a channel (mean logarithm of its variance) by others, turned, nothing is found.
+/// Minimum information that the rotated channels of a map must give about each other: the mean drop in a channel's
+/// log variance.
 const LEAST_TOLD: f64 = 0.3;
-/// Part of a channel's variance that no other tells, at least.
+/// Minimum share of a channel's variance that the other channels cannot explain.
 const UNTOLD_VARIANCE: f64 = 1e-3;
 
 impl Turn {
-    /// The turn under which the channels of a map tell most of each other; `None` where they tell little. `map_at`
-    /// gives the map at any places.
+    /// The rotation under which the channels of a map explain each other best; `None` if they explain little.
+    /// `map_at` gives the map at any positions.
     pub(super) fn find(
         channels: usize,
         positions_m: &[[f64; 2]],
@@ -65,13 +68,13 @@ impl Turn {
     }
 }
 
-/// The channels of one block: places by channels.
+/// The channels of one block: positions by channels.
 fn block_of(map: &SignatureMap, block: usize, blocks: usize) -> Mat<f64> {
     let wide = map.channels / blocks;
     Mat::from_fn(map.len(), wide, |p, k| map.signatures[p * map.channels + block * wide + k])
 }
 
-/// The channel of each block, counted within it, that belongs to each of the kinds of channels.
+/// For each block, its channels (indices within the block) in the common order of all blocks.
 fn ordered(blocks: &[Mat<f64>]) -> Vec<Vec<usize>> {
     let (turns, wide) = (blocks.len(), blocks[0].ncols());
     let mut order: Vec<Vec<usize>> = vec![(0..wide).collect()];
@@ -105,7 +108,7 @@ fn picked(block: &Mat<f64>, order: &[usize]) -> Mat<f64> {
     Mat::from_fn(block.nrows(), order.len(), |p, k| block[(p, order[k])])
 }
 
-/// The channels of a block from where on it is most like the one wanted.
+/// The channels of a block, shifted cyclically to agree best with `wanted`.
 fn begun_alike(wanted: &Mat<f64>, block: &Mat<f64>) -> Vec<usize> {
     let wide = wanted.ncols();
     let along = wanted.transpose() * block;
@@ -114,7 +117,7 @@ fn begun_alike(wanted: &Mat<f64>, block: &Mat<f64>) -> Vec<usize> {
     (0..wide).map(|k| (k + first) % wide).collect()
 }
 
-/// How much the channels tell of each other, and how alike they are after each number of turns.
+/// How much the channels explain of each other, and their correlation after each number of steps.
 fn resemblance(blocks: &[Mat<f64>], order: &[Vec<usize>]) -> (f64, Vec<f64>) {
     let turns = blocks.len();
     let maps: Vec<Mat<f64>> = blocks.iter().zip(order).map(|(block, order)| picked(block, order)).collect();
@@ -133,7 +136,7 @@ fn resemblance(blocks: &[Mat<f64>], order: &[Vec<usize>]) -> (f64, Vec<f64>) {
     (told, (0..turns).map(|s| back(s) / own).collect())
 }
 
-/// For every number of turns, the channel that each channel becomes.
+/// For every number of steps, the channel that each channel becomes.
 fn permutations(order: &[Vec<usize>]) -> Vec<Vec<usize>> {
     let (turns, wide) = (order.len(), order[0].len());
     let mut channels = vec![vec![0; turns * wide]; turns];

@@ -1,4 +1,4 @@
-//! What repeated and cyclic loading show: the area of the hysteresis loop, the scatter of repeats, and drift under
+//! Measures of repeated and cyclic loading: the area of the hysteresis loop, the scatter of repeats, and drift under
 //! constant conditions.
 
 use super::statistics::{line, mean_std, require_finite};
@@ -7,16 +7,16 @@ use crate::error::{TouchError, require, require_length};
 /// A loading and unloading cycle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hysteresis {
-    /// Area between unloading and loading, signal times load; positive where unloading reads more.
+    /// Area between unloading and loading, signal times load; positive if unloading reads higher.
     pub area: f64,
     /// [`Hysteresis::area`] over (largest - smallest load) times (largest - smallest signal).
     pub area_fraction: f64,
-    /// Largest gap between the branches at one load over the signal's full scale.
+    /// Largest difference between the branches at one load, over the signal's full scale.
     pub largest_gap_fraction: f64,
 }
 
 /// Loop area of a cycle as a fraction of full scale. Each branch is (load, signal), loads ascending in `loading` and
-/// descending in `unloading`; the branches are compared, linearly between points, over the loads that both cover.
+/// descending in `unloading`. The branches are compared, linearly between points, over the loads that both cover.
 ///
 /// # Errors
 /// Fewer than 2 points in a branch, loads that do not ascend or descend, values that are not finite, branches without
@@ -29,7 +29,7 @@ pub fn hysteresis(loading: &[(f64, f64)], unloading: &[(f64, f64)]) -> Result<Hy
     let mut loads: Vec<f64> = up.points.iter().chain(&down.points).map(|point| point.0).collect();
     loads.retain(|load| (low..=high).contains(load));
     loads.sort_by(f64::total_cmp);
-    // Both branches are straight between these loads: the trapezoidal rule is exact.
+    // Both branches are straight between these loads, so the trapezoidal rule is exact.
     let gaps: Vec<(f64, f64)> = loads.iter().map(|&load| (load, down.at(load) - up.at(load))).collect();
     let area: f64 = gaps.windows(2).map(|pair| (pair[1].0 - pair[0].0) * (pair[0].1 + pair[1].1) / 2.0).sum();
     let signals = || loading.iter().chain(unloading).map(|point| point.1);
@@ -83,16 +83,16 @@ impl Branch {
 pub struct Repeatability {
     /// Pooled standard deviation of a single reading, in the signal's unit.
     pub std: f64,
-    /// [`Repeatability::std`] over the range of the groups' means.
+    /// [`Repeatability::std`] over the range of the group means.
     pub std_fraction: f64,
-    /// Largest distance between two readings of one load over the range of the groups' means.
+    /// Largest difference between two readings of one load over the range of the group means.
     pub largest_spread_fraction: f64,
 }
 
 /// Repeatability of `groups`, each the repeated readings of one load.
 ///
 /// # Errors
-/// Fewer than 2 groups or 2 readings in a group, readings that are not finite, means that are all equal.
+/// Fewer than 2 groups or 2 readings in a group, readings that are not finite, equal means.
 pub fn repeatability(groups: &[Vec<f64>]) -> Result<Repeatability, TouchError> {
     require(groups.len() >= 2, "loads of a repeatability", groups.len() as f64, "at least 2")?;
     let (mut squares, mut freedom, mut spread) = (0.0, 0usize, 0.0_f64);
@@ -117,7 +117,7 @@ pub fn repeatability(groups: &[Vec<f64>]) -> Result<Repeatability, TouchError> {
 /// Slow change of a signal under constant conditions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drift {
-    /// Slope of the straight line of least squares, signal units per second.
+    /// Slope of the least-squares line, signal units per second.
     pub per_s: f64,
     /// Change of that line over the whole time, signal units.
     pub total: f64,
@@ -128,7 +128,7 @@ pub struct Drift {
 /// Drift of a signal over time.
 ///
 /// # Errors
-/// Lengths that differ, fewer than 2 values, times all equal, values that are not finite.
+/// Different lengths, fewer than 2 values, equal times, values that are not finite.
 pub fn drift(times_s: &[f64], signal: &[f64]) -> Result<Drift, TouchError> {
     require_length("signal", times_s.len(), signal.len())?;
     require_finite("times_s", times_s)?;

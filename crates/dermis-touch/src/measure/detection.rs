@@ -1,17 +1,17 @@
-//! Limit of detection as in the frontend/backend skin's paper: the load whose V_rms, the root mean
-//! square of the frame's difference from the untouched skin, exceeds noise by 3.3 standard deviations of 30 frames.
+//! Limit of detection as defined in the paper on the frontend/backend skin: the load at which V_rms, the RMS
+//! difference of the frame from the untouched skin, exceeds the noise by 3.3 standard deviations over 30 frames.
 
 use super::statistics::{line, mean_std, require_finite};
 use crate::error::{TouchError, require, require_length};
 
-/// Standard deviations of noise that a signal must exceed.
+/// Number of standard deviations of noise that a signal must exceed.
 pub const DETECTION_FACTOR: f64 = 3.3;
 
-/// Frames of the untouched skin that the paper takes the noise from.
+/// Number of frames of the untouched skin from which the paper measures noise.
 pub const DETECTION_FRAMES: usize = 30;
 
-/// V_rms: root mean square over channels of `frame - reference`, in the channels' unit. Channels that are not finite
-/// in either are left out; NaN when none is left.
+/// V_rms: RMS over channels of `frame - reference`, in the channels' unit. Ignores channels that are not finite in
+/// either; NaN if none is left.
 ///
 /// # Errors
 /// [`TouchError::Length`].
@@ -25,16 +25,16 @@ pub fn frame_difference_rms(frame: &[f64], reference: &[f64]) -> Result<f64, Tou
 /// V_rms of an untouched skin, in volts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseLevel {
-    /// Mean of the frames' V_rms: above 0, since noise has a size even without a signal.
+    /// Mean V_rms of the frames: above 0, since V_rms of pure noise is positive.
     pub mean_v: f64,
-    /// Their standard deviation.
+    /// Standard deviation of their V_rms.
     pub std_v: f64,
-    /// Frames that it is taken from.
+    /// Number of frames used.
     pub frames: usize,
 }
 
 impl NoiseLevel {
-    /// From the V_rms of frames of the untouched skin ([`DETECTION_FRAMES`] of them in the paper).
+    /// Noise level from the V_rms of frames of the untouched skin ([`DETECTION_FRAMES`] of them in the paper).
     ///
     /// # Errors
     /// Fewer than 2 values, values that are not finite.
@@ -47,18 +47,18 @@ impl NoiseLevel {
         Ok(Self { mean_v, std_v, frames: rms_v.len() })
     }
 
-    /// The V_rms from which a load counts as detected: mean + 3.3 standard deviations.
+    /// The V_rms above which a load counts as detected: mean + 3.3 standard deviations.
     #[must_use]
     pub fn threshold_v(&self) -> f64 {
         self.mean_v + DETECTION_FACTOR * self.std_v
     }
 }
 
-/// A limit of detection by a straight line through V_rms against load.
+/// A limit of detection from a straight line through V_rms against load.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectionLimit {
-    /// `3.3 std / slope`, in the unit of the loads: the textbook limit, which takes a blank's mean as the signal at no
-    /// load.
+    /// `3.3 std / slope`, in the unit of the loads: the textbook limit, which assumes that the mean of a blank is the
+    /// signal at no load.
     pub by_slope: f64,
     /// Load at which the line crosses mean + 3.3 std, in the unit of the loads; 0 if the line starts above it.
     pub by_crossing: f64,
@@ -68,10 +68,10 @@ pub struct DetectionLimit {
     pub intercept_v: f64,
 }
 
-/// Fits V_rms against load by a line and says where it leaves the noise. Repeats are given as points of their own.
+/// Fits a line to V_rms against load and finds where it exceeds the noise. Give repeats as separate points.
 ///
 /// # Errors
-/// Lengths that differ, fewer than 2 points or loads all equal, values that are not finite, a line that does not rise.
+/// Different lengths, fewer than 2 points, equal loads, values that are not finite, a line that does not rise.
 pub fn detection_limit(loads: &[f64], rms_v: &[f64], noise: &NoiseLevel) -> Result<DetectionLimit, TouchError> {
     require_length("rms_v", loads.len(), rms_v.len())?;
     require_finite("loads", loads)?;
@@ -82,8 +82,8 @@ pub fn detection_limit(loads: &[f64], rms_v: &[f64], noise: &NoiseLevel) -> Resu
     Ok(DetectionLimit { by_slope: DETECTION_FACTOR * noise.std_v / slope, by_crossing, slope, intercept_v })
 }
 
-/// The smallest load that was seen: the least load whose mean V_rms, and that of every greater load, lies above the
-/// threshold. `None` when not even the greatest does. `steps` holds (load, V_rms of every repeat).
+/// The smallest load detected: its mean V_rms, and that of every larger load, is above the threshold. `None` if not
+/// even the largest is detected. `steps` holds (load, V_rms of every repeat).
 ///
 /// # Errors
 /// A load or V_rms that is not finite; a load without repeats.
@@ -134,7 +134,7 @@ mod tests {
     fn smallest_load_is_one_above_which_all_are_seen() {
         let noise = NoiseLevel { mean_v: 1.0, std_v: 1.0, frames: 30 };
         let step = |load: f64, mean: f64| (load, vec![mean - 0.5, mean + 0.5]);
-        // 0.1 happens to be seen, 0.2 is not: it does not count.
+        // 0.1 happens to be above the threshold but 0.2 is not, so 0.1 does not count.
         let steps = [step(0.1, 5.0), step(0.4, 6.0), step(0.2, 4.0), step(0.3, 4.4)];
         assert_eq!(smallest_detected_load(&steps, &noise).unwrap(), Some(0.3));
         assert_eq!(smallest_detected_load(&steps[2..3], &noise).unwrap(), None);

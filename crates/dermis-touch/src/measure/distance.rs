@@ -1,5 +1,6 @@
-//! Minimum discernible distance as in the frontend/backend skin's paper: how far a contact moves before its vector of
-//! channel differences correlates with that of the first place by no more than 0.9, or 0.5.
+//! Minimum discernible distance as defined in the paper on the frontend/backend skin: the distance a contact must
+//! move before its vector of channel differences correlates with that of the first position by no more than 0.9, or
+//! 0.5.
 
 use super::statistics::require_finite;
 use crate::error::{TouchError, require, require_length};
@@ -7,7 +8,7 @@ use crate::error::{TouchError, require, require_length};
 /// Pearson's correlation coefficient of two vectors of channels.
 ///
 /// # Errors
-/// [`TouchError::Length`]; values that are not finite; fewer than 2 values; a vector that is the same everywhere.
+/// [`TouchError::Length`]; values that are not finite; fewer than 2 values; a constant vector.
 pub fn pearson(a: &[f64], b: &[f64]) -> Result<f64, TouchError> {
     require_length("second vector", a.len(), b.len())?;
     require(a.len() >= 2, "channels", a.len() as f64, "at least 2")?;
@@ -26,7 +27,7 @@ pub fn pearson(a: &[f64], b: &[f64]) -> Result<f64, TouchError> {
     Ok(cross / (square_a.sqrt() * square_b.sqrt()))
 }
 
-/// The first displacement (metres) at which `correlations` falls to `level`, linearly between neighbours; `None` when
+/// The first displacement (metres) at which `correlations` drops to `level`, linearly between neighbours; `None` if
 /// it stays above. Displacements ascend.
 ///
 /// # Errors
@@ -52,9 +53,9 @@ pub fn crossing_distance_m(
     Ok(Some(displacements_m[first - 1] + share * (displacements_m[first] - displacements_m[first - 1])))
 }
 
-/// Minimum discernible distance (metres) at a correlation `level` (0.9 and 0.5 in the paper), from the channel vectors
-/// (differences from the untouched skin) at each displacement; the first is the place that the others are compared
-/// with. `None` when the correlation stays above the level.
+/// Minimum discernible distance (metres) at a correlation `level` (0.9 and 0.5 in the paper), from the channel
+/// vectors (differences from the untouched skin) at each displacement. The others are compared with the first. `None`
+/// if the correlation stays above the level.
 ///
 /// # Errors
 /// As [`pearson`] and [`crossing_distance_m`]; no vectors.
@@ -86,7 +87,7 @@ mod tests {
         for level in [0.9_f64, 0.5] {
             let exact = level.acos() / std::f64::consts::FRAC_PI_2 * 16e-3;
             let got = minimum_discernible_distance_m(&displacements, &vectors, level).unwrap().unwrap();
-            // Linear interpolation of the cosine in steps of 5.6 degrees: h^2 / 8 / slope below 0.03 mm.
+            // Linear interpolation of the cosine in steps of 5.6 degrees: the error h^2 / 8 / slope is below 0.03 mm.
             assert!((got - exact).abs() < 3e-5, "{level}: {got} {exact}");
         }
         assert_eq!(minimum_discernible_distance_m(&displacements, &vectors, -0.1).unwrap(), None);

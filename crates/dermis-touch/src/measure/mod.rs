@@ -1,8 +1,8 @@
 //! The measures that tactile laboratories report: limit of detection, minimum discernible distance, hysteresis,
-//! repeatability and drift. Each is a plain function of numbers that an experiment has collected.
+//! repeatability and drift. Each is a plain function of numbers collected in an experiment.
 //!
-//! Standard deviations are those of a sample (divided by count - 1). Loads may be forces (N) or pressures (Pa): results
-//! come in the unit that goes in.
+//! Standard deviations are sample standard deviations (divided by count - 1). Loads may be forces (N) or pressures
+//! (Pa); results are in the unit of the input.
 
 mod cycle;
 mod detection;

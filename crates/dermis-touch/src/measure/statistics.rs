@@ -1,4 +1,4 @@
-//! Means, deviations and lines of the numbers that an experiment has collected.
+//! Means, standard deviations and lines of numbers collected in an experiment.
 
 use crate::error::{TouchError, require};
 
@@ -21,7 +21,7 @@ pub(crate) fn line(x: &[f64], y: &[f64]) -> Result<(f64, f64), TouchError> {
     Ok((mean_y - slope * mean_x, slope))
 }
 
-/// Mean and sample standard deviation; NaN deviation with fewer than two values.
+/// Mean and sample standard deviation; the deviation of fewer than two values is NaN.
 pub(crate) fn mean_std(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;

@@ -1,9 +1,9 @@
 //! Spectra of uniformly sampled series: of a pixel, of a touch's value, or of the mean of a frame.
 //!
-//! The window is Hann's, periodic form `w_n = (1 - cos(2 pi n / N)) / 2`, after subtraction of the series' mean. The
-//! spectrum is one-sided and amplitude-correct: a sine of amplitude A at a bin's frequency stands at A. Peaks are
-//! placed by a parabola through the logarithms of the largest bin and its neighbours; their height is the largest bin's
-//! over what the window leaves of a sine that far beside a bin.
+//! The window is the periodic Hann window `w_n = (1 - cos(2 pi n / N)) / 2`, applied after subtracting the series'
+//! mean. The spectrum is one-sided and amplitude-correct: a sine of amplitude A at a bin's frequency has the value A.
+//! Peaks are located by a parabola through the logarithms of the largest bin and its neighbours. Their amplitude is
+//! the largest bin divided by the window's response at that offset from the bin.
 
 use std::sync::Arc;
 
@@ -12,16 +12,16 @@ use realfft::{RealFftPlanner, RealToComplex};
 use crate::error::{TouchError, require, require_length};
 use crate::measure::require_finite;
 
-/// Shortest series that has a spectrum.
+/// Minimum length of a series.
 const FEWEST_SAMPLES: usize = 8;
 
-/// Bins on each side of a peak that belong to it: the main lobe of the Hann window.
+/// Number of bins on each side of a peak that belong to it: the main lobe of the Hann window.
 const LOBE_BINS: usize = 2;
 
 /// A one-sided amplitude spectrum.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectrum {
-    /// Frequency between neighbouring bins, hertz: sample rate over count.
+    /// Frequency step between bins, hertz: sample rate over count.
     pub bin_hz: f64,
     /// Amplitude at 0, `bin_hz`, 2 `bin_hz` ... up to half the sample rate, in the series' unit.
     pub amplitudes: Vec<f64>,
@@ -32,7 +32,7 @@ pub struct Spectrum {
 /// One peak of a spectrum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpectralPeak {
-    /// Frequency, hertz, between bins.
+    /// Frequency, interpolated between bins, hertz.
     pub frequency_hz: f64,
     /// Amplitude of the sine, in the series' unit, interpolated.
     pub amplitude: f64,
@@ -41,7 +41,7 @@ pub struct SpectralPeak {
     pub snr_db: f64,
 }
 
-/// Computes spectra of series of one length and sample rate; keeps its plan and memory.
+/// Computes spectra of series of one length and sample rate. Keeps its plan and memory.
 pub struct SpectrumAnalyser {
     sample_rate_hz: f64,
     window: Vec<f64>,
@@ -56,7 +56,7 @@ impl std::fmt::Debug for SpectrumAnalyser {
 }
 
 impl SpectrumAnalyser {
-    /// For series of `samples` values taken `sample_rate_hz` times a second.
+    /// An analyser for series of `samples` values taken `sample_rate_hz` times per second.
     ///
     /// # Errors
     /// Fewer than 8 samples, a rate that is not positive and finite.
@@ -81,10 +81,10 @@ impl SpectrumAnalyser {
         let mean = series.iter().sum::<f64>() / count as f64;
         let mut input: Vec<f64> = series.iter().zip(&self.window).map(|(value, w)| (value - mean) * w).collect();
         let mut output = self.plan.make_output_vec();
-        // Lengths are the plan's own, and a plan without scratch of the caller's takes its own.
+        // Cannot fail: the lengths are the plan's own.
         let done = self.plan.process(&mut input, &mut output);
         require(done.is_ok(), "samples", count as f64, "a length that the transform takes")?;
-        // The window's values add to N / 2; a sine shares its amplitude with the negative frequency.
+        // The window's values sum to N / 2; a sine shares its amplitude with the negative frequency.
         let scale = 4.0 / count as f64;
         let mut amplitudes: Vec<f64> = output.iter().map(|value| scale * value.norm()).collect();
         amplitudes[0] /= 2.0;
@@ -96,11 +96,11 @@ impl SpectrumAnalyser {
         Ok(Spectrum { bin_hz: self.sample_rate_hz / count as f64, amplitudes, mean })
     }
 
-    /// Spectrum of each pixel (or channel, or touch) of `frames`, taken one after another with `width` values each.
-    /// `None` where a series holds a value that is not finite, as outside the skin.
+    /// Spectrum of each pixel (or channel, or touch) of `frames`, stored one after another with `width` values each.
+    /// `None` for a series with a value that is not finite, as outside the skin.
     ///
     /// # Errors
-    /// [`TouchError::Length`] when the frames are not `samples` of `width` values.
+    /// [`TouchError::Length`] if the frames are not `samples` times `width` values.
     pub fn per_pixel(&self, frames: &[f64], width: usize) -> Result<Vec<Option<Spectrum>>, TouchError> {
         let count = self.window.len();
         require_length("frames", count * width, frames.len())?;
@@ -129,8 +129,8 @@ pub fn frame_mean(frame: &[f64]) -> f64 {
 }
 
 impl Spectrum {
-    /// Up to `most` peaks, largest first: local maxima at 2 bins or more (slower ones cannot be told from drift and
-    /// offset), each at least 2 bins from a larger one and `min_snr_db` above the noise.
+    /// Up to `most` peaks, largest first. Peaks are local maxima at bin 2 or above (slower ones cannot be
+    /// distinguished from drift and offset), more than 2 bins from a larger one and `min_snr_db` above the noise.
     #[must_use]
     pub fn peaks(&self, most: usize, min_snr_db: f64) -> Vec<SpectralPeak> {
         let a = &self.amplitudes;
@@ -157,7 +157,8 @@ impl Spectrum {
         rest.get(rest.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// Frequency by the parabola through the logarithms of three bins, amplitude by the window's lobe at that shift.
+    /// Interpolates a peak: frequency by the parabola through the logarithms of three bins, amplitude by the window's
+    /// lobe at that shift.
     fn refine(&self, bin: usize, noise: f64) -> SpectralPeak {
         let logarithm = |k: usize| self.amplitudes[k].max(f64::MIN_POSITIVE).ln();
         let (left, middle, right) = (logarithm(bin - 1), logarithm(bin), logarithm(bin + 1));
@@ -169,8 +170,8 @@ impl Spectrum {
     }
 }
 
-/// What is left of a sine `shift` bins (at most 1/2) beside a bin: `sinc(shift) / (1 - shift^2)`, the transform of the
-/// Hann window for many samples.
+/// Response of the window to a sine `shift` bins (at most 1/2) from a bin: `sinc(shift) / (1 - shift^2)`, the
+/// transform of the Hann window for many samples.
 fn hann_lobe(shift: f64) -> f64 {
     let angle = std::f64::consts::PI * shift;
     let sinc = if angle.abs() < 1e-6 { 1.0 } else { angle.sin() / angle };
@@ -212,8 +213,8 @@ mod tests {
         let spectrum = SpectrumAnalyser::new(count, rate).unwrap().spectrum(&series(count, rate, value)).unwrap();
         let peaks = spectrum.peaks(2, 20.0);
         assert_eq!(peaks.len(), 2);
-        // The parabola in logarithms of a Hann lobe is off by less than 0.02 bins (0.05 Hz each), hence the height by
-        // 1.5 %.
+        // The parabola through the logarithms of a Hann lobe is off by less than 0.02 bins (of 0.05 Hz), hence the
+        // amplitude by 1.5 %.
         for (peak, (frequency, amplitude)) in peaks.iter().zip([(1.013, 2.0), (3.271, 0.4)]) {
             assert!((peak.frequency_hz - frequency).abs() < 0.02 * 0.05, "{peak:?}");
             assert!((peak.amplitude / amplitude - 1.0).abs() < 0.015, "{peak:?}");

@@ -1,4 +1,4 @@
-//! A skin's electronics as the instrument takes them.
+//! Converts a skin's electronics to instrument options.
 
 use dermis_skin::{Reads, Skin};
 
@@ -8,7 +8,7 @@ use crate::instrument::{
 };
 use crate::twin::Frontend;
 
-/// Largest voltage of a frontend that nothing touches, volts.
+/// Largest voltage of an untouched frontend, volts.
 ///
 /// # Errors
 /// Fields that cannot be solved.
@@ -18,7 +18,7 @@ pub fn resting_voltage_v(frontend: &mut dyn Frontend) -> Result<f64, TwinError> 
     Ok(voltages_v.iter().fold(0.0, |most: f64, v| most.max(v.abs())))
 }
 
-/// The instrument of a skin whose largest resting voltage is this.
+/// The instrument of a skin with this largest resting voltage.
 pub fn instrument_options(skin: &Skin, largest_v: f64) -> InstrumentOptions {
     let numbers = skin.backend.electronics.numbers(skin.frontend.layer.kind(), largest_v);
     let [common_per_sqrt_s, channel_per_sqrt_s] = numbers.drift_per_sqrt_s;

@@ -1,4 +1,4 @@
-//! Faults and treatments of a skin file as the twin takes them: electrodes, coils and channels counted from 0, SI
+//! Converts the faults and treatments of a skin file for the twin: electrodes, coils and channels counted from 0, SI
 //! units.
 
 use dermis_skin::{NoisyChannel, StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
@@ -7,18 +7,18 @@ use crate::healing::{Heating, TimedTreatment, Treatment};
 use crate::instrument::{Fault, TimedFault};
 use crate::physics::Cut;
 
-/// The faults of a skin file, each in its time.
+/// The faults of a skin file, each with its times.
 pub fn timed_faults(settings: &TwinSettings) -> Vec<TimedFault> {
     settings.faults.iter().flat_map(of_group).collect()
 }
 
-/// The treatments of a skin file, each in its time.
+/// The treatments of a skin file, each with its time.
 pub fn timed_treatments(settings: &TwinSettings) -> Vec<TimedTreatment> {
     let timed = |t: &TwinTreatment| TimedTreatment { at_s: t.at_s, treatment: treatment_of(t.action) };
     settings.treatments.iter().map(timed).collect()
 }
 
-/// One treatment.
+/// Converts one treatment.
 pub fn treatment_of(action: TwinAction) -> Treatment {
     let metres = |[x, y]: [f64; 2]| [x * 1e-3, y * 1e-3];
     match action {
@@ -36,7 +36,7 @@ pub fn treatment_of(action: TwinAction) -> Treatment {
 }
 
 fn of_group(group: &TwinFaults) -> impl Iterator<Item = TimedFault> + '_ {
-    // Checked: all are counted from 1.
+    // Validated earlier: all are counted from 1.
     let open = group.open_electrodes.iter().map(|n| Fault::OpenElectrode { electrode: n.wrapping_sub(1) });
     let short = group.shorted_pairs.iter().map(|p| Fault::ShortedPair { electrodes: p.map(|n| n.wrapping_sub(1)) });
     let stuck =

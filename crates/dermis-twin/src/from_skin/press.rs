@@ -1,4 +1,5 @@
-//! What may press on a skin, and what its twin demonstrates: from size and layer, unless the file says otherwise.
+//! Range of presses on a skin and the demonstration of its twin: derived from size and layer, unless the file sets
+//! them.
 
 use std::f64::consts::PI;
 
@@ -7,28 +8,28 @@ use dermis_tomo::mesh::Outline;
 
 use crate::scene::{Event, Script};
 
-/// What people may press with: least and most, and where sliders begin.
+/// Range of presses available to users, and the initial values of the sliders.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PressRange {
-    /// Radius of the indenter.
+    /// Minimum and maximum radius of the indenter.
     pub radius_m: [f64; 2],
-    /// Pressure under it.
+    /// Minimum and maximum pressure under it.
     pub pressure_pa: [f64; 2],
-    /// Radius at the start.
+    /// Initial radius.
     pub initial_radius_m: f64,
-    /// Pressure at the start.
+    /// Initial pressure.
     pub initial_pressure_pa: f64,
 }
 
-/// The demonstration was made for a square of this half width, and this pressure.
+/// The demonstration was designed for a square of this half width and this pressure.
 const DEMO_HALF_WIDTH_M: f64 = 0.05;
 const DEMO_PRESSURE_PA: f64 = 80e3;
-/// Fingertips: radius as a share of the shorter side, and its least and most, metres.
+/// Fingertip radius as a share of the shorter side, and its minimum and maximum, metres.
 const FINGER_SHARE: f64 = 0.08;
 const FINGER_M: [f64; 2] = [3e-3, 11e-3];
 
 impl PressRange {
-    /// Round a radius and a pressure that a skin is made for.
+    /// A range around the radius and pressure that a skin is designed for.
     fn about(radius_m: f64, pressure_pa: f64) -> Self {
         Self {
             radius_m: [0.3 * radius_m, 3.0 * radius_m],
@@ -48,9 +49,9 @@ impl PressRange {
     }
 }
 
-/// What people may press a skin with: the file's `[twin] press`, or what its size and layer are made for. A press at
-/// the start of the sliders closes a gap to about 60 % of saturation, changes a sheet's conductance by a third, dents a
-/// liquid by a quarter of its depth, or moves an element by half of its travel.
+/// Range of presses available to users: the file's `[twin] press`, otherwise derived from size and layer. The initial
+/// press closes a gap to about 60 % of saturation, changes a sheet's conductance by a third, dents a liquid by a
+/// quarter of its depth, or moves an element by half its travel.
 pub fn press_range(skin: &Skin) -> PressRange {
     if let Some(press) = &skin.twin.press {
         return PressRange::written(press);
@@ -68,7 +69,7 @@ pub fn press_range(skin: &Skin) -> PressRange {
         }
         (Layer::Patches(layer), _) => {
             let law = layer.contact;
-            // Patches far from electrodes need more to be seen.
+            // Patches far from electrodes need more pressure to be visible.
             let ratio = 6_f64.powf(1.0 / law.exponent);
             PressRange::about(finger_m, 1e3 * (law.threshold_kpa + ratio * law.reference_kpa))
         }
@@ -81,8 +82,8 @@ pub fn press_range(skin: &Skin) -> PressRange {
     }
 }
 
-/// Pressure under a disc that dents a liquid by a quarter of its depth: against the membrane,
-/// `p r^2 (1 + 2 ln(R/r)) / (4 T)` in the middle of a round tray, and against the liquid's own weight.
+/// Pressure under a disc that dents a liquid by a quarter of its depth, against the membrane
+/// (`p r^2 (1 + 2 ln(R/r)) / (4 T)` in the middle of a round tray) and the liquid's own weight.
 fn denting_pa(layer: &LiquidLayer, radius_m: f64, shorter_m: f64) -> f64 {
     let depth_m = layer.depth_mm * 1e-3;
     let spread = 1.0 + 2.0 * (0.5 * shorter_m / radius_m).max(1.0).ln();
@@ -91,23 +92,23 @@ fn denting_pa(layer: &LiquidLayer, radius_m: f64, shorter_m: f64) -> f64 {
     0.25 * depth_m * (membrane + weight)
 }
 
-/// The share of its travel by which the press at which sliders begin moves an element, about; `None` without elements.
+/// Approximate share of its travel by which the initial press moves an element; `None` without elements.
 pub fn usual_travel_share(skin: &Skin) -> Option<f64> {
     let (Layer::Elements(layer), Some(elements)) = (&skin.frontend.layer, &skin.frontend.elements) else { return None };
     let PressRange { initial_radius_m: radius_m, initial_pressure_pa: pressure_pa, .. } = press_range(skin);
-    // A wider disc presses other elements.
+    // A wider disc also presses other elements.
     let [width_m, height_m] = elements.cell_m();
     let of_cell = (width_m * height_m / (PI * radius_m * radius_m)).min(1.0);
     Some((0.5 * of_cell * pressure_pa / moving_pa(layer, elements, radius_m)).clamp(0.0, 1.0))
 }
 
-/// Pressure under a disc over one element that moves it by half of its travel.
+/// Pressure under a disc over one element that moves it by half its travel.
 fn moving_pa(layer: &ElementsLayer, elements: &Elements, radius_m: f64) -> f64 {
     0.58 * layer.stiffness_n_per_m * elements.travel_mm * 1e-3 / (PI * radius_m * radius_m)
 }
 
-/// What a twin demonstrates by itself: one touch wanders, others are pressed and slide. About the middle of the largest
-/// circle that fits into the skin, unless the file says otherwise.
+/// Demonstration of a twin: one touch wanders, others press and slide. Centred in the largest circle that fits into
+/// the skin, unless the file says otherwise.
 pub fn demonstration(skin: &Skin, press: &PressRange) -> Script {
     let softness = press.initial_pressure_pa / DEMO_PRESSURE_PA;
     match skin.twin.demonstration {
@@ -126,7 +127,7 @@ pub fn demonstration(skin: &Skin, press: &PressRange) -> Script {
     }
 }
 
-/// Middle and radius of the largest circle in an outline, to about a hundredth of its extent.
+/// Centre and radius of the largest circle in an outline, to about a hundredth of its extent.
 fn largest_circle(outline: &Outline) -> ([f64; 2], f64) {
     const STEPS: usize = 64;
     let (low, high) = outline.bounds_m();

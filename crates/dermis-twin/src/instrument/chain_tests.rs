@@ -1,4 +1,4 @@
-//! The chain and its faults against closed forms.
+//! Compares the chain and its faults with closed forms.
 
 use super::*;
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, ProtocolSpec, Reference};
@@ -33,7 +33,7 @@ fn currents_come_in_steps() {
     let drive = DriveSteps { wanted_a: 10e-6, step_a: 2.6e-6, most_a: 40e-6 };
     // 10 / 2.6 = 3.85: four steps.
     assert!((drive.actual_a() - 10.4e-6).abs() < 1e-18);
-    // 15 steps are the most below 40 uA.
+    // The maximum below 40 uA is 15 steps.
     assert!((DriveSteps { wanted_a: 90e-6, ..drive }.actual_a() - 39e-6).abs() < 1e-18);
     let options = InstrumentOptions { drive: Some(drive), ..InstrumentOptions::ideal() };
     assert!((read(options, &[1.0])[0] - 1.04).abs() < 1e-12);
@@ -53,7 +53,7 @@ fn multiplexer_divides_couples_and_remembers() {
     let options = InstrumentOptions { multiplexer: Some(mux), timing: Some(timing), ..InstrumentOptions::ideal() };
     let out = read(options, &[0.0, 1.0, 0.0]);
     let r = (-2.5_f64).exp();
-    // Coupled: 0.09, 0.9 (1 - 0.2) = 0.72, 0.09; each keeps r of the one before.
+    // After coupling: 0.09, 0.9 (1 - 0.2) = 0.72, 0.09; each retains r of the previous one.
     let first = 0.09 * (1.0 - r);
     let second = 0.72 + r * (first - 0.72);
     let third = 0.09 + r * (second - 0.09);
@@ -96,10 +96,10 @@ fn complex_readings_turn_by_the_phase_error_and_each_part_has_its_noise() {
     let parts = [(&frame[..], 0.3_f64.cos()), (instrument.imaginary_v(), 0.3_f64.sin())];
     for (values, share) in parts {
         let variance = values.iter().map(|v| (v - 0.5 * share).powi(2)).sum::<f64>() / 4000.0;
-        // 4,000 samples give the deviation within 5 % (4.5 standard errors).
+        // With 4,000 samples the deviation is within 5 % (4.5 standard errors).
         assert!((variance.sqrt() / 1e-3 - 1.0).abs() < 0.05, "{variance:e}");
     }
-    // A copy is of both parts, and a stuck channel has no quadrature.
+    // A copy includes both parts, and a stuck channel has no quadrature.
     let faults = vec![Fault::StuckChannel { channel: 1, value_v: 7.0 }, Fault::DuplicatedFrames { probability: 0.5 }];
     instrument.set_faults(faults).unwrap();
     let mut last = (Vec::new(), Vec::new());
@@ -123,7 +123,7 @@ fn mains_is_sampled_at_each_channels_time_and_warmth_scales() {
     let options = InstrumentOptions { mains: Some(mains), timing: Some(timing), ..InstrumentOptions::ideal() };
     let out = read(options, &[0.0; 4]);
     for (channel, value) in out.iter().enumerate() {
-        // Middle of the conversion: 3, 8, 13, 18 ms; 0.1 pi a millisecond.
+        // Midpoints of the conversions: 3, 8, 13, 18 ms; 0.1 pi per millisecond.
         let exact = 2.0 * (0.1 * std::f64::consts::PI * (3.0 + 5.0 * channel as f64)).sin();
         assert!((value - exact).abs() < 1e-12, "{out:?}");
     }
@@ -145,7 +145,7 @@ fn noise_predicted_from_the_printed_formula_gives_its_figure() {
     let voltages: Vec<f64> = (0..208).map(|k| 1e-3 * 1.02_f64.powi(k) * if k % 3 == 0 { -1.0 } else { 1.0 }).collect();
     let floor_v = floor_for_ionic_snr_v(&voltages, 59.7, 100, 5e-7).unwrap();
     let tuned = InstrumentOptions { noise: Noise { floor_v, proportional: 5e-7 }, ..InstrumentOptions::ideal() };
-    // Without a floor, the proportional noise at which an ideal frame has the figure.
+    // Without a floor, the proportional noise at which an ideal frame reaches the figure.
     let unit = expected_ionic_snr_db(&voltages, f64::abs, 100);
     let noise = Noise { floor_v: 0.0, proportional: 10_f64.powf(-(59.7 - unit) / 10.0) };
     for options in [InstrumentOptions { noise, ..InstrumentOptions::ideal() }, tuned] {
@@ -167,7 +167,7 @@ fn noise_predicted_from_the_printed_formula_gives_its_figure() {
             })
             .sum::<f64>()
             / 208.0;
-        // One channel scatters by 10 / ln 10 / sqrt(2 * 99) = 0.31 dB, the mean of 208 by 0.021.
+        // One channel scatters by 10 / ln 10 / sqrt(2 * 99) = 0.31 dB, the mean of 208 channels by 0.021 dB.
         assert!((snr - 59.7).abs() < 0.09, "{snr}");
     }
     assert!(floor_for_ionic_snr_v(&voltages, 59.7, 100, 1e-5).is_none());

@@ -6,21 +6,21 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Converter {
-    /// Resolution over the whole range, both signs.
+    /// Resolution over the whole range, both signs, bits.
     pub bits: u32,
-    /// Largest magnitude that it converts, volts after the gain.
+    /// Maximum magnitude that can be converted, volts after the gain.
     pub range_v: f64,
-    /// Amplification before it.
+    /// Gain in front of the converter.
     pub gain: f64,
 }
 
 impl Converter {
-    /// Volts at the skin between neighbouring codes.
+    /// Voltage at the skin between adjacent codes.
     pub fn step_v(&self) -> f64 {
         self.range_v / self.gain / f64::from(self.bits - 1).exp2()
     }
 
-    /// The value read for a voltage at the skin: the nearest code, two's complement, in volts at the skin.
+    /// The reading for a voltage at the skin: the nearest two's complement code, in volts at the skin.
     pub fn read_v(&self, voltage_v: f64) -> f64 {
         let codes = f64::from(self.bits - 1).exp2();
         let step = self.step_v();
@@ -28,7 +28,7 @@ impl Converter {
     }
 }
 
-/// A converter as a table, none as the word `"none"` or left out: TOML has no null.
+/// Serialises a converter as a table, and none as the word `"none"` or a missing key, because TOML has no null.
 pub(super) mod converter_or_none {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 

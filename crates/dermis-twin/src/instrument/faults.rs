@@ -1,11 +1,11 @@
-//! Faults of an instrument, seeded and switchable while it runs.
+//! Instrument faults, seeded and switchable at run time.
 //!
-//! Electrodes: a channel whose measuring pattern holds an open electrode floats, and reads a voltage uniform over full
-//! scale; a stimulation that drives through it carries no current, so all its channels read 0. A shorted pair takes the
-//! whole current of a stimulation across it (0 on all its channels) and ties the two potentials: a channel across it
-//! reads 0, and a channel on one of the two reads the mean of itself and the same stimulation's channel on the other,
-//! where there is one. That the short also redirects current inside the skin is left out. A dead coil neither makes nor
-//! sees a field: all its channels read 0.
+//! Electrodes: a channel whose measuring pattern includes an open electrode floats and reads a uniformly distributed
+//! voltage over full scale. A stimulation through an open electrode carries no current, so all its channels read 0. A
+//! shorted pair takes the whole current of a stimulation across it (0 on all its channels) and equalises the two
+//! potentials: a channel across it reads 0, and a channel on one of the two electrodes reads the mean of itself and
+//! the same stimulation's channel on the other, if there is one. The redirection of current inside the skin by a
+//! short is not modelled. A dead coil neither generates nor senses a field: all its channels read 0.
 
 use dermis_tomo::eit::Protocol;
 use rand::{Rng, SeedableRng};
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::noise::normal;
 use crate::error::{TwinError, check};
 
-/// One fault; see the module for how electrodes act.
+/// A fault; see the module for the effect of electrode faults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Fault {
@@ -29,64 +29,64 @@ pub enum Fault {
         /// Indices from 0.
         electrodes: [u32; 2],
     },
-    /// A channel that always reads the same.
+    /// A channel stuck at one value.
     StuckChannel {
         /// Index from 0.
         channel: usize,
-        /// What it reads, volts.
+        /// Constant reading, volts.
         value_v: f64,
     },
-    /// A channel with noise of its own besides that of all.
+    /// A channel with noise on top of the common noise.
     NoisyChannel {
         /// Index from 0.
         channel: usize,
-        /// Standard deviation of that noise, volts.
+        /// Standard deviation of the extra noise, volts.
         deviation_v: f64,
     },
-    /// A coil whose winding or wire is broken.
+    /// A coil with a broken winding or wire.
     DeadCoil {
         /// Index from 0.
         coil: u32,
     },
-    /// Frames that are lost on the way.
+    /// Frames lost in transit.
     DroppedFrames {
-        /// Probability of each frame, 0 to 1.
+        /// Probability per frame, 0 to 1.
         probability: f64,
     },
-    /// Frames that repeat the one before.
+    /// Frames that repeat the previous one.
     DuplicatedFrames {
-        /// Probability of each frame, 0 to 1.
+        /// Probability per frame, 0 to 1.
         probability: f64,
     },
 }
 
-/// What becomes of a frame.
+/// Fate of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameFate {
     /// It arrives.
     #[default]
     Delivered,
-    /// It is lost: nobody should see its readings.
+    /// It is lost; its readings must not be used.
     Dropped,
-    /// The readings are those of the last frame that arrived.
+    /// Its readings are those of the last frame that arrived.
     Duplicated,
 }
 
-/// Faults at work. Their random numbers are their own, so that noise is the same with and without them.
+/// Active faults. They have their own random numbers, so the noise is the same with and without them.
 #[derive(Clone, Debug)]
 pub(super) struct Faults {
     list: Vec<Fault>,
     protocol: Option<Protocol>,
-    /// The protocol is one of coils.
+    /// True if the protocol is for coils.
     coils: bool,
     channels: usize,
     random: ChaCha8Rng,
     floating: Vec<usize>,
     dead: Vec<usize>,
-    /// Channel and the channel that it is averaged with.
+    /// A channel and the channel it is averaged with.
     tied: Vec<(usize, usize)>,
-    /// The last frame delivered: real parts, then imaginary ones if any.
+    /// The last delivered frame: real parts, then imaginary parts if any.
     previous: Vec<f64>,
     fate: FrameFate,
 }
@@ -134,7 +134,7 @@ impl Faults {
         self.floating.clear();
         self.dead.clear();
         self.tied.clear();
-        // What was read before is no frame that these faults could repeat.
+        // A frame read before these faults must not be repeated by them.
         self.previous.clear();
         for fault in &faults {
             match *fault {
@@ -230,13 +230,13 @@ impl Faults {
                     other.stimulation == measurement.stimulation
                         && protocol.patterns()[other.pattern as usize].entries() == swapped
                 });
-                // Each pair once: from its lower channel.
+                // Each pair once, from its lower channel.
                 self.tied.extend(twin.filter(|&twin| twin > channel).map(|twin| (channel, twin)));
             }
         }
     }
 
-    /// Acts on true voltages.
+    /// Applies electrode faults to true voltages.
     pub fn of_electrodes(&mut self, full_scale_v: f64, voltages_v: &mut [f64]) {
         for &(one, other) in &self.tied {
             let mean = 0.5 * (voltages_v[one] + voltages_v[other]);
@@ -250,7 +250,7 @@ impl Faults {
         }
     }
 
-    /// Acts on readings; imaginary parts may be none.
+    /// Applies frame faults to readings; imaginary parts may be empty.
     pub fn of_frames(&mut self, readings_v: &mut [f64], imaginary_v: &mut [f64]) {
         self.fate = FrameFate::Delivered;
         for fault in &self.list {

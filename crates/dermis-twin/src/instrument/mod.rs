@@ -1,6 +1,6 @@
-//! What an instrument makes of true voltages: slow drift, noise, gain, and an analogue-to-digital converter that
-//! saturates and rounds; behind them, where wanted, a stepped source, a multiplexer, mains pickup, temperature, the
-//! time of a scan, and faults. Seeded: the same seed and the same steps give the same readings.
+//! Effect of an instrument on true voltages: slow drift, noise, gain, and an analogue-to-digital converter that
+//! saturates and rounds. Optional parts are a stepped source, a multiplexer, mains pickup, temperature, scan timing
+//! and faults. Seeded: the same seed and steps give the same readings.
 
 mod chain;
 mod converter;
@@ -27,7 +27,7 @@ use dermis_tomo::eit::Protocol;
 use faults::Faults;
 use noise::normal;
 
-/// An instrument at work.
+/// An instrument in operation.
 #[derive(Clone, Debug)]
 pub struct Instrument {
     options: InstrumentOptions,
@@ -36,15 +36,15 @@ pub struct Instrument {
     channel: Vec<f64>,
     /// Seconds since the first frame.
     time_s: f64,
-    /// Last voltage before the converter's multiplexer in the frame before.
+    /// Last voltage of the previous frame, in front of the converter's multiplexer.
     last_v: f64,
     faults: Faults,
-    /// Quadrature readings of the last frame, where there are any.
+    /// Quadrature readings of the last frame, if any.
     imaginary_v: Vec<f64>,
 }
 
 impl Instrument {
-    /// Fresh, without drift so far.
+    /// A new instrument without drift.
     ///
     /// # Errors
     /// As [`InstrumentOptions::check`].
@@ -56,19 +56,19 @@ impl Instrument {
         Ok(Self { options, random, common: 0.0, channel, time_s: 0.0, last_v: 0.0, faults, imaginary_v: Vec::new() })
     }
 
-    /// Tells it which electrodes its channels use, which faults of electrodes need.
+    /// Sets the electrodes used by its channels, which electrode faults need.
     ///
     /// # Errors
-    /// A protocol with another number of channels.
+    /// A protocol with a different number of channels.
     pub fn with_protocol(mut self, protocol: &Protocol) -> Result<Self, TwinError> {
         self.faults.set_protocol(protocol)?;
         Ok(self)
     }
 
-    /// Tells it which coils its channels use, which faults of coils need.
+    /// Sets the coils used by its channels, which coil faults need.
     ///
     /// # Errors
-    /// Pairs of another number than its channels.
+    /// A number of pairs that differs from its channels.
     pub fn with_coils(mut self, pairs: &Protocol) -> Result<Self, TwinError> {
         self.faults.set_coils(pairs)?;
         Ok(self)
@@ -79,21 +79,21 @@ impl Instrument {
         &self.options
     }
 
-    /// Replaces the faults; none makes it sound again.
+    /// Replaces the faults; an empty list repairs the instrument.
     ///
     /// # Errors
-    /// Channels, electrodes or coils that do not exist, probabilities outside 0 to 1, faults of electrodes without a
+    /// Channels, electrodes or coils that do not exist, probabilities outside 0 to 1, or electrode faults without a
     /// protocol.
     pub fn set_faults(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
         self.faults.set(faults)
     }
 
-    /// The faults it has.
+    /// The current faults.
     pub fn faults(&self) -> &[Fault] {
         self.faults.list()
     }
 
-    /// Checks faults without taking them on.
+    /// Checks faults without applying them.
     ///
     /// # Errors
     /// As [`Instrument::set_faults`].
@@ -101,7 +101,7 @@ impl Instrument {
         self.faults.check_all(faults)
     }
 
-    /// What became of the last frame. Whoever passes frames on leaves dropped ones out.
+    /// Fate of the last frame. Callers that forward frames must skip dropped ones.
     pub fn frame_fate(&self) -> FrameFate {
         self.faults.fate()
     }
@@ -111,17 +111,17 @@ impl Instrument {
         &self.imaginary_v
     }
 
-    /// True time from one frame to the next, seconds; 0 where channels take no time.
+    /// Actual time from one frame to the next, seconds; 0 if channels take no time.
     pub fn frame_period_s(&self) -> f64 {
         self.options.timing.map_or(0.0, |timing| timing.frame_period_s(self.channel.len()))
     }
 
-    /// When a channel is read after the frame's start, seconds; the skew inside a frame.
+    /// Reading time of a channel relative to the start of the frame, seconds: the skew within a frame.
     pub fn channel_time_s(&self, channel: usize) -> f64 {
         self.options.timing.map_or(0.0, |timing| timing.channel_time_s(channel))
     }
 
-    /// Turns true voltages into readings, in place, `dt_s` seconds after the last.
+    /// Converts true voltages to readings in place, `dt_s` seconds after the previous frame.
     pub fn read(&mut self, dt_s: f64, voltages_v: &mut [f64]) {
         self.time_s += dt_s;
         self.scale(dt_s, voltages_v);
@@ -148,7 +148,7 @@ impl Instrument {
         self.imaginary_v = imaginary_v;
     }
 
-    /// Noise, pickup and converter.
+    /// Applies noise, pickup and converter.
     fn digitise(&mut self, voltages_v: &mut [f64]) {
         for (channel, voltage) in voltages_v.iter_mut().enumerate() {
             *voltage += self.options.noise.deviation_v(*voltage) * normal(&mut self.random);
@@ -160,7 +160,7 @@ impl Instrument {
         }
     }
 
-    /// Everything that multiplies: random walk, current steps, temperature.
+    /// Applies all factors: random walk, current steps, temperature.
     fn scale(&mut self, dt_s: f64, voltages_v: &mut [f64]) {
         if let Some(drift) = self.options.drift {
             let root = dt_s.sqrt();
@@ -220,7 +220,7 @@ mod tests {
             instrument.read(0.9, &mut voltages);
         }
         let variance = voltages.iter().map(|v| (v - 1.0).powi(2)).sum::<f64>() / 4000.0;
-        // 9 s: a deviation of 3e-3; 4,000 samples give it within 5 % (4.5 standard errors).
+        // After 9 s, a deviation of 3e-3; 4,000 samples determine it within 5 % (4.5 standard errors).
         assert!((variance.sqrt() / 3e-3 - 1.0).abs() < 0.05, "{variance:e}");
     }
 

@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 pub struct Noise {
     /// Standard deviation at 0 V, volts at the skin.
     pub floor_v: f64,
-    /// Standard deviation that grows with the voltage, per volt.
+    /// Standard deviation proportional to the voltage, per volt.
     pub proportional: f64,
 }
 
 impl Noise {
-    /// The noise with these signal-to-noise ratios (dB, [`super::snr_db`]) at these two voltages, where a converter of
-    /// this step adds its rounding, `step^2 / 12`. `None` where no noise has them (the floor would be imaginary).
+    /// The noise with these signal-to-noise ratios (dB, [`super::snr_db`]) at these two voltages, given the rounding
+    /// error `step^2 / 12` of a converter. `None` if no noise matches (the floor would be imaginary).
     pub fn through(low: (f64, f64), high: (f64, f64), converter_step_v: f64) -> Option<Self> {
         let variance = |(voltage, db): (f64, f64)| voltage * voltage * 10_f64.powf(-db / 10.0);
         let squares = (high.0 * high.0, low.0 * low.0);
@@ -26,7 +26,7 @@ impl Noise {
         (proportional >= 0.0 && floor >= 0.0).then(|| Self { floor_v: floor.sqrt(), proportional: proportional.sqrt() })
     }
 
-    /// Standard deviation of a reading of this voltage.
+    /// Standard deviation of a reading at this voltage.
     pub fn deviation_v(&self, voltage_v: f64) -> f64 {
         self.floor_v.hypot(self.proportional * voltage_v)
     }
@@ -38,7 +38,7 @@ impl Noise {
 pub struct Drift {
     /// Common to all channels (temperature of sheet and source): relative deviation after one second.
     pub common_per_sqrt_s: f64,
-    /// Of each channel alone (contacts, multiplexers): relative deviation after one second.
+    /// Independent for each channel (contacts, multiplexers): relative deviation after one second.
     pub channel_per_sqrt_s: f64,
 }
 

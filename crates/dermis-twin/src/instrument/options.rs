@@ -1,4 +1,4 @@
-//! What an instrument is made of.
+//! Parameters of an instrument.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,42 +15,42 @@ const RIGHT_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
 pub struct InstrumentOptions {
     /// Noise of every reading.
     pub noise: Noise,
-    /// Slow change, where wanted.
+    /// Slow drift, if any.
     pub drift: Option<Drift>,
-    /// Rounding and saturation; `None` (`"none"` in TOML) reads without either.
+    /// Rounding and saturation; with `None` (`"none"` in TOML) there is neither.
     #[serde(with = "converter_or_none")]
     pub converter: Option<Converter>,
     /// Steps of the current source.
     pub drive: Option<DriveSteps>,
-    /// Multiplexer on the measuring side.
+    /// Multiplexer on the measurement side.
     pub multiplexer: Option<Multiplexer>,
-    /// Amplifier ranges before the converter.
+    /// Amplifier ranges in front of the converter.
     pub gain_ranges: Option<GainRanges>,
-    /// Pickup of the mains.
+    /// Mains pickup.
     pub mains: Option<Mains>,
-    /// Gain that follows temperature.
+    /// Gain that depends on temperature.
     pub temperature: Option<Temperature>,
-    /// Time that a scan takes; `None` reads all channels at once.
+    /// Timing of a scan; with `None` all channels are read at once.
     pub timing: Option<Timing>,
-    /// What of the voltage is reported.
+    /// Part of the voltage that is reported.
     pub reading: Reading,
-    /// Angle by which the demodulator's reference leads: a signed reading is `V cos`, a complex one has `V sin` as its
-    /// imaginary part; a rectifier knows nothing of it. Radians, within a right angle.
+    /// Phase lead of the demodulator's reference, radians, within a right angle. A signed reading is `V cos`, a
+    /// complex one also has `V sin` as its imaginary part; a rectifier is unaffected.
     pub phase_error_rad: f64,
 }
 
-/// What of a voltage an instrument reports.
+/// Part of a voltage that an instrument reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reading {
-    /// The in-phase voltage with its sign.
+    /// The in-phase voltage, with its sign.
     #[default]
     Signed,
-    /// Its size only, as behind a rectifier.
+    /// The magnitude only, as behind a rectifier.
     Magnitude,
-    /// In-phase and quadrature voltage, each with its noise; the latter is
-    /// [`Instrument::imaginary_v`](super::Instrument::imaginary_v). A resistive skin has none, so that only the phase
-    /// error shows there.
+    /// In-phase and quadrature voltage, each with its own noise; the latter is
+    /// [`Instrument::imaginary_v`](super::Instrument::imaginary_v). A resistive skin has no quadrature, so it only
+    /// shows the phase error.
     Complex,
 }
 
@@ -61,7 +61,7 @@ impl Default for InstrumentOptions {
 }
 
 impl InstrumentOptions {
-    /// An instrument that adds nothing.
+    /// An instrument without errors.
     pub fn ideal() -> Self {
         Self {
             noise: Noise { floor_v: 0.0, proportional: 0.0 },
@@ -81,8 +81,8 @@ impl InstrumentOptions {
     /// Checks the parameters.
     ///
     /// # Errors
-    /// Negative noise or drift, fewer than 2 or more than 32 bits, a range or gain that is not positive, parts of the
-    /// chain that make no sense.
+    /// Negative noise or drift, fewer than 2 or more than 32 bits, a range or gain that is not positive, or invalid
+    /// parts of the chain.
     pub fn check(&self) -> Result<(), TwinError> {
         check("noise floor_v", self.noise.floor_v, 0.0, f64::MAX, "zero or more, finite")?;
         check("noise proportional", self.noise.proportional, 0.0, f64::MAX, "zero or more, finite")?;
@@ -131,7 +131,7 @@ impl InstrumentOptions {
         self.timing.as_ref().map_or(Ok(()), Timing::check)
     }
 
-    /// Rectifier, amplifier range and converter.
+    /// Applies rectifier, amplifier range and converter.
     pub(super) fn convert(&self, voltage_v: f64) -> f64 {
         let voltage_v = if self.reading == Reading::Magnitude { voltage_v.abs() } else { voltage_v };
         let Some(converter) = self.converter else { return voltage_v };

@@ -1,39 +1,39 @@
-//! Faults that come and go: each with the time from which and until which it acts, on the twin's clock.
+//! Faults with a start and an end on the twin's clock.
 
 use serde::{Deserialize, Serialize};
 
 use super::Fault;
 use crate::error::{TwinError, check};
 
-/// A fault and when it acts.
+/// A fault and its times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimedFault {
-    /// What is broken.
+    /// The fault.
     pub fault: Fault,
-    /// From this time on, seconds after the first frame.
+    /// Start, seconds after the first frame.
     pub from_s: f64,
-    /// Until then, seconds after the first frame; `None`: for good.
+    /// End, seconds after the first frame; `None` if the fault is permanent.
     pub until_s: Option<f64>,
 }
 
 impl From<Fault> for TimedFault {
-    /// A fault from the first frame on and for good.
+    /// A permanent fault from the first frame on.
     fn from(fault: Fault) -> Self {
         Self { fault, from_s: 0.0, until_s: None }
     }
 }
 
 impl TimedFault {
-    /// True where it acts at this time.
+    /// True if the fault is active at this time.
     pub fn acts_at(&self, time_s: f64) -> bool {
         time_s >= self.from_s && self.until_s.is_none_or(|until| time_s < until)
     }
 
-    /// Checks its times; the instrument checks the fault.
+    /// Checks the times; the instrument checks the fault.
     ///
     /// # Errors
-    /// A start below zero, an end not after it.
+    /// A negative start, or an end that is not after it.
     pub fn check(&self) -> Result<(), TwinError> {
         check("fault from_s", self.from_s, 0.0, f64::MAX, "zero or more, finite")?;
         match self.until_s {
@@ -46,7 +46,7 @@ impl TimedFault {
     }
 }
 
-/// Timed faults with those that act now.
+/// Timed faults, and which of them are active.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FaultSchedule {
     list: Vec<TimedFault>,
@@ -54,12 +54,12 @@ pub(crate) struct FaultSchedule {
 }
 
 impl FaultSchedule {
-    /// None of them acts before the first [`FaultSchedule::change_at`].
+    /// None is active before the first [`FaultSchedule::change_at`].
     pub fn new(list: Vec<TimedFault>) -> Self {
         Self { acting: vec![false; list.len()], list }
     }
 
-    /// The faults that act at this time, if they are others than at the last.
+    /// The faults active at this time, if they have changed since the last call.
     pub fn change_at(&mut self, time_s: f64) -> Option<Vec<Fault>> {
         let mut changed = false;
         for (timed, acting) in self.list.iter().zip(&mut self.acting) {

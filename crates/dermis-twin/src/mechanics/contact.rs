@@ -1,7 +1,8 @@
-//! The contact between two conductive layers that an air gap keeps apart: conductance per area against pressure,
-//! `g(p) = 0` for `p <= p_t`, else `g_max x / (1 + x)` with `x = ((p - p_t) / p_ref)^n`. Below `p_t` the gap is open;
-//! then the real area of contact grows with load as a power law (n near 1 for elastic rough surfaces, Greenwood and
-//! Williamson 1966; above 1 while the gap still closes from the middle outwards), until all of it touches.
+//! The contact between two conductive layers separated by an air gap. Conductance per area as a function of pressure:
+//! `g(p) = 0` for `p <= p_t`, otherwise `g_max x / (1 + x)` with `x = ((p - p_t) / p_ref)^n`. Below `p_t` the gap is
+//! open. Above it the real area of contact grows with load as a power law (n near 1 for elastic rough surfaces,
+//! Greenwood and Williamson 1966; above 1 while the gap still closes from the middle outwards) until everything
+//! touches.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +14,7 @@ use crate::error::{TwinError, check, check_positive};
 pub struct ContactLaw {
     /// p_t: pressure that closes the air gap, pascals.
     pub threshold_pa: f64,
-    /// p_ref: pressure above the threshold that brings half of the saturated conductance, pascals.
+    /// p_ref: pressure above the threshold at half the saturated conductance, pascals.
     pub reference_pa: f64,
     /// n: exponent of the power law.
     pub exponent: f64,
@@ -29,14 +30,14 @@ impl ContactLaw {
             return 0.0;
         }
         let ratio = (above / self.reference_pa).powf(self.exponent);
-        // As x/(1+x), but finite where x is not.
+        // Equal to x/(1+x), but finite if x is not.
         self.saturation_s_per_m2 / (1.0 + 1.0 / ratio)
     }
 
     /// Checks the parameters.
     ///
     /// # Errors
-    /// A threshold below zero, or any other parameter that is not positive and finite.
+    /// A negative threshold, or any other parameter that is not positive and finite.
     pub fn check(&self) -> Result<(), TwinError> {
         check("contact threshold_pa", self.threshold_pa, 0.0, f64::MAX, "zero or more, finite")?;
         check_positive("contact reference_pa", self.reference_pa)?;

@@ -1,14 +1,14 @@
-//! Which indenters a skin can bear: those whose middle lies on it and whose face is no larger than it.
+//! Checks that a skin can carry an indenter: its centre must be on the skin, and its face no larger than the skin.
 
 use dermis_tomo::mesh::Outline;
 
 use super::Indenter;
 use crate::error::{TwinError, check};
 
-/// Refuses an indenter that a skin of this outline cannot bear.
+/// Refuses an indenter that a skin with this outline cannot carry.
 ///
 /// # Errors
-/// A middle off the skin (also in a hole of it), a face larger than the skin, with the value; and as
+/// A centre off the skin (or in a hole), or a face larger than the skin, with the value; otherwise as
 /// [`Indenter::check`].
 pub fn check_on_skin(outline: &Outline, indenter: &Indenter) -> Result<(), TwinError> {
     indenter.check()?;
@@ -50,7 +50,7 @@ mod tests {
             let error = at(x_m, y_m).unwrap_err().to_string();
             assert!(error.starts_with(&format!("indenter at ({x_m}, {y_m}) m refused")), "{error}");
         }
-        // Either way round.
+        // With either orientation.
         let turned = Outline::Polygon { outer: square(0.05).into_iter().rev().collect(), holes: vec![square(0.02)] };
         assert!(turned.contains([0.03, 0.0]) && !turned.contains([0.0, 0.0]));
         assert!(Outline::Disc { radius_m: 0.01 }.contains([0.006, -0.008]));

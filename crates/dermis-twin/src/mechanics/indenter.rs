@@ -1,6 +1,6 @@
-//! Things that press on a skin, and the pressure that reaches the layer beneath the cover: the indenter's uniform
-//! pressure, smoothed across its edge by a Gaussian of standard deviation l (the cover's smoothing length), and scaled
-//! so that the whole field carries the indenter's force (less what falls off the skin).
+//! Indenters, and the pressure that reaches the layer under the cover: the indenter's uniform pressure, smoothed
+//! across its edge by a Gaussian of standard deviation l (the cover's smoothing length), and scaled so that the whole
+//! field carries the indenter's force (minus what falls off the skin).
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
@@ -9,17 +9,19 @@ use serde::{Deserialize, Serialize};
 use super::mask::Mask;
 use crate::error::{TwinError, check, check_positive};
 
-/// Standard acceleration of gravity, m/s^2: what turns a mass into a weight.
+/// Standard acceleration of gravity, m/s^2, to convert mass to weight.
 pub const STANDARD_GRAVITY_M_PER_S2: f64 = 9.80665;
 
-/// Standard deviations beyond which a smoothed edge counts as zero (its value there is 3e-7 of the pressure).
+/// Number of standard deviations beyond which a smoothed edge counts as zero (its value there is 3e-7 of the
+/// pressure).
 const REACH: f64 = 5.0;
 
 /// The layer between indenter and contact.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cover {
-    /// Standard deviation of the smoothing, metres. A load spreads by about the thickness of what it passes through.
+    /// Standard deviation of the smoothing, metres. A load spreads by about the thickness of the material it passes
+    /// through.
     pub smoothing_m: f64,
 }
 
@@ -33,13 +35,13 @@ impl Cover {
     }
 }
 
-/// What an indenter's face looks like, from above.
+/// Shape of an indenter's face, seen from above.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Shape {
     /// A flat round face.
     Disc {
-        /// Its radius.
+        /// Radius.
         radius_m: f64,
     },
     /// The edge of a tube.
@@ -51,11 +53,11 @@ pub enum Shape {
     },
     /// A straight edge.
     Line {
-        /// Along it.
+        /// Length along the edge.
         length_m: f64,
-        /// Across it.
+        /// Width across the edge.
         width_m: f64,
-        /// Its direction, radians counter-clockwise from +x.
+        /// Direction, radians counter-clockwise from +x.
         angle_rad: f64,
     },
     /// A flat rectangular face.
@@ -64,21 +66,21 @@ pub enum Shape {
         width_m: f64,
         /// Along its own y axis.
         height_m: f64,
-        /// Turn of its axes, radians counter-clockwise.
+        /// Rotation of its axes, radians counter-clockwise.
         angle_rad: f64,
     },
-    /// Any face, as a picture.
+    /// Any face, given as a picture.
     Mask {
-        /// Which cells press.
+        /// The cells that press.
         mask: Mask,
-        /// Side of a cell.
+        /// Side length of a cell.
         cell_m: f64,
-        /// Turn of the picture, radians counter-clockwise.
+        /// Rotation of the picture, radians counter-clockwise.
         angle_rad: f64,
     },
 }
 
-/// How hard an indenter presses.
+/// Load on an indenter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Load {
@@ -88,15 +90,15 @@ pub enum Load {
     ForceN(f64),
 }
 
-/// One thing that presses.
+/// One indenter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Indenter {
-    /// Middle of its face.
+    /// Centre of its face.
     pub centre_m: [f64; 2],
-    /// Its face.
+    /// Shape of its face.
     pub shape: Shape,
-    /// How hard it presses.
+    /// Load on it.
     pub load: Load,
 }
 
@@ -111,13 +113,13 @@ impl Shape {
         }
     }
 
-    /// Radius of the disc of the same area, metres.
+    /// Radius of a disc of equal area, metres.
     pub fn equal_area_radius_m(&self) -> f64 {
         (self.area_m2() / PI).sqrt()
     }
 
     /// Smoothed indicator function at an offset from the centre: 1 well inside, 1/2 on a straight edge, 0 outside.
-    /// Exact convolutions for lines and rectangles; radial edges are smoothed as straight ones.
+    /// Exact convolutions for lines and rectangles; radial edges are smoothed like straight ones.
     fn profile(&self, offset: [f64; 2], smoothing: f64) -> f64 {
         let below = |edge: f64, position: f64| normal_cdf((edge - position) / smoothing);
         let slab = |width: f64, position: f64| below(width / 2.0, position) - below(-width / 2.0, position);
@@ -139,7 +141,7 @@ impl Shape {
         }
     }
 
-    /// Integral of the profile over the plane. With R ~ N(a, l^2), that of a disc is `pi E[R^2; R > 0]`.
+    /// Integral of the profile over the plane. With R ~ N(a, l^2), the integral for a disc is `pi E[R^2; R > 0]`.
     fn profile_area(&self, smoothing: f64) -> f64 {
         let round = |radius: f64| {
             let ratio = radius / smoothing;
@@ -193,7 +195,7 @@ impl Indenter {
         Self { centre_m, shape: Shape::Disc { radius_m }, load: Load::PressurePa(pressure_pa) }
     }
 
-    /// A round weight lying on the skin, its mass in grams.
+    /// A round weight lying on the skin, with its mass in grams.
     pub fn weight(centre_m: [f64; 2], radius_m: f64, mass_g: f64) -> Self {
         let load = Load::ForceN(1e-3 * mass_g * STANDARD_GRAVITY_M_PER_S2);
         Self { centre_m, shape: Shape::Disc { radius_m }, load }
@@ -212,12 +214,12 @@ impl Indenter {
         self.pressure_pa() * self.shape.area_m2()
     }
 
-    /// The same indenter pressing `share` times as hard.
+    /// The same indenter with `share` times the load.
     pub fn scaled(&self, share: f64) -> Self {
         Self { load: Load::PressurePa(share * self.pressure_pa()), ..*self }
     }
 
-    /// Adds its pressure, in pascals, at each position.
+    /// Adds its pressure at each position, pascals.
     pub fn add_pressure(&self, cover: Cover, positions_m: &[[f64; 2]], pressure_pa: &mut [f64]) {
         let field = self.field(cover);
         for (position, sum) in positions_m.iter().zip(pressure_pa) {
@@ -227,7 +229,7 @@ impl Indenter {
         }
     }
 
-    /// The pressure field beneath the cover.
+    /// The pressure field under the cover.
     pub(super) fn field(&self, cover: Cover) -> PressureField {
         let smoothing = cover.smoothing_m;
         PressureField {
@@ -242,7 +244,7 @@ impl Indenter {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// Coordinates that are not finite, lengths that are not positive, a load below zero.
+    /// Non-finite coordinates, lengths that are not positive, or a negative load.
     pub fn check(&self) -> Result<(), TwinError> {
         check("centre_m (x)", self.centre_m[0], -1e3, 1e3, "a position in metres")?;
         check("centre_m (y)", self.centre_m[1], -1e3, 1e3, "a position in metres")?;
@@ -251,12 +253,12 @@ impl Indenter {
             Load::PressurePa(value) => check("pressure_pa", value, 0.0, 1e9, "0 to 1e9 Pa"),
             Load::ForceN(value) => check("force_n", value, 0.0, 1e6, "0 to 1e6 N"),
         }?;
-        // A force on a face too small for it is absurd too.
+        // This also refuses a force on a face too small for it.
         check("pressure_pa", self.pressure_pa(), 0.0, 1e9, "0 to 1e9 Pa")
     }
 }
 
-/// The pressure of one indenter beneath the cover.
+/// The pressure of one indenter under the cover.
 pub(super) struct PressureField {
     centre_m: [f64; 2],
     shape: Shape,
@@ -266,7 +268,7 @@ pub(super) struct PressureField {
 }
 
 impl PressureField {
-    /// False where the pressure is zero everywhere within `margin_m` of a position.
+    /// False if the pressure is zero everywhere within `margin_m` of a position.
     pub(super) fn reaches(&self, position_m: [f64; 2], margin_m: f64) -> bool {
         let reach = self.reach_m + margin_m;
         let [dx, dy] = [position_m[0] - self.centre_m[0], position_m[1] - self.centre_m[1]];
@@ -280,14 +282,14 @@ impl PressureField {
     }
 }
 
-/// An offset in the axes of a shape that is turned by an angle.
+/// An offset in the axes of a shape rotated by an angle.
 fn turned([x, y]: [f64; 2], angle_rad: f64) -> [f64; 2] {
     let (sine, cosine) = angle_rad.sin_cos();
     [x * cosine + y * sine, y * cosine - x * sine]
 }
 
-/// Distribution function of the standard normal: a pressure beneath a cover so many of its smoothing lengths within a
-/// straight edge, over that far inside.
+/// Standard normal distribution function. Relative pressure under a cover, at a distance of `x` smoothing lengths
+/// inside a straight edge.
 pub fn normal_cdf(x: f64) -> f64 {
     if x > 6.0 {
         1.0
@@ -328,8 +330,8 @@ mod tests {
         for shape in shapes {
             let indenter = Indenter { centre_m: [0.003, -0.002], shape, load: Load::ForceN(2.5) };
             indenter.check().unwrap();
-            // The sum over a grid six times finer than the smoothing is exact to rounding but for the cone tip that the
-            // smallest disc has at its centre.
+            // On a grid six times finer than the smoothing the sum is exact up to rounding, except for the conical
+            // tip at the centre of the smallest disc.
             let force = carried_force(indenter);
             assert!((force / 2.5 - 1.0).abs() < 2e-3, "{shape:?} carries {force} N");
         }
@@ -358,13 +360,13 @@ mod tests {
         for position in [[0.01, 0.0], [0.013, 0.001], [0.006, -0.003]] {
             assert!((at(square, position) - at(cell, position)).abs() < 1e-9 * 1e3);
         }
-        // The first cell of the first row lies up and to the left.
+        // The first cell of the first row is at the top left.
         assert!(at(corner, [0.007, 0.003]) > 900.0 && at(corner, [0.013, -0.003]) < 1.0);
     }
 
     #[test]
     fn grams_become_newtons() {
-        // One weight of 6.5 g presses with 64 mN, on a disc of 20 mm with 0.203 kPa.
+        // One weight of 6.5 g exerts 64 mN, or 0.203 kPa on a disc of 20 mm.
         let weight = Indenter::weight([0.0; 2], 0.01, 6.5);
         assert!((weight.force_n() - 0.06374).abs() < 1e-5 && (weight.pressure_pa() - 203.0).abs() < 0.5);
     }

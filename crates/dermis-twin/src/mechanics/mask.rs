@@ -1,14 +1,14 @@
-//! Faces of indenters given as pictures: a hand's print, a letter, a gripper's pad.
+//! Faces of indenters given as pictures: a handprint, a letter, a gripper pad.
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check};
 
-/// Most rows, and most columns, of a [`Mask`].
+/// Maximum number of rows and of columns of a [`Mask`].
 pub const MOST_MASK_CELLS: usize = 32;
 
-/// A picture of square cells that press (`#`) or do not (`.`), row 0 at the top (+y), its middle at the indenter's
-/// centre. As text: a list of rows of equal length.
+/// A picture of square cells that press (`#`) or do not (`.`), with row 0 at the top (+y) and its centre at the
+/// indenter's centre. As text, it is a list of rows of equal length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<String>", into = "Vec<String>")]
 pub struct Mask {
@@ -19,7 +19,7 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// From its rows.
+    /// Builds a mask from its rows.
     ///
     /// ```
     /// use dermis_twin::mechanics::Mask;
@@ -30,7 +30,7 @@ impl Mask {
     /// ```
     ///
     /// # Errors
-    /// No rows or more than 32, rows of different lengths or longer than 32, other characters, nothing that presses.
+    /// No rows or more than 32, rows of different lengths or longer than 32, other characters, or no pressing cell.
     pub fn from_rows<S: AsRef<str>>(rows: &[S]) -> Result<Self, TwinError> {
         let most = MOST_MASK_CELLS as f64;
         check("mask rows", rows.len() as f64, 1.0, most, "1 to 32")?;
@@ -65,7 +65,7 @@ impl Mask {
         usize::from(self.columns)
     }
 
-    /// Whether a cell presses; false outside the picture.
+    /// True if a cell presses; false outside the picture.
     pub fn presses(&self, row: usize, column: usize) -> bool {
         row < self.rows() && column < self.columns() && self.bits[row] >> column & 1 == 1
     }
@@ -75,8 +75,8 @@ impl Mask {
         self.bits.iter().map(|bits| bits.count_ones() as usize).sum()
     }
 
-    /// Sum over the pressing cells of the smoothed indicator function of each, at a position in cells from the middle
-    /// (x right, y up); `below(edge, position)` is the smoothed step at an edge.
+    /// Sum of the smoothed indicator functions of all pressing cells at a position, in cells from the centre (x
+    /// right, y up); `below(edge, position)` is the smoothed step at an edge.
     pub(super) fn profile(&self, [x, y]: [f64; 2], below: impl Fn(f64, f64) -> f64) -> f64 {
         let (left, top) = (-0.5 * f64::from(self.columns), 0.5 * f64::from(self.rows));
         let mut across = [0.0; MOST_MASK_CELLS];

@@ -5,12 +5,12 @@ use dermis_tomo::membrane::{Membrane, MembraneSpec};
 use super::indenter::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
 
-/// Parts into which each edge of a triangle is divided to integrate pressures: 9 points a triangle.
+/// Number of parts into which each edge of a triangle is divided to integrate pressures: 9 points per triangle.
 const SUBDIVISION: usize = 3;
 
-/// What presses on a membrane.
+/// A membrane that can be pressed.
 pub trait PressedMembrane {
-    /// Adds the nodal forces of an indenter, newtons: `integral p phi`. What hangs over the rim is lost.
+    /// Adds the nodal forces of an indenter, newtons: `integral p phi`. Pressure beyond the rim is lost.
     fn add_load(&self, indenter: &Indenter, cover: Cover, load_n: &mut [f64]);
 }
 
@@ -35,7 +35,7 @@ impl PressedMembrane for Membrane {
     }
 }
 
-/// Refuses a membrane that makes no sense.
+/// Refuses an invalid membrane.
 ///
 /// # Errors
 /// The number, its value and what was expected.

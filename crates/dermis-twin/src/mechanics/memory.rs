@@ -1,4 +1,4 @@
-//! First-order viscoelastic memory of a cover: of a pressure `p`, the share `1 - c` acts at once and the share `c`
+//! First-order viscoelastic memory of a cover. The share `1 - c` of a pressure `p` acts at once and the share `c`
 //! follows with a time constant, `tau dq/dt = p - q`, `p_eff = (1 - c) p + c q` (a standard linear solid seen at its
 //! base). Exact for pressures that are constant over each step.
 
@@ -10,13 +10,13 @@ use crate::error::{TwinError, check, check_positive};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Memory {
-    /// c: share of the pressure that acts late, 0 to 1.
+    /// c: share of the pressure that acts with a delay, 0 to 1.
     pub share: f64,
-    /// tau: its time constant, seconds.
+    /// tau: time constant of the delay, seconds.
     pub time_constant_s: f64,
 }
 
-/// The pressure at a set of positions, with what they remember.
+/// The pressure at a set of positions, with its memory.
 #[derive(Clone, Debug)]
 pub struct PressureState {
     memory: Option<Memory>,
@@ -27,7 +27,7 @@ impl Memory {
     /// Checks the parameters.
     ///
     /// # Errors
-    /// A share outside 0 to 1, a time constant that is not positive.
+    /// A share outside 0 to 1, or a time constant that is not positive.
     pub fn check(&self) -> Result<(), TwinError> {
         check("memory share", self.share, 0.0, 1.0, "0 to 1")?;
         check_positive("memory time_constant_s", self.time_constant_s)
@@ -41,7 +41,7 @@ impl PressureState {
         Self { memory, late_pa: vec![0.0; remembered] }
     }
 
-    /// Turns the pressure applied during `dt_s` into the pressure that acts at its end.
+    /// Converts the pressure applied during `dt_s` to the pressure that acts at its end.
     pub fn apply(&mut self, dt_s: f64, pressure_pa: &mut [f64]) {
         let Some(memory) = self.memory else { return };
         let follow = -(-dt_s / memory.time_constant_s).exp_m1();

@@ -1,6 +1,6 @@
-//! From things that press to what the layers do: indenters give a pressure field on the skin ([`Indenter`]), the
-//! cover may remember it for a while ([`Memory`]), and pressure closes the gap between two layers ([`ContactLaw`]) or
-//! deflects a membrane over a liquid ([`Membrane`]), or moves rigid elements on springs ([`SpringGrid`]).
+//! From loads to the response of the layers: indenters produce a pressure field on the skin ([`Indenter`]), the cover
+//! may delay it ([`Memory`]), and the pressure closes the gap between two layers ([`ContactLaw`]), deflects a
+//! membrane over a liquid ([`Membrane`]), or moves rigid elements on springs ([`SpringGrid`]).
 
 mod contact;
 mod extent;

@@ -1,37 +1,37 @@
-//! Rigid elements on springs or on cut sponge. Each carries the load on its own cell; a weak elastic coupling drags its
-//! neighbours along; springs are linear first and stiffen as coils close or foam densifies, so that the travel
-//! saturates: with x the travel of the linear grid, `(k + c L) x = F` (L the Laplacian of the grid's graph), the travel
-//! is `x / (1 + (x/limit)^n)^(1/n)`.
+//! Rigid elements on springs or on cut sponge. Each carries the load on its own cell, and a weak elastic coupling
+//! drags its neighbours along. Springs are linear at first and stiffen as coils close or foam densifies, so the
+//! travel saturates. With x the travel of the linear grid, `(k + c L) x = F` (L is the Laplacian of the grid's
+//! graph), the travel is `x / (1 + (x/limit)^n)^(1/n)`.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
 
-/// Largest distance between the places at which an indenter's pressure on a cell is summed, metres, and least number of
-/// them along a cell.
+/// Maximum distance between the points at which an indenter's pressure on a cell is sampled, metres, and minimum
+/// number of points along a cell.
 const SAMPLE_M: f64 = 3e-3;
 const LEAST_SAMPLES: f64 = 4.0;
-/// Smoothing of the pressure over that distance, so that the sum is the force.
+/// Smoothing of the pressure relative to that distance, so that the sum equals the force.
 const SMOOTHING: f64 = 2.5 / 3.0;
-/// Most elements.
+/// Maximum number of elements.
 const MOST_ELEMENTS: f64 = 1024.0;
-/// Share of a cell by which a neighbour's place may be off.
+/// Permitted deviation of a neighbour's position, as a share of a cell.
 const OFF: f64 = 0.1;
-/// Relative change at which the linear grid counts as solved.
+/// Relative change below which the linear grid counts as solved.
 const SETTLED: f64 = 1e-13;
 
 /// Springs under elements.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Springs {
-    /// k: stiffness of each at rest, newtons per metre.
+    /// k: stiffness of each spring at rest, newtons per metre.
     pub stiffness_n_per_m: f64,
-    /// Travel that no force exceeds, metres.
+    /// Maximum travel under any force, metres.
     pub limit_m: f64,
-    /// n: how suddenly they stiffen; 1 from the start, larger values later.
+    /// n: sharpness of the stiffening; 1 stiffens from the start, larger values later.
     pub sharpness: f64,
-    /// c: stiffness between neighbours, newtons per metre; 0 for springs that stand alone.
+    /// c: stiffness between neighbours, newtons per metre; 0 for independent springs.
     pub coupling_n_per_m: f64,
 }
 
@@ -39,7 +39,8 @@ impl Springs {
     /// Checks the parameters.
     ///
     /// # Errors
-    /// Stiffness, limit that are not positive, a sharpness below 1, a negative coupling or one above the stiffness.
+    /// A stiffness or limit that is not positive, a sharpness below 1, or a coupling that is negative or above the
+    /// stiffness.
     pub fn check(&self) -> Result<(), TwinError> {
         check_positive("springs stiffness_n_per_m", self.stiffness_n_per_m)?;
         check_positive("springs limit_m", self.limit_m)?;
@@ -47,12 +48,12 @@ impl Springs {
         check("springs coupling_n_per_m", self.coupling_n_per_m, 0.0, self.stiffness_n_per_m, "0 to the stiffness")
     }
 
-    /// Travel of one spring alone under a force, metres.
+    /// Travel of a single spring under a force, metres.
     pub fn travel_m(&self, force_n: f64) -> f64 {
         self.stiffened_m(force_n.max(0.0) / self.stiffness_n_per_m)
     }
 
-    /// Force on one spring alone that makes this travel, newtons; infinite at the limit and beyond.
+    /// Force on a single spring for this travel, newtons; infinite at the limit and beyond.
     pub fn force_n(&self, travel_m: f64) -> f64 {
         let share = (travel_m / self.limit_m).clamp(0.0, 1.0);
         self.stiffness_n_per_m * travel_m.max(0.0) / (1.0 - share.powf(self.sharpness)).powf(1.0 / self.sharpness)
@@ -63,7 +64,7 @@ impl Springs {
     }
 }
 
-/// Elements with their cells, and who stands beside whom.
+/// Elements with their cells and neighbours.
 #[derive(Clone, Debug)]
 pub struct SpringGrid {
     springs: Springs,
@@ -78,12 +79,12 @@ pub struct SpringGrid {
 }
 
 impl SpringGrid {
-    /// Elements in the middles of cells of this width and height, metres. Those one cell apart along x or y, within a
-    /// tenth of a cell, are neighbours.
+    /// Elements in the middle of cells with this width and height, metres. Elements one cell apart along x or y,
+    /// within a tenth of a cell, are neighbours.
     ///
     /// # Errors
-    /// Springs that make no sense, no or more than 1024 elements, places that are not finite, a cell without area,
-    /// cells that overlap.
+    /// Invalid springs, no elements or more than 1024, non-finite positions, a cell without area, or overlapping
+    /// cells.
     pub fn new(springs: Springs, places_m: Vec<[f64; 2]>, cell_m: [f64; 2]) -> Result<Self, TwinError> {
         springs.check()?;
         check("number of elements", places_m.len() as f64, 1.0, MOST_ELEMENTS, "1 to 1024")?;
@@ -115,7 +116,7 @@ impl SpringGrid {
         })
     }
 
-    /// Where the elements are, metres.
+    /// Positions of the elements, metres.
     pub fn places_m(&self) -> &[[f64; 2]] {
         &self.places_m
     }
@@ -125,8 +126,7 @@ impl SpringGrid {
         &self.springs
     }
 
-    /// Forces of these indenters on each element, newtons: what presses on its cell. What lies off all cells presses
-    /// nothing.
+    /// Forces of these indenters on each element, newtons: the load on its cell. Loads off all cells are lost.
     pub fn forces_n(&mut self, indenters: &[Indenter], forces_n: &mut [f64]) {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
@@ -137,7 +137,7 @@ impl SpringGrid {
         }
     }
 
-    /// Travel of each element under these forces, metres, by sweeps of Gauss and Seidel.
+    /// Travel of each element under these forces, metres, by Gauss-Seidel sweeps.
     pub fn travel_m(&self, forces_n: &[f64], travel_m: &mut [f64]) {
         let Springs { stiffness_n_per_m: k, coupling_n_per_m: c, .. } = self.springs;
         travel_m.iter_mut().zip(forces_n).for_each(|(x, f)| *x = f / k);
@@ -214,13 +214,13 @@ mod tests {
         let press = |x, y| Indenter::disc([x, y], 0.004, 1.0 / (std::f64::consts::PI * 0.004 * 0.004));
         grid.forces_n(&[press(0.02, -0.04)], &mut forces);
         let total: f64 = forces.iter().sum();
-        // Cut at the edge of the skin by 10 mm, six millimetres and 2.4 deviations beyond the indenter; sampled at its
-        // smoothing.
+        // Cut off at the edge of the skin at 10 mm, six millimetres or 2.4 deviations beyond the indenter; sampled at
+        // the smoothing length.
         assert!((total - 1.0).abs() < 0.01 && forces[3] > 0.98, "{total} {forces:?}");
-        // Between two elements: half on each.
+        // Between two elements, each carries half.
         grid.forces_n(&[press(0.01, 0.0)], &mut forces);
         assert!((forces[12] - forces[13]).abs() < 1e-9 && (forces[12] - 0.5).abs() < 0.01, "{forces:?}");
-        // On the rim half of it is lost, off the skin all.
+        // On the rim half of the force is lost, off the skin all of it.
         grid.forces_n(&[press(0.05, 0.0)], &mut forces);
         assert!((forces.iter().sum::<f64>() - 0.5).abs() < 0.01, "{forces:?}");
         grid.forces_n(&[press(0.08, 0.0)], &mut forces);
@@ -237,7 +237,7 @@ mod tests {
             assert!((travel[k] - travel[7]).abs() < 1e-12);
             assert!(travel[k] > 0.02 * travel[12] && travel[k] < 0.06 * travel[12], "{travel:?}");
         }
-        // The linear grid holds: springs carry all the force, as the coupling only passes it on.
+        // In the linear grid the springs carry the whole force, since the coupling only transfers it.
         let carried: f64 = travel.iter().map(|x| SPONGE.force_n(*x)).sum();
         assert!((carried / 0.4 - 1.0).abs() < 1e-9, "{carried}");
     }
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn a_list_in_any_order_finds_its_neighbours() {
         let cell_m = [0.01, 0.02];
-        // An L of three, the corner last and half a millimetre off, and one that stands alone.
+        // Three elements in an L, with the corner last and half a millimetre off, and one isolated element.
         let places = vec![[0.01, 0.0], [0.0, 0.02], [0.05, 0.05], [0.0005, 0.0]];
         let grid = SpringGrid::new(SPONGE, places, cell_m).unwrap();
         assert_eq!(grid.beside[3], [None, Some(0), None, Some(1)]);

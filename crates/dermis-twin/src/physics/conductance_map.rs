@@ -1,4 +1,4 @@
-//! A sheet that is not even: a factor on its conductance from place to place.
+//! Uneven sheets: a position-dependent factor on the conductance.
 
 /// A factor on the sheet conductance over the skin.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -6,13 +6,13 @@ pub enum ConductanceMap {
     /// 1 everywhere.
     #[default]
     Even,
-    /// Bilinear between values on a grid: rows from the bottom, metres.
+    /// Bilinear interpolation of values on a grid, with rows from the bottom, metres.
     Grid {
         /// Bottom left corner.
         low_m: [f64; 2],
-        /// Distance of neighbouring values along x and y.
+        /// Distance between neighbouring values along x and y.
         step_m: [f64; 2],
-        /// Values in a row.
+        /// Number of values in a row.
         columns: usize,
         /// The factors, row by row.
         factors: Vec<f64>,
@@ -37,7 +37,7 @@ impl ConductanceMap {
 }
 
 impl ConductanceMap {
-    /// True where the factor is 1 everywhere.
+    /// True if the factor is 1 everywhere.
     pub fn is_even(&self) -> bool {
         *self == Self::Even
     }

@@ -1,12 +1,12 @@
-//! Cuts through a sheet: strips that conduct only a small share of what the sheet does. With f the exact share of an
-//! element's area inside the strip and d the residual share of conductance, an element crossed by a cut conducts
-//! `s / ((1 - f) + f / d)`, what a series of intact and cut material conducts across the cut, and as little along it.
-//! (A laminate that conducts along the cut would hold the potentials of its two sides together wherever elements are
-//! oblique to it: linear elements cannot jump and stay level at once. A cut of 20 mm would then act like one of 14, on
-//! any mesh.) Elements need not follow the cut. They are blocked whole, so that a cut acts as if it were longer by
-//! about their size, and by more where it runs oblique to them: whoever knows their size may shorten it beforehand
-//! ([`Cut::shortened`]). A sheet whose mesh can be slit along the cut needs none of this
-//! ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and holds back by [`Cut::joining_per_m`].
+//! Cuts through a sheet: strips with a small share of the sheet's conductance. With f the exact share of an element's
+//! area inside the strip and d the residual share of conductance, an element crossed by a cut has the conductance
+//! `s / ((1 - f) + f / d)`: that of intact and cut material in series across the cut, and the same along it. (A
+//! laminate that conducts along the cut would tie the potentials of its two sides together wherever elements are
+//! oblique to it, because linear elements cannot jump and stay level at once. A cut of 20 mm would then act like one
+//! of 14 mm, on any mesh.) Elements need not follow the cut. They are blocked as a whole, so a cut acts as if it were
+//! longer by about the element size, and by more where it is oblique to them; callers who know the element size can
+//! shorten it first ([`Cut::shortened`]). A sheet whose mesh can be slit along the cut needs none of this
+//! ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and conducts by [`Cut::joining_per_m`].
 
 use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
@@ -22,9 +22,9 @@ pub struct Cut {
     pub from_m: [f64; 2],
     /// The other end.
     pub to_m: [f64; 2],
-    /// Across it. A blade's cut in a soft sheet that lies flat is open by a few tenths of a millimetre (assumed).
+    /// Width of the cut. A blade's cut in a soft flat sheet is open by a few tenths of a millimetre (assumed).
     pub width_m: f64,
-    /// d: conductance inside it as a share of the intact sheet's; small when open, near 1 when healed.
+    /// d: conductance inside the cut relative to the intact sheet; small if open, near 1 if healed.
     pub residual: f64,
 }
 
@@ -37,7 +37,7 @@ impl Cut {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// Ends that coincide or are not finite, a width that is not positive, a residual outside 1e-9 to 1.
+    /// Ends that coincide or are not finite, a width that is not positive, or a residual outside 1e-9 to 1.
     pub fn check(&self) -> Result<(), TwinError> {
         for value in self.from_m.into_iter().chain(self.to_m) {
             check("cut end", value, -1e3, 1e3, "a position in metres")?;
@@ -52,7 +52,7 @@ impl Cut {
         (self.to_m[0] - self.from_m[0]).hypot(self.to_m[1] - self.from_m[1])
     }
 
-    /// Whether another one has the same ends, whichever comes first.
+    /// True if another cut has the same ends, in either order.
     pub fn is_along(&self, other: &Self) -> bool {
         (self.from_m == other.from_m && self.to_m == other.to_m)
             || (self.from_m == other.to_m && self.to_m == other.from_m)
@@ -61,7 +61,7 @@ impl Cut {
     /// Refuses a cut with an end farther from a skin (its bounding box) than the skin is long.
     ///
     /// # Errors
-    /// The end and where it may be.
+    /// The end, and its permitted range.
     pub fn check_reach(&self, outline: &Outline) -> Result<(), TwinError> {
         let (low, high) = outline.bounds_m();
         let reach_m = (high[0] - low[0]).max(high[1] - low[1]);
@@ -80,16 +80,16 @@ impl Cut {
         [between(0), between(1)]
     }
 
-    /// The same, shorter by this at both ends; no more than a fifth of it is taken away at each.
+    /// The same cut, shortened by this length at both ends, but by at most a fifth of its length each.
     pub fn shortened(&self, by_m: f64) -> Self {
         let share = (by_m / self.length_m()).clamp(0.0, 0.2);
         Self { from_m: self.at(share), to_m: self.at(1.0 - share), ..*self }
     }
 
-    /// Conductance across it per length, over the sheet's conductance, 1/m: as a slit without width it holds back what
-    /// its strip does more than the sheet would, `w (1/d - 1)` metres of sheet.
+    /// Conductance across the cut per length, relative to the sheet's conductance, 1/m. As a slit without width it
+    /// adds the resistance of its strip minus that of the sheet: `w (1/d - 1)` metres of sheet.
     pub fn joining_per_m(&self) -> f64 {
-        // Never without any resistance: a joined slit is a millionth of a metre of sheet.
+        // Always leaves some resistance: a joined slit is a millionth of a metre of sheet.
         1.0 / (self.width_m * (1.0 / self.residual - 1.0)).max(1e-6)
     }
 
@@ -105,7 +105,7 @@ impl Cut {
             let (dx, dy) = (p[0] - self.from_m[0], p[1] - self.from_m[1]);
             [dx * x + dy * y, dy * x - dx * y]
         });
-        // Nearly all triangles lie on one side of the strip.
+        // Shortcut: most triangles are entirely on one side of the strip.
         let (length, half) = (self.length_m(), self.width_m / 2.0);
         let beside = |axis: usize, low: f64, high: f64| {
             local.iter().all(|p| p[axis] <= low) || local.iter().all(|p| p[axis] >= high)
@@ -122,19 +122,19 @@ impl Cut {
     }
 }
 
-/// Cuts by place, so that a triangle looks only at those near it: a sheet that heals has thousands of pieces of cuts,
-/// and its conductances change with every frame.
+/// Cuts sorted by place, so that a triangle only considers nearby ones: a healing sheet has thousands of pieces of
+/// cuts, and its conductances change with every frame.
 #[derive(Debug)]
 pub(super) struct NearCuts<'a> {
     cuts: &'a [Cut],
     low: [f64; 2],
     cell_m: f64,
     counts: [usize; 2],
-    /// Numbers of the cuts that reach into each cell, ascending.
+    /// Indices of the cuts that reach into each cell, ascending.
     cells: Vec<Vec<u32>>,
 }
 
-/// Cells along the longer side of all cuts.
+/// Number of cells along the longer side of the box around all cuts.
 const CELLS: f64 = 64.0;
 
 impl<'a> NearCuts<'a> {
@@ -161,7 +161,7 @@ impl<'a> NearCuts<'a> {
         near
     }
 
-    /// Cells that a box reaches into.
+    /// Cells that a box overlaps.
     fn range(&self, low: [f64; 2], high: [f64; 2]) -> Option<[std::ops::RangeInclusive<usize>; 2]> {
         let along = |axis: usize| {
             let place = |value: f64| (value - self.low[axis]) / self.cell_m;
@@ -173,7 +173,8 @@ impl<'a> NearCuts<'a> {
         Some([along(0)?, along(1)?])
     }
 
-    /// [`damaged_conductance`] with the cuts near a triangle; those farther off change nothing. `numbers` is memory.
+    /// [`damaged_conductance`] with the cuts near a triangle; more distant ones have no effect. `numbers` is scratch
+    /// memory.
     pub fn damaged_conductance(
         &self,
         intact_s: f64,
@@ -196,7 +197,7 @@ impl<'a> NearCuts<'a> {
     }
 }
 
-/// Lower left and upper right corner of the box around a cut's strip.
+/// Lower left and upper right corners of the bounding box of a cut's strip.
 fn bounds(cut: &Cut) -> [[f64; 2]; 2] {
     let half = cut.width_m / 2.0;
     [
@@ -205,14 +206,14 @@ fn bounds(cut: &Cut) -> [[f64; 2]; 2] {
     ]
 }
 
-/// What one cut leaves of the conductance of a triangle.
+/// Conductance of a triangle after one more cut.
 fn left_by(left: f64, cut: &Cut, corners: [[f64; 2]; 3]) -> f64 {
     let share = cut.share_of(corners);
     left / ((1.0 - share) + share / cut.residual)
 }
 
-/// Sheet conductance of a triangle of a sheet of conductance `intact_s` (siemens) with these cuts. Several cuts in one
-/// element act one after the other.
+/// Sheet conductance of a triangle in a sheet of conductance `intact_s` (siemens) with these cuts. Several cuts in
+/// one element act in series.
 pub fn damaged_conductance(intact_s: f64, cuts: &[Cut], corners: [[f64; 2]; 3]) -> SheetConductance {
     SheetConductance::isotropic(cuts.iter().fold(intact_s, |left, cut| left_by(left, cut, corners)))
 }
@@ -251,7 +252,7 @@ mod tests {
     #[test]
     fn share_is_the_exact_overlap() {
         let strip = |from_m, to_m| Cut { from_m, to_m, width_m: 0.2, residual: 1e-3 };
-        // Along x at height 0.5, through the whole triangle: between 0.4 and 0.6 the triangle is 1.5 wide on average.
+        // Along x at height 0.5, through the whole triangle, which is 1.5 wide on average between 0.4 and 0.6.
         let whole = strip([-1.0, 0.5], [3.0, 0.5]);
         assert!((whole.share_of(CORNERS) - 0.2 * 1.5 / 2.0).abs() < 1e-12);
         let half = strip([-1.0, 0.5], [0.5, 0.5]);

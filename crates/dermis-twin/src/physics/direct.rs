@@ -1,5 +1,5 @@
-//! The coupled two-sheet problem with all its unknowns in one sparse Cholesky system: slower than
-//! [`TwoSheets::impedance`], exact for any ratio of conductances, and what that is tested against.
+//! The coupled two-sheet problem with all its unknowns in one sparse Cholesky system. Slower than
+//! [`TwoSheets::impedance`], but exact for any ratio of conductances; used to test it.
 
 use dermis_tomo::sparse::{Ordering, SparseError, SpdStructure};
 use faer::Mat;
@@ -8,12 +8,12 @@ use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
 use super::sheet_body::refuse;
 use super::two_sheets::{TwoSheets, joint_entries};
 
-/// Transfer impedances as [`TwoSheets::impedance`], for a shortcut sheet of any conductance (siemens). Where nothing
-/// touches at all, the floating sheet is tied to ground by one node, through which then no current flows.
+/// Transfer impedances as in [`TwoSheets::impedance`], for a shortcut sheet of any conductance (siemens). If nothing
+/// touches at all, one node ties the floating sheet to ground; no current flows through it.
 ///
 /// # Errors
-/// A singular system; a sheet with slits along its edges ([`TwoSheets::set_slit_paths`]), which has unknowns of its
-/// own.
+/// A singular system, or a sheet with slits along its edges ([`TwoSheets::set_slit_paths`]), which has additional
+/// unknowns.
 pub fn direct_impedance(
     sheets: &TwoSheets,
     shortcut_s: f64,

@@ -13,20 +13,20 @@ pub struct SheetConductance {
 }
 
 impl SheetConductance {
-    /// The same in every direction.
+    /// The same in all directions.
     pub fn isotropic(siemens: f64) -> Self {
         Self { xx: siemens, xy: 0.0, yy: siemens }
     }
 }
 
-/// Pairs (a, b), a >= b, of a triangle's corners in the order in which local matrices are stored.
+/// Pairs (a, b), a >= b, of a triangle's corners, in the storage order of local matrices.
 pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
 
 /// `integral grad phi_a . S grad phi_b` for each of [`PAIRS`].
 pub(super) fn stiffness(corners: [[f64; 2]; 3], conductance: SheetConductance) -> [f64; 6] {
     let edge = |k: usize| {
         let (from, to) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
-        // Gradient of phi_k times twice the signed area: the opposite edge turned by a right angle.
+        // Gradient of phi_k times twice the signed area: the opposite edge rotated by a right angle.
         [from[1] - to[1], to[0] - from[0]]
     };
     let edges = [edge(0), edge(1), edge(2)];
@@ -38,7 +38,7 @@ pub(super) fn stiffness(corners: [[f64; 2]; 3], conductance: SheetConductance) -
     })
 }
 
-/// `integral g phi_a phi_b` for each of [`PAIRS`], g linear with these corner values, from
+/// `integral g phi_a phi_b` for each of [`PAIRS`], with g linear between these corner values, from
 /// `integral phi_0^i phi_1^j phi_2^k = 2 A i! j! k! / (i + j + k + 2)!`.
 pub(super) fn weighted_mass(area: f64, g: [f64; 3]) -> [f64; 6] {
     let sum = g[0] + g[1] + g[2];
@@ -65,7 +65,7 @@ mod tests {
         for order in [[0, 1, 2], [2, 1, 0]] {
             let triangle = order.map(|k| corners[k]);
             let local = stiffness(triangle, tensor);
-            // Field 3x - 2y has energy density S : grad grad.
+            // The field 3x - 2y has energy density S : grad grad.
             let values = triangle.map(|p| 3.0 * p[0] - 2.0 * p[1]);
             let energy: f64 = (0..9).map(|k| at(&local, k / 3, k % 3) * values[k / 3] * values[k % 3]).sum();
             let expected = area * (2.0 * 9.0 - 2.0 * 0.3 * 6.0 + 0.7 * 4.0);
@@ -75,8 +75,8 @@ mod tests {
 
     #[test]
     fn mass_is_exact() {
-        // Against the degree-5 rule of Gauss products on the reference triangle would be long; moments are enough:
-        // sum over all pairs = integral of g, and the row sums are integral g phi_a.
+        // Moments are sufficient instead of a full quadrature rule: the sum over all pairs is the integral of g, and
+        // the row sums are integral g phi_a.
         let local = weighted_mass(3.0, [1.0, 2.0, 6.0]);
         let total: f64 = (0..9).map(|k| at(&local, k / 3, k % 3)).sum();
         assert!((total - 9.0).abs() < 1e-12, "{total}");
@@ -84,7 +84,7 @@ mod tests {
             let row: f64 = (0..3).map(|b| at(&local, a, b)).sum();
             assert!((row - 3.0 * (9.0 + g) / 12.0).abs() < 1e-12, "{row}");
         }
-        // integral g phi_0 phi_1 by Stroud's seven-point rule would give (9 + 1 + 2)/60 of the area.
+        // integral g phi_0 phi_1 is (9 + 1 + 2)/60 of the area, by Stroud's seven-point rule.
         assert!((at(&local, 0, 1) - 3.0 * 12.0 / 60.0).abs() < 1e-12);
     }
 }

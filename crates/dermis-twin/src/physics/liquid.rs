@@ -1,10 +1,9 @@
-//! Fields of a flat tray of conducting liquid whose depth varies from place to place, with electrodes on its wall
-//! or its bottom.
+//! Fields of a flat tray of conducting liquid with variable depth and with electrodes on its wall or bottom.
 //!
-//! Averaged over the depth h the potential solves `div(sigma h grad u) = 0` in the plane, which holds where h varies
-//! slowly against itself and electrodes reach from bottom to top. In three dimensions `div(sigma grad u) = 0` is solved
-//! on tetrahedra whose nodes move with the surface, `z -> z h / h0`, with electrodes as small as they are: the field
-//! that fringes from them is then real. Complete electrode model in both.
+//! Averaged over the depth h, the potential solves `div(sigma h grad u) = 0` in the plane. This holds if h varies
+//! slowly and electrodes reach from bottom to top. In three dimensions, `div(sigma grad u) = 0` is solved on
+//! tetrahedra whose nodes move with the surface, `z -> z h / h0`, with electrodes of their true size, so their
+//! fringing field is real. Both use the complete electrode model.
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{
@@ -17,14 +16,13 @@ use crate::error::{TwinError, check, check_positive};
 /// Electrodes of a tray.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiquidElectrodes {
-    /// Stretches of the rim that they cover, in order; and pads on the bottom, where fields are averaged over the
-    /// depth.
+    /// Stretches of the rim, in order; and pads on the bottom if fields are depth-averaged.
     pub shapes: Vec<ElectrodeShape>,
-    /// Height of those on the wall, metres.
+    /// Height of the electrodes on the wall, metres.
     pub height_m: f64,
-    /// Their middle above the bottom, metres; averaged over the depth it makes no difference.
+    /// Height of their centres above the bottom, metres; makes no difference in depth-averaged fields.
     pub middle_m: f64,
-    /// Specific contact impedance, ohm.m^2: one for all, or one for each.
+    /// Specific contact impedance, ohm.m^2: one for all or one each.
     pub contact_impedances_ohm_m2: Vec<f64>,
 }
 
@@ -35,19 +33,19 @@ fn is_on_rim(shape: &ElectrodeShape) -> bool {
 /// A tray of liquid at rest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiquidSpec {
-    /// Seen from above.
+    /// Outline seen from above.
     pub outline: Outline,
     /// Depth, metres.
     pub depth_m: f64,
     /// Conductivity, S/m.
     pub conductivity_s_per_m: f64,
-    /// A factor on the conductance over the plan; averaged over the depth only.
+    /// A factor on the conductance over the plan, for depth-averaged fields only.
     pub conductance: ConductanceMap,
-    /// On its wall.
+    /// Electrodes of the tray.
     pub electrodes: LiquidElectrodes,
     /// Edge length of the triangles seen from above, metres.
     pub element_size_m: f64,
-    /// The same at electrodes, metres.
+    /// Edge length at electrodes, metres.
     pub electrode_element_size_m: f64,
 }
 
@@ -86,7 +84,7 @@ impl LiquidSpec {
         check("electrode_middle_m", electrodes.middle_m, range.0, range.1, "a place within the wall")
     }
 
-    /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height meets the
+    /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height sees the
     /// impedance of that share.
     fn sheet(&self) -> Result<ElectrodedMesh, TwinError> {
         let electrodes = &self.electrodes;
@@ -100,7 +98,7 @@ impl LiquidSpec {
         let impedances: Vec<f64> = match given.as_slice() {
             [one] => electrodes.shapes.iter().map(|shape| per_m((shape, one))).collect(),
             each if each.len() == electrodes.shapes.len() => electrodes.shapes.iter().zip(each).map(per_m).collect(),
-            // The mesh refuses it by its number.
+            // The mesh refuses the wrong number of impedances.
             other => other.to_vec(),
         };
         Ok(sheet.build(&impedances)?.0)
@@ -128,10 +126,10 @@ impl LiquidSpec {
 }
 
 impl LiquidFields {
-    /// Depth-averaged: fast.
+    /// Depth-averaged fields: fast.
     ///
     /// # Errors
-    /// Parameters that make no sense, a plan that cannot be meshed, a protocol for other electrodes.
+    /// Invalid parameters, a plan that cannot be meshed, or a protocol for other electrodes.
     pub fn averaged(spec: LiquidSpec, protocol: Protocol) -> Result<Self, TwinError> {
         spec.check()?;
         let sheet = spec.sheet()?;
@@ -143,7 +141,7 @@ impl LiquidFields {
         Ok(Self { spec, protocol, plan, body })
     }
 
-    /// In three dimensions, with about so many layers of elements: slow, every solution is of a body of its own.
+    /// Three-dimensional fields with about `layers` layers of elements: slow, since every solution needs a new body.
     ///
     /// # Errors
     /// As [`LiquidFields::averaged`].
@@ -154,12 +152,12 @@ impl LiquidFields {
         Ok(Self { spec, protocol, plan, body: Body::Solid { rest } })
     }
 
-    /// The plan, whose nodes the depth is given at.
+    /// The plan; depths are given at its nodes.
     pub fn plan(&self) -> &Mesh {
         &self.plan
     }
 
-    /// Elements that fields are solved on.
+    /// Number of elements on which the fields are solved.
     pub fn element_count(&self) -> usize {
         match &self.body {
             Body::Averaged { model, .. } => model.body().mesh.element_count(),
@@ -172,7 +170,7 @@ impl LiquidFields {
         &self.protocol
     }
 
-    /// One voltage a channel, volts, for a depth at each node of the plan, metres, linear in between.
+    /// One voltage per channel, volts, for a depth at each node of the plan, metres, linear in between.
     ///
     /// # Errors
     /// Depths that are not positive, or fields that cannot be solved.
@@ -200,7 +198,7 @@ impl LiquidFields {
     }
 }
 
-/// The mesh of a prism's bottom: its first nodes are those of the plan, level by level.
+/// The mesh of a prism's bottom. The prism's nodes are stored level by level, starting with those of the plan.
 fn bottom_of(solid: &Mesh) -> Result<Mesh, TwinError> {
     let per_level = solid.nodes().iter().take_while(|node| node[2] == 0.0).count();
     let faces = solid.boundary_faces();

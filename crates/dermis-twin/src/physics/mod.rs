@@ -1,9 +1,8 @@
-//! Fields of two conductive sheets that touch where pressed: a sensing sheet u with electrodes and a
-//! shortcut sheet v that floats, `div(s_s grad u) = g (u - v)`, `div(s_c grad v) = -g (u - v)`, insulated rims.
-//! In weak form the contact adds `integral g (u - v)(phi_u - phi_v)`; g is linear on each triangle and the integral
-//! exact under continuous copper ([`TwoSheets`]), g and v are constant on cells under separate patches
-//! ([`PatchedSheet`]). And fields of a tray of liquid whose depth varies, averaged over the depth or in three
-//! dimensions.
+//! Fields of two conductive sheets that touch under pressure: a sensing sheet u with electrodes, and a floating
+//! shortcut sheet v, `div(s_s grad u) = g (u - v)`, `div(s_c grad v) = -g (u - v)`, with insulated rims. In weak form
+//! the contact adds `integral g (u - v)(phi_u - phi_v)`. Under continuous copper, g is linear on each triangle and
+//! the integral exact ([`TwoSheets`]); under separate patches, g and v are constant on cells ([`PatchedSheet`]). Also
+//! fields of a tray of liquid with variable depth, depth-averaged or in three dimensions.
 
 mod conductance_map;
 mod cut;

@@ -1,12 +1,13 @@
-//! A sensing sheet under separate patches of fabric, say, solved by a low-rank update. Fabric conducts so much better
-//! than the sprayed sheet that each patch is one floating potential v; a cell of it with conductance `d = g area` takes
-//! the current `q = d (u - v)` from the sheet, u the sheet's mean potential under the cell, and `sum q = 0` over a
-//! patch.
+//! A sensing sheet under separate patches, for example of fabric, solved by a low-rank update. Fabric conducts so
+//! much better than the sprayed sheet that each patch is one floating potential v. A cell of a patch with conductance
+//! `d = g area` draws the current `q = d (u - v)` from the sheet, where u is the sheet's mean potential under the
+//! cell, and `sum q = 0` over a patch.
 //!
-//! With G the bare sheet's mean potential under each cell for unit current into another, U that for each electrode's
-//! unit current, Z0 the bare sheet's transfer impedances and B telling cells by patches, over the touching cells only:
-//! `(G + 1/d) q + B v = U`, `B' q = 0`, `Z = Z0 - U' q` (Sherman, Morrison and Woodbury, with the floating potentials
-//! as constraint). G, U and Z0 are found once; a frame costs one dense Cholesky factor of the touching cells.
+//! Over the touching cells only, let G be the bare sheet's mean potential under each cell for unit current into
+//! another, U the same for each electrode's unit current, Z0 the bare sheet's transfer impedances, and B the
+//! assignment of cells to patches: `(G + 1/d) q + B v = U`, `B' q = 0`, `Z = Z0 - U' q` (Sherman, Morrison and
+//! Woodbury, with the floating potentials as a constraint). G, U and Z0 are computed once; a frame costs one dense
+//! Cholesky factorisation of the touching cells.
 
 use dermis_tomo::mesh::ElectrodedMesh;
 use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
@@ -18,9 +19,9 @@ use super::element::{PAIRS, SheetConductance, stiffness};
 use super::patches_cells::{ContactCell, ContactCells, PatchLayout};
 use super::sheet_body::{contact_entries, coordinates, refuse, triangles_of};
 
-/// Right-hand sides solved together.
+/// Number of right-hand sides solved together.
 const BLOCK: usize = 64;
-/// Cells with less than this share of the sheet's conductance do not touch.
+/// Minimum conductance of a touching cell, as a share of the sheet's.
 const LEAST_CONTACT: f64 = 1e-9;
 
 /// A sheet with electrodes under patches. The last electrode is the reference.
@@ -30,7 +31,7 @@ pub struct PatchedSheet {
     sheet_s: f64,
     /// Z0: electrodes x electrodes, ohm.
     open: Mat<f64>,
-    /// U: electrodes but the reference x cells, ohm.
+    /// U: electrodes without the reference x cells, ohm.
     response: Mat<f64>,
     /// G: cells x cells, ohm.
     coupling: Mat<f64>,
@@ -39,8 +40,8 @@ pub struct PatchedSheet {
 }
 
 impl PatchedSheet {
-    /// Prepares a flat sheet of conductance `sheet_s` (siemens: thickness times conductivity), times a factor from
-    /// place to place, under patches.
+    /// Prepares a flat sheet of conductance `sheet_s` (siemens: thickness times conductivity), times a
+    /// position-dependent factor, under patches.
     ///
     /// # Errors
     /// Point electrodes, fewer than two electrodes, or a singular system.
@@ -88,13 +89,13 @@ impl PatchedSheet {
         self.contact.patch_count
     }
 
-    /// Cells that touched when [`PatchedSheet::impedance`] was last asked for.
+    /// Number of touching cells in the last call of [`PatchedSheet::impedance`].
     pub fn touching(&self) -> usize {
         self.touching.len()
     }
 
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
-    /// column's and out of the last. `contact_s_per_m2` is g on each cell.
+    /// column's electrode and out of the last. `contact_s_per_m2` is g for each cell.
     ///
     /// # Errors
     /// Contact that is not finite.
@@ -113,7 +114,7 @@ impl PatchedSheet {
         Ok(self.impedance.as_ref())
     }
 
-    /// `Z = Z0 - U' (H^-1 - H^-1 B (B' H^-1 B)^-1 B' H^-1) U` with H = `system`, all through Cholesky factors.
+    /// `Z = Z0 - U' (H^-1 - H^-1 B (B' H^-1 B)^-1 B' H^-1) U` with H = `system`, computed with Cholesky factors.
     fn subtract(&mut self, system: Mat<f64>, touching: &[usize]) -> Result<(), SparseError> {
         let sources = self.response.nrows();
         let mut patches: Vec<u32> = touching.iter().map(|&cell| self.contact.cells[cell].patch).collect();
@@ -134,7 +135,7 @@ impl PatchedSheet {
         let change = levels.transpose() * &levels - fields.transpose() * fields;
         for column in 0..sources {
             for row in 0..sources {
-                // The mean of both halves, so that reciprocity holds to the last bit.
+                // Average both halves, so that reciprocity holds exactly.
                 self.impedance[(row, column)] += 0.5 * (change[(row, column)] + change[(column, row)]);
             }
         }
@@ -142,8 +143,8 @@ impl PatchedSheet {
     }
 }
 
-/// What [`PatchedSheet::impedance`] gives, from one sparse factor of all unknowns at once, patches included: slow, and
-/// what it is tested against.
+/// The result of [`PatchedSheet::impedance`] from one sparse factorisation of all unknowns, including the patches.
+/// Slow; used for tests.
 ///
 /// # Errors
 /// As [`PatchedSheet::new`].
@@ -176,7 +177,7 @@ pub fn direct_patched_impedance(
     Ok(transfer(&fields, nodes, electrodes))
 }
 
-/// The sheet alone: geometry, and the entries of its system.
+/// The sheet alone: its geometry and the entries of its system.
 struct BareSheet {
     triangles: Vec<[u32; 3]>,
     positions: Vec<[f64; 2]>,
@@ -204,7 +205,7 @@ impl BareSheet {
         Ok(Self { triangles, positions, electrodes: body.electrodes.len(), places, entries })
     }
 
-    /// Factors the system with further entries and unknowns.
+    /// Factors the system with additional entries and unknowns.
     fn factor(&self, more: &[((u32, u32), f64)], unknowns: usize) -> Result<(SpdStructure, SpdFactor), SparseError> {
         let all = || self.entries.iter().chain(more);
         let positions: Vec<(u32, u32)> = all().map(|entry| entry.0).collect();
@@ -219,7 +220,7 @@ impl BareSheet {
     }
 }
 
-/// Electrode potentials of fields by unknown, the reference's row and column zero.
+/// Electrode potentials from the fields, with zeros in the row and column of the reference.
 fn transfer(fields: &Mat<f64>, nodes: usize, electrodes: usize) -> Mat<f64> {
     let known = |row: usize, column: usize| row + 1 < electrodes && column + 1 < electrodes;
     let at = |row: usize, column: usize| fields[(nodes + row, column)];

@@ -1,6 +1,6 @@
-//! Where fabric patches lie on a sheet, and what part of it each contact cell covers. Patches are squares on a regular
-//! pitch with gaps between them, clipped to the sheet; each is cut into equal square cells, and contact is constant on
-//! a cell: a cell exchanges current with its patch in proportion to the sheet's mean potential under it.
+//! Position of fabric patches on a sheet, and the area covered by each contact cell. Patches are squares on a regular
+//! pitch with gaps between them, clipped to the sheet. Each is divided into equal square cells with constant contact:
+//! a cell exchanges current with its patch in proportion to the sheet's mean potential under it.
 
 use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
@@ -8,28 +8,28 @@ use serde::{Deserialize, Serialize};
 use super::cut::clip;
 use crate::error::{TwinError, check, check_positive};
 
-/// Cells of which less than this share lies on the sheet are left out.
+/// Minimum share of a cell that must be on the sheet; smaller cells are left out.
 const LEAST_SHARE: f64 = 0.05;
 
-/// Square patches on a regular pitch, centred on the sheet's bounds.
+/// Square patches on a regular pitch, centred on the sheet's bounding box.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PatchLayout {
-    /// From the middle of a patch to the next, metres, along x and along y.
+    /// Distance between the centres of neighbouring patches, metres, along x and along y.
     pub pitch_m: f64,
-    /// Bare sheet between neighbouring patches, metres.
+    /// Width of bare sheet between neighbouring patches, metres.
     pub gap_m: f64,
-    /// Contact cells along the side of a patch.
+    /// Number of contact cells along the side of a patch.
     pub cells_per_side: usize,
 }
 
 impl PatchLayout {
-    /// Side of a contact cell, metres.
+    /// Side length of a contact cell, metres.
     pub fn cell_m(&self) -> f64 {
         (self.pitch_m - self.gap_m) / self.cells_per_side as f64
     }
 
-    /// About how many contact cells lie on a sheet, those cut by its rim included.
+    /// Approximate number of contact cells on a sheet, including those cut by its rim.
     pub fn cells_on(&self, outline: &Outline) -> f64 {
         let per_m2 = (self.cells_per_side as f64 / self.pitch_m).powi(2);
         (outline.area_m2() + outline.perimeter_m() * 0.5 * self.cell_m()) * per_m2
@@ -38,7 +38,8 @@ impl PatchLayout {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// A pitch that is not positive, a gap below zero or as wide as the pitch, no cells or more than 16 to a side.
+    /// A pitch that is not positive, a gap that is negative or as wide as the pitch, no cells, or more than 16 per
+    /// side.
     pub fn check(&self) -> Result<(), TwinError> {
         check_positive("patches pitch_m", self.pitch_m)?;
         check("patches gap_m", self.gap_m, 0.0, 0.9 * self.pitch_m, "0 to 0.9 of the pitch")?;
@@ -46,22 +47,22 @@ impl PatchLayout {
     }
 }
 
-/// One cell of contact between sheet and patch.
+/// A cell of contact between sheet and patch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactCell {
-    /// Its middle on the sheet, metres.
+    /// Centre on the sheet, metres.
     pub centre_m: [f64; 2],
-    /// What of it lies on the sheet, m^2.
+    /// Area on the sheet, m^2.
     pub area_m2: f64,
-    /// Its patch, counted from 0.
+    /// Index of its patch, from 0.
     pub patch: u32,
 }
 
-/// The cells of all patches with the sheet's nodes under them.
+/// The cells of all patches, with the sheet's nodes under them.
 #[derive(Clone, Debug)]
 pub(super) struct ContactCells {
     pub cells: Vec<ContactCell>,
-    /// Mean potential under each cell: nodes and weights, which add to 1.
+    /// Mean potential under each cell: nodes and weights, which sum to 1.
     pub weights: Vec<Vec<(u32, f64)>>,
     pub patch_count: usize,
 }
@@ -83,7 +84,8 @@ impl ContactCells {
     }
 }
 
-/// The unclipped cells: square patches in rows from the bottom left, within each its cells likewise.
+/// The unclipped cells: square patches row by row from the bottom left, and the cells of each patch in the same
+/// order.
 struct Lattice {
     layout: PatchLayout,
     corner: [f64; 2],
@@ -99,7 +101,7 @@ impl Lattice {
                 high[axis] = high[axis].max(position[axis]);
             }
         }
-        // A sheet that is a whole number of pitches must not gain a patch through rounding.
+        // Rounding must not add a patch to a sheet that is a whole number of pitches wide.
         let count = |axis: usize| ((high[axis] - low[axis]) / layout.pitch_m - 1e-6).ceil().max(1.0) as usize;
         let patches = [count(0), count(1)];
         let corner = [0, 1].map(|axis| 0.5 * (low[axis] + high[axis] - patches[axis] as f64 * layout.pitch_m));
@@ -126,7 +128,7 @@ impl Lattice {
         [along(0, column, within % per_side), along(1, row, within / per_side)]
     }
 
-    /// Cells of the patches whose square of one pitch a triangle's bounds meet.
+    /// Cells of the patches whose pitch square intersects a triangle's bounding box.
     fn near(&self, corners: [[f64; 2]; 3]) -> Vec<usize> {
         let range = |axis: usize| {
             let values = corners.map(|corner| (corner[axis] - self.corner[axis]) / self.layout.pitch_m);
@@ -137,7 +139,7 @@ impl Lattice {
         patches.flat_map(|patch| (0..self.cells_of_patch()).map(move |k| patch * self.cells_of_patch() + k)).collect()
     }
 
-    /// Area and middle of what cell and triangle share.
+    /// Area and centroid of the overlap of a cell and a triangle.
     fn overlap(&self, cell: usize, corners: [[f64; 2]; 3]) -> Option<(f64, [f64; 2])> {
         let (low, side) = (self.low(cell), self.layout.cell_m());
         let misses = |axis: usize| {
@@ -186,7 +188,7 @@ impl Lattice {
     }
 }
 
-/// Area and centroid of a convex polygon; `None` where it has no area.
+/// Area and centroid of a convex polygon; `None` if it has no area.
 fn area_and_middle(polygon: &[[f64; 2]]) -> Option<(f64, [f64; 2])> {
     let origin = *polygon.first()?;
     let (mut twice, mut moment) = (0.0, [0.0; 2]);
@@ -225,7 +227,7 @@ mod tests {
         for (cell, weights) in contact.cells.iter().zip(&contact.weights) {
             assert!((cell.area_m2 - 0.16).abs() < 1e-12, "{cell:?}");
             assert!((weights.iter().map(|entry| entry.1).sum::<f64>() - 1.0).abs() < 1e-12);
-            // A linear field has its value at the middle as mean.
+            // The mean of a linear field is its value at the centre.
             let field = |p: [f64; 2]| 3.0 * p[0] - p[1];
             let mean: f64 = weights.iter().map(|entry| entry.1 * field(positions[entry.0 as usize])).sum();
             assert!((mean - field(cell.centre_m)).abs() < 1e-12, "{cell:?}: {mean}");
@@ -237,7 +239,7 @@ mod tests {
         let (triangles, positions) = (vec![[0, 1, 2]], vec![[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]);
         let layout = PatchLayout { pitch_m: 1.0, gap_m: 0.0, cells_per_side: 4 };
         let contact = ContactCells::new(&triangles, &positions, layout);
-        // The patch at the top right touches the sheet in a point only.
+        // The top right patch touches the sheet only in a point.
         assert_eq!(contact.patch_count, 3);
         let area: f64 = contact.cells.iter().map(|cell| cell.area_m2).sum();
         assert!((area - 2.0).abs() < 1e-12, "{area}");

@@ -1,7 +1,6 @@
-//! Slits along the edges of a mesh that knows nothing of them: each cut follows the chain of edges nearest to it, off
-//! by about half an element, and the nodes in between have a second value for the elements on one side. A sheet that is
-//! cut differently in every scene then needs no new mesh, only some more right-hand sides
-//! ([`super::TwoSheets::set_slit_paths`]).
+//! Slits along the edges of an existing mesh. Each cut follows the nearest chain of edges, off by about half an
+//! element; the nodes in between have a second value for the elements on one side. A sheet that is cut differently in
+//! every scene then needs no new mesh, only a few more right-hand sides ([`super::TwoSheets::set_slit_paths`]).
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -11,53 +10,53 @@ use dermis_tomo::sparse::SparseError;
 
 use super::sheet_body::triangles_of;
 
-/// Steps along a cut in which its nearest nodes are looked for, and how far off those may be, in edges' mean length.
+/// Step along a cut for finding its nearest nodes, and their maximum distance, both in mean edge lengths.
 const STEP: f64 = 0.25;
 const REACH: f64 = 0.9;
-/// Farthest that a path strays from its cut, and how much longer (one plus this times the square of what it strays by)
-/// an edge seems there, both with edges' mean length.
+/// Maximum deviation of a path from its cut, and penalty on deviations: an edge counts as longer by one plus this
+/// factor times the squared deviation. Both in mean edge lengths.
 const FARTHEST: f64 = 1.5;
 const STRAYING: f64 = 4.0;
-/// Least share of a cut's length that its edges must follow.
+/// Minimum share of a cut's length that its edges must follow.
 const FOLLOWED: f64 = 0.8;
 
 /// A chain of edges along which a sheet is slit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlitPath {
-    /// Its nodes, with both ends, where the sides are joined.
+    /// Its nodes, including both ends, where the two sides meet.
     pub(super) nodes: Vec<u32>,
-    /// Elements on one side by inner node, in the order of the nodes.
+    /// Elements on one side of each inner node, in the order of the nodes.
     pub(super) side: Vec<Vec<u32>>,
-    /// Conductance across it per length, S/m.
+    /// Conductance across the slit per length, S/m.
     pub(super) s_per_m: f64,
 }
 
 impl SlitPath {
-    /// The nodes, with both ends.
+    /// The nodes, including both ends.
     pub fn nodes(&self) -> &[u32] {
         &self.nodes
     }
 }
 
-/// A mesh of triangles in the plane, made ready to look for paths in.
+/// A triangle mesh in the plane, prepared for finding paths.
 #[derive(Debug)]
 pub struct SlitPaths {
     positions: Vec<[f64; 2]>,
     /// Corners counter-clockwise.
     triangles: Vec<[u32; 3]>,
-    /// Elements about each node, and the nodes that it shares one with.
+    /// Elements around each node, and the nodes that share an element with it.
     around: Vec<Vec<u32>>,
     neighbours: Vec<Vec<u32>>,
-    /// Nodes within the sheet that no electrode lies on.
+    /// True for nodes inside the sheet that are not on an electrode.
     free: Vec<bool>,
     edge_m: f64,
 }
 
 impl SlitPaths {
-    /// Of the sheet under these electrodes.
+    /// Prepares the sheet under these electrodes.
     ///
     /// # Errors
-    /// A mesh of other elements than triangles.
+    /// A mesh with elements other than triangles.
     pub fn new(body: &ElectrodedMesh) -> Result<Self, SparseError> {
         let positions: Vec<[f64; 2]> = body.mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
         let mut triangles = triangles_of(body)?;
@@ -80,7 +79,7 @@ impl SlitPaths {
             neighbours
         };
         let neighbours: Vec<Vec<u32>> = around.iter().enumerate().map(neighbours_of).collect();
-        // About a node of the rim there are more neighbours than elements.
+        // Nodes on the rim have more neighbours than elements.
         let mut free: Vec<bool> = around.iter().zip(&neighbours).map(|(a, n)| n.len() == a.len()).collect();
         for electrode in &body.electrodes {
             match &electrode.contact {
@@ -98,9 +97,9 @@ impl SlitPaths {
         Ok(Self { positions, triangles, around, neighbours, free, edge_m })
     }
 
-    /// The path nearest to a chain of points (metres) beside those that are there already, with this conductance across
-    /// it per length (S/m). A chain that leaves the sheet is followed as far as it goes. None where edges cannot follow
-    /// it: at electrodes, at other paths, and where it is shorter than three edges.
+    /// The path nearest to a chain of points (metres), clear of existing paths, with this conductance across it per
+    /// length (S/m). A chain that leaves the sheet is followed as far as possible. `None` if edges cannot follow it:
+    /// at electrodes, at other paths, or if it is shorter than three edges.
     pub fn along(&self, chain_m: &[[f64; 2]], beside: &[SlitPath], s_per_m: f64) -> Option<SlitPath> {
         let near = self.near(chain_m);
         let may_pass = |node: u32| self.free[node as usize] && !beside.iter().any(|path| path.nodes.contains(&node));
@@ -121,7 +120,7 @@ impl SlitPaths {
         Some(SlitPath { nodes, side, s_per_m })
     }
 
-    /// The node nearest to a point, within so far.
+    /// The node nearest to a point, within a distance.
     fn nearest(&self, nodes: &[u32], point: [f64; 2], within_m: f64) -> Option<u32> {
         let off = |node: u32| {
             let [x, y] = self.positions[node as usize];
@@ -135,7 +134,7 @@ impl SlitPaths {
         nodes.iter().fold(within, nearer).1
     }
 
-    /// The chain of edges over these nodes that is short and near a chain of points (Dijkstra's algorithm).
+    /// The cheapest chain of edges over these nodes, short and close to a chain of points (Dijkstra's algorithm).
     fn cheapest(&self, from: u32, to: u32, nodes: &[u32], chain_m: &[[f64; 2]]) -> Option<Vec<u32>> {
         let off: HashMap<u32, f64> = nodes
             .iter()
@@ -147,7 +146,7 @@ impl SlitPaths {
             .filter(|entry| entry.1 <= FARTHEST)
             .collect();
         let mut best: HashMap<u32, (f64, u32)> = HashMap::from([(from, (0.0, from))]);
-        // Costs are not negative, so that their bits are ordered as they are.
+        // Costs are not negative, so their bits have the same order.
         let mut open = BinaryHeap::from([(Reverse(0.0_f64.to_bits()), from)]);
         while let Some((Reverse(bits), node)) = open.pop() {
             if node == to {
@@ -175,7 +174,7 @@ impl SlitPaths {
         Some(nodes)
     }
 
-    /// Nodes in a box about a chain.
+    /// Nodes in a box around a chain.
     fn near(&self, chain_m: &[[f64; 2]]) -> Vec<u32> {
         let margin = 2.0 * self.edge_m;
         let fold =
@@ -186,7 +185,7 @@ impl SlitPaths {
         (0..self.positions.len() as u32).filter(|&node| within(&self.positions[node as usize])).collect()
     }
 
-    /// Leaves out nodes whose neighbours on the path are joined, so that the path meets itself nowhere.
+    /// Removes nodes whose neighbours on the path are connected, so that the path does not touch itself.
     fn straighten(&self, nodes: &mut Vec<u32>) {
         let mut first = 0;
         while first + 2 < nodes.len() {
@@ -200,8 +199,7 @@ impl SlitPaths {
         }
     }
 
-    /// Elements about the middle of three nodes of a path, on its left: counter-clockwise from the next edge to the
-    /// last.
+    /// Elements around the middle of three path nodes, on the left: counter-clockwise from the next edge to the last.
     fn fan(&self, three: &[u32]) -> Option<Vec<u32>> {
         let (before, node, after) = (three[0], three[1], three[2]);
         let mut elements = Vec::new();
@@ -253,7 +251,7 @@ mod tests {
         TwoSheets::new(body, SHEET_S, Shortcut::Equipotential).unwrap()
     }
 
-    /// A press on one of the cut's sides and over an end of it.
+    /// A press on one side of the cut and over one of its ends.
     fn press(positions: &[[f64; 2]]) -> Vec<f64> {
         positions.iter().map(|p| 800.0 * (1.0 - distance(*p, [0.008, 0.016]) / 0.012).max(0.0)).collect()
     }
@@ -281,7 +279,7 @@ mod tests {
             let change = largest(|r, c| expected[(r, c)] - intact[(r, c)]);
             let error = largest(|r, c| expected[(r, c)] - got[(r, c)]);
             assert!(error < 1e-9 * change, "touched {touched}, joined {joined}: {error:e} of {change:e}");
-            // And without paths again what it was.
+            // Without paths, the result is as before.
             along.set_slit_paths(&[]).unwrap();
             let healed = along.impedance(&on_path).unwrap();
             assert!(largest(|r, c| healed[(r, c)] - intact[(r, c)]) < 1e-12 * change);
@@ -305,7 +303,7 @@ mod tests {
         let mut along = sheets(&coarse);
         along.set_slit_paths(&[path]).unwrap();
         let found = change(&mut along, &mut sheets(&coarse));
-        // The ends lie up to half an edge off, of a cut of 25 mm: 6 % of its length, 12 % of its effect.
+        // The ends are up to half an edge off, for a cut of 25 mm: 6 % of its length, 12 % of its effect.
         let scale = largest(|r, c| truth[(r, c)]);
         let error = largest(|r, c| truth[(r, c)] - found[(r, c)]);
         println!("effect of a cut on another mesh: {:.3} off", error / scale);

@@ -1,9 +1,9 @@
-//! What a sheet takes from its mesh: triangles, the terms of its electrodes, and where its unknowns are.
+//! Data of a sheet derived from its mesh: triangles, electrode terms, and positions of its unknowns.
 
 use dermis_tomo::mesh::{Contact, ElectrodedMesh};
 use dermis_tomo::sparse::SparseError;
 
-/// One entry of the constant part: electrode contacts. Unknowns at or above the node count are electrodes.
+/// One entry of the constant part, the electrode contacts. Unknowns from the node count on are electrodes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ContactEntry {
     pub(super) row: u32,
@@ -23,7 +23,7 @@ pub(super) fn triangles_of(body: &ElectrodedMesh) -> Result<Vec<[u32; 3]>, Spars
     body.mesh.elements().map(triangle).collect()
 }
 
-/// The complete electrode model's terms, lower triangle by unknown; the reference electrode's own unknown is left out.
+/// The terms of the complete electrode model, lower triangle by unknown, without the reference electrode's unknown.
 pub(super) fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>, SparseError> {
     let (mesh, nodes) = (&body.mesh, body.mesh.nodes().len() as u32);
     let reference = body.electrodes.len().saturating_sub(1);
@@ -65,7 +65,7 @@ pub(super) fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>
     Ok(entries)
 }
 
-/// Places of the unknowns, for the elimination order.
+/// Positions of the unknowns, for the elimination order.
 pub(super) fn coordinates(body: &ElectrodedMesh, positions: &[[f64; 2]]) -> Vec<[f64; 3]> {
     let mut places: Vec<[f64; 3]> = positions.iter().map(|p| [p[0], p[1], 0.0]).collect();
     let electrodes = body.electrodes.len() - 1;

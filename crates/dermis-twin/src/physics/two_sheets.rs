@@ -1,11 +1,11 @@
-//! The coupled two-sheet problem, solved once a frame for the transfer impedances between electrodes.
+//! The coupled two-sheet problem, solved once per frame for the transfer impedances between electrodes.
 //!
 //! A floating metal sheet is nearly an equipotential: v = c + w with w of order `s_s / s_c` of u. Eliminating u and c
-//! leaves `(K_v + B) w = r`, where B is bounded by the sensing sheet's conductance, so that the expansion in
-//! `B / K_v ~ s_s / s_c` starts with the exact equipotential problem and converges at once:
-//! `Z = Z_equipotential + r' K_v^-1 r + O((s_s/s_c)^2)`. K_v is factored once, the single sheet plus contact once a
-//! frame. With 35 um of copper over 5 mS, `(s_s/s_c)^2` is 6e-12; [`super::direct_impedance`] solves
-//! all unknowns at once and is what the tests compare with.
+//! leaves `(K_v + B) w = r`, where B is bounded by the sensing sheet's conductance. So the expansion in
+//! `B / K_v ~ s_s / s_c` starts with the exact equipotential problem and converges immediately:
+//! `Z = Z_equipotential + r' K_v^-1 r + O((s_s/s_c)^2)`. K_v is factored once, the single sheet plus contact once per
+//! frame. With 35 um of copper over 5 mS, `(s_s/s_c)^2` is 6e-12. Tests compare with [`super::direct_impedance`],
+//! which solves all unknowns at once.
 
 mod copper;
 
@@ -21,20 +21,20 @@ use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
 use super::paths::SlitPath;
 use super::sheet_body::{ContactEntry, contact_entries, coordinates, refuse, triangles_of};
 
-/// The sheet above.
+/// The shortcut sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shortcut {
-    /// Conducts without loss: one potential for the whole sheet.
+    /// A perfect conductor: one potential for the whole sheet.
     Equipotential,
-    /// A continuous sheet of this conductance in siemens (thickness times conductivity), much above the sensing
-    /// sheet's.
+    /// A continuous sheet with this conductance in siemens (thickness times conductivity), much higher than the
+    /// sensing sheet's.
     Sheet {
         /// Sheet conductance.
         conductance_s: f64,
     },
 }
 
-/// Two sheets on one mesh, with electrodes on the sensing one. The last electrode is the reference.
+/// Two sheets on one mesh, with electrodes on the sensing sheet. The last electrode is the reference.
 #[derive(Debug)]
 pub struct TwoSheets {
     pub(super) triangles: Vec<[u32; 3]>,
@@ -43,10 +43,10 @@ pub struct TwoSheets {
     pub(super) electrode_count: usize,
     pub(super) contacts: Vec<ContactEntry>,
     pub(super) sensing: Vec<SheetConductance>,
-    /// Edges of slits with the conductance across them per length, S/m.
+    /// Edges of slits, with the conductance across them per length, S/m.
     pub(super) joints: Vec<(SlitEdge, f64)>,
     joint_slots: Vec<u32>,
-    /// Of slits along the mesh's edges.
+    /// Second values of slits along the mesh's edges.
     pub(super) second: SecondValues,
     shortcut: Shortcut,
     structure: SpdStructure,
@@ -58,12 +58,12 @@ pub struct TwoSheets {
     open_is_stale: bool,
     values: Vec<f64>,
     factor: SpdFactor,
-    /// One row an electrode with its unit current, then one with the contact's load; solved in place. Rows, so that
-    /// what belongs to a node lies together.
+    /// One row per electrode with its unit current, then one with the contact's load; solved in place. Rows, so that
+    /// the values at a node are adjacent.
     fields: Mat<f64>,
-    /// Net current from u into v at the touching nodes, electrodes within nodes.
+    /// Net current from u into v at the touching nodes, by node and then electrode.
     exchange: Vec<f64>,
-    /// Electrodes x nodes: that current everywhere, then the potential it causes in the shortcut.
+    /// Electrodes x nodes: first that current at all nodes, then the potential it causes in the shortcut.
     spread: Mat<f64>,
     copper: Option<Copper>,
     impedance: Mat<f64>,
@@ -71,16 +71,16 @@ pub struct TwoSheets {
     touching: Vec<u32>,
 }
 
-/// What paths add to the system `K u = r`: an element on the slit's side takes `u + w` at the path's inner nodes, so
-/// that `K u + B w = r` and `B' u + D w = s`.
+/// Addition of paths to the system `K u = r`: an element on the slit's side has the potential `u + w` at the path's
+/// inner nodes, so `K u + B w = r` and `B' u + D w = s`.
 #[derive(Debug)]
 pub(super) struct SecondValues {
-    /// Elements with the numbers that their corners have among the second values; with one or more of them.
+    /// Elements with at least one second value, and the indices of their corners among the second values.
     elements: Vec<(u32, [Option<u32>; 3])>,
-    /// What joins the sides, entries of D.
+    /// Entries of D that join the sides.
     joined: Vec<(u32, u32, f64)>,
     pub(super) count: usize,
-    /// s where the shortcut has unit potential.
+    /// s for unit potential of the shortcut.
     load: Vec<f64>,
     /// w, second values x right-hand sides.
     solved: Mat<f64>,
@@ -100,7 +100,7 @@ struct Copper {
 
 impl TwoSheets {
     /// Prepares both sheets. `intact_s` is the sensing sheet's conductance in siemens. Electrodes must be pads
-    /// ([`Contact::Area`](dermis_tomo::mesh::Contact::Area)) or rim faces on a flat mesh of triangles.
+    /// ([`Contact::Area`](dermis_tomo::mesh::Contact::Area)) or rim faces on a flat triangle mesh.
     ///
     /// # Errors
     /// Point electrodes, fewer than two electrodes, or a singular system.
@@ -108,9 +108,9 @@ impl TwoSheets {
         Self::with_slits(body, &[], intact_s, shortcut)
     }
 
-    /// As [`TwoSheets::new`], of a sheet with these slits ([`dermis_tomo::mesh::SlitMesh`]), open until
-    /// [`TwoSheets::set_joints`] says otherwise. The shortcut has them as well, which changes its loss by less than
-    /// that is.
+    /// As [`TwoSheets::new`], for a sheet with these slits ([`dermis_tomo::mesh::SlitMesh`]), open until changed by
+    /// [`TwoSheets::set_joints`]. The shortcut has the same slits, which changes its loss by less than the loss
+    /// itself.
     ///
     /// # Errors
     /// As [`TwoSheets::new`].
@@ -175,17 +175,17 @@ impl TwoSheets {
         self.triangles.len()
     }
 
-    /// The sheet above.
+    /// The shortcut sheet.
     pub fn shortcut(&self) -> Shortcut {
         self.shortcut
     }
 
-    /// Sets the sensing sheet: a conductance with cuts.
+    /// Sets the sensing sheet to a uniform conductance with cuts.
     pub fn set_sensing(&mut self, intact_s: f64, cuts: &[Cut]) {
         self.set_sensing_by(|_| intact_s, cuts);
     }
 
-    /// Sets the sensing sheet: a conductance (siemens) that varies from place to place, with cuts.
+    /// Sets the sensing sheet to a position-dependent conductance (siemens) with cuts.
     pub fn set_sensing_by(&mut self, intact_s: impl Fn([f64; 2]) -> f64, cuts: &[Cut]) {
         let (near, mut numbers) = (NearCuts::new(cuts), Vec::new());
         for (element, tensor) in self.sensing.iter_mut().enumerate() {
@@ -199,7 +199,7 @@ impl TwoSheets {
     /// Sets the sensing sheet triangle by triangle, in the mesh's order.
     ///
     /// # Errors
-    /// A conductance for another number of triangles.
+    /// The wrong number of triangles.
     pub fn set_sensing_elements(&mut self, sensing: &[SheetConductance]) -> Result<(), SparseError> {
         if sensing.len() != self.triangles.len() {
             return Err(refuse(format!("expected {} conductances, got {}", self.triangles.len(), sensing.len())));
@@ -209,8 +209,8 @@ impl TwoSheets {
         Ok(())
     }
 
-    /// Sets what conducts across the slits: siemens per metre of each of their edges, by the edge's number and middle
-    /// (metres).
+    /// Sets the conductance across the slits, in siemens per metre of edge, as a function of each edge's index and
+    /// midpoint (metres).
     pub fn set_joints(&mut self, mut s_per_m: impl FnMut(usize, [f64; 2]) -> f64) {
         for (index, (edge, conductance)) in self.joints.iter_mut().enumerate() {
             let [a, b] = edge[0].map(|node| self.positions[node as usize]);
@@ -219,11 +219,11 @@ impl TwoSheets {
         self.open_is_stale = true;
     }
 
-    /// Slits the sheet along edges of its mesh, in place of what was slit so before. What a resistive shortcut loses is
-    /// taken from the values on one side, an error of a share of that loss.
+    /// Slits the sheet along edges of its mesh, replacing earlier slits of this kind. The loss of a resistive
+    /// shortcut is computed from the values on one side, an error of a share of that loss.
     ///
     /// # Errors
-    /// Paths of another mesh, or two with a node in common.
+    /// Paths of another mesh, or two paths with a common node.
     pub fn set_slit_paths(&mut self, paths: &[SlitPath]) -> Result<(), SparseError> {
         let mut second = SecondValues::none();
         let mut number = vec![None; self.positions.len()];
@@ -248,7 +248,7 @@ impl TwoSheets {
                 }
             }
             for ends in path.nodes.windows(2) {
-                // As a joint whose other side has the second values for nodes: only these are no nodes of the mesh.
+                // Like a joint whose other side uses second values, which are not nodes of the mesh.
                 let nodes = number.len() as u32;
                 let one = [ends[0], ends[1]];
                 let own = |node: &u32| number[*node as usize].filter(|_| inner.contains(node));
@@ -259,18 +259,18 @@ impl TwoSheets {
             }
         }
         second.elements = of_element.into_iter().collect();
-        // In an order of their own, so that sums are always the same.
+        // Sorted, so that sums are reproducible.
         second.elements.sort_unstable_by_key(|entry| entry.0);
         self.second = second;
         Ok(())
     }
 
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
-    /// column's and out of the last. `contact_s_per_m2` is g at each node, linear in between. The shortcut sheet
-    /// floats: no net current enters it; where nothing touches, its potential has no meaning and no influence.
+    /// column's electrode and out of the last. `contact_s_per_m2` is g at each node, linear in between. The shortcut
+    /// sheet floats: no net current enters it. If nothing touches, its potential has no meaning and no influence.
     ///
     /// # Errors
-    /// A singular system, as after cutting an electrode off entirely.
+    /// A singular system, for instance if a cut isolates an electrode.
     pub fn impedance(&mut self, contact_s_per_m2: &[f64]) -> Result<MatRef<'_, f64>, SparseError> {
         let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
         if std::mem::take(&mut self.open_is_stale) {
@@ -302,14 +302,14 @@ impl TwoSheets {
         Ok(self.impedance.as_ref())
     }
 
-    /// Corrects the fields, where they are read, for the slits along edges.
+    /// Corrects the fields for slits along edges, at the places where they are read.
     fn open_paths(&mut self, contact_s_per_m2: &[f64], solved: usize) -> Result<(), SparseError> {
         let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
         let second = &mut self.second;
         let mut system: Mat<f64> = Mat::zeros(second.count, second.count);
         // Only the lower triangle is read.
         second.joined.iter().for_each(|&(i, j, value)| system[(i.max(j) as usize, i.min(j) as usize)] += value);
-        // B by node, second value.
+        // B, by node and second value.
         let mut coupling: Vec<(u32, u32, f64)> = Vec::new();
         second.load.clear();
         second.load.resize(second.count, 0.0);
@@ -334,7 +334,7 @@ impl TwoSheets {
                 second.load[number as usize] += area * (sum + g[corner]) / 12.0;
             }
         }
-        // K^-1 B, a row for each second value.
+        // K^-1 B, one row per second value.
         let mut lifted: Mat<f64> = Mat::zeros(second.count, nodes + electrodes);
         for &(node, column, value) in &coupling {
             lifted[(column as usize, node as usize)] += value;
@@ -366,8 +366,8 @@ impl TwoSheets {
         Ok(())
     }
 
-    /// Adds what an equipotential shortcut carries; its potential for each electrode's unit current. With
-    /// `u = u_0 + c y`, c follows from no net current: `integral g (u - c) = 0`.
+    /// Adds the current through an equipotential shortcut; returns its potential for each electrode's unit current.
+    /// With `u = u_0 + c y`, c follows from zero net current: `integral g (u - c) = 0`.
     fn connect_equipotential(&mut self) -> Vec<f64> {
         let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
         let mut inflow = vec![0.0; electrodes];
@@ -395,7 +395,7 @@ impl TwoSheets {
         potentials
     }
 
-    /// Contacts and sensing sheet into `open_values`.
+    /// Assembles contacts and sensing sheet into `open_values`.
     fn assemble_open(&mut self) {
         self.open_values.fill(0.0);
         for (slot, entry) in self.contact_slots.iter().zip(&self.contacts) {
@@ -413,8 +413,8 @@ impl TwoSheets {
         }
     }
 
-    /// Open system plus contact into `values`, the contact's load `integral g phi` into `load`, and the nodes that have
-    /// one into `touching`.
+    /// Assembles the open system plus contact into `values`, the contact's load `integral g phi` into `load`, and the
+    /// nodes with a load into `touching`.
     fn assemble_contact(&mut self, contact_s_per_m2: &[f64]) {
         self.values.copy_from_slice(&self.open_values);
         self.load.fill(0.0);
@@ -439,13 +439,13 @@ impl TwoSheets {
     }
 }
 
-/// What a joined edge adds, siemens.
+/// Contribution of a joined edge, siemens.
 pub(super) fn joint_entries(&(edge, s_per_m): &(SlitEdge, f64), positions: &[[f64; 2]]) -> Vec<((u32, u32), f64)> {
     let [p, q] = edge[0].map(|node| positions[node as usize]);
     mesh::joint_entries(edge, (p[0] - q[0]).hypot(p[1] - q[1]), s_per_m)
 }
 
-/// A factor to be overwritten: that of the identity.
+/// A factor to be overwritten, initially of the identity.
 fn unit_factor(structure: &SpdStructure) -> Result<SpdFactor, SparseError> {
     let mut values = vec![0.0; structure.value_count()];
     structure.add_to_diagonal(&mut values, 1.0);

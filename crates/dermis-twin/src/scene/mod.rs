@@ -1,5 +1,5 @@
-//! What happens to a twin: scripted touches, and touches by pointers (a mouse, a finger on a screen), merged. Every
-//! touch fades in and out, so that nothing jumps however it begins or ends.
+//! Loads on a twin over time: scripted touches and touches by pointers (a mouse, a finger on a screen), merged. Every
+//! touch fades in and out, so nothing jumps, however it begins or ends.
 
 mod random;
 mod script;
@@ -16,24 +16,24 @@ pub use random::RandomTouches;
 pub use script::{Event, Script};
 pub use waveforms::Place;
 
-/// Who makes a touch. Script and people count their pointers apart.
+/// Source of a touch. Script and user count their pointers separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pointer {
     /// A pointer of the script.
     Script(u64),
-    /// A pointer of a person.
+    /// A pointer of the user.
     User(u64),
 }
 
-/// How a scene behaves in time.
+/// Timing of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SceneOptions {
-    /// Time in which a touch fades in or out, seconds.
+    /// Fade time of a touch, in and out, seconds.
     pub fade_s: f64,
-    /// The script stops, and its touches fade out, while someone presses and for this long after; seconds. Zero lets
-    /// the script go on beside.
+    /// The script pauses and its touches fade out while a user presses and for this long afterwards, seconds. With
+    /// zero, the script continues alongside.
     pub script_waits_s: f64,
 }
 
@@ -46,12 +46,12 @@ impl Default for SceneOptions {
 #[derive(Clone, Debug)]
 struct Touch {
     indenter: Indenter,
-    /// 0 released, 1 pressed; the share of the load is its smoothstep.
+    /// 0 released, 1 pressed; the share of the load is the smoothstep of this.
     level: f64,
     down: bool,
 }
 
-/// All that presses, as time goes on.
+/// All loads over time.
 #[derive(Clone, Debug)]
 pub struct Scene {
     options: SceneOptions,
@@ -59,15 +59,15 @@ pub struct Scene {
     script_time_s: f64,
     since_user_s: f64,
     touches: BTreeMap<Pointer, Touch>,
-    /// What presses must lie on, where it is known.
+    /// Outline on which presses must lie, if known.
     skin: Option<Outline>,
 }
 
 impl Scene {
-    /// An empty scene with a script or none.
+    /// An empty scene, with or without a script.
     ///
     /// # Errors
-    /// Times that are not usable; a script that fails [`Script::check`].
+    /// Invalid times, or a script that fails [`Script::check`].
     pub fn new(options: SceneOptions, script: Option<Script>) -> Result<Self, TwinError> {
         check_positive("fade_s", options.fade_s)?;
         crate::error::check("script_waits_s", options.script_waits_s, 0.0, f64::MAX, "zero or more, finite")?;
@@ -76,19 +76,19 @@ impl Scene {
         Ok(Self { options, script, script_time_s: 0.0, since_user_s: f64::INFINITY, touches, skin: None })
     }
 
-    /// The same on a skin of this outline: presses off it are refused from here on.
+    /// The same on a skin with this outline; later presses off the skin are refused.
     ///
     /// # Errors
-    /// A script that presses off the skin, or with more than it.
+    /// A script with presses off the skin or indenters larger than it.
     pub fn on(self, skin: Outline) -> Result<Self, TwinError> {
         self.script.as_ref().map_or(Ok(()), |script| script.check_on(&skin))?;
         Ok(Self { skin: Some(skin), ..self })
     }
 
-    /// Replaces the script (`None` ends it); the new one starts from its beginning.
+    /// Replaces the script (`None` ends it); the new one starts at its beginning.
     ///
     /// # Errors
-    /// A script that fails [`Script::check`], or presses off the skin.
+    /// A script that fails [`Script::check`] or presses off the skin.
     pub fn set_script(&mut self, script: Option<Script>) -> Result<(), TwinError> {
         script.as_ref().map_or(Ok(()), |script| match &self.skin {
             Some(skin) => script.check_on(skin),
@@ -98,10 +98,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Presses with a round indenter; a pointer that presses already moves and changes to this.
+    /// Presses with a round indenter; a pointer that is already pressing moves and changes to this one.
     ///
     /// # Errors
-    /// Numbers that are not finite, a radius that is not positive, a pressure below zero, a place off the skin, an
+    /// Non-finite numbers, a radius that is not positive, a negative pressure, a position off the skin, or an
     /// indenter larger than the skin.
     pub fn press(
         &mut self,
@@ -124,10 +124,10 @@ impl Scene {
         Ok(())
     }
 
-    /// Moves a pointer that presses.
+    /// Moves a pressing pointer.
     ///
     /// # Errors
-    /// A pointer that presses nothing; a position that is not finite, or off the skin.
+    /// A pointer that is not pressing, or a position that is not finite or off the skin.
     pub fn move_to(&mut self, pointer: u64, x_m: f64, y_m: f64) -> Result<(), TwinError> {
         let touch = self.touches.get(&Pointer::User(pointer)).filter(|touch| touch.down);
         let moved = touch.map(|touch| Indenter { centre_m: [x_m, y_m], ..touch.indenter });
@@ -135,7 +135,7 @@ impl Scene {
         self.press_with(pointer, moved)
     }
 
-    /// True while a person's pointer presses.
+    /// True while this user pointer presses.
     pub fn is_pressed_by(&self, pointer: u64) -> bool {
         self.touches.get(&Pointer::User(pointer)).is_some_and(|touch| touch.down)
     }
@@ -147,21 +147,21 @@ impl Scene {
         }
     }
 
-    /// Lets a pointer go; one that presses nothing already is left so.
+    /// Releases a pointer; a pointer that is not pressing is left unchanged.
     pub fn release(&mut self, pointer: u64) {
         if let Some(touch) = self.touches.get_mut(&Pointer::User(pointer)) {
             touch.down = false;
         }
     }
 
-    /// Lets all pointers of people go.
+    /// Releases all user pointers.
     pub fn release_all(&mut self) {
         for (pointer, touch) in &mut self.touches {
             touch.down &= matches!(pointer, Pointer::Script(_));
         }
     }
 
-    /// Goes on by `dt_s` seconds.
+    /// Advances by `dt_s` seconds.
     pub fn advance(&mut self, dt_s: f64) {
         let pressed = self.touches.iter().any(|(pointer, touch)| matches!(pointer, Pointer::User(_)) && touch.down);
         self.since_user_s = if pressed { 0.0 } else { self.since_user_s + dt_s };
@@ -174,7 +174,7 @@ impl Scene {
         });
     }
 
-    /// The touches now, with their faded loads, in order of pointer.
+    /// The current touches with their faded loads, ordered by pointer.
     pub fn indenters(&self) -> impl Iterator<Item = (Pointer, Indenter)> + '_ {
         self.touches.iter().map(|(pointer, touch)| {
             let share = touch.level * touch.level * (3.0 - 2.0 * touch.level);
@@ -203,7 +203,7 @@ impl Scene {
 }
 
 impl Indenter {
-    /// Refuses a load of nothing, which no press can be.
+    /// False for a zero load, which a press cannot have.
     pub(crate) fn is_pressing(&self) -> bool {
         match self.load {
             Load::PressurePa(value) | Load::ForceN(value) => value > 0.0,
@@ -227,7 +227,7 @@ mod tests {
         for _ in 0..8 {
             scene.advance(0.01);
             let now = pressure(&scene);
-            // A smoothstep in eight parts rises by at most 1.5/8 of the whole.
+            // A smoothstep in eight parts rises by at most 1.5/8 of the total per part.
             assert!(now > last && now - last < 0.19 * 50e3, "{last} {now}");
             last = now;
         }

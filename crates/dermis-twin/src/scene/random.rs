@@ -1,4 +1,4 @@
-//! Random touches: for tests, and for the training sets of later skins.
+//! Random touches, for tests and for training sets.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -7,26 +7,26 @@ use super::script::{Event, Script};
 use crate::error::{TwinError, check, check_positive};
 use crate::mechanics::Indenter;
 
-/// Most tries to place a touch clear of the others before fewer are drawn.
+/// Maximum number of attempts to place a touch clear of the others before fewer are drawn.
 const TRIES: usize = 200;
 
-/// A seeded source of round touches that do not overlap, uniform in place, radius and pressure.
+/// A seeded source of round, non-overlapping touches, uniform in position, radius and pressure.
 #[derive(Clone, Debug)]
 pub struct RandomTouches {
-    /// Centres lie within this of the origin along x and y, metres.
+    /// Centres are within this distance of the origin along x and y, metres.
     pub half_width_m: f64,
-    /// Smallest and largest radius, metres.
+    /// Minimum and maximum radius, metres.
     pub radius_m: [f64; 2],
-    /// Smallest and largest pressure, pascals.
+    /// Minimum and maximum pressure, pascals.
     pub pressure_pa: [f64; 2],
-    /// Least distance between the edges of two touches, metres.
+    /// Minimum distance between the edges of two touches, metres.
     pub gap_m: f64,
     random: ChaCha8Rng,
 }
 
 impl RandomTouches {
-    /// Touches for a skin of 100 mm: radii 7.5 to 15 mm, 30 to 100 kPa, within 35 mm of the
-    /// middle along each axis, at least 10 mm between edges.
+    /// Touches for a skin of 100 mm: radii of 7.5 to 15 mm, 30 to 100 kPa, within 35 mm of the middle along each
+    /// axis, at least 10 mm between edges.
     pub fn new(seed: u64) -> Self {
         Self {
             half_width_m: 0.035,
@@ -37,7 +37,7 @@ impl RandomTouches {
         }
     }
 
-    /// Draws up to `count` touches at once; fewer where no more find room.
+    /// Draws up to `count` simultaneous touches; fewer if there is no room for more.
     ///
     /// # Errors
     /// Ranges that are not positive, finite and in order.
@@ -61,10 +61,11 @@ impl RandomTouches {
         Ok(touches)
     }
 
-    /// A script that holds each of `groups` draws of 1 to `most` touches for `hold_s`, with as long a pause after each.
+    /// A script that holds each of `groups` draws of 1 to `most` touches for `hold_s`, with a pause of the same
+    /// length after each.
     ///
     /// # Errors
-    /// As [`RandomTouches::draw`]; a time that is not positive, no touches to draw.
+    /// As [`RandomTouches::draw`]; also fails for a time that is not positive, or if there are no touches to draw.
     pub fn script(&mut self, groups: usize, most: usize, hold_s: f64) -> Result<Script, TwinError> {
         check_positive("hold_s", hold_s)?;
         check("groups", groups as f64, 1.0, 1e9, "at least 1")?;

@@ -1,5 +1,5 @@
-//! Scripts: lists of press, move and release events in time, in TOML or made by code. Between two events of a pressing
-//! pointer its position, radius and pressure change linearly; from its last event to its release they stay.
+//! Scripts: lists of timed press, move and release events, in TOML or built in code. Between two events of a pressing
+//! pointer, its position, radius and pressure change linearly; from its last event to its release they stay constant.
 
 use std::f64::consts::TAU;
 
@@ -9,34 +9,34 @@ use serde::{Deserialize, Serialize};
 use crate::error::{TwinError, check_positive};
 use crate::mechanics::{Indenter, check_on_skin};
 
-/// Something that a pointer does at a time.
+/// An action of a pointer at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "action", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Event {
-    /// Begins to press with a round indenter.
+    /// Starts to press with a round indenter.
     Press {
-        /// When, from the beginning of the script.
+        /// Time from the beginning of the script.
         time_s: f64,
-        /// Which pointer.
+        /// Number of the pointer.
         pointer: u64,
-        /// Where.
+        /// Position along x.
         x_mm: f64,
-        /// Where.
+        /// Position along y.
         y_mm: f64,
         /// Radius of the indenter.
         radius_mm: f64,
         /// Pressure under it.
         pressure_kpa: f64,
     },
-    /// Is somewhere, or presses otherwise, at this time.
+    /// Reaches a position or a new load at this time.
     Move {
-        /// When.
+        /// Time from the beginning of the script.
         time_s: f64,
-        /// Which pointer.
+        /// Number of the pointer.
         pointer: u64,
-        /// Where.
+        /// Position along x.
         x_mm: f64,
-        /// Where.
+        /// Position along y.
         y_mm: f64,
         /// New radius, if it changes.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -45,25 +45,25 @@ pub enum Event {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pressure_kpa: Option<f64>,
     },
-    /// Lets go.
+    /// Stops pressing.
     Release {
-        /// When.
+        /// Time from the beginning of the script.
         time_s: f64,
-        /// Which pointer.
+        /// Number of the pointer.
         pointer: u64,
     },
 }
 
-/// Events over a duration.
+/// A list of events with a duration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Script {
-    /// Its length, seconds; all pointers let go at its end.
+    /// Duration, seconds; all pointers are released at its end.
     pub duration_s: f64,
-    /// Starts again at its end.
+    /// True to repeat the script.
     #[serde(default)]
     pub repeat: bool,
-    /// In order of time.
+    /// Events, ordered by time.
     pub events: Vec<Event>,
 }
 
@@ -80,7 +80,7 @@ impl Event {
         }
     }
 
-    /// The indenter that it leaves, given the one before it.
+    /// The indenter after this event, given the one before it.
     fn indenter(&self, before: Option<Indenter>) -> Option<Indenter> {
         match *self {
             Self::Press { x_mm, y_mm, radius_mm, pressure_kpa, .. } => {
@@ -97,7 +97,7 @@ impl Event {
 }
 
 impl Script {
-    /// Reads TOML and checks it.
+    /// Parses TOML and checks the script.
     ///
     /// ```
     /// let script = dermis_twin::scene::Script::from_toml(
@@ -113,7 +113,7 @@ impl Script {
     /// ```
     ///
     /// # Errors
-    /// Text that is not such TOML (with its place), or a script that fails [`Script::check`].
+    /// Text that is not valid TOML of this form (with its place), or a script that fails [`Script::check`].
     pub fn from_toml(text: &str) -> Result<Self, TwinError> {
         let script: Self = toml::from_str(text)?;
         script.check()?;
@@ -123,8 +123,8 @@ impl Script {
     /// Checks times, order and numbers.
     ///
     /// # Errors
-    /// Events out of order or beyond the duration, moves and releases of pointers that press nothing, presses of
-    /// pointers that press already, numbers no indenter has.
+    /// Events out of order or beyond the duration, moves and releases of pointers that are not pressing, presses of
+    /// pointers that already are, or invalid indenters.
     pub fn check(&self) -> Result<(), TwinError> {
         self.check_with(Indenter::check)
     }
@@ -132,7 +132,7 @@ impl Script {
     /// The same, with every indenter on a skin of this outline.
     ///
     /// # Errors
-    /// As [`Script::check`]; presses and moves off the skin, indenters larger than it.
+    /// As [`Script::check`]; also fails for presses and moves off the skin, and indenters larger than it.
     pub fn check_on(&self, outline: &Outline) -> Result<(), TwinError> {
         self.check_with(|indenter| check_on_skin(outline, indenter))
     }
@@ -165,7 +165,7 @@ impl Script {
         Ok(())
     }
 
-    /// The pointers that press at a time since the script began, with what they press.
+    /// The pointers that press at a time since the start of the script, with their indenters.
     pub fn at(&self, time_s: f64) -> impl Iterator<Item = (u64, Indenter)> + '_ {
         let time = if self.repeat { time_s.rem_euclid(self.duration_s) } else { time_s };
         let running = time < self.duration_s;
@@ -177,7 +177,7 @@ impl Script {
         presses.filter_map(move |(index, press)| Some((press.pointer(), self.stroke_at(index, time)?)))
     }
 
-    /// The indenter of the stroke that begins with the press at `index`, unless it was released by `time`.
+    /// The indenter of the stroke that starts with the press at `index`, unless it was released by `time`.
     fn stroke_at(&self, index: usize, time: f64) -> Option<Indenter> {
         let pointer = self.events[index].pointer();
         let mut now = self.events[index].indenter(None)?;
@@ -195,8 +195,8 @@ impl Script {
         Some(now)
     }
 
-    /// The same with positions and radii times `length`, pressures times `pressure`: for a skin of another size and
-    /// softness.
+    /// The same script with positions and radii times `length` and pressures times `pressure`, for a skin of another
+    /// size and softness.
     pub fn scaled(mut self, length: f64, pressure: f64) -> Self {
         for event in &mut self.events {
             match event {
@@ -215,12 +215,12 @@ impl Script {
         self
     }
 
-    /// The demonstration: one touch wanders over the skin for 12 s, a second is pressed elsewhere, a third slides, then
-    /// a pause; 22 s, again and again. One at a time: the copper joins touches that press together, and a linear image
-    /// does not take them apart.
+    /// The demonstration: one touch wanders over the skin for 12 s, a second one presses elsewhere, a third slides,
+    /// then a pause; 22 s in a loop. One touch at a time, because the copper connects simultaneous touches and a
+    /// linear image cannot separate them.
     pub fn demo() -> Self {
         let mut events = Vec::new();
-        // A Lissajous figure that stays within 28 mm of the middle.
+        // A Lissajous figure within 28 mm of the middle.
         let wander = |t: f64| [28.0 * (TAU * t / 12.0).sin(), 24.0 * (TAU * t / 8.0 + 0.6).sin()];
         let start = wander(0.0);
         events.push(press(1.0, 1, start, 10.0, 60.0));

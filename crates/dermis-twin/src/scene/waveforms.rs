@@ -1,24 +1,25 @@
-//! Scripts of one round indenter whose pressure changes in time: ramps, taps, sines. They are lists of events as any
-//! other, so that they can be edited, saved and joined.
+//! Scripts of one round indenter with time-dependent pressure: ramps, taps, sines. They are ordinary lists of events,
+//! so they can be edited, saved and combined.
 
 use std::f64::consts::TAU;
 
 use super::script::{Event, Script};
 use crate::error::{TwinError, check, check_positive};
 
-/// Events a period of a sine. Linear in between, they leave it by at most `1 - cos(pi / 64)` of its amplitude, 0.12 %.
+/// Number of events per period of a sine. Linear in between, they deviate by at most `1 - cos(pi / 64)` of its
+/// amplitude, 0.12 %.
 const EVENTS_PER_PERIOD: f64 = 64.0;
-/// Least share of a waveform's largest pressure: a pointer that presses nothing is none.
+/// Minimum pressure as a share of a waveform's maximum, because a pointer with zero pressure is not allowed.
 const LEAST_SHARE: f64 = 1e-6;
 
-/// Where a round indenter stands.
+/// Position of a round indenter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// Its middle, to the right of the centroid.
+    /// Centre, to the right of the centroid.
     pub x_m: f64,
-    /// Its middle, above the centroid.
+    /// Centre, above the centroid.
     pub y_m: f64,
-    /// Its radius.
+    /// Radius.
     pub radius_m: f64,
 }
 
@@ -35,11 +36,11 @@ impl Place {
 }
 
 impl Script {
-    /// Pressure that goes from one value to another in a straight line over `rise_s` and then stays for `hold_s`. Zero
-    /// at either end counts as a millionth of the other.
+    /// Pressure that changes linearly from one value to another over `rise_s` and then stays for `hold_s`. A zero at
+    /// either end is replaced with a millionth of the other value.
     ///
     /// # Errors
-    /// Times or pressures that are not usable, a place that no indenter has.
+    /// Invalid times or pressures, or an invalid position.
     pub fn ramp(place: Place, [from_pa, to_pa]: [f64; 2], rise_s: f64, hold_s: f64) -> Result<Self, TwinError> {
         check_positive("ramp rise_s", rise_s)?;
         check("ramp hold_s", hold_s, 0.0, f64::MAX, "zero or more, finite")?;
@@ -48,11 +49,11 @@ impl Script {
         Self::checked(rise_s + hold_s, events)
     }
 
-    /// `count` taps, `frequency_hz` a second, each pressed for the share `duty` of its period; the first at once.
-    /// Touches fade in and out as the scene says.
+    /// `count` taps at `frequency_hz`, each pressed for a share `duty` of its period, starting immediately. Touches
+    /// fade in and out according to the scene.
     ///
     /// # Errors
-    /// As [`Script::ramp`]; a duty that is not between 0 and 1, no taps.
+    /// As [`Script::ramp`]; also fails for a duty not between 0 and 1, and for no taps.
     pub fn taps(place: Place, pressure_pa: f64, frequency_hz: f64, duty: f64, count: usize) -> Result<Self, TwinError> {
         check_positive("tap frequency_hz", frequency_hz)?;
         check("tap duty", duty, f64::MIN_POSITIVE, 1.0 - f64::EPSILON, "above 0 and below 1")?;
@@ -65,11 +66,11 @@ impl Script {
         Self::checked(count as f64 * period_s, (0..count).flat_map(tap).collect())
     }
 
-    /// Pressure `mean + amplitude sin(2 pi f t)` for `duration_s`. An amplitude of the mean's size touches zero, which
-    /// counts as a millionth of the largest pressure.
+    /// Pressure `mean + amplitude sin(2 pi f t)` for `duration_s`. An amplitude equal to the mean reaches zero, which
+    /// is replaced with a millionth of the maximum pressure.
     ///
     /// # Errors
-    /// As [`Script::ramp`]; an amplitude above the mean, more than a million periods.
+    /// As [`Script::ramp`]; also fails for an amplitude above the mean and for more than a million periods.
     pub fn sine(
         place: Place,
         mean_pa: f64,
@@ -111,7 +112,7 @@ mod tests {
     fn a_ramp_is_straight_and_stays() {
         let script = Script::ramp(PLACE, [0.0, 2e3], 4.0, 1.0).unwrap();
         for (time, expected) in [(1.0, 500.0), (2.0, 1e3), (3.9, 1950.0), (4.0, 2e3), (4.9, 2e3), (5.0, 0.0)] {
-            // The ramp begins at 2 mPa.
+            // The ramp starts at 2 mPa.
             assert!((pressure(&script, time) - expected).abs() < 3e-3, "{time}: {}", pressure(&script, time));
         }
         let (_, indenter) = script.at(1.0).next().unwrap();
@@ -124,7 +125,7 @@ mod tests {
     fn taps_press_for_their_share_of_the_period() {
         let script = Script::taps(PLACE, 1e3, 2.0, 0.25, 3).unwrap();
         let pressed: usize = (0..2000).filter(|k| pressure(&script, 1e-3 * f64::from(*k)) > 0.0).count();
-        // 3 taps of 125 ms in steps of 1 ms.
+        // Three taps of 125 ms in steps of 1 ms.
         assert!((373..=377).contains(&pressed), "{pressed}");
         assert_eq!(
             [0.05, 0.2, 0.55, 1.05, 1.45, 1.6].map(|t| pressure(&script, t) > 0.0),

@@ -1,6 +1,6 @@
 //! The EM-skins: coils under a membrane of conducting elements on sponge or springs. The paper gives coils,
-//! frequencies, frame rates, signal-to-noise ratios, the number of elements and their size; heights, stiffness, travel
-//! and current are assumed.
+//! frequencies, frame rates, signal-to-noise ratios, and the number and size of the elements; heights, stiffness,
+//! travel and current are assumed.
 
 use dermis_mit::sheet::SheetMaterial;
 use dermis_mit::{CoilArray, Coupling, Sphere};
@@ -9,14 +9,14 @@ use dermis_twin::instrument::{Converter, GainRanges, InstrumentOptions, Noise, R
 use dermis_twin::mechanics::{Memory, Springs};
 use dermis_twin::{Conductor, ElementOptions, ElementSkin, FoilOptions, Twin, TwinError, TwinOptions};
 
-/// `n` x `n` places around the origin, row by row from the bottom left.
+/// `n` x `n` positions around the origin, row by row from the bottom left.
 pub fn grid(n: usize, pitch_m: f64) -> Vec<[f64; 2]> {
     let middle = 0.5 * (n as f64 - 1.0);
     let at = |k: usize| (k as f64 - middle) * pitch_m;
     (0..n * n).map(|k| [at(k % n), at(k / n)]).collect()
 }
 
-/// Aluminium of a cylinder's volume.
+/// An aluminium sphere with the volume of a cylinder.
 fn aluminium(diameter_m: f64, height_m: f64) -> Conductor {
     let radius_m = (0.1875 * diameter_m * diameter_m * height_m).cbrt();
     Conductor::Sphere(Sphere { radius_m, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 })
@@ -43,8 +43,8 @@ pub fn em_8() -> ElementOptions {
     }
 }
 
-/// Sixteen round spirals at 20 kHz, 50 dB, 1 frame/s, under 8 x 8 springs of 30 mm, 22 mm wide and 13 mm apart, each
-/// with a conductor.
+/// Sixteen round spirals at 20 kHz, 50 dB, 1 frame/s, under 8 x 8 springs 30 mm long, 22 mm wide and 13 mm apart,
+/// each with a conductor.
 pub fn em_16_circular() -> ElementOptions {
     ElementOptions {
         outline: Outline::Rectangle { width_m: 0.32, height_m: 0.32 },
@@ -66,7 +66,7 @@ pub fn em_16_square() -> ElementOptions {
     ElementOptions { coils: CoilArray::em_16_square().unwrap(), ..em_16_circular() }
 }
 
-/// Noise in proportion to each reading, and the 16 bits of the paper's converter.
+/// Noise proportional to each reading, and the 16 bits of the paper's converter.
 pub fn em_instrument(snr_db: f64) -> InstrumentOptions {
     InstrumentOptions {
         noise: Noise { floor_v: 0.0, proportional: 10_f64.powf(-snr_db / 20.0) },
@@ -82,7 +82,7 @@ pub fn em_twin(options: ElementOptions, snr_db: f64) -> Result<Twin<ElementSkin>
     Twin::of(ElementSkin::new(options)?, &around)
 }
 
-/// 35 um of copper over the eight coils, on their sponge, under a tension that spreads a dent over 17 mm.
+/// 35 um of copper over the eight coils, on their sponge, with a tension that spreads a dent over 17 mm.
 pub fn foil() -> FoilOptions {
     FoilOptions {
         coils: CoilArray::em_8().unwrap(),

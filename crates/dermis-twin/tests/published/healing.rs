@@ -1,5 +1,5 @@
-//! The self-healing sandwich of Chen, Wang et al.: a 100 mm square of conductive composite with 16 pads along its rim
-//! under an air gap and a copper layer.
+//! The self-healing sandwich of Chen, Wang et al.: a 100 mm square of conductive composite with 16 pads along its
+//! rim, under an air gap and a copper layer.
 
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline};
@@ -7,12 +7,12 @@ use dermis_twin::instrument::{Converter, InstrumentOptions, Noise};
 use dermis_twin::mechanics::{ContactLaw, Cover};
 use dermis_twin::{HealingLaw, Heating, Sandwich, SandwichOptions, Twin, TwinError, TwinOptions};
 
-/// Frames a second. The paper gives none.
+/// Frames per second (not in the paper).
 pub const HEALING_RATE_HZ: f64 = 25.0;
-/// Of the conductivity, the intact bar's: what stays of the rise by heat.
+/// Lasting rise of the intact bar's conductivity after heating.
 const LASTING_RISE: f64 = 2010.0 / 1920.0 - 1.0;
 
-/// Pairs (k, k+7) drive and measure, channels on driven electrodes dropped: 208 channels.
+/// Pairs (k, k+7) drive and measure, without channels on driven electrodes: 208 channels.
 pub fn healing_protocol() -> Protocol {
     Protocol::generate(&ProtocolSpec {
         electrode_count: 16,
@@ -25,9 +25,9 @@ pub fn healing_protocol() -> Protocol {
     .unwrap()
 }
 
-/// Conductivity 4.98 S/m (a bar of 100 x 10 x 1 mm has 2.01 kohm), 1 mm thick; 35 um of copper; contacts of 14 ohm a
-/// pad (assumed). The contact law is assumed: it puts 80 kPa at about 60 % of saturation, where current turns into the
-/// copper within `sqrt(5 mS / g)` = 2.4 mm of an indenter's edge.
+/// Conductivity 4.98 S/m (a bar of 100 x 10 x 1 mm has 2.01 kohm), 1 mm thick; 35 um of copper; contacts of 14 ohm
+/// per pad (assumed). The contact law is assumed: 80 kPa reaches about 60 % of saturation, where current crosses into
+/// the copper within `sqrt(5 mS / g)` = 2.4 mm of an indenter's edge.
 pub fn healing_square() -> SandwichOptions {
     let pad = ElectrodeShape::PadRectangle { centre_m: [0.0; 2], width_m: 6e-3, height_m: 6e-3, angle_rad: 0.0 };
     SandwichOptions {
@@ -47,8 +47,8 @@ pub fn healing_square() -> SandwichOptions {
     }
 }
 
-/// 90 C for 2 h heal; the intact bar of 100 mm goes from 2.01 to 1.92 kohm; the bar that was cut goes from 2.07 to 2.15
-/// kohm. Assumed: 90 kJ/mol, the rise at the end of the heating, 12 h of relaxation, and how far warmth reaches.
+/// Healing at 90 C for 2 h. The intact bar of 100 mm goes from 2.01 to 1.92 kohm, the cut bar from 2.07 to 2.15 kohm.
+/// Assumed: 90 kJ/mol, the rise at the end of the heating, 12 h of relaxation, and the reach of the heat.
 pub fn healing_law() -> HealingLaw {
     HealingLaw {
         temperature_c: 90.0,
@@ -63,12 +63,12 @@ pub fn healing_law() -> HealingLaw {
     }
 }
 
-/// A heat pad as published: 90 C for two hours.
+/// The published heat pad: 90 C for two hours.
 pub fn heating(centre_m: [f64; 2], radius_m: f64) -> Heating {
     Heating { centre_m, radius_m, temperature_c: 90.0, duration_s: 7200.0 }
 }
 
-/// Noise through 22.7 dB at 0.4 mV and 67.0 dB at 87.9 mV; the 14 bits of its board at an assumed gain of 8.
+/// Noise fitted to 22.7 dB at 0.4 mV and 67.0 dB at 87.9 mV; the board's 14 bits at an assumed gain of 8.
 pub fn healing_instrument() -> InstrumentOptions {
     InstrumentOptions {
         noise: Noise { floor_v: 2.898e-5, proportional: 2.972e-4 },

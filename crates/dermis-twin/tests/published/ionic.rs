@@ -1,5 +1,5 @@
-//! The ionic skins: salted water in a shallow tray under a stretched latex membrane, closed and full, with 16 bolts
-//! through its wall.
+//! The ionic skins: salted water in a shallow tray under a stretched latex membrane, enclosed and full, with 16 bolts
+//! through the wall.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -9,17 +9,17 @@ use dermis_twin::instrument::{InstrumentOptions, Noise, Timing};
 use dermis_twin::mechanics::{Cover, Memory, STANDARD_GRAVITY_M_PER_S2};
 use dermis_twin::{LiquidOptions, LiquidSkin, LiquidSolver, Twin, TwinError, TwinOptions};
 
-/// Frames a second.
+/// Frames per second.
 pub const IONIC_RATE_HZ: f64 = 16.0;
-/// Average signal-to-noise ratio by its printed formula, dB, over this many frames.
+/// Average signal-to-noise ratio by the printed formula, dB, over this many frames.
 const SNR_DB: f64 = 59.7;
 const FRAMES: f64 = 100.0;
 /// Depth of the liquid.
 pub const IONIC_DEPTH_M: f64 = 10.25e-3;
-/// Side of the square that stands for a bolt's washer. Assumed: the area of a standard M3 washer of 7 mm.
+/// Side of the square that represents a bolt's washer. Assumed: the area of a standard 7 mm M3 washer.
 const BOLT_M: f64 = 6.2e-3;
 
-/// Adjacent drive and measurement, channels on driven electrodes dropped: 208 channels.
+/// Adjacent drive and measurement, without channels on driven electrodes: 208 channels.
 pub fn ionic_protocol() -> Protocol {
     Protocol::generate(&ProtocolSpec {
         electrode_count: 16,
@@ -32,8 +32,8 @@ pub fn ionic_protocol() -> Protocol {
     .unwrap()
 }
 
-/// The round skin of 174 mm; electrode 1 at the top, numbered clockwise. Assumed: conductivity, contacts; fitted:
-/// tension and memory.
+/// The round skin of 174 mm; electrode 1 at the top, numbered clockwise. Conductivity and contacts are assumed,
+/// tension and memory fitted.
 pub fn ionic_disc() -> LiquidOptions {
     LiquidOptions {
         outline: Outline::Disc { radius_m: 0.5 * 0.174 },
@@ -56,14 +56,14 @@ pub fn ionic_disc() -> LiquidOptions {
     }
 }
 
-/// The square skin of 212 mm; electrode 1 at the left of the bottom side, numbered counter-clockwise.
+/// The square skin of 212 mm; electrode 1 at the left end of the bottom side, numbered counter-clockwise.
 pub fn ionic_square() -> LiquidOptions {
     let outline = Outline::Rectangle { width_m: 0.212, height_m: 0.212 };
     let electrodes = outline.rim_per_side(4, BOLT_M, Direction::CounterClockwise);
     LiquidOptions { outline, electrodes, ..ionic_disc() }
 }
 
-/// The round skin with bolts of another size, their middles at a share of the depth.
+/// The round skin with bolts of another size, centred at a share of the depth.
 pub fn ionic_disc_with_bolts(side_m: f64, height_share: f64) -> LiquidOptions {
     LiquidOptions {
         electrodes: Outline::rim_arcs(16, side_m, FRAC_PI_2, Direction::Clockwise),
@@ -73,8 +73,8 @@ pub fn ionic_disc_with_bolts(side_m: f64, height_share: f64) -> LiquidOptions {
     }
 }
 
-/// 16 frames of 208 channels a second, and noise in proportion to each voltage that has the paper's 59.7 dB on any skin
-/// if they are an amplitude ratio as usual, `20 log10(mean / deviation)`.
+/// 16 frames per second with 208 channels each, and noise proportional to each voltage. It gives the paper's 59.7 dB
+/// on any skin if that figure is an ordinary amplitude ratio, `20 log10(mean / deviation)`.
 pub fn ionic_instrument() -> InstrumentOptions {
     let channel_s = 1.0 / (IONIC_RATE_HZ * 208.0);
     InstrumentOptions {
@@ -84,7 +84,7 @@ pub fn ionic_instrument() -> InstrumentOptions {
     }
 }
 
-/// The same with the noise at which the paper's eq. 1 as printed, `10 log10(mean / deviation)`, gives 59.7 dB.
+/// The same with noise for which the paper's eq. 1 as printed, `10 log10(mean / deviation)`, gives 59.7 dB.
 pub fn ionic_instrument_as_printed() -> InstrumentOptions {
     let n = FRAMES - 1.0;
     let logarithm = SNR_DB / 10.0 * std::f64::consts::LN_10 + (-0.5 / n - 1.0 / (6.0 * n * n));

@@ -1,4 +1,4 @@
-//! The options of published skins, for tests, examples and benches: what their papers give, and what is assumed.
+//! Options of published skins, for tests, examples and benches: values from their papers, and assumptions.
 #![allow(dead_code, unused_imports)]
 
 mod em;

@@ -1,8 +1,8 @@
 //! The piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics 17, 2024): a carbon-sprayed sheet
 //! over 64 small electrodes on a circuit board, under loose fabric patches on a neoprene backing.
 //!
-//! The electrodes' places are taken as the regular 8 x 8 grid on the square, and as its image under the equal-area
-//! concentric map on the disc, numbered row by row to and fro from the bottom left.
+//! The electrodes are assumed to be on a regular 8 x 8 grid on the square, and on its image under the equal-area
+//! concentric map on the disc, numbered row by row in alternating direction from the bottom left.
 
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
 use dermis_tomo::mesh::square_to_disc;
@@ -12,13 +12,13 @@ use dermis_twin::mechanics::{ContactLaw, Cover};
 use dermis_twin::physics::PatchLayout;
 use dermis_twin::{PatchedOptions, PatchedSkin, Twin, TwinError, TwinOptions};
 
-/// Frames a second; the paper's converter takes 4.8 s for one.
+/// Frames per second; the paper's converter takes 4.8 s per frame.
 pub const PIEZO_RATE_HZ: f64 = 30.0;
 /// Step of the current source, amperes.
 const STEP_A: f64 = 2.6e-6;
 
-/// Neighbours (k, k+1) drive, the last with the first; for each, all 64 electrodes are read against the one that sinks:
-/// 4,096 channels, of which 64 (the sinks themselves) are zero.
+/// Neighbours (k, k+1) drive; the last electrode pairs with the first. For each drive, all 64 electrodes are read
+/// against the sink: 4,096 channels, with zeros for the 64 sinks themselves.
 pub fn piezo_protocol() -> Protocol {
     Protocol::generate(&ProtocolSpec {
         electrode_count: 64,
@@ -41,8 +41,8 @@ fn pads(place: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<ElectrodeShape> {
     (0..64).map(pad).collect()
 }
 
-/// The square of 150 mm. The paper gives the limit of detection of 83 Pa, which fixes the reference pressure; the rest
-/// of the contact law is assumed. The backing of 5.5 mm spreads pressure evenly.
+/// The square of 150 mm. The paper gives the limit of detection of 83 Pa, which determines the reference pressure;
+/// the rest of the contact law is assumed. The backing of 5.5 mm spreads pressure uniformly.
 pub fn piezo_square() -> PatchedOptions {
     PatchedOptions {
         outline: Outline::Rectangle { width_m: 0.15, height_m: 0.15 },
@@ -60,7 +60,7 @@ pub fn piezo_square() -> PatchedOptions {
     }
 }
 
-/// The disc of 120 mm; all else as on the square.
+/// The disc of 120 mm; otherwise as the square.
 pub fn piezo_disc() -> PatchedOptions {
     PatchedOptions {
         outline: Outline::Disc { radius_m: 0.5 * 0.12 },
@@ -69,8 +69,8 @@ pub fn piezo_disc() -> PatchedOptions {
     }
 }
 
-/// Current in steps of 2.6 uA up to 40 uA, a multiplexer of 400 ohm, a 16-bit converter of 860 samples a second with
-/// five ranges. Assumed: 20 uV and 80 dB of noise, inputs of 10 megohm and 20 pF, 10 us of settling.
+/// Current in steps of 2.6 uA up to 40 uA, a multiplexer of 400 ohm, and a 16-bit converter with 860 samples per
+/// second and five ranges. Assumed: noise of 20 uV and 80 dB, inputs of 10 megohm and 20 pF, 10 us of settling.
 pub fn piezo_instrument() -> InstrumentOptions {
     let (on_resistance_ohm, input_resistance_ohm, input_capacitance_f) = (400.0, 1e7, 20e-12);
     InstrumentOptions {

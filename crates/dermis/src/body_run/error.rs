@@ -6,26 +6,26 @@ use dermis_lab::Error;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BodyRunError {
-    /// A patch that cannot be started.
+    /// A patch could not be started.
     #[error("patch {patch}: {source}")]
     Patch {
-        /// Its name.
+        /// Name of the patch.
         patch: String,
-        /// The problem.
+        /// The cause.
         source: Error,
     },
-    /// A source of joint values that cannot be opened.
+    /// A source of joint values could not be opened.
     #[error("joint values from {name}: {source}")]
     Joints {
         /// The source.
         name: String,
-        /// The system's message.
+        /// Error from the operating system.
         source: std::io::Error,
     },
-    /// A recording that cannot be started.
+    /// A recording could not be started.
     #[error(transparent)]
     Recording {
-        /// The problem.
+        /// The cause.
         source: dermis_record::Error,
     },
     /// No patch is left to run.
@@ -33,15 +33,15 @@ pub enum BodyRunError {
     NoPatch {
         /// Name of the body.
         body: String,
-        /// How many it has.
+        /// Number of its patches.
         patches: usize,
     },
-    /// A thread that the system does not give.
+    /// The operating system refused a thread.
     #[error("a thread for patch {patch}: {source}")]
     Thread {
-        /// Its name.
+        /// Name of the patch.
         patch: String,
-        /// The system's message.
+        /// Error from the operating system.
         source: std::io::Error,
     },
 }

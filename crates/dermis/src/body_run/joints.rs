@@ -17,17 +17,17 @@ use super::error::BodyRunError;
 
 /// Period of the demonstration's slowest joint, seconds.
 const SWEEP_S: f64 = 12.0;
-/// Reach of the demonstration where a joint has no limits, radians or metres.
+/// Amplitude of the demonstration for a joint without limits, radians or metres.
 const SWEEP_REACH: f64 = 1.0;
-/// A socket that is lost is asked for again after this.
+/// Delay before reconnecting a lost socket.
 const RETRY: Duration = Duration::from_millis(500);
 
 /// The newest joint values.
 #[derive(Clone, Debug)]
 pub struct JointSnapshot {
-    /// Their values.
+    /// The values.
     pub values: JointValues,
-    /// Their state.
+    /// State of the values.
     pub state: JointsState,
     /// Age of the values, seconds; `None` if there is no source.
     pub age_s: Option<f64>,
@@ -36,16 +36,16 @@ pub struct JointSnapshot {
 /// State of joint values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointsState {
-    /// Values of the body file; there is no source.
+    /// Fixed values from the body file; there is no source.
     Fixed,
-    /// Values of a source, not too old.
+    /// Recent values from the source.
     Fresh,
-    /// The source has sent nothing for longer than the body file allows, or nothing yet.
+    /// The source has sent nothing yet, or nothing for longer than the body file allows.
     Stale,
 }
 
 impl JointsState {
-    /// In a word.
+    /// The state in one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Fixed => "fixed",
@@ -60,7 +60,7 @@ impl JointsState {
 struct Told {
     values: JointValues,
     at_ns: Option<u64>,
-    /// Reason why no values come.
+    /// Reason for missing values.
     problem: Option<String>,
     /// Joints in the source that the robot does not have.
     unknown: BTreeSet<String>,
@@ -84,12 +84,12 @@ pub struct JointFeed {
 }
 
 impl JointFeed {
-    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `sweep` (a demonstration: every joint goes to and fro
-    /// between its limits) or a file of lines, at the pace of their `time_s`. Without one the joints stand where
-    /// `joints.at` has them, and else at rest.
+    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `sweep` (a demonstration: every joint moves to and fro
+    /// between its limits) or a file of lines, at the pace of their `time_s`. Without a source the joints stay at
+    /// `joints.at` or, where that is missing, at rest.
     ///
     /// # Errors
-    /// A file that cannot be opened.
+    /// The file cannot be opened.
     pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, BodyRunError> {
         let (kind, values) = match source {
             None => (Kind::Fixed, rest_where_unknown(body)),
@@ -113,12 +113,12 @@ impl JointFeed {
             }
         };
         let thread = std::thread::Builder::new().name("dermis-joints".to_owned()).spawn(work);
-        // It ends with the process or its source: standard input cannot be interrupted.
+        // The thread ends with the process or its source, since standard input cannot be interrupted.
         thread.map_err(|error| BodyRunError::Joints { name: source.to_owned(), source: error })?;
         Ok(feed)
     }
 
-    /// Joint values at a time of the host's monotonic clock.
+    /// Joint values at a time on the host's monotonic clock.
     pub fn at(&self, now_ns: u64) -> JointSnapshot {
         let told = self.told();
         match self.kind {
@@ -138,7 +138,7 @@ impl JointFeed {
         }
     }
 
-    /// Reason why no values come, and names that the robot does not have.
+    /// Reason for missing values, and names of joints that the robot does not have.
     pub fn problem(&self) -> Option<String> {
         let told = self.told();
         let unknown = (!told.unknown.is_empty())
@@ -156,9 +156,9 @@ impl JointFeed {
         for (number, name) in kinematics.moving_joints().enumerate() {
             let [lower, upper] = kinematics.limits(name).unwrap_or([-SWEEP_REACH, SWEEP_REACH]);
             let (middle, reach) = (0.5 * (lower + upper), 0.5 * (upper - lower).min(2.0 * SWEEP_REACH));
-            // No two joints move together, so that every posture comes by.
+            // No two joints move in step, so that every posture occurs.
             let turns = time_s / SWEEP_S * (1.0 + 0.37 * number as f64);
-            // A finite value of a joint that is there is taken.
+            // Succeeds: the joint exists and the value is finite.
             let _ = kinematics.assign(values, name, middle + reach * (std::f64::consts::TAU * turns).sin());
         }
     }
@@ -176,7 +176,7 @@ impl JointFeed {
         }
     }
 
-    /// Takes lines until there are no more.
+    /// Takes lines until the end.
     fn follow(&self, mut input: impl BufRead, paced: bool, name: &str, stop: &AtomicBool) {
         let (mut line, mut number) = (Vec::new(), 0u64);
         let mut first: Option<(f64, Instant)> = None;
@@ -221,13 +221,13 @@ impl JointFeed {
     }
 }
 
-/// Values of the body file, and rest for the joints that it leaves out.
+/// Values from the body file, and the rest position for the joints that it omits.
 fn rest_where_unknown(body: &Body) -> JointValues {
     let kinematics = &body.kinematics;
     let mut values = kinematics.at_rest();
     for name in kinematics.moving_joints() {
         if let Some(value) = kinematics.value(&body.first_joints, name) {
-            // A finite value of a joint that is there is taken.
+            // Succeeds: the joint exists and the value is finite.
             let _ = kinematics.assign(&mut values, name, value);
         }
     }

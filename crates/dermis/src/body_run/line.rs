@@ -1,5 +1,5 @@
-//! A patch's frame as one JSON line: that of `dermis run --headless`, with the patch, the frames of the body and the
-//! net wrenches added.
+//! A patch's frame as one JSON line: the line of `dermis run --headless`, with the patch, the frames of reference of
+//! the body and the net wrenches added.
 
 use std::fmt::Write as _;
 
@@ -26,7 +26,8 @@ pub(super) struct BodyExtras<'a> {
 
 impl LineExtras for BodyExtras<'_> {
     fn line(&self, line: &mut String) {
-        // Writing to a String cannot fail; names are letters, digits and a few signs, but those of links are anything.
+        // Writing to a String cannot fail. Names are letters, digits and a few signs, but those of links can be
+        // anything.
         let text = |name: &str| serde_json::Value::from(name).to_string();
         let _ =
             write!(line, ",\"patch\":{},\"link\":{},\"root\":{}", text(self.patch), text(self.link), text(self.root));
@@ -39,7 +40,7 @@ impl LineExtras for BodyExtras<'_> {
     }
 
     fn touch(&self, line: &mut String, touch: &Touch) {
-        // A touch that has ended presses no more.
+        // A touch that has ended exerts no force.
         let force = if touch.phase == TouchPhase::End { None } else { (self.force)(touch) };
         if let Some(force) = force {
             line.push_str(",\"sigma_force_n\":");
@@ -107,10 +108,10 @@ fn push_list<const N: usize>(line: &mut String, numbers: [f64; N]) {
     line.push(']');
 }
 
-/// A number with as many digits as it takes to read it back, `null` where it is not finite.
+/// Writes a number with as many digits as it takes to read it back exactly, or `null` if it isn't finite.
 fn push_number(line: &mut String, number: f64) {
     if number.is_finite() {
-        // Minus zero reads as one thing and zero as another; they are the same.
+        // Write minus zero as zero.
         line.push_str(&serde_json::Value::from(number + 0.0).to_string());
     } else {
         line.push_str("null");

@@ -11,7 +11,7 @@ use dermis_touch::{Observation, Touch};
 struct PatchLoad {
     /// Presses of known force.
     presses: Vec<Press>,
-    /// Reasons why the sum is unknown: touches without a force, a silent patch.
+    /// Reasons for an unknown sum: touches without a force, a silent patch.
     unknown: Vec<String>,
 }
 
@@ -22,7 +22,7 @@ pub(super) struct Loads(Mutex<Vec<PatchLoad>>);
 /// A net wrench, or the reasons why it is unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetWrench {
-    /// `None` where a touch's force is not known, or where a patch says nothing: a part of a sum is no sum.
+    /// `None` if a touch's force is unknown or a patch is silent, because a partial sum would be misleading.
     pub wrench: Option<Wrench>,
     /// Reasons why it is unknown.
     pub unknown: Vec<String>,
@@ -35,7 +35,7 @@ impl Loads {
         Self(Mutex::new(body.patches.iter().map(|patch| silent(&patch.name)).collect()))
     }
 
-    /// Takes a patch's frame. Its load is unknown until the baseline stands.
+    /// Takes a patch's frame. Its load is unknown until it has a baseline.
     pub fn set(
         &self,
         patch: usize,
@@ -54,7 +54,7 @@ impl Loads {
                 continue;
             };
             let press = Press { position_m: touch.position_m, covariance_m2: touch.covariance_m2, force };
-            // Touches that share a contact each have its whole force.
+            // Touches that share a contact each report its whole force.
             let shares = |other: &Press| other.position_m == press.position_m;
             if touch.observation != Observation::Merged || !presses.iter().any(shares) {
                 presses.push(press);

@@ -1,4 +1,4 @@
-//! The thread of one patch: frames in, reports out.
+//! The thread of one patch: takes frames, sends reports.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,15 +20,15 @@ use super::line::BodyExtras;
 use super::loads::Loads;
 use super::report::{PatchHealth, PatchReport, PatchState, TouchInFrames};
 
-/// How long a thread waits for a frame before it looks whether it should stop.
+/// Wait for a frame between checks of the stop flag.
 const NAP: Duration = Duration::from_millis(50);
-/// A patch is silent after so many periods of its skin without a frame, and not before the least time.
+/// A patch is silent after this many frame periods of its skin without a frame, but not before the minimum time.
 const SILENT_PERIODS: f64 = 10.0;
 const LEAST_SILENCE: Duration = Duration::from_millis(500);
-/// Frames a second of skin files that give none.
+/// Frame rate if the skin file gives none, frames per second.
 const FRAMES_PER_S: f64 = 20.0;
 
-/// A row of the table of health that a patch's thread keeps and anybody reads.
+/// A row of the table of health, updated by a patch's thread and readable by anyone.
 #[derive(Clone, Debug)]
 pub(super) struct SharedHealth(Arc<Mutex<PatchHealth>>);
 
@@ -69,7 +69,7 @@ pub(super) struct PatchThread {
     pub number: usize,
     pub body: Arc<Body>,
     pub acquisition: Acquisition,
-    /// The source waits for whoever takes its frames, and so do reports.
+    /// True if the source can wait for its frames to be taken; reports then wait too.
     pub waits: bool,
     pub pipeline: Pipeline,
     pub residual_n: Option<f64>,
@@ -101,7 +101,7 @@ impl Drop for Panicking {
 }
 
 impl PatchThread {
-    /// Runs until the source ends or fails, the frames asked for are done, or the body stops.
+    /// Runs until the source ends or fails, the requested frames are done, or the body stops.
     pub fn run(mut self) {
         let (health, loads) = (self.health.clone(), self.loads.clone());
         let _told = Panicking { health, loads, number: self.number };
@@ -123,7 +123,7 @@ impl PatchThread {
             (row.not_recorded, row.recording_problem) = (end.lost, end.error);
         }
         row.state = state;
-        // Without a problem of its own, a file may have ended early.
+        // If there was no other problem, a file may have ended early.
         row.problem = row.problem.take().or_else(|| self.acquisition.incomplete());
     }
 
@@ -147,7 +147,7 @@ impl PatchThread {
         Ok(())
     }
 
-    /// No frame has come.
+    /// Updates the state when no frame has come.
     fn wait(&self, is_silent: bool) {
         let problem = self.acquisition.problem();
         if is_silent {
@@ -168,11 +168,11 @@ impl PatchThread {
         let is_ready_before = self.pipeline.reference().is_some();
         let baselines = self.pipeline.baseline_records().len();
         if let Some(recording) = &mut self.recording {
-            // Raw is on its way to the disk before anything is made of it.
+            // Hand the raw frame to the recording before it is processed.
             recording.frame(frame);
         }
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
-        // The frame that completes the baseline has no touches: it counts from the next one on.
+        // The frame that completes the baseline has no touches yet.
         let is_ready = is_ready_before;
         if let Some(recording) = &mut self.recording {
             recording.results(&output);

@@ -13,32 +13,32 @@ pub struct PatchReport {
     pub patch: usize,
     /// The device's frame number.
     pub sequence: u64,
-    /// Time of the frame on the host's monotonic clock, which is the same for all patches, nanoseconds.
+    /// Time of the frame on the host's monotonic clock, shared by all patches, nanoseconds.
     pub time_ns: u64,
     /// False while the first frames make the baseline.
     pub is_ready: bool,
     /// Touches on the patch.
     pub touches: Vec<TouchInFrames>,
-    /// Joint values that the frame was placed by.
+    /// Joint values used to place the frame.
     pub joints: JointSnapshot,
-    /// Net wrench on the patch's link, by all patches on it, in the link's frame about its origin.
+    /// Net wrench on the patch's link from all patches on it, in the link's frame about its origin.
     pub on_link: NetWrench,
     /// Net wrench on the body, in the root's frame about its origin.
     pub on_body: NetWrench,
-    /// The frame as a JSON line, where lines were asked for.
+    /// The frame as a JSON line, if requested.
     pub line: Vec<u8>,
 }
 
 /// A touch, in every frame.
 #[derive(Clone, Copy, Debug)]
 pub struct TouchInFrames {
-    /// The touch on its skin laid flat.
+    /// The touch on its flattened skin.
     pub touch: Touch,
-    /// In the patch's frame.
+    /// The touch in the patch's frame.
     pub in_patch: SpatialTouch,
-    /// In the link's frame.
+    /// The touch in the link's frame.
     pub in_link: SpatialTouch,
-    /// In the root's frame; `None` while joint values are unknown or stale.
+    /// The touch in the root's frame; `None` while joint values are unknown or stale.
     pub in_root: Option<SpatialTouch>,
 }
 
@@ -47,18 +47,18 @@ pub struct TouchInFrames {
 pub enum PatchState {
     /// No baseline yet.
     Starting,
-    /// Frames come and are processed.
+    /// Frames arrive and are processed.
     Running,
     /// No frame has come for longer than the skin's rate allows.
     Silent,
-    /// Its source has ended, or it has run as many frames as were asked for.
+    /// Its source has ended, or it has run the requested number of frames.
     Ended,
     /// It failed, for this reason.
     Failed(String),
 }
 
 impl PatchState {
-    /// In a word.
+    /// The state in one word.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Starting => "starting",
@@ -79,9 +79,9 @@ pub struct PatchHealth {
     pub state: PatchState,
     /// Frames processed.
     pub frames: u64,
-    /// Frames lost on the way here.
+    /// Frames lost on the way.
     pub lost: u64,
-    /// Frames that came damaged.
+    /// Frames that arrived damaged.
     pub damaged: u64,
     /// Frames dropped because processing fell behind.
     pub dropped: u64,
@@ -89,14 +89,14 @@ pub struct PatchHealth {
     pub unread: u64,
     /// Frames that are not in the recording.
     pub not_recorded: u64,
-    /// Reason why the recording of the patch stopped.
+    /// Reason why recording the patch stopped.
     pub recording_problem: Option<String>,
     /// Touches in the last frame.
     pub touches: usize,
-    /// Channels left out for their faults.
+    /// Channels excluded because of faults.
     pub channels_left_out: usize,
     /// 99th percentile of the time from a frame's first byte to its touches, milliseconds.
     pub latency_p99_ms: f64,
-    /// Reason why no frames come.
+    /// Reason for missing frames.
     pub problem: Option<String>,
 }

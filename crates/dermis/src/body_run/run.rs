@@ -1,4 +1,5 @@
-//! A body from its file to reports: the sources of its patches opened, their skins prepared, their threads started.
+//! Starts a body from its file: opens the sources of its patches, prepares their skins, starts their threads and
+//! delivers their reports.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -25,32 +26,32 @@ use super::patch::{PatchThread, SharedHealth};
 use super::report::{PatchHealth, PatchReport};
 use crate::source::{SourceOptions, TwinControl, open_source};
 
-/// Frames that may wait between a source and its pipeline.
+/// Frames that may queue between a source and its pipeline.
 const QUEUE: usize = 64;
-/// Reports that may wait for whoever reads them.
+/// Reports that may queue for their reader.
 const REPORTS: usize = 1024;
 
-/// Joints are recorded this often at most: the rate of a fast robot's joint states.
+/// Minimum interval between recorded joint values: the rate of a fast robot's joint states.
 const JOINTS_EVERY: Duration = Duration::from_millis(10);
 
-/// How a body is run.
+/// Options for running a body.
 #[derive(Clone, Debug, Default)]
 pub struct BodyRunOptions {
-    /// Pace of files and twins, settings of instruments.
+    /// Speed of files and twins, settings of instruments.
     pub source: SourceOptions,
-    /// Source of joint values, in place of the body file's; see [`BodyRun::start`].
+    /// Source of joint values, overriding the body file's; see [`BodyRun::start`].
     pub joints: Option<String>,
-    /// A patch that cannot be started is marked as failed in the table of health. Otherwise that is an error.
+    /// If true, a patch that cannot be started is marked as failed in the table of health; otherwise it is an error.
     pub keep_going: bool,
     /// Records every patch and the joint values into this file.
     pub record: Option<PathBuf>,
-    /// Each report has its JSON line.
+    /// Adds its JSON line to each report.
     pub lines: bool,
-    /// Each patch ends after so many frames.
+    /// Ends each patch after this many frames.
     pub most_frames: Option<u64>,
 }
 
-/// A body being run.
+/// A running body.
 pub struct BodyRun {
     body: Arc<Body>,
     joints: JointFeed,
@@ -72,12 +73,14 @@ impl std::fmt::Debug for BodyRun {
 }
 
 impl BodyRun {
-    /// Opens the source of every patch and starts them together. Patches whose skins are alike share what is prepared
-    /// of them. Joint values come from `-` (JSON lines on standard input), `tcp:HOST:PORT`, a file of such lines, or
-    /// `sweep`, a demonstration; without a source the joints stand where the body file has them, and else at rest.
+    /// Opens the source of every patch and starts them together.
+    ///
+    /// Patches with identical skins share their preparation. Joint values come from `-` (JSON lines on standard
+    /// input), `tcp:HOST:PORT`, a file of such lines, or `sweep`, a demonstration. Without a source the joints stay
+    /// as in the body file, or else at rest.
     ///
     /// # Errors
-    /// A patch that cannot be started, unless the options say to keep going; a source of joint values that cannot be
+    /// A patch cannot be started and the options don't say to keep going, or a source of joint values cannot be
     /// opened.
     pub fn start(body: Body, options: &BodyRunOptions) -> Result<Self, BodyRunError> {
         let body = Arc::new(body);
@@ -113,7 +116,7 @@ impl BodyRun {
             None => (ready.iter().map(|_| None).collect(), None),
         };
         let mut run = Self { body, joints, reports, stop, threads: Vec::new(), joint_recorder, health, twins };
-        // Last of all, so that no frame waits for another patch to be prepared.
+        // Started last, so that no frame waits for another patch to be prepared.
         for ((number, OpenedPatch { source, waits, pipeline, residual_n, .. }), recording) in
             ready.into_iter().zip(recordings)
         {
@@ -147,32 +150,32 @@ impl BodyRun {
         &self.body
     }
 
-    /// The next frame of any patch, waiting at most so long.
+    /// The next frame of any patch, waiting at most `timeout`.
     pub fn next(&self, timeout: Duration) -> Option<PatchReport> {
         self.reports.recv_timeout(timeout).ok()
     }
 
-    /// True once no patch will yield any more and every report has been taken.
+    /// True once no patch will yield anything more and every report has been taken.
     pub fn has_ended(&self) -> bool {
         self.threads.iter().all(JoinHandle::is_finished) && self.reports.is_empty()
     }
 
-    /// How every patch is doing, in the order of the body file.
+    /// State of every patch, in the order of the body file.
     pub fn health(&self) -> Vec<PatchHealth> {
         self.health.iter().map(SharedHealth::get).collect()
     }
 
-    /// The problem with the source of joint values, if there is one.
+    /// The problem with the source of joint values, if any.
     pub fn joints_problem(&self) -> Option<String> {
         self.joints.problem()
     }
 
-    /// How a patch's twin is pressed, if it is one.
+    /// Control over a patch's twin, if it is one.
     pub fn twin(&self, patch: usize) -> Option<&TwinControl> {
         self.twins.get(patch)?.as_ref()
     }
 
-    /// Stops every patch, waits for them, and says how each ended.
+    /// Stops every patch, waits for them, and returns how each ended.
     pub fn finish(mut self) -> Vec<PatchHealth> {
         self.end();
         self.health()
@@ -181,7 +184,7 @@ impl BodyRun {
     fn end(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..).chain(self.joint_recorder.take()) {
-            // A panic is in the table of health already.
+            // A panic is already in the table of health.
             let _ = thread.join();
         }
     }
@@ -242,7 +245,7 @@ fn open_patch(
         }
     };
     let mut head = RecordingHead::of(&shared, opened.source.layout().clone(), opened.source.name());
-    // It was parsed as JSON, so it is text.
+    // JSON that has been parsed is valid text.
     let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     (head.calibration, head.forces) = (as_text(calibration_text), as_text(forces_text));
     let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration)?;
@@ -256,7 +259,7 @@ fn open_patch(
 /// A recorder for each patch, and the thread that records the joints.
 type Recorders = (Vec<Option<LiveRecording>>, Option<JoinHandle<()>>);
 
-/// A recorder for every patch that is ready, and a thread that records where the joints stand.
+/// Makes a recorder for every ready patch, and starts a thread that records the joint values.
 fn start_recording(
     path: &Path,
     body: &Arc<Body>,
@@ -286,7 +289,7 @@ fn start_recording(
     Ok((all, Some(thread)))
 }
 
-/// Records where the joints stand whenever they move, until the body stops.
+/// Records the joint values whenever they change, until the body stops.
 fn record_joints(
     mut recording: BodyRecording,
     body: &Body,

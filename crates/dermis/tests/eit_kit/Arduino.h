@@ -1,5 +1,5 @@
-// What the EIT kit's sketch needs of an Arduino, for a computer: pins that remember their level, a clock that moves by a
-// microsecond whenever it is read, and a serial port that is a socket.
+// The parts of the Arduino library that the EIT kit's sketch needs, for a computer: pins that remember their level, a
+// clock that advances by a microsecond at every reading, and a serial port that is a socket.
 #pragma once
 #include <math.h>
 #include <stddef.h>

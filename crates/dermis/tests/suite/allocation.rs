@@ -7,7 +7,7 @@ use dermis::skin::Skin;
 use dermis::twin::TwinKit;
 use dermis_device::{Frame, HostStamp, Layout};
 
-/// Frames of the twin: baseline, free, pressed, moved with another press beside it, free.
+/// Frames of the twin: baseline, untouched, pressed, moved with a second press next to it, untouched.
 fn frames(skin: &Skin) -> Vec<Vec<f64>> {
     let mut twin = TwinKit::of(skin).unwrap().twin;
     let mut values = Vec::new();
@@ -29,7 +29,7 @@ fn frames(skin: &Skin) -> Vec<Vec<f64>> {
 #[test]
 fn frames_at_rest_are_read_without_allocating_and_presses_are_fitted_in_little() {
     let mut skin = Skin::open("ionic-disc").unwrap();
-    // Frames so frequent that dents are fitted in proportion.
+    // At this frame rate dents are fitted with the linear model.
     skin.backend.frames_per_s = Some(100.0);
     let frames = frames(&skin);
     let prepared = Prepared::new(skin).unwrap();
@@ -37,7 +37,7 @@ fn frames_at_rest_are_read_without_allocating_and_presses_are_fitted_in_little()
     let mut pipeline = Pipeline::new(prepared, &layout, None).unwrap();
     let mut frame = Frame::default();
     let mut touched = 0;
-    // The first round sets up and warms up; in the third a channel has gone missing.
+    // The first round sets up and warms up; in the third a channel is missing.
     for round in 0..3u64 {
         for (index, values) in frames.iter().enumerate() {
             let number = round * frames.len() as u64 + index as u64;
@@ -49,7 +49,8 @@ fn frames_at_rest_are_read_without_allocating_and_presses_are_fitted_in_little()
             let mut touches = 0;
             let info = measure(|| touches = pipeline.process(&frame, number * 40_000_000).unwrap().touches.len());
             touched += usize::from(round > 0 && touches > 0);
-            // The first frame without the channel prepares for doing without it, and so does the one that gives it up.
+            // The pipeline prepares for a missing channel at the first frame without it, and again when it gives the
+            // channel up.
             let prepares = round == 0 || (round == 2 && index < 10);
             // Pressed from 50 to 90; the tracker ends touches a few frames later.
             let at_rest = !(50..100).contains(&index);

@@ -1,5 +1,5 @@
-//! What holds of every skin file: its twin is made of all of its numbers, its name and its size are its own, and it can
-//! be written and read again.
+//! Properties of every skin file: its twin uses all of its numbers, its name and size belong to it alone, and it can
+//! be written and read back.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -11,12 +11,12 @@ use dermis::twin::{AnyTwin, Frontend as _};
 use dermis_device::{Frame, HostStamp, Layout};
 use serde_json::Value;
 
-/// Voltages that differ by less than this share of the largest are the same.
+/// Relative difference, to the largest voltage, below which voltages are equal.
 const SAME: f64 = 1e-9;
-/// Half of the pressure acts after this time.
+/// Half of the pressure acts with this delay.
 const MEMORY: Option<Memory> = Some(Memory { share: 0.5, time_constant_s: 1.0 });
 
-/// A disc that presses on a skin: middle (mm), radius (mm), pressure (kPa).
+/// A disc that presses on a skin: centre (mm), radius (mm), pressure (kPa).
 #[derive(Clone, Copy)]
 struct Press {
     at_mm: [f64; 2],
@@ -31,11 +31,11 @@ impl Press {
     }
 }
 
-/// Two frames of a skin's twin under a press, the second after a second.
+/// Two frames of a skin's twin under a press, the second one a second later.
 fn pressed(skin: &Skin, press: Press) -> Result<Vec<f64>, String> {
     let mut twin = AnyTwin::from_skin(skin).map_err(|error| error.to_string())?;
     let mut frame = Vec::new();
-    // Without a press and with one that has faded in.
+    // One frame without a press, and two more after it has started.
     twin.step(0.0, &mut frame).unwrap();
     press.on(&mut twin);
     let mut both = Vec::new();
@@ -46,13 +46,13 @@ fn pressed(skin: &Skin, press: Press) -> Result<Vec<f64>, String> {
     Ok(both)
 }
 
-/// Whether any voltage differs.
+/// True if any voltage differs.
 fn differ(a: &[f64], b: &[f64]) -> bool {
     let largest = a.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
     a.len() != b.len() || a.iter().zip(b).any(|(a, b)| (a - b).abs() > SAME * largest)
 }
 
-/// Where the numbers are.
+/// Collects the paths of all numbers.
 fn numbers(value: &Value, at: &str, found: &mut Vec<String>) {
     match value {
         Value::Number(_) => found.push(at.to_string()),
@@ -62,7 +62,7 @@ fn numbers(value: &Value, at: &str, found: &mut Vec<String>) {
     }
 }
 
-/// Other numbers to put in a number's place, the first choice first.
+/// Replacements to try for a number, in order of preference.
 fn others(number: &Value) -> Vec<Value> {
     if let Some(count) = number.as_u64() {
         return [count + 1, count.saturating_sub(1), 2 * count, count / 2].map(Value::from).to_vec();
@@ -73,8 +73,8 @@ fn others(number: &Value) -> Vec<Value> {
     }
 }
 
-/// Changes every number of a skin's frontend and of its readout circuit, one at a time, and asserts that its twin reads
-/// otherwise; for those of `bounds`, that it may be pressed elsewhere.
+/// Changes every number of a skin's frontend and readout circuit, one at a time, and asserts that its twin's readings
+/// change; for the numbers in `bounds`, that the area where it may be pressed changes.
 fn every_number_counts(mut skin: Skin, press: Press, bounds: &[&str]) {
     skin.backend.electronics = Electronics { preset: Preset::Ideal, ..Electronics::default() };
     let skin = skin.checked().unwrap();
@@ -140,17 +140,16 @@ fn patches_are_made_of_all_numbers_of_their_file() {
 #[test]
 fn elements_are_made_of_all_numbers_of_their_file() {
     let mut skin = Skin::open("em-8").unwrap();
-    // Fewer and simpler coils and elements: fields of every turn take their time.
+    // Fewer and simpler coils and elements, because computing the field of every turn takes time.
     let coils = skin.frontend.coils.as_mut().unwrap();
     let CoilPlaces::Grid { rows, columns, left_out, .. } = &mut coils.places else { panic!("no grid") };
     (*rows, *columns, *left_out) = (2, 2, vec![4]);
     (coils.turns, coils.layers, coils.inductance_uh, coils.shield_mm) = (4, 2, Some(1.5), Some(-20.0));
-    // A ball's answer is known in closed form; that of a cylinder of other sizes takes edge elements and so many
-    // seconds.
+    // A ball's response has a closed form; a cylinder of another size would take edge elements and many seconds.
     let elements = skin.frontend.elements.as_mut().unwrap();
     elements.shape = ElementShape::Sphere { diameter_mm: 11.0 };
     elements.places = ElementPlaces::Grid { rows: 2, columns: 2, pitch_mm: Pair::One(20.0) };
-    // Where the skin ends decides where it may be pressed; it has nothing to conduct there.
+    // The skin's size only determines where it may be pressed, since it doesn't conduct there.
     every_number_counts(
         skin,
         Press { at_mm: [11.0, -7.0], radius_mm: 9.0, kpa: 10.0 },
@@ -185,7 +184,7 @@ fn a_twin_behind_a_circuit_reads_what_the_model_of_that_circuit_says() {
     twin.step(0.0, &mut frame).unwrap();
     let model = Prepared::new(skin).unwrap().voltages;
     let largest = model.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
-    // Another mesh: the readings near the electrodes differ by its elements.
+    // The mesh differs, and with it the readings near the electrodes.
     let worst = frame.iter().zip(&model).map(|(a, b)| (a - b.abs()).abs()).fold(0.0, f64::max);
     assert!(worst < 0.05 * largest, "{worst} of {largest}");
 }

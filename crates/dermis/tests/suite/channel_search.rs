@@ -1,5 +1,5 @@
-//! Files of unknown numbers: what the search finds is what was done to the numbers, whichever skin they are of, and the
-//! lines that it writes read them. The numbers are a twin's, on another mesh than the search's.
+//! Files with unknown channel order: whatever was done to the numbers is found, for any skin, and the lines that the
+//! search prints read them correctly. The numbers come from a twin on a mesh other than the search's.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use dermis::live::prepare::Prepared;
 use dermis::skin::{DrivePattern, Electrodes, MeasurePattern, ReadingOrder, Reads};
 use dermis::twin::from_skin::press_range;
 
-/// A baseline of the twin of a skin.
+/// A baseline of a skin's twin.
 fn baseline(skin: &Skin) -> FrameTable {
     let presses = random_presses(&skin.outline(), &press_range(skin), 1, 1).unwrap();
     let [baseline, _] = sample_tables(skin, &presses, Some(1), |_, _| {}).unwrap();
@@ -24,7 +24,7 @@ fn changed(table: &FrameTable, change: impl Fn(&mut Vec<f64>)) -> FrameTable {
     FrameTable::new(Layout::Channels { count: rows[0].len() }, rows.concat(), "changed").unwrap()
 }
 
-/// The skin with the lines that were found fits the baseline in its stated order.
+/// Asserts that the skin with the printed lines fits the baseline in its stated order.
 fn assert_lines_read(skin: &Skin, table: &FrameTable, found: &FoundOrder) {
     let best = &found.candidates[0];
     let prepared = Prepared::new(best.on(skin)).unwrap();
@@ -32,7 +32,7 @@ fn assert_lines_read(skin: &Skin, table: &FrameTable, found: &FoundOrder) {
     let report = prepared.diagnose(mean);
     assert!((report.correlation - best.correlation).abs() < 0.01, "{} {best:?}", report.correlation);
     assert!(report.correlation > 0.98 && report.better.is_none(), "{}: {report:?}", found.verdict());
-    // And the lines themselves are TOML.
+    // The lines themselves are valid TOML.
     let text = format!("[backend]\n{}", best.lines());
     assert!(text.parse::<toml::Table>().is_ok(), "{text}");
 }
@@ -83,8 +83,8 @@ fn other_patterns_than_the_file_s_are_found() {
     assert_eq!((&best.drive, &best.measure), (&DrivePattern::Skip(2), &MeasurePattern::Skip(1)));
 }
 
-/// A long pad tells from where its electrodes are counted, but for half a turn; it is its own mirror image, so that
-/// counting the other way round reads as some other start does.
+/// On a long pad the readings show where the electrode count starts, except for half a turn. The pad is its own
+/// mirror image, so counting in the other direction looks like some other start.
 #[test]
 fn electrodes_counted_from_elsewhere_are_told_on_a_long_pad() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../skins/examples/gel-pad.toml");

@@ -1,4 +1,4 @@
-//! A readout's circuit that is found in the middle of a stream, from its own presses.
+//! A readout circuit is found in the middle of a stream, from the stream's own presses.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
@@ -15,7 +15,7 @@ use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Treatment};
 
-/// The gel skin, whose file does not say what its board does.
+/// The gel skin with a file that doesn't describe its board.
 fn learner() -> Skin {
     let known = "circuit = { load = 0.47, idle = 0.15, reading = [-0.5, 1.0, -0.5] }";
     let text = builtin_text("hydrogel-disc").unwrap();
@@ -23,13 +23,13 @@ fn learner() -> Skin {
     Skin::parse(&text.replace(known, "circuit = \"learn\""), "test").unwrap()
 }
 
-/// Places all over a disc, metres: turned by the golden angle, the radius growing as the root.
+/// Positions all over a disc, metres: turned by the golden angle, with the radius growing as the square root.
 fn places(count: usize, radius_m: f64, turn: f64) -> Vec<[f64; 2]> {
     let place = |n: usize| {
         let (r, angle) = (radius_m * ((n as f64 + 0.5) / count as f64).sqrt(), 2.399_963 * n as f64 + turn);
         [r * angle.cos(), r * angle.sin()]
     };
-    // Neighbours in place are not neighbours in time.
+    // Neighbours in space are not neighbours in time.
     (0..count).map(|n| place(n * 7 % count)).collect()
 }
 
@@ -72,7 +72,7 @@ impl Gel {
     }
 }
 
-/// What that twin reads at rest, and under a press at each place.
+/// The twin's readings at rest and under a press at each place.
 fn twin_frames(places: &[[f64; 2]]) -> (Vec<f64>, Vec<Vec<f64>>) {
     let mut gel = Gel::new();
     let rest = gel.read();
@@ -80,7 +80,7 @@ fn twin_frames(places: &[[f64; 2]]) -> (Vec<f64>, Vec<Vec<f64>>) {
     (rest, pressed)
 }
 
-/// Frames that follow each other by a period, each with noise of its own.
+/// Frames at a fixed period, each with its own noise.
 struct Stream {
     pipeline: Pipeline,
     recording: Option<LiveRecording>,
@@ -88,9 +88,9 @@ struct Stream {
     noise: f64,
     number: u64,
     news: Vec<(u64, CircuitNews)>,
-    /// Every touch of every frame, bit for bit.
+    /// Every touch of every frame, as exact bits.
     touches: Vec<(u64, [u64; 2])>,
-    /// Every damage of every frame, bit for bit, and what happened to them.
+    /// Every damage of every frame, as exact bits, and the damage events.
     damages: Vec<(u64, [u64; 5])>,
     events: Vec<(u64, DamageEvent)>,
 }
@@ -104,13 +104,13 @@ impl Stream {
         Self { pipeline, recording: None, period_ns, noise, number: 0, news, touches, damages, events }
     }
 
-    /// The place of the strongest touch after the same readings so many times.
+    /// Processes the same readings `count` times and returns the position of the strongest touch.
     fn run(&mut self, readings: &[f64], count: u64) -> Option<[f64; 2]> {
         let mut place = None;
         for _ in 0..count {
             let time_ns = self.number * self.period_ns;
             let noise = |channel: usize| {
-                // A hash of frame and channel, -1 to 1.
+                // A hash of frame and channel, scaled to -1 to 1.
                 let hash = (self.number << 16 | channel as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
                 ((hash ^ hash >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f64 / f64::from(1 << 23) - 1.0
             };
@@ -138,7 +138,7 @@ fn bits(damage: &Damage) -> [u64; 5] {
     [damage.id, x.to_bits(), y.to_bits(), damage.depth.to_bits(), damage.share.to_bits()]
 }
 
-/// Errors of what was found, millimetres: how many, median, 90th percentile.
+/// Errors of the touches found, millimetres: number, median, 90th percentile.
 fn errors_mm(found: &[Option<[f64; 2]>], places: &[[f64; 2]]) -> (usize, f64, f64) {
     let off =
         |(found, place): (&Option<[f64; 2]>, &[f64; 2])| found.map(|[x, y]| 1e3 * (x - place[0]).hypot(y - place[1]));
@@ -160,7 +160,7 @@ fn a_twin_whose_board_loads_it_is_placed_better_once_its_circuit_is_found_and_a_
     let head = RecordingHead::of(stream.pipeline.prepared(), Layout::Channels { count: rest.len() }, "test");
     stream.recording = Some(LiveRecording::start(&path, &head, &stream.pipeline, 0.0).unwrap());
     stream.run(&rest, 40);
-    // Smoother images than the skin file's, which stay so when the circuit has been found.
+    // Use smoother images than the skin file's. They must stay so once the circuit is found.
     let by_file = stream.pipeline.hyperparameter().unwrap();
     stream.recording.as_ref().unwrap().hyperparameter(1.5 * by_file);
     stream.pipeline.set_hyperparameter(1.5 * by_file).unwrap();
@@ -208,15 +208,14 @@ fn a_twin_whose_board_loads_it_is_placed_better_once_its_circuit_is_found_and_a_
     assert!(again == stream.touches, "{} touches, {} in the rerun", stream.touches.len(), again.len());
 }
 
-/// A gel that is cut before its circuit is found: the damage keeps its identity, lies where the new model has it, and
-/// heals.
+/// A gel is cut before its circuit is found: the damage keeps its identity, is placed by the new model, and heals.
 #[test]
 fn damage_stays_known_when_a_circuit_is_found() {
     let (from_m, to_m) = ([0.014, 0.018], [0.041, 0.03]);
     let mut gel = Gel::new();
     let rest = gel.rest();
     let before: Vec<Vec<f64>> = places(8, 0.06, 0.5).iter().map(|place| gel.press(*place, 9e-3, 30e3)).collect();
-    // A blade, with the weight of a hand beside it.
+    // A blade, with the weight of a hand next to it.
     gel.cut(from_m, to_m);
     let blade = gel.press([-0.01, -0.01], 0.025, 200e3);
     let cut = gel.rest();
@@ -273,7 +272,7 @@ fn damage_stays_known_when_a_circuit_is_found() {
     assert!(touches == stream.touches && damages == stream.damages, "another rerun");
 }
 
-/// The published presses as a stream: the frame before each for a while, then the press.
+/// The published presses as a stream: for each, its untouched frame for a while, then the press.
 #[test]
 fn the_circuit_of_the_measured_gel_skin_is_found_while_it_is_pressed() {
     let Some(folder) = dermis_testdata::set("hydrogel") else { return };

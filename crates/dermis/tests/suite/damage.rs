@@ -1,5 +1,6 @@
-//! Damage told from touch on the sandwich's twin, whose mesh, physics and noise are not the model's: cuts are found and
-//! stay known, touches work beside them, drift and slow presses are told apart, and no baseline hides a damage.
+//! Damage distinguished from touch on the sandwich's twin, whose mesh, physics and noise differ from the model's:
+//! cuts are found and remembered, touches work next to them, drift and slow presses are told apart, and no baseline
+//! hides a damage.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -29,7 +30,7 @@ impl Line {
         line
     }
 
-    /// A cut that has been found and taken into the baseline; frames are slow from here on.
+    /// A line whose cut has been found and included in the baseline. From here on frames are slow.
     fn with_a_known_cut() -> Self {
         let mut line = Self::new();
         line.cut(FROM_MM, TO_MM);
@@ -49,7 +50,7 @@ impl Line {
         Self { twin, pipeline, ticks: 0, frame_s, events: Vec::new() }
     }
 
-    /// Runs so many frames; the touches of the last.
+    /// Runs this many frames and returns the touches of the last.
     fn run(&mut self, frames: usize) -> Vec<Touch> {
         let mut touches = Vec::new();
         let mut values = Vec::new();
@@ -95,7 +96,7 @@ impl Line {
     }
 }
 
-/// The cut of the paper's figure: 20 mm in the first quadrant.
+/// The cut in the paper's figure: 20 mm in the first quadrant.
 const FROM_MM: [f64; 2] = [15.0, 18.0];
 const TO_MM: [f64; 2] = [31.0, 30.0];
 const MIDDLE_MM: [f64; 2] = [23.0, 24.0];
@@ -119,7 +120,7 @@ fn a_cut_is_found_covered_by_a_press_and_found_again() {
     let off_mm = 1e3 * (x - 1e-3 * MIDDLE_MM[0]).hypot(y - 1e-3 * MIDDLE_MM[1]);
     println!("off {off_mm:.2} mm, length {:.2} mm", 1e3 * before.shape.length_m);
     assert!(off_mm < 0.5 && (before.shape.length_m - 0.02).abs() < 1e-3, "{off_mm:.2} mm: {:?}", before.shape);
-    // On the cut: one touch, and the damage is covered.
+    // A press on the cut: one touch, and the damage is covered.
     line.press(MIDDLE_MM[0], MIDDLE_MM[1]);
     let touches = line.run(60);
     println!("on cut {touches:?} {:?}", line.names());
@@ -159,7 +160,8 @@ fn touches_beside_a_cut_are_placed_as_well_as_before() {
     line.run(80);
     let cut = errors(&mut line);
     println!("intact {intact:.3} cut {cut:.3} mm; {:?}", line.names());
-    // Below a tenth of a millimetre the mean of six presses is noise, and so is the ratio of two such means.
+    // Below a tenth of a millimetre the mean of six presses is dominated by noise, and so is the ratio of two such
+    // means.
     assert!(cut <= 1.3 * intact.max(0.1), "{cut:.2} mm with the cut, {intact:.2} mm without");
 }
 
@@ -176,7 +178,7 @@ fn a_tare_hides_no_damage_and_every_baseline_is_kept() {
     println!("{:?}", view.damages);
     assert_eq!((view.intact, view.damages.len(), view.damages[0].state), (Some(0), 1, DamageState::Confirmed));
     assert!(view.damages[0].share > 0.9);
-    // Without damage, the new baseline is what damage is judged against.
+    // Without damage, the new baseline becomes the reference for damage.
     let mut sound = Line::new();
     sound.pipeline.tare(false, "a test").unwrap();
     sound.run(60);
@@ -201,8 +203,8 @@ fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still
             line.run(40);
             assert_eq!((line.pipeline.damage().proposal, line.pipeline.damage().intact), (None, Some(1)));
         }
-        // With the proposal taken or not, damage is found, and where it is; a cut may leave lobes that are recorded
-        // too.
+        // Whether or not the proposal is accepted, damage is found in the right place. A cut may leave lobes, which
+        // are recorded too.
         let half = [8.0, 6.0];
         line.cut([place_mm[0] - half[0], place_mm[1] - half[1]], [place_mm[0] + half[0], place_mm[1] + half[1]]);
         line.run(80);
@@ -242,13 +244,13 @@ fn warmth_of_a_small_pad_hides_no_healing() {
 #[test]
 fn drift_of_the_whole_sheet_is_followed_and_a_slow_press_is_not() {
     let mut line = Line::new();
-    // 2 % in 10 minutes; the press comes on over two.
+    // Drift of 2 % in 10 minutes; the press builds up over two minutes.
     line.frame_s = 2.0;
     line.treat(Treatment::Warm(0.02 / 600.0));
     assert!(line.run(150).is_empty(), "5 minutes of drift are no touch");
     let drift = line.pipeline.damage().drift;
     println!("drift {drift}");
-    // Voltages fall by 1 % in 5 minutes; the baseline lags behind by a minute of it.
+    // Voltages fall by 1 % in 5 minutes, and the baseline lags by a minute's worth.
     assert!((-0.0105..-0.0070).contains(&drift), "{drift}");
     let mut touched_s = None;
     for step in 0..60 {
@@ -275,7 +277,7 @@ fn a_new_baseline_is_proposed_once_the_skin_rests_elsewhere() {
     line.frame_s = 0.2;
     line.run(200);
     assert!(line.pipeline.damage().proposal.is_none(), "{:?}", line.pipeline.damage().proposal);
-    // A faint cut: too little to be damage, but the baseline is off.
+    // A faint cut: too small to count as damage, but the baseline no longer fits.
     line.cut([-22.5, -20.0], [-17.5, -20.0]);
     line.run(100);
     assert!(line.pipeline.damage().proposal.is_none(), "20 s are not enough");
@@ -315,7 +317,7 @@ fn cuts_are_measured_by_their_fields() {
         twin.frontend_mut().treat(&Treatment::Cut(Cut::open(end(-1.0), end(1.0)))).unwrap();
         let after = frames(&mut twin, 25);
         let mean: Vec<f64> = (0..208).map(|c| after.iter().map(|frame| frame[c]).sum::<f64>() / 25.0).collect();
-        // The image's middle is off by up to a centimetre.
+        // The centre found in the image is off by up to a centimetre.
         let centre_m = [1e-3 * (middle_mm[0] * 1.25 + 4.0), 1e-3 * (middle_mm[1] * 1.25 - 3.0)];
         let start = DamageShape { centre_m, length_m: 0.03, width_m: 0.0, direction_rad: 0.0, deviations: None };
         let difference = reference.difference(&mean, None);
@@ -330,7 +332,7 @@ fn cuts_are_measured_by_their_fields() {
             estimate.deviations(),
             estimate.uniform
         );
-        // A tenth of what is asked for.
+        // A tenth of the required accuracy.
         assert!(off_mm < 0.3 && longer_mm.abs() < 0.4, "{middle_mm:?}: off {off_mm:.2} mm, {longer_mm:.2} mm longer");
     }
 }
@@ -349,8 +351,8 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
         println!("truth {truth:.3} {state:?}");
         course.push((truth, state.joined.min(1.0)));
     }
-    // The sheet's rise about the cut and what is left of the cut answer alike in part; readings are means over a few
-    // frames.
+    // The rise of the sheet around the cut and the remaining cut have similar effects on the readings, and the
+    // readings are means over a few frames, so allow for some error.
     assert!(course.iter().all(|(truth, joined)| (truth - joined).abs() < 0.15), "{course:?}");
     assert!(course.windows(2).all(|pair| pair[1].1 >= pair[0].1 - 0.1), "{course:?}");
     assert!(course[9].1 > 0.9, "{course:?}");
@@ -359,8 +361,9 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
 
 #[test]
 fn every_cut_is_one_damage_wherever_it_lies() {
-    // Images of thin cuts have lobes as high as the cut is deep, which are no touches, and lobes at the rim, which are
-    // no damage: along and across the lines between electrodes, by the rim, in the middle, long and short.
+    // Images of thin cuts have lobes as high as the cut is deep, which are not touches, and lobes at the rim, which
+    // are not damage. Cuts are tried along and across the lines between electrodes, at the rim, in the centre, long
+    // and short.
     for (middle_mm, length_mm, degrees) in [
         ([-20.0, -5.0], 20.0, 37.0_f64),
         ([-20.0, -5.0], 20.0, 90.0),
@@ -385,7 +388,7 @@ fn every_cut_is_one_damage_wherever_it_lies() {
         println!(
             "{middle_mm:?} {length_mm} mm {degrees}: off {off_mm:.2} mm, longer {longer_mm:.2} mm, turned {turned:.1}"
         );
-        // Of sizes asked for (3 mm, 4 mm); worst are 0.33 mm, 1.2 mm (of 40) and 0.6 degrees.
+        // The requirements are 3 mm and 4 mm. The largest errors are 0.33 mm, 1.2 mm (of 40) and 0.6 degrees.
         assert!(off_mm < 1.0 && longer_mm.abs() < 0.05 * length_mm && turned.abs() < 2.0, "{middle_mm:?}: {shape:?}");
     }
 }
@@ -401,11 +404,11 @@ fn the_second_cut_is_found_beside_the_first() {
     println!("{found:#?}");
     assert_eq!((line.names(), found.len()), (vec!["begin", "begin"], 2));
     let [x, y] = found[1].shape.centre_m.map(|m| 1e3 * m);
-    // Of what is asked for (3 mm, 4 mm); 0.13 mm, 0.2 mm and half a degree are found.
+    // The requirements are 3 mm and 4 mm; the errors are 0.13 mm, 0.2 mm and half a degree.
     assert!((x + 21.0).hypot(y + 9.5) < 0.5 && (1e3 * found[1].shape.length_m - 20.1).abs() < 1.0, "{:?}", found[1]);
     let turned = found[1].shape.direction_rad.to_degrees() + f64::to_degrees((9.0_f64 / 18.0).atan());
     assert!(turned.abs() < 2.0, "{turned} degrees");
-    // And touches are placed on the sheet with both, which is in use three seconds later.
+    // Touches are placed on the sheet with both cuts, which is in use three seconds later.
     line.run((3.0 / line.frame_s) as usize);
     line.press(0.0, -30.0);
     let touches = line.run(40);

@@ -1,4 +1,4 @@
-//! The bounds of `dermis design`, held against estimates from noisy frames.
+//! Compares the bounds of `dermis design` with estimates from noisy frames.
 
 use dermis::lab::design::{Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
 use dermis::live::prepare::Prepared;
@@ -13,7 +13,7 @@ fn skin() -> Skin {
     skin
 }
 
-/// Gaussian numbers by Box and Muller from a xorshift.
+/// Gaussian numbers by the Box-Muller method from an xorshift generator.
 struct Random(u64);
 
 impl Random {
@@ -29,7 +29,8 @@ impl Random {
     }
 }
 
-/// Least squares for (x, y, a) by Gauss-Newton from near the truth: with white noise the maximum of the likelihood.
+/// Least squares for (x, y, a) by Gauss-Newton, starting near the truth. With white noise this is the
+/// maximum-likelihood estimate.
 fn fit(prepared: &Prepared, frame: &[f64]) -> [f64; 3] {
     let (mut place, mut amplitude, step) = ([PLACE[0] + 1e-3, PLACE[1] - 1e-3], 0.8 * AMPLITUDE, 1e-4);
     let channels = frame.len();
@@ -83,7 +84,8 @@ fn estimates_from_500_noisy_frames_attain_the_bound() {
             distance(a).total_cmp(&distance(b))
         })
         .unwrap();
-    // The bound is for the larger axis of the ellipse, which is at least either deviation and at most their root sum.
+    // The bound is for the larger axis of the ellipse, which is at least either deviation and at most the root of
+    // their summed squares.
     let (x, y) = (deviation(0), deviation(1));
     let (bound, amplitude) = (maps.position_m[nearest], AMPLITUDE * maps.amplitude_share[nearest]);
     println!(
@@ -93,12 +95,13 @@ fn estimates_from_500_noisy_frames_attain_the_bound() {
         deviation(2)
     );
     let larger = larger_axis(&found);
-    // 500 frames give a deviation within 3.2 % (one standard error); the nearest place of the map is up to 0.8 mm off.
+    // 500 frames determine a deviation within 3.2 % (one standard error); the nearest place of the map is up to 0.8
+    // mm away.
     assert!((larger / bound - 1.0).abs() < 0.15, "{larger:e} against {bound:e}");
     assert!((deviation(2) / amplitude - 1.0).abs() < 0.15, "{:e} against {amplitude:e}", deviation(2));
 }
 
-/// Deviation along the larger axis of the estimates' ellipse.
+/// Standard deviation along the larger axis of the estimates' ellipse.
 fn larger_axis(found: &[[f64; 3]]) -> f64 {
     let count = found.len() as f64;
     let mean = [0, 1].map(|k| found.iter().map(|f| f[k]).sum::<f64>() / count);
@@ -117,7 +120,7 @@ fn the_search_finds_skins_at_least_as_good_and_writes_them() {
         let search = Search { freed: freed.to_vec(), amplitude: AMPLITUDE, along: 10, noise: Noise::Assumed };
         let found = improve(&skin, &search, |done, all| count = [done, all]).unwrap();
         assert_eq!(count[0], count[1], "{freed:?}");
-        // What is written is a skin file, and that of the skin that was judged.
+        // The output is a valid skin file of the skin that was evaluated.
         assert_eq!(Skin::parse(&found[1].skin.to_toml(), "winner").unwrap().frontend, found[1].skin.frontend);
         found
     };
@@ -125,8 +128,8 @@ fn the_search_finds_skins_at_least_as_good_and_writes_them() {
     let [_, drive] = search(&[Freedom::Drive]);
     let [_, fewer] = search(&[Freedom::Count]);
     let [_, both] = search(&[Freedom::Drive, Freedom::Electrodes]);
-    // What is freed more is not worse; adjacent pairs of all are the worst that textbooks know for the middle of a
-    // tank.
+    // Freeing more must not make the result worse. Adjacent pairs are known in textbooks as the worst choice for the
+    // centre of a tank.
     assert!(drive.position_m.worst < 0.9 * own.position_m.worst, "{own:?} {drive:?}");
     assert!(protocol.position_m.worst <= drive.position_m.worst);
     assert!(fewer.position_m.worst <= own.position_m.worst);
@@ -136,7 +139,7 @@ fn the_search_finds_skins_at_least_as_good_and_writes_them() {
 
 #[test]
 fn electrodes_moved_away_come_back() {
-    // A tank of evenly spaced electrodes with one pushed toward its neighbour: the search undoes that.
+    // In a tank with evenly spaced electrodes, one has been pushed towards its neighbour; the search undoes this.
     let mut skin = Skin::open("golfball-tank").unwrap();
     (skin.imaging.grid, skin.imaging.elements) = (24, 1000);
     skin.frontend.electrodes = rim(&skin, |k| if k == 4 { 15.0 } else { 0.0 });
@@ -145,7 +148,7 @@ fn electrodes_moved_away_come_back() {
     assert!(best.position_m.worst < own.position_m.worst, "{own:?} {best:?}");
 }
 
-/// Electrodes evenly round a rim, some of them off.
+/// Electrodes evenly spaced around a rim, some of them displaced.
 fn rim(skin: &Skin, off_deg: impl Fn(usize) -> f64) -> dermis::skin::Electrodes {
     let count = skin.electrode_shapes().len();
     let at_deg = |k: usize| 360.0 * k as f64 / count as f64 + off_deg(k);
@@ -172,7 +175,7 @@ fn points_come_out_wider_in_the_middle_than_near_the_electrodes() {
         let chosen: Vec<f64> = maps.places_m.iter().zip(&widths).filter_map(of_place).collect();
         chosen.iter().sum::<f64>() / chosen.len() as f64
     };
-    // Soleimani and many others: resolution falls toward the middle. A pixel is 4.4 mm, the skin 174 mm.
+    // Soleimani and many others: resolution falls towards the centre. A pixel is 4.4 mm, the skin 174 mm.
     let (middle, outside) = (mean(0.0..0.02), mean(0.055..0.075));
     assert!(middle > 1.2 * outside && (0.01..0.08).contains(&middle), "{middle} {outside}");
 }
@@ -183,10 +186,10 @@ fn the_smallest_force_of_the_liquid_skin_is_of_the_published_size() {
     let map = smallest_force(&prepared, Noise::Assumed, 5, |_, _| {}).unwrap();
     let forces = Summary::of(&map.force_n);
     println!("{forces:?} on {} mm", 2e3 * map.radius_m);
-    // One weight of 64 mN is seen at every radius (paper I) on a disc of the same 20 mm; on the twin at 9 to 15
-    // deviations of a peak pixel, so that 3.3 of all channels together is a small part of it.
+    // A 64 mN weight on a 20 mm disc is seen at every radius (paper I). On the twin its peak pixel reaches 9 to 15
+    // deviations, so 3.3 deviations of all channels together take only a small part of it.
     assert!(map.radius_m == 0.01 && forces.worst < 0.064 && forces.best > 0.0005, "{forces:?}");
-    // Twice the noise, twice the force, within the 2 % of the search: the membrane is linear so far below its depth.
+    // Twice the noise requires twice the force, within the search's 2 %: the membrane is linear far below its depth.
     let at = |volts: f64| Summary::of(&smallest_force(&prepared, Noise::Volts(volts), 5, |_, _| {}).unwrap().force_n);
     let (quiet, loud) = (at(1e-5), at(2e-5));
     assert!((loud.median / quiet.median - 2.0).abs() < 0.1, "{quiet:?} {loud:?}");

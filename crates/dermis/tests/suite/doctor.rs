@@ -1,4 +1,4 @@
-//! The examination says what is wrong: each fault of a twin gives its sentence, and a sound twin none.
+//! The examination names the fault: each fault of a twin gives its sentence, and a sound twin gives none.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -14,7 +14,7 @@ fn skin(name: &str, faults: &str) -> Skin {
     Skin::parse(&crate::with_twin(text, &format!("seed = 5\nfaults = [{faults}]")), "a test").unwrap()
 }
 
-/// The twin pressed by nobody: the demonstration begins after what is looked at here.
+/// Examines a twin that nobody presses; the demonstration starts later than the frames used here.
 fn examined(skin: Skin, frames: u64) -> Vec<Check> {
     let (source, _commands) = TwinSource::new(&skin).unwrap();
     examine(skin, &mut source.unpaced(), frames, Duration::from_secs(5), None).unwrap()
@@ -56,7 +56,7 @@ fn each_fault_gives_its_sentence() {
     assert!(saturated.contains("channels 30 ") && saturated.contains("lower the gain"), "{saturated}");
 }
 
-/// Frames given beforehand.
+/// A source of prepared frames.
 struct Given {
     layout: Layout,
     frames: VecDeque<Vec<f64>>,
@@ -89,7 +89,7 @@ impl Source for Given {
     }
 }
 
-/// Frames of the model at rest with a little noise of its own for every channel and frame.
+/// Frames of the model at rest, with a little independent noise per channel and frame.
 fn given(skin: &Skin, frames: usize, change: impl Fn(&mut Vec<f64>)) -> Given {
     let prepared = Prepared::new(skin.clone()).unwrap();
     let noise =
@@ -105,7 +105,7 @@ fn given(skin: &Skin, frames: usize, change: impl Fn(&mut Vec<f64>)) -> Given {
 #[test]
 fn exchanged_electrodes_reversed_signs_and_silence_are_said() {
     let skin = skin("healing-square", "");
-    // What the instrument reads with the wires of electrodes 3 and 7 exchanged, on another mesh than the doctor's.
+    // The instrument's readings with the wires of electrodes 3 and 7 exchanged, on a mesh other than the doctor's.
     let mut finer = skin.clone();
     finer.imaging.elements = 3000;
     let body = finer.body().unwrap();

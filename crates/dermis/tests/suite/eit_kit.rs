@@ -1,5 +1,5 @@
-//! The sketch of the book for EIT kits: it compiles with stubs of the Arduino headers, speaks the wire, takes a skin's
-//! list of channels, and measures each at the electrodes that the list says.
+//! The book's sketch for EIT kits compiles with stubs of the Arduino headers, speaks the wire protocol, accepts a
+//! skin's list of channels, and measures each channel at the electrodes in the list.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use dermis::skin::{Layer, ListedChannel, Reads, Shape, SheetLayer, Skin};
 use dermis::{Error, Session};
 
-/// Ends the sketch with the test.
+/// Stops the sketch when the test ends.
 struct Running(Child);
 
 impl Drop for Running {
@@ -18,7 +18,7 @@ impl Drop for Running {
     }
 }
 
-/// 16 electrodes, pairs and mixtures in no order.
+/// 16 electrodes, with pairs and mixtures in no particular order.
 fn skin() -> (Skin, Vec<[u32; 4]>) {
     let four =
         |k: u32| [k * 7 % 16 + 1, (k * 7 + 3 + k % 5) % 16 + 1, (k * 5 + 1) % 16 + 1, (k * 5 + 2 + k % 3) % 16 + 1];
@@ -66,7 +66,7 @@ fn the_sketch_of_eit_kits_measures_a_skin_s_own_list() {
     for (value, [sink, source, plus, minus]) in rest.iter().zip(&list) {
         let [sink, source, plus, minus] = [sink, source, plus, minus].map(|number| f64::from(*number) - 1.0);
         let counts = 100.0 + 40.0 * source + 20.0 * sink + 10.0 * plus + 5.0 * minus;
-        // 12 bits, 3.3 V, an amplifier of 10. Samples come a microsecond late at most.
+        // 12 bits, 3.3 V, gain 10. Samples are at most a microsecond late.
         let expected = counts * 3.3 / (4095.0 * 10.0);
         assert!((value.abs() - expected).abs() < 0.02 * expected, "{value} V, expected {expected} V");
     }

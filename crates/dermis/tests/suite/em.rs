@@ -1,5 +1,5 @@
-//! The EM-skins from file to touches: the numbers of their files reach twins and models, single presses are found on
-//! the right element under the model's and the measured Jacobian.
+//! The EM-skins from file to touches: the numbers in their files reach twins and models, and single presses are found
+//! at the right element with the model's and with the measured Jacobian.
 
 use dermis::lab::twin_bench::Rig;
 use dermis::live::calibration::CalibratedImager;
@@ -15,7 +15,7 @@ use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{Conductor, Frontend};
 
-/// Half the pitch of the elements: nearer than this to an element is nearest to it.
+/// Half the pitch of the elements. A position closer than this to an element is closest to it.
 const HALF_PITCH_M: f64 = 0.01;
 
 fn read(skin: &mut dyn Frontend, instrument: &mut Instrument, indenters: &[Indenter]) -> Vec<f64> {
@@ -61,7 +61,7 @@ fn the_numbers_of_files_reach_twins_and_models() {
             (options.frequency_hz, options.frequency_hz)
         );
         metres(skin.backend.current_ma, options.current_a);
-        // The twin has the cylinder, the model the ball of its volume.
+        // The twin uses the cylinder, the model a ball of the same volume.
         let element = skin.element().unwrap();
         assert_eq!(options.element, Conductor::Body(body_of(&element, options.frequency_hz).unwrap()));
         assert!((model.body.radius_m / element.shape.volume_radius_m() - 1.0).abs() < 1e-12);
@@ -78,7 +78,7 @@ fn every_element_is_found_by_the_model_and_by_the_measured_jacobian() {
     let (mut twin, mut instrument, _) = AnyTwin::from_skin(&skin).unwrap().into_parts();
     let prepared = Prepared::new(skin).unwrap();
     let rest: Vec<Vec<f64>> = (0..50).map(|_| read(&mut *twin, &mut instrument, &[])).collect();
-    // The mean of so many frames of each element pressed, after rest and after the mechanics settled.
+    // Mean of `count` frames with each element pressed, after rest and after the mechanics have settled.
     let mut settled = |force_n: f64, count: usize| -> Vec<Vec<f64>> {
         let one = |place: &[f64; 2]| {
             (0..9).for_each(|_| drop(read(&mut *twin, &mut instrument, &[])));
@@ -89,7 +89,7 @@ fn every_element_is_found_by_the_model_and_by_the_measured_jacobian() {
         };
         places.iter().map(one).collect()
     };
-    // As published: each of the 25 elements once, 25 x 28; then again and harder, to be found.
+    // As published: each of the 25 elements once, 25 x 28. Then again with more force, to be located.
     let pokes = Pokes { positions_m: places.clone(), loads: None };
     let calibration = Calibration::fit(&prepared, &rest, &settled(1.5, 10), &pokes).unwrap();
     let frames = settled(2.0, 1);
@@ -149,12 +149,12 @@ fn files_that_mix_coils_and_electrodes_are_refused() {
 fn kept_bodies_are_those_that_edge_elements_give() {
     let records = builtin_records().unwrap();
     assert_eq!(records.len(), 16);
-    // The quickest to compute; all come from one program.
+    // The quickest one to compute; all come from the same program.
     let record = records.iter().find(|record| record.frequency_hz == 1e3).unwrap();
     let again = compute(&record.element, 1e3).unwrap();
     let (kept, now) = (record.body().unwrap(), again.body().unwrap());
     let largest = now.tau().iter().map(|t| t.norm()).fold(0.0, f64::max);
-    // Rounding of another order of sums, through 13 to 23 iterations that end at 1e-8.
+    // Sums taken in another order round differently, over 13 to 23 iterations that stop at 1e-8.
     let off = kept.tau().iter().zip(now.tau()).map(|(a, b)| (*a - *b).norm()).fold(0.0, f64::max);
     assert!(off < 1e-6 * largest, "{off:e} of {largest:e}");
 }
@@ -168,7 +168,7 @@ fn bodies_are_computed_once_and_damaged_files_anew() {
     let files: Vec<_> = std::fs::read_dir(cache.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert_eq!(files.len(), 1);
     let text = std::fs::read_to_string(&files[0]).unwrap();
-    // What is kept is used, even if it was changed by hand to be told apart.
+    // The cached value is used. It has been edited by hand, so that it can be recognised.
     let other = text.replace("\"tau\":[[0,0,-", "\"tau\":[[0,0,");
     std::fs::write(&files[0], &other).unwrap();
     assert!(other != text && body_cached(&plate, 1e3, Some(cache.path())).unwrap() != body);
@@ -177,7 +177,7 @@ fn bodies_are_computed_once_and_damaged_files_anew() {
         assert!(body_cached(&plate, 1e3, Some(cache.path())).unwrap() == body);
         assert_eq!(std::fs::read_to_string(&files[0]).unwrap(), text);
     }
-    // Nowhere to keep it: computed all the same.
+    // Without a cache the body is computed anyway.
     assert!(body_cached(&plate, 1e3, None).unwrap() == body);
     let error = body_cached(&Element { conductivity_s_per_m: -1.0, ..plate }, 1e3, None).unwrap_err().to_string();
     assert!(error.contains("-1"), "{error}");

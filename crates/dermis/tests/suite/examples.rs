@@ -1,5 +1,5 @@
-//! The skins that no paper has (`skins/examples`): each has a twin from its file alone, and presses at random places
-//! are found.
+//! The skins that aren't from a paper (`skins/examples`): the file of each suffices for a twin, and presses at random
+//! places are found.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ fn file_spec(path: PathBuf) -> FileSpec {
     path.to_str().unwrap().parse().unwrap()
 }
 
-/// Touches in the last of so many frames of each press, millimetres.
+/// Touches in the last of `repeats` frames of each press, millimetres.
 fn touches_of(skin: Skin, presses: &[Vec<Indenter>], repeats: usize) -> Vec<Vec<[f64; 2]>> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -70,8 +70,8 @@ fn place_mm(indenter: &Indenter) -> [f64; 2] {
     indenter.centre_m.map(|value| 1e3 * value)
 }
 
-/// Median distance of touches from single presses at so many random places, and how many presses were not seen, or seen
-/// as several.
+/// Median distance of touches from single presses at random places, the number of presses not seen, and the number
+/// seen as several.
 fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
     let places = random_presses(&skin.outline(), &press_range(&skin), presses, 11).unwrap();
     let found = touches_of(skin, &places, 1);
@@ -86,8 +86,8 @@ fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
     (errors[presses / 2], missed, several)
 }
 
-/// Of so many pairs of presses a quarter of the longer side apart, those of which both were found, each nearer than
-/// half of that.
+/// Presses pairs of places a quarter of the longer side apart; returns the number of pairs of which both presses were
+/// found, each closer than half that distance.
 fn pairs_found(skin: Skin, pairs: usize) -> usize {
     let (low, high) = skin.outline().bounds_m();
     let apart_mm = 0.25e3 * (high[0] - low[0]).max(high[1] - low[1]);
@@ -115,12 +115,13 @@ fn presses_anywhere_are_found_on_every_example() {
     {
         let (median, missed, several) = median_mm(example(name), 20);
         assert!(median <= 0.03 * shorter_mm, "{name}: {median} mm");
-        // One in twenty may lie where little is seen. Every frame is of another press: none is two touches.
+        // One in twenty may lie where the skin sees little. Every frame has a different press, and none gives two
+        // touches.
         assert!(missed <= 1 && several == 0, "{name}: {missed} missed, {several} seen as several");
     }
 }
 
-// Measured: 0.2 to 0.8 mm of 200 to 300 mm. As the image has them, they were 3.2 to 4.5 % of the diameter off.
+// Measured: 0.2 to 0.8 mm on 200 to 300 mm. Placed by the image they were off by 3.2 to 4.5 % of the diameter.
 #[test]
 fn dents_in_the_tanks_are_found_as_dents() {
     for name in ["golfball-tank", "sciospec-tank", "pyeidors-tank", "ktc-tank"] {
@@ -150,7 +151,7 @@ fn two_presses_are_two_on_other_sizes_and_numbers_of_electrodes() {
     button.frontend.shape = Shape::Disc { diameter_mm: 80.0 };
     let Electrodes::Rim { count, width_mm, .. } = &mut button.frontend.electrodes else { panic!() };
     (*count, *width_mm) = (8, 5.0);
-    // Twelve of its channels nearly cross zero at rest: their own gains say nothing.
+    // Twelve of its channels are nearly zero at rest, so their individual gains mean nothing.
     let mut octagon = example("liquid-ellipse");
     octagon.name = "octagon".into();
     let corner = |k: u32| std::f64::consts::TAU * f64::from(k) / 8.0 + 0.3;

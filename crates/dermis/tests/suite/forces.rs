@@ -1,4 +1,4 @@
-//! Force calibrations on the liquid skin's twin, read where and as hard as they were not made.
+//! Force calibrations on the liquid skin's twin, applied at positions and forces that were not used to make them.
 
 use dermis::lab::forces::{PressPlan, fit_forces, press_twin};
 use dermis::lab::twin_bench::Rig;
@@ -22,7 +22,7 @@ fn forces_are_read_where_and_as_hard_as_they_were_not_calibrated() {
     let calibration = fit_forces(&samples, CurveKind::Quadratic, scope("ionic-disc", &plan)).unwrap();
     let range = calibration.valid_force_n[1] - calibration.valid_force_n[0];
     println!("residual {:.4} N of {range:.3} N", calibration.residual_n);
-    // One line for all places once gains are compensated (paper I, its single calibration line), within a twentieth.
+    // With gains compensated, one line fits all places within a twentieth (paper I, its single calibration line).
     assert!(calibration.residual_n < 0.05 * range, "{calibration:?}");
 
     let mut rig = Rig::new("ionic-disc").unwrap();
@@ -37,11 +37,11 @@ fn forces_are_read_where_and_as_hard_as_they_were_not_calibrated() {
     for (place, force_n) in [([0.01, 0.02], 0.3), ([-0.03, 0.015], 0.2), ([0.02, -0.04], 0.5)] {
         let reading = press(place, force_n);
         println!("{force_n} N at {place:?}: {reading:?}");
-        // Places between those of the gain map: twice the calibration's own residual and a tenth.
+        // Between the places of the gain map: twice the calibration's own residual plus a tenth.
         let off = (reading.valid_n().unwrap() - force_n).abs();
         assert!(off < 2.0 * calibration.residual_n + 0.1 * force_n, "{force_n}: {reading:?}");
     }
-    // What is outside says so.
+    // Readings out of range say so.
     assert_eq!(press([0.0, 0.0], 1.2).range(), "above");
     assert_eq!(press([0.0, 0.0], 0.07).range(), "below");
 }
@@ -65,7 +65,7 @@ fn files_say_what_is_wrong_with_them() {
     assert_eq!(load_forces(&path, &skin).unwrap(), calibration);
     let other = load_forces(&path, &Skin::open("piezo-disc").unwrap()).unwrap_err().to_string();
     assert!(other.contains("forces.json") && other.contains("ionic-disc") && other.contains("piezo-disc"), "{other}");
-    // Of the same name, and twice as large.
+    // A skin with the same name, but twice as large.
     let text = dermis::skin::builtin_text("ionic-disc").unwrap().replace("diameter_mm = 174.0", "diameter_mm = 348.0");
     let larger = Skin::parse(&text, "larger").unwrap();
     let error = load_forces(&path, &larger).unwrap_err().to_string();
@@ -78,6 +78,6 @@ fn files_say_what_is_wrong_with_them() {
 
     assert!(press_twin(&skin, &PressPlan { most_n: -1.0, ..plan.clone() }, |_, _| {}).is_err());
     assert!(press_twin(&skin, &PressPlan { indenter_m: f64::NAN, ..plan.clone() }, |_, _| {}).is_err());
-    // A tank has a twin as well, into which things are dipped.
+    // A tank has a twin too, into which objects are dipped.
     assert!(PressPlan::of(&Skin::open("ktc-tank").unwrap()).is_ok());
 }

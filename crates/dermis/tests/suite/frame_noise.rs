@@ -1,10 +1,10 @@
-//! Noise of channels from frames of which nobody says whether the skin is touched in them.
+//! Estimates channel noise from frames without knowing in which of them the skin is touched.
 
 use dermis::live::frame_noise::noise_of_frames;
 
 const CHANNELS: usize = 60;
 
-/// Standard normal numbers, the same at every run.
+/// Standard normal numbers, the same in every run.
 struct Random(u64);
 
 impl Random {
@@ -20,7 +20,7 @@ impl Random {
     }
 }
 
-/// What a touch at p in [0, 1] reads: smooth in p.
+/// Reading of a touch at p in [0, 1]; smooth in p.
 fn touch(p: f64, k: usize) -> f64 {
     (-((p - k as f64 / CHANNELS as f64) / 0.2).powi(2)).exp()
 }
@@ -29,7 +29,7 @@ fn sigma(k: usize) -> f64 {
     0.01 * (1.0 + (k % 5) as f64)
 }
 
-/// Median ratio of the estimate to the truth.
+/// Median ratio of estimate to truth.
 fn ratio(frames: &[Vec<f64>]) -> f64 {
     let noise = noise_of_frames(frames).expect("frames enough");
     let mut ratios: Vec<f64> = noise.iter().enumerate().map(|(k, v)| v / sigma(k)).collect();
@@ -47,14 +47,14 @@ fn frames(count: usize, place: impl Fn(usize, &mut Random) -> Option<f64>) -> Ve
         .collect()
 }
 
-/// A median of so many numbers scatters by some per cent, and the quieter half is quieter by some more.
+/// A median of this many numbers scatters by a few per cent, and using the quieter half lowers it by a few more.
 #[test]
 fn noise_is_found_whatever_is_touched() {
     let resting = ratio(&frames(40, |_, _| None));
     let held = ratio(&frames(80, |t, _| (20..60).contains(&t).then_some(0.3)));
     let every = ratio(&frames(200, |_, random| Some(random.uniform())));
     assert!((0.8..1.2).contains(&resting) && (0.8..1.2).contains(&held), "{resting} {held}");
-    // The smooth rest that 16 components leave is taken for noise.
+    // The smooth remainder after 16 components is taken for noise.
     assert!((0.8..1.6).contains(&every), "{every}");
 }
 

@@ -1,6 +1,6 @@
-//! Random sequences of presses, cuts, faults, damaged frames, silences, clock jumps, messages of pages, signals and
-//! recordings on real twins and the real pipeline in one process, with what must hold whatever happens. Sequences that
-//! fail shrink, and their seeds are kept in `proptest-regressions` beside this file.
+//! Random sequences of presses, cuts, faults, damaged frames, silences, clock jumps, page messages, signals and
+//! recordings, on real twins and the real pipeline in one process, with invariants that must hold whatever happens.
+//! Failing sequences are shrunk, and their seeds are kept in `proptest-regressions` next to this file.
 
 mod figures;
 mod steps;
@@ -19,7 +19,7 @@ use figures::FIGURES;
 use steps::{Spoilt, Step, step};
 use system::{System, peak_bytes, replayed};
 
-/// Sequences that `DERMIS_FUZZ` asks for.
+/// Number of sequences requested with `DERMIS_FUZZ`.
 fn asked() -> Option<u32> {
     std::env::var("DERMIS_FUZZ").ok().and_then(|text| text.parse().ok())
 }
@@ -27,7 +27,7 @@ fn asked() -> Option<u32> {
 proptest! {
     #![proptest_config(Config {
         cases: asked().unwrap_or(12),
-        // The same sequences in every run of the tests; others where a number is asked for.
+        // The same sequences in every test run, but random ones if a number is requested.
         rng_seed: if asked().is_some() { RngSeed::Random } else { RngSeed::Fixed(1) },
         max_shrink_iters: 200,
         failure_persistence: Some(Box::new(FileFailurePersistence::WithSource("proptest-regressions"))),
@@ -50,7 +50,7 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let mut system = System::new(skin, folder.path());
         if whole {
-            // Recorded from the first frame on, without commands to end it: the replay is compared to the bit.
+            // Recorded from the first frame on, and no command can end it: the replay is compared bit for bit.
             system.record_all();
         }
         before.iter().for_each(|step| system.take(step));
@@ -147,7 +147,7 @@ fn hyperparameters_that_cannot_be_used_are_refused_and_channels_may_fail_meanwhi
             system.take(&Step::Frames(40));
             assert_eq!(system.pipeline.hyperparameter(), Some(usual), "{skin} went on with {lambda:e}");
         }
-        // Hardly usable, and nearly nothing of the data used.
+        // One is hardly usable, the other uses almost nothing of the data.
         for lambda in [1e-6 * usual, 1e6 * usual] {
             system.take(&Step::Hyperparameter(lambda));
             system.take(&Step::Frames(40));

@@ -1,5 +1,5 @@
-//! Damage of a gel that conducts less where it is pressed as where it is cut, and whose readings drift all the time:
-//! the measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and the twin of such a skin.
+//! Damage of a gel that conducts less both where it is pressed and where it is cut, and whose readings drift all the
+//! time: the measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and a twin of such a skin.
 
 use dermis::lab::evidence::gel_watch;
 use dermis::live::pipeline::Pipeline;
@@ -13,21 +13,21 @@ use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Treatment};
 
-/// Frames of the long watch come so far apart, seconds.
+/// Time between frames of the long watch, seconds.
 const SLOW_S: f64 = gel_watch::PERIOD_S;
 
 fn skin() -> Skin {
     gel_watch::skin().unwrap()
 }
 
-/// A pipeline and what it has told.
+/// A pipeline and what it has reported.
 struct Watch {
     pipeline: Pipeline,
     frame: Frame,
     frame_s: f64,
     frames: u64,
     events: Vec<(u64, DamageEvent)>,
-    /// Places of the touches of the last frame, millimetres.
+    /// Positions of the touches in the last frame, millimetres.
     touches_mm: Vec<[f64; 2]>,
     drift: f64,
 }
@@ -62,7 +62,8 @@ impl Watch {
     }
 }
 
-/// Two disturbances, counted from 0: frames 491 to 505 and 663 to 664, of which the last leaves other levels.
+/// Two disturbances, in frames 491 to 505 and 663 to 664 (counted from 0). The second one changes the readings
+/// permanently.
 #[test]
 fn damage_of_the_measured_gel_is_told_from_its_drift() {
     let Some(folder) = dermis_testdata::set("hydrogel-damage") else { return };
@@ -80,17 +81,16 @@ fn damage_of_the_measured_gel_is_told_from_its_drift() {
     );
     let [(frame, DamageEvent::Begin(damage))] = watch.events[..] else { panic!("{:?}", watch.events) };
     assert!((663..=667).contains(&frame), "{frame}");
-    // Nobody has said where it is; a matched filter that was calibrated on presses of the other set says (-22, 2) mm.
+    // The true position isn't published. A matched filter calibrated on presses of the other set gives (-22, 2) mm.
     let off_mm = (1e3 * damage.shape.centre_m[0] + 22.0).hypot(1e3 * damage.shape.centre_m[1] - 2.0);
     assert!(off_mm < 15.0, "{damage:?}");
     assert!(damage.depth < 0.05 && damage.shape.length_m < 0.1, "{damage:?}");
     assert_eq!(watch.origins, [ReferenceOrigin::Startup, ReferenceOrigin::Damage]);
-    // The readings rose by an eighth beside what the damage did, and none of it is a touch or a damage.
+    // The readings rose by an eighth apart from the damage, and none of that counts as a touch or damage.
     assert!(watch.drift > 0.05, "{}", watch.drift);
 }
 
-/// The twin of such a skin, whose channels drift each by itself as those of the measured one do: by up to 3e-4 in eight
-/// seconds.
+/// The twin of such a skin. Each channel drifts by itself, as in the measured one, by up to 3e-4 in eight seconds.
 struct Gel {
     twin: AnyTwin,
     watch: Watch,
@@ -131,7 +131,7 @@ impl Gel {
         self.twin.scene_mut().release(1);
     }
 
-    /// A blade, with the weight of a hand beside it for two frames: more than twice what the cut changes.
+    /// A blade, with the weight of a hand next to it for two frames: more than twice the change caused by the cut.
     fn cut(&mut self, from_m: [f64; 2], to_m: [f64; 2]) {
         self.twin.scene_mut().press(1, -0.01, -0.01, 0.025, 200e3).unwrap();
         self.twin.frontend_mut().treat(&Treatment::Cut(Cut::open(from_m, to_m))).unwrap();
@@ -164,7 +164,7 @@ fn a_cut_is_told_from_presses_of_a_gel_that_drifts() {
         gel.run(12);
         assert!(gel.watch.touches_mm.is_empty(), "{:?}", gel.watch.touches_mm);
     }
-    // Held for four minutes, as still as nothing but a twin can.
+    // Held for four minutes, as still as only a twin can hold.
     gel.press(-20.0, -20.0);
     gel.run(30);
     assert_eq!(gel.watch.touches_mm.len(), 1);
@@ -184,7 +184,7 @@ fn a_cut_is_told_from_presses_of_a_gel_that_drifts() {
     let off_m = (damage.shape.centre_m[0] - middle_m[0]).hypot(damage.shape.centre_m[1] - middle_m[1]);
     println!("{:.1} mm off", 1e3 * off_m);
     assert!(off_m < 0.012, "{damage:?}");
-    // Touches go on beside it, and nothing more is damaged.
+    // Touches still work elsewhere, and no further damage appears.
     gel.run(10);
     assert!(gel.watch.touches_mm.is_empty(), "{:?}", gel.watch.touches_mm);
     gel.press(-30.0, 20.0);
@@ -209,7 +209,7 @@ fn drift_alone_is_neither_touch_nor_damage() {
     assert!((gel.watch.drift - 0.06).abs() < 0.02, "{}", gel.watch.drift);
 }
 
-/// At 25 frames a second, and back to the readings before the cut: what has closed is healed.
+/// At 25 frames/s the readings return to those before the cut: a cut that has closed counts as healed.
 #[test]
 fn a_change_that_undoes_a_cut_heals_it() {
     let mut gel = Gel::new(0.04);
@@ -223,7 +223,8 @@ fn a_change_that_undoes_a_cut_heals_it() {
     assert!(gel.only_damage().share < 0.2, "{:?}", gel.only_damage());
 }
 
-/// Of a cut that comes from one frame to the next nothing tells that it is no weight: not before ten minutes have gone.
+/// A cut that appears from one frame to the next is indistinguishable from a weight, so it counts as a touch for the
+/// first ten minutes.
 #[test]
 fn what_comes_at_once_and_stays_is_held_for_a_touch_first() {
     let mut gel = Gel::new(SLOW_S);

@@ -1,4 +1,5 @@
-//! The built-in self-healing square, twin to touches: its noisy twin is pressed and the whole pipeline says where.
+//! The built-in self-healing square from twin to touches: its noisy twin is pressed, and the whole pipeline locates
+//! the presses.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -7,15 +8,15 @@ use dermis::twin::AnyTwin;
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_touch::{Touch, TouchEvent};
 
-/// Time between frames, 25 a second.
+/// Time between frames, nanoseconds: 25 frames/s.
 const PERIOD_NS: u64 = 40_000_000;
-/// Frames until a press stands: fading in, and the frames that a touch must last.
+/// Frames until a press is established: the fade-in, and the minimum duration of a touch.
 const SETTLE: usize = 15;
-/// Radius and pressure of a fingertip pressing well.
+/// Radius and pressure of a firm fingertip.
 const RADIUS_M: f64 = 0.01;
 const PRESSURE_PA: f64 = 80e3;
 
-/// The twin with the noise and converter of its file, and the pipeline of the built-in skin behind it.
+/// The twin with the noise and converter of its file, followed by the pipeline of the built-in skin.
 struct Bench {
     twin: AnyTwin,
     pipeline: Pipeline,
@@ -28,7 +29,7 @@ struct Bench {
 }
 
 impl Bench {
-    /// With a baseline.
+    /// A bench that has taken its baseline.
     fn new() -> Self {
         let skin = Skin::open("healing-square").unwrap();
         let twin = AnyTwin::from_skin(&skin).unwrap();
@@ -51,8 +52,7 @@ impl Bench {
         }
     }
 
-    /// The same without solving the fields anew: what was read last, again, as a skin held still would read without
-    /// noise.
+    /// Processes the last readings again without solving the fields, as for a skin held still without noise.
     fn process(&mut self) {
         let time_ns = self.frames * PERIOD_NS;
         let at = HostStamp { monotonic_ns: time_ns, wall_ns: time_ns };
@@ -97,7 +97,7 @@ fn every_press_is_one_touch_in_its_place() {
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     let largest = errors.iter().copied().fold(0.0, f64::max);
     println!("position error: mean {mean:.2} mm, largest {largest:.2} mm; the paper's Tikhonov: 2.52 and 3.75 mm");
-    // The published skin's own errors bound what its twin may do; measured here 0.7 and 1.2 mm.
+    // The twin's errors must not exceed those of the published skin; measured here: 0.7 and 1.2 mm.
     assert!(mean < 1.5 && largest < 3.0, "mean {mean:.2} mm, largest {largest:.2} mm: {errors:.2?}");
 }
 
@@ -117,7 +117,7 @@ fn a_moving_press_keeps_its_number() {
     bench.run(SETTLE);
     let id = bench.touches[0].id;
     for step in 1..=30 {
-        // 50 mm/s, a slow stroke.
+        // A slow stroke at 50 mm/s.
         let place = [-30.0 + 2.0 * f64::from(step), -10.0 + 0.5 * f64::from(step)];
         bench.press(0, place);
         bench.run(1);
@@ -129,8 +129,8 @@ fn a_moving_press_keeps_its_number() {
     assert_eq!(bench.begun, 1);
 }
 
-/// The copper joins two presses, and the linear image shows a bar between them; contacts with the copper tell them
-/// apart.
+/// The copper connects two presses, and the linear image shows a bar between them. Fitting contacts with the copper
+/// separates them.
 #[test]
 fn presses_45_mm_apart_are_touches_of_their_own() {
     let mut bench = Bench::new();
@@ -141,7 +141,7 @@ fn presses_45_mm_apart_are_touches_of_their_own() {
         assert_eq!(bench.touches.len(), pointer + 1, "{:?}", bench.touches);
         for place in &places[..=pointer] {
             let nearest = bench.touches.iter().map(|touch| distance_mm(touch, *place)).fold(f64::INFINITY, f64::min);
-            // Measured 0.3 mm; the paper's mean error with a single touch is 1.84 mm.
+            // Measured: 0.3 mm. The paper's mean error with a single touch is 1.84 mm.
             assert!(nearest < 1.5, "{nearest:.1} mm from {place:?}: {:?}", bench.touches);
         }
     }
@@ -152,8 +152,8 @@ fn presses_45_mm_apart_are_touches_of_their_own() {
     bench.release();
 }
 
-/// Two presses at once are joined by the copper: current takes the way from one to the other, and the image shows what
-/// lies between them as pressed too. This holds the physics to account.
+/// The copper connects two simultaneous presses: current flows from one to the other, and the image shows the space
+/// between them as pressed too. This checks the physics.
 #[test]
 fn the_copper_joins_two_presses() {
     let mut bench = Bench::new();
@@ -183,7 +183,7 @@ fn tare_is_refused_under_load_and_a_held_press_keeps_its_value() {
         sum / 10.0
     };
     let early = mean_of(&mut bench);
-    // Two time constants of the drift compensation (60 s): followed, 86 % of the press would be gone.
+    // Two time constants of the drift compensation (60 s): if the press were followed, 86 % of it would be gone.
     bench.run(3000);
     let late = mean_of(&mut bench);
     // The mean of ten frames scatters by a third of the noise, which is 3 % of the press.

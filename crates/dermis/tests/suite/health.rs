@@ -1,5 +1,5 @@
-//! A skin with a broken instrument: what is broken is known within ten frames, touches stay where they are without it,
-//! and a sound twin, pressed or not, raises no alarm.
+//! A skin with a broken instrument: the fault is recognised within ten frames, touches stay in place without the
+//! broken part, and a sound twin, pressed or not, raises no alarm.
 
 use dermis::lab::twin_bench::Rig;
 use dermis::live::imager::Imager;
@@ -16,7 +16,7 @@ use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFaultKind,
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
 
-/// Turns readings into what is sent.
+/// Turns readings into the values that are sent.
 type Spoil = fn(&[f64], &mut Vec<f64>);
 
 /// A twin and the pipeline that follows it.
@@ -25,11 +25,11 @@ struct Line {
     pipeline: Pipeline,
     ticks: u64,
     frame_s: f64,
-    /// Added to the device's clock from a frame on.
+    /// Offset of the device's clock, starting at a frame.
     clock: Option<(u64, i64)>,
-    /// What the instrument makes of its readings before they are sent.
+    /// Corrupts the instrument's readings before they are sent.
     spoil: Option<Spoil>,
-    /// The last readings that were sent.
+    /// The last values sent.
     sent: Vec<f64>,
 }
 
@@ -80,7 +80,7 @@ fn seconds(name: &str, frame: u64) -> f64 {
     (frame as f64 - 0.5) / Skin::open(name).unwrap().backend.frames_per_s.unwrap()
 }
 
-/// Loses an electrode under a held touch; the touch must stay, and the electrode come back.
+/// Loses an electrode under a held touch. The touch must stay, and the electrode must come back.
 fn lose_an_electrode(name: &str, electrode: u32) {
     let (from, until) = (60, 90);
     let times = format!("from_s = {:.4}, until_s = {:.4}", seconds(name, from), seconds(name, until));
@@ -116,8 +116,8 @@ fn lose_an_electrode(name: &str, electrode: u32) {
     assert!(back.is_some_and(|frames| (50..=75).contains(&frames)), "{name}: back after {back:?}");
 }
 
-/// Spoils all frames under a held touch and without one: within five frames touches are unknown and the image is
-/// blank, within three sound ones they are back, and neither baseline nor damage has learnt anything.
+/// Corrupts all frames, with and without a held touch. Within five frames touches must be unknown and the image
+/// blank, within three sound ones both must be back, and neither baseline nor damage may have learnt anything.
 fn spoil_frames(name: &str, kind: FrameFaultKind, spoil: fn(&[f64], &mut Vec<f64>)) {
     let mut line = Line::new(name, "");
     let half = line.pipeline.prepared().half_width_m();
@@ -212,7 +212,7 @@ fn shorts_and_stuck_channels_are_known_by_their_kind() {
 
 #[test]
 fn coils_without_signal_and_stuck_readings_are_known() {
-    // Magnitudes of 28 coil pairs: coil 3 dies, and one reading freezes.
+    // Magnitudes of 28 coil pairs: coil 3 fails, and one reading freezes.
     let mut twin = TwinKit::of(&Skin::open("em-8").unwrap()).unwrap().twin;
     let prepared = Prepared::new(Skin::open("em-8").unwrap()).unwrap();
     let uses: Vec<bool> = (0..28).map(|c| prepared.protocol.channel_touches(c, 2)).collect();
@@ -284,7 +284,7 @@ fn a_clock_that_jumps_is_marked_and_a_held_touch_goes_on() {
     assert!(touches[0].time_ns < 110_000_000_000, "time has run on at its pace: {}", touches[0].time_ns);
 }
 
-/// Presses of one skin and what places them, as the live pipeline does.
+/// Presses of one skin, and the stages that place them as in the live pipeline.
 struct Presses {
     rig: Rig,
     reconstructor: Reconstructor,
@@ -293,7 +293,7 @@ struct Presses {
 }
 
 impl Presses {
-    /// Discs of 20 mm pressed at these places (relative to half the shorter side) by these forces, each read once.
+    /// 20 mm discs pressed at these places (relative to half the shorter side) with these forces, each read once.
     fn new(name: &str, places: &[[f64; 2]], forces_n: &[f64], rest: usize) -> Self {
         let mut rig = Rig::new(name).unwrap();
         let half = rig.prepared().half_width_m();
@@ -345,7 +345,7 @@ fn mean(values: &[f64]) -> f64 {
 
 #[test]
 fn places_hold_with_electrodes_lost() {
-    // A sample of what the book's table has in full.
+    // A sample of the full table in the book.
     let places: Vec<[f64; 2]> = (0..12)
         .map(|k| {
             let (angle, ring) = (0.4 + 0.52 * f64::from(k), [0.2, 0.5, 0.69][k as usize % 3]);
@@ -366,8 +366,8 @@ fn places_hold_with_electrodes_lost() {
 
 #[test]
 fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
-    // The presses of the book's table, and the pairs that lose most: adjacent pairs leave the sound electrode between
-    // them without a channel too.
+    // The presses of the book's table, without the pairs of electrodes that cost most: two with one electrode between
+    // them. With adjacent pairs as drives, the sound one in between has no channel left either.
     let places: Vec<[f64; 2]> = [0.0, 0.34, 0.69]
         .iter()
         .flat_map(|ring| (0..6).map(move |k| (*ring, 0.4 + std::f64::consts::TAU / 6.0 * f64::from(k))))
@@ -377,8 +377,8 @@ fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
     let intact = presses.errors_mm(&[]);
     for electrode in 0..16 {
         let errors = presses.errors_mm(&[electrode, (electrode + 2) % 16]);
-        // Intact 0.17 mm, without channels at most 0.56: dents are then fitted in proportion. Where the image's peak is far off, the fit
-        // that explains the frame is believed.
+        // Intact 0.17 mm; without channels at most 0.56, because dents are then fitted with the linear model. If the
+        // image's peak is far off, the fit that explains the frame decides.
         let (error, intact) = (mean(&errors), mean(&intact));
         assert!(error <= 3.5 * intact, "without {electrode} and the next but one: {error:.2} mm, intact {intact:.2}");
         let largest = errors.iter().copied().fold(0.0, f64::max);

@@ -1,5 +1,5 @@
-//! Skin files, cases, calibrations and tables of pokes made of arbitrary bytes, and of damaged real ones: refused or
-//! read, never a panic. `PROPTEST_CASES` sets how many are tried.
+//! Skin files, cases, calibrations and tables of pokes made of arbitrary bytes, and damaged real ones: they are
+//! refused or read, but never cause a panic. `PROPTEST_CASES` sets the number of attempts.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ const CASE: &str = r#"{"nodes": [[0,0],[1,0],[1,1],[0,1],[0.5,0.5]], "elems": [[
 "electrodes": [{"type": "CEM", "z_contact": 0.1, "faces": [[0,1]]}, {"type": "CEM", "z_contact": 0.1, "faces": [[2,3]]},
 {"type": "PEM", "node": 4}], "stim": [[1,-1,0]], "meas": [[0,1,-1]], "meas_stim": [0], "sigma_hom": [1,1,1,1]}"#;
 
-/// A text with some bytes changed, some taken out, and an end that may be missing.
+/// A text with some bytes changed, some removed, and possibly without its end.
 fn damaged(text: &'static str) -> impl Strategy<Value = Vec<u8>> {
     let length = text.len();
     let edits = proptest::collection::vec((0..length, any::<u8>(), any::<bool>()), 0..6);
@@ -33,7 +33,8 @@ fn damaged(text: &'static str) -> impl Strategy<Value = Vec<u8>> {
 
 fn skin(bytes: &[u8]) {
     if let Ok(skin) = Skin::parse(&String::from_utf8_lossy(bytes), "fuzzed.toml") {
-        // What parses must also say whether it has a protocol; meshing it could take as long as it pleases.
+        // A skin that parses must also be able to report its protocol. Meshing is not tried, as it could take
+        // arbitrarily long.
         let _ = skin.protocol();
         assert!(Skin::parse(&skin.to_toml(), "written.toml").is_ok());
     }
@@ -76,7 +77,7 @@ proptest! {
     }
 }
 
-/// Texts nested far deeper than any stack holds: brackets, braces, and what each format nests by itself.
+/// Text nested far deeper than any stack allows: brackets, braces, and each format's own kind of nesting.
 fn nested(inner: &str, open: &str, close: &str) -> String {
     const DEEP: usize = 100_000;
     format!("{}{inner}{}", open.repeat(DEEP), close.repeat(DEEP))

@@ -1,6 +1,6 @@
-//! The measured gelatin skin through the public path: reconstruct without labels, calibrate, reconstruct calibrated.
-//! Data: DSHardman/HydrogelEIT (the set `hydrogel`); positions are used to calibrate where it says so, and to
-//! measure errors.
+//! The measured gelatin skin through the public path: reconstruct without labels, calibrate, reconstruct with the
+//! calibration. Data: DSHardman/HydrogelEIT (the set `hydrogel`). Positions are used for calibration only where
+//! stated, and to measure errors.
 
 use std::path::Path;
 
@@ -40,14 +40,15 @@ fn touches_are_located_without_labels() {
     let outcome = presses.judge(&all, None).unwrap();
     let (found, median_mm, p90_mm) = (outcome.errors_mm.len(), outcome.quantile_mm(0.5), outcome.quantile_mm(0.9));
     println!("without labels: {} of 500 found, median {:.2} mm, p90 {:.2} mm", found, median_mm, p90_mm);
-    // The skin's channels are calibrated on differences of successive baselines: no pressed frame, no label. What was
-    // asked for is 11 and 21 mm; 5.1 and 11.2 were measured when this was written.
+    // The channels are calibrated on differences of successive baselines, without pressed frames or labels. The
+    // requirement is 11 and 21 mm; 5.1 and 11.2 mm were measured.
     assert!(found >= 495 && outcome.extra == 0, "{found}, {} too many", outcome.extra);
     assert!(median_mm <= 7.0, "{median_mm}");
     assert!(p90_mm <= 15.0, "{p90_mm}");
 }
 
-/// Every fifth poke is tested, the others train; or every tenth trains (50), a different hundred is tested.
+/// Every fifth poke is for testing and the rest for training, or every tenth for training (50) and a different
+/// hundred for testing.
 #[test]
 fn pokes_make_it_precise() {
     let Some(folder) = dermis_testdata::set("hydrogel") else { return };
@@ -69,13 +70,13 @@ fn pokes_make_it_precise() {
         );
         assert!(found >= 98 && outcome.extra == 0, "{found}, {} too many", outcome.extra);
         assert!(errors[0] <= median_mm && errors[1] <= p90_mm, "{errors:?}");
-        // Asked for are 60 to 76 % over many splits; one split of 100 scatters by 5 % about its mean,
-        // and with 50 pokes by the choice of the pokes as well.
+        // 60 to 76 % are required over many splits. One split of 100 scatters by 5 % about its mean, and with 50
+        // pokes the choice of pokes adds to that.
         assert!(outcome.within.iter().all(|share| (0.5..=0.85).contains(share)), "{:?}", outcome.within);
     }
 }
 
-/// From a skin file without a circuit: found from the presses themselves, no label taking part.
+/// Starts from a skin file without a circuit, and finds it from the presses themselves without any labels.
 #[test]
 fn the_circuit_is_found_from_unknown_presses() {
     let Some(folder) = dermis_testdata::set("hydrogel") else { return };
@@ -93,7 +94,7 @@ fn the_circuit_is_found_from_unknown_presses() {
         let mut found = skin.clone();
         found.backend.circuit = fit.circuit.map(CircuitChoice::Known);
         let prepared = Prepared::new(found).unwrap();
-        // The finder as `reconstruct` makes it: of these frames, and tested on all.
+        // A finder made as in `reconstruct`, from these frames, and tested on all.
         let reference = Reference::of(&prepared, &pick(&data.before)).unwrap();
         let differences = |rows: &[usize]| -> Vec<Vec<f64>> {
             rows.iter().map(|&i| reference.difference(&data.pressed[i], Some(&data.before[i]))).collect()
@@ -115,7 +116,7 @@ fn the_circuit_is_found_from_unknown_presses() {
         println!("{} presses: {fit:?}, {} found, {:.2} / {:.2} mm", rows.len(), errors.len(), at(0.5), at(0.9));
         assert!(fit.score > fit.score_before + 0.05 && fit.is_trusted(), "{fit:?}");
         if rows.len() == all.len() {
-            // Weak presses are left to the image by the finder's threshold.
+            // The finder leaves weak presses, below its threshold, to the image.
             assert!(errors.len() >= 450, "{}", errors.len());
             assert!(at(0.5) <= 5.0 && at(0.9) <= 10.0, "{} {}", at(0.5), at(0.9));
         }

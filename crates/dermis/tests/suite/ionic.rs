@@ -1,5 +1,5 @@
-//! The built-in liquid skins of paper I, twin to touches: weights lie on the noisy twins and the whole pipeline says
-//! where.
+//! The built-in liquid skins of paper I from twin to touches: weights lie on the noisy twins, and the whole pipeline
+//! locates them.
 
 use dermis::live::imager::Imager;
 use dermis::live::pipeline::Pipeline;
@@ -11,15 +11,15 @@ use dermis_device::{Frame, HostStamp, Layout};
 use dermis_touch::Touch;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
-/// Time between frames, 16 a second.
+/// Time between frames, nanoseconds: 16 frames/s.
 const PERIOD_NS: u64 = 62_500_000;
-/// Frames until a press stands: fading in, and the frames that a touch must last.
+/// Frames until a press is established: the fade-in, and the minimum duration of a touch.
 const SETTLE: usize = 8;
-/// The paper's weights: 6.5 g each, stacked on discs of 20 mm.
+/// The paper's weights: 6.5 g each, stacked on 20 mm discs.
 const WEIGHT_G: f64 = 6.5;
 const RADIUS_M: f64 = 0.01;
 
-/// A twin with the noise of the paper's 59.7 dB, read as an amplitude ratio, and the pipeline of the built-in skin.
+/// A twin with noise from the paper's 59.7 dB, read as an amplitude ratio, and the pipeline of the built-in skin.
 struct Bench {
     twin: AnyTwin,
     pipeline: Pipeline,
@@ -30,14 +30,14 @@ struct Bench {
 }
 
 impl Bench {
-    /// With a baseline.
+    /// A bench that has taken its baseline.
     fn new(name: &str) -> Self {
         let skin = Skin::open(name).unwrap();
         let twin = AnyTwin::from_skin(&skin).unwrap();
         Self::with(skin, twin)
     }
 
-    /// A twin of a skin that is not as in the file, which is all that the pipeline knows.
+    /// A bench whose twin differs from the skin file, which is all that the pipeline knows.
     fn with(skin: Skin, twin: AnyTwin) -> Self {
         let prepared = Prepared::new(skin).unwrap();
         let layout = Layout::Channels { count: prepared.channels() };
@@ -60,7 +60,7 @@ impl Bench {
         }
     }
 
-    /// Lays stacks of weights at these places and waits.
+    /// Puts stacks of weights at these places and waits.
     fn press(&mut self, places: &[[f64; 2]], weights: u32) {
         for (pointer, place) in (0..).zip(places) {
             let weight = Indenter::weight(*place, RADIUS_M, WEIGHT_G * f64::from(weights));
@@ -106,7 +106,7 @@ fn skin_files_describe_the_twins() {
         assert_eq!(twin.channel_count(), prepared.protocol.channel_count());
         let mut rest = vec![0.0; twin.channel_count()];
         twin.voltages(&[], 0.0, &mut rest).unwrap();
-        // Two meshes, and bolts that in the model reach from bottom to top: 2 % of a channel.
+        // The meshes differ, and in the model the bolts reach from bottom to top: 2 % of a channel.
         for (channel, (twin, model)) in rest.iter().zip(&prepared.voltages).enumerate() {
             assert!((twin / model - 1.0).abs() < 0.02, "{name}, channel {channel}: {twin} V, model {model} V");
         }
@@ -172,8 +172,9 @@ fn an_idle_skin_has_no_touches() {
 
 #[test]
 fn a_standing_skin_is_touched_north_east_south_and_west() {
-    // The liquid is 5 mm deeper below and shallower above, while the image's model knows an even one. Changes relative
-    // to each channel's own baseline make up for that; with one gain for the whole frame errors reach 15 mm.
+    // The liquid is 5 mm deeper at the bottom and shallower at the top, but the image's model assumes an even depth.
+    // Changes relative to each channel's own baseline compensate for that; with one gain for the whole frame errors
+    // reach 15 mm.
     let mut standing = Skin::open("ionic-disc").unwrap();
     liquid(&mut standing).gravity_m_per_s2 = [0.0, -9.81, 0.0];
     let mut bench = Bench::with(Skin::open("ionic-disc").unwrap(), AnyTwin::from_skin(&standing).unwrap());
@@ -238,11 +239,11 @@ fn a_ring_is_closed_with_a_hole_and_a_touch_in_it_shows() {
     let (weakest, hole) = (sectors.fold(f32::INFINITY, f32::min), largest(&ring_image, &|[x, y]| x.hypot(y) < 0.015));
     println!("ring: weakest sector {:.2} of the peak, hole {:.2}", weakest / peak, hole / peak);
     assert!(weakest > 0.7 * peak && hole < 0.0, "{weakest} {hole} {peak}");
-    // Against the pressed ring as the reference, only the touch is left.
+    // With the pressed ring as reference only the touch remains.
     let touch_image = image_of(&ringed, &both);
     let (inside, outside) = (largest(&touch_image, &|[x, y]| x.hypot(y) < 0.01), largest(&touch_image, &|_| true));
     assert_eq!(inside, outside, "the peak is the touch");
     assert!(largest(&touch_image, &|[x, y]| x.hypot(y) > 0.045) < 0.2 * inside);
-    // And against rest, the touch fills the hole.
+    // Relative to rest, the touch fills the hole.
     assert!(largest(&image_of(&rest, &both), &|[x, y]| x.hypot(y) < 0.01) > 0.0);
 }

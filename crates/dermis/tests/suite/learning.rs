@@ -1,5 +1,5 @@
-//! Training sets and segmentation on a small skin: samples are repeatable and varied, what is lost is lost, simulated
-//! frames are told apart by thresholds, and models are refused where they do not belong.
+//! Training sets and segmentation on a small skin: samples are repeatable and varied, lost channels are missing,
+//! thresholds separate simulated frames, and models are rejected where they don't belong.
 
 use dermis::lab::learning::segment::{Method, Segmenter};
 use dermis::lab::learning::train_set::{Jitter, LostElectrodes, SimulatedFrames, TrainSetRequest, simulate};
@@ -64,12 +64,12 @@ fn a_training_set_is_repeatable_and_continues() {
         let (a, b) = (first.read(shard).unwrap(), second.read(shard).unwrap());
         assert_eq!(a, b, "shard {shard}");
         assert_eq!(a.labels.len(), first.manifest().samples_of(shard) * 256);
-        // Something is there, and most is background.
+        // The image shows something, but most of it is background.
         let here = a.labels.iter().filter(|label| **label != BACKGROUND).count();
         assert!(here > 0 && here * 2 < a.labels.len(), "{here} of {}", a.labels.len());
     }
     assert_ne!(first.read(0).unwrap().inputs, first.read(1).unwrap().inputs);
-    // Another request does not mix with it.
+    // Another request doesn't mix with it.
     let mut other = request(15);
     other.seed = 2;
     assert!(simulate(&other, &at("a"), |_, _| {}).unwrap_err().to_string().contains("another training set"));
@@ -84,11 +84,12 @@ fn the_simulated_skin_is_not_the_model_of_the_images() {
     let scale = finite.iter().map(|(a, b)| a * b).sum::<f64>() / finite.iter().map(|(_, b)| b * b).sum::<f64>();
     let rest: f64 = finite.iter().map(|(a, b)| (a - scale * b).powi(2)).sum();
     let error = (rest / finite.iter().map(|(a, _)| a * a).sum::<f64>()).sqrt();
-    // Electrodes off by 0.15 mm of 50, 3 % in width: some per mille to per cent of misfit beyond one factor.
+    // With electrodes off by 0.15 mm of 50 and by 3 % in width, the misfit beyond a common factor is between some per
+    // mille and some per cent.
     assert!((1e-4..0.1).contains(&error), "{error}");
 }
 
-/// Objects that conduct nearly as the liquid does leave what the liquid itself does.
+/// With objects that conduct almost like the liquid, only changes of the liquid itself remain.
 #[test]
 fn the_liquid_strays_as_a_whole_and_the_first_electrodes_are_lost() {
     let prepared = Prepared::new(skin()).unwrap();
@@ -116,8 +117,8 @@ fn the_liquid_strays_as_a_whole_and_the_first_electrodes_are_lost() {
     assert!(error.contains("contrasts"), "{error}");
 }
 
-/// In a sandwich touches are contacts with a floating shortcut and cuts are cut: no channel knows a word of classes,
-/// yet touches let the drive's own voltage fall and cuts let it rise.
+/// In a sandwich touches are contacts with a floating shortcut, and cuts are slits. The channels know nothing of
+/// classes, yet touches lower the driving voltage and cuts raise it.
 #[test]
 fn touches_and_cuts_of_a_sandwich_change_voltages_in_their_own_ways() {
     let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
@@ -127,7 +128,7 @@ fn touches_and_cuts_of_a_sandwich_change_voltages_in_their_own_ways() {
     let frames = SimulatedFrames::new(&request, &prepared, 0, 24).unwrap();
     let size = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>().sqrt();
     let gap: Vec<f64> = frames.baseline.iter().zip(&prepared.voltages).map(|(a, b)| a - b).collect();
-    // Two implementations on two meshes of the same skin, whose elements are 0.55 to 0.9 times as many.
+    // Two implementations, on different meshes of the same skin with 0.55 to 0.9 times as many elements.
     assert!(size(&gap) < 0.02 * size(&prepared.voltages), "{}", size(&gap) / size(&prepared.voltages));
     let mut counts = [0; 3];
     for (frame, scene) in frames.frames.iter().zip(&frames.scenes) {
@@ -167,7 +168,7 @@ fn coverage_falls_where_electrodes_are_lost() {
     assert_eq!(image[grid.pixel_at([0.045, 0.001]).unwrap()], 1.0);
 }
 
-// Measured: lowered 0.27, raised 0.34 (objects of up to a factor 100 on a linear image of a coarse mesh).
+// Measured: lowered 0.27, raised 0.34 (objects with contrasts of up to 100 on a linear image of a coarse mesh).
 #[test]
 fn thresholds_find_objects_of_both_signs() {
     let prepared = Prepared::new(skin()).unwrap();
@@ -185,7 +186,7 @@ fn thresholds_find_objects_of_both_signs() {
         confusion.add(truth, &frame.labels).unwrap();
     }
     let overlaps = [1, 2].map(|class| confusion.intersection_over_union(class).unwrap());
-    // Guessing one class everywhere would give some 0.05.
+    // Guessing a single class everywhere would give about 0.05.
     assert!(overlaps.iter().all(|iou| *iou > 0.15), "{overlaps:?}");
 }
 
@@ -230,7 +231,7 @@ fn live_classes_are_those_of_the_network_until_a_frame_is_unlike_the_training_se
     let mut classes = Classes::new(1, 1);
     classifier.classify(&difference, &mut classes).unwrap();
     assert_eq!((classes.rows, classes.columns, classes.falls_back, classes.novelty), (16, 16, false, None));
-    // By hand: images, scale, network, and nothing but background outside.
+    // Computed by hand: images, scale, network, and only background outside.
     let mut images = vec![0.0; 512];
     let inputs = [InputImage::Step(1.0), InputImage::Coverage];
     FirstStep::new(&prepared, &reference, &inputs).unwrap().images_of(&difference, &mut images).unwrap();
@@ -247,7 +248,7 @@ fn live_classes_are_those_of_the_network_until_a_frame_is_unlike_the_training_se
     let counted = allocation_counter::measure(|| classifier.classify(&difference, &mut classes).unwrap());
     assert_eq!(counted.count_total, 0);
 
-    // A score that finds everything strange: thresholds decide, and the probabilities say so.
+    // With a score that finds everything unusual, thresholds decide, and the probabilities are marked accordingly.
     let size = 4;
     model.tensors.insert("novelty.mean", vec![size], vec![100.0; size]).unwrap();
     model.tensors.insert("novelty.whitener", vec![size, size], vec![1.0; size * size]).unwrap();
@@ -289,7 +290,7 @@ fn a_second_network_is_shown_what_the_first_makes_of_a_frame() {
     let mut plain = FirstStep::new(&prepared, &reference, &[InputImage::Refined]).unwrap();
     plain.images_of(&difference, &mut refined).unwrap();
     assert_eq!(images[4800..], refined);
-    // What the first network is shown, times its scale.
+    // The inputs of the first network times its scale.
     refined.iter_mut().for_each(|value| *value *= 2.0);
     let mut expected = vec![0.0; 4800];
     first.network().unwrap().probabilities(&refined, 1.0, &mut expected).unwrap();
@@ -301,7 +302,7 @@ fn a_second_network_is_shown_what_the_first_makes_of_a_frame() {
     }
     assert!(images[3200..4800].iter().any(|value| value.abs() > 0.1));
 
-    // As one model it labels frames; without its first part, and live, it is refused.
+    // Combined into one model they label frames. Without its first stage, or used live, the model is rejected.
     let mut second = of_skin(&["image", "first-raised", "about-first"]);
     let error =
         |model: &Model| Segmenter::new(&prepared, &reference, Some(model), 40).map(|_| ()).unwrap_err().to_string();
@@ -329,7 +330,7 @@ fn fitted_touches_are_an_input_of_sandwiches_that_refine_them() {
     let mut images = vec![0.0; 3 * grid.len()];
     first.images_of(&difference, &mut images).unwrap();
     let [image, contacts, left] = [0, 1, 2].map(|k| &images[k * grid.len()..(k + 1) * grid.len()]);
-    // The disc that presses is 314 mm^2, and the fit's centre is its own.
+    // The pressing disc covers 314 mm^2, and the fit has its centre.
     let covered: f64 = contacts.iter().map(|share| f64::from(*share)).sum();
     let area_mm2 = covered * (1e3 * grid.pixel_m).powi(2);
     assert!((220.0..420.0).contains(&area_mm2), "{area_mm2} mm^2");
@@ -367,7 +368,7 @@ fn models_of_other_skins_inputs_and_sizes_are_refused() {
     assert!(message(&|card| card.inputs = vec!["touch".into()]).contains("expected image, image*FACTOR"));
     assert!(message(&|card| card.rows = 32).contains("expected images of 16 x 16, got 32 x 16"));
     assert!(message(&|card| card.classes.reverse()).contains("classes background, lowered, raised"));
-    // What images depend on changes the fingerprint; what touches depend on does not.
+    // A change that affects images changes the fingerprint; one that affects only touches doesn't.
     let mut other = skin();
     other.touch.begin_sigma += 1.0;
     assert_eq!(imaging_sha256(&other), imaging_sha256(&skin()));
@@ -380,8 +381,8 @@ fn healing_square() -> impl Frontend {
     AnyTwin::from_skin(&Skin::open("healing-square").unwrap()).unwrap().into_parts().0
 }
 
-/// The network that ships, on a twin that it never saw: other contact, other mesh. No noise, so that nothing is left to
-/// chance.
+/// The shipped network on a twin that it has never seen, with other contact parameters and another mesh. No noise, so
+/// that the result doesn't depend on chance.
 #[test]
 fn the_network_of_the_healing_square_finds_presses_of_its_twin() {
     let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
@@ -407,7 +408,8 @@ fn the_network_of_the_healing_square_finds_presses_of_its_twin() {
         let raised: Vec<f64> = classes.of_class(RAISED).unwrap().iter().map(|p| f64::from(*p)).collect();
         let pressed = |pixel: usize| places_mm.iter().any(|place| distance(grid.centre_m(pixel), place) < 10.0);
         let truth: Vec<f64> = (0..grid.len()).map(|pixel| f64::from(u8::from(pressed(pixel)))).collect();
-        // Measured: one touch above 0.75, two above 0.65; one touch within 1.3 mm. The linear image: 0.55 and 0.45.
+        // Measured: above 0.75 for one touch and 0.65 for two, with one touch within 1.3 mm. The linear image gives
+        // 0.55 and 0.45.
         let likeness = icc(&truth, &raised).unwrap();
         assert!(likeness > 0.6, "{places_mm:?}: {likeness}");
         if let [place] = &places_mm[..] {
@@ -419,7 +421,7 @@ fn the_network_of_the_healing_square_finds_presses_of_its_twin() {
     assert!(classes.labels.iter().all(|label| *label == BACKGROUND), "an untouched skin is background");
 }
 
-/// Beside the frames, classes come later, and are to the bit those of the frame that they name.
+/// With a network in the background, classes arrive later and match those of the frame they name bit for bit.
 #[test]
 fn a_network_beside_the_frames_names_the_frame_that_its_classes_are_of() {
     let model = built_in("healing-square").unwrap().unwrap();
@@ -439,8 +441,8 @@ fn a_network_beside_the_frames_names_the_frame_that_its_classes_are_of() {
     };
     let (rest, pressed) = (read(&[]), read(&[Indenter::disc([0.01, -0.02], 0.01, 80e3)]));
     let (mut frame, mut known, mut seen) = (Frame::default(), Vec::new(), None);
-    // The network needs some milliseconds; how many frames those are depends on the machine. All frames are classified
-    // at once as well, so that classes that come late are compared too.
+    // The network needs several milliseconds; the number of frames in that time depends on the machine. All frames
+    // are also classified at once, so that late results can be compared.
     for number in 0..2000 {
         let values = if number < 40 { &rest } else { &pressed };
         let stamp = HostStamp { monotonic_ns: number * 20_000_000, wall_ns: number };
@@ -456,7 +458,7 @@ fn a_network_beside_the_frames_names_the_frame_that_its_classes_are_of() {
             assert_eq!(Some(of.classes), expected.as_ref(), "frame {}", of.sequence);
             seen = Some(of.sequence);
         }
-        // Some were seen after the press.
+        // Stop once a frame after the press has been classified.
         if seen.is_some_and(|sequence| sequence >= 45) {
             break;
         }

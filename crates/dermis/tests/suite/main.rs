@@ -1,4 +1,4 @@
-//! Behaviour of the whole: from skin files to touches, by twins and by measured data.
+//! Behaviour of the whole system, from skin files to touches, with twins and measured data.
 
 mod allocation;
 mod any_skin;
@@ -40,7 +40,7 @@ mod tanks;
 mod teaching;
 mod twin_faults;
 
-/// A skin file's text with these lines in its table of the twin.
+/// A skin file's text with these lines added to its `[twin]` table.
 fn with_twin(text: &str, lines: &str) -> String {
     if text.contains("[twin]\n") {
         text.replacen("[twin]\n", &format!("[twin]\n{lines}\n"), 1)

@@ -1,4 +1,4 @@
-//! Skins whose outline and electrodes come from a mesh, and electrodes on the rim by place.
+//! Skins whose outline and electrodes come from a mesh file, and rim electrodes given by position.
 
 use std::path::Path;
 
@@ -6,8 +6,8 @@ use dermis::lab::case::Case;
 use dermis::live::prepare::Prepared;
 use dermis::skin::{Electrodes, Shape, Skin};
 
-/// A skin file of the mesh that the importer's tests have: a disc of 1 m from meshio, 12 edges round, four of them
-/// electrodes, and a node of no element.
+/// A skin file for the mesh from the importer's tests: a 1 m disc from meshio with 12 boundary edges, four of which
+/// are electrodes, and a node that belongs to no element.
 fn skin(mesh: &str, more: &str) -> Result<Skin, String> {
     let folder = tempfile::tempdir().unwrap();
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../dermis-tomo/src/mesh/import/fixtures");
@@ -34,7 +34,7 @@ fn outline_and_electrodes_are_those_of_the_mesh() {
     assert_eq!((outer_mm.len(), holes_mm.len()), (12, 0));
     let Electrodes::RimList(list) = &text.frontend.electrodes else { panic!("a list") };
     assert_eq!(list.len(), 4);
-    // The electrodes' middles, by the mesh: edges 1-2, 4-5, 7-8 and 10-11 of 12.
+    // Centres of the electrodes in the mesh: edges 1-2, 4-5, 7-8 and 10-11 of 12.
     let body = text.body().unwrap();
     for (k, degrees) in [15.0_f64, 105.0, 195.0, 285.0].into_iter().enumerate() {
         let [x, y, _] = body.mesh.electrode_centre(k);
@@ -46,7 +46,7 @@ fn outline_and_electrodes_are_those_of_the_mesh() {
     assert_eq!(Prepared::new(text).unwrap().voltages.len(), 4);
 }
 
-/// The same voltages on the file's own elements as by its mesh handed over.
+/// The voltages agree with those computed on the mesh directly.
 #[test]
 fn a_mesh_is_solved_on_its_own_elements() {
     let skin = skin("file = \"disc22.msh\"", "").unwrap();
@@ -58,7 +58,7 @@ fn a_mesh_is_solved_on_its_own_elements() {
     let sigma = case.conductivity(&"hom".parse().unwrap()).unwrap();
     let small = Case::of_mesh(&file, &skin, "electrode", Some(1e-3)).unwrap();
     let volts = case.forward_model().unwrap().voltages(&sigma).unwrap();
-    // A disc of a sheet, a thousand times smaller: only the contacts differ.
+    // The same sheet a thousand times smaller: only the contacts make a difference.
     let smaller = small.forward_model().unwrap().voltages(&sigma).unwrap();
     assert!(
         volts.iter().zip(&smaller).take(2).all(|(a, b)| a.is_finite() && a.signum() == b.signum()),
@@ -94,7 +94,7 @@ fn places_are_put_on_the_rim_and_the_distance_is_known() {
         let end = start + text[start + 1..].find("\n[").map_or(text.len() - start, |next| next + 2);
         let electrodes = format!("[frontend.electrodes.rim-places]\nwidth_mm = 6.0\nplaces_mm = {places}\n");
         let text = format!("{}{electrodes}\n{}", &text[..start], &text[end..]);
-        // The square's own protocol is for more electrodes.
+        // The square's own protocol needs more electrodes.
         let mut table: toml::Table = text.parse().unwrap();
         let backend = table["backend"].as_table_mut().unwrap();
         backend.insert("channels".into(), toml::Value::try_from([[1, 2, 3, 4]]).unwrap());

@@ -1,5 +1,5 @@
-//! The piezoresistive skins, twin to touches: their noisy twins are pressed and the whole pipeline says where. One
-//! backend file serves all three.
+//! The piezoresistive skins from twin to touches: their noisy twins are pressed, and the whole pipeline locates the
+//! presses. One backend file serves all three.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -11,14 +11,14 @@ use dermis_touch::Touch;
 use dermis_twin::from_skin::patched_options;
 use dermis_twin::physics::PatchLayout;
 
-/// Time between frames, 30 a second.
+/// Time between frames, nanoseconds: 30 frames/s.
 const PERIOD_NS: u64 = 33_333_333;
-/// Frames until a press stands: fading in, and the frames that a touch must last.
+/// Frames until a press is established: the fade-in, and the minimum duration of a touch.
 const SETTLE: usize = 12;
 /// The paper's indenter.
 const RADIUS_M: f64 = 0.011;
 
-/// A twin with the noise and converter of its file, and the pipeline of the built-in skin behind it.
+/// A twin with the noise and converter of its file, followed by the pipeline of the built-in skin.
 struct Bench {
     twin: AnyTwin,
     pipeline: Pipeline,
@@ -30,10 +30,10 @@ struct Bench {
 }
 
 impl Bench {
-    /// With a baseline.
+    /// A bench that has taken its baseline.
     fn new(name: &str) -> Self {
         let mut skin = Skin::open(name).unwrap();
-        // Coarser images than the file's 32 pixels a side, and so an operator in half the time.
+        // Coarser images than the file's 32 pixels per side, which halves the time for the operator.
         skin.imaging.grid = 24;
         let twin = AnyTwin::from_skin(&skin).unwrap();
         let prepared = Prepared::new(skin).unwrap();
@@ -118,7 +118,7 @@ fn one_backend_serves_three_frontends() {
         assert!((1e-3 * options.contact.reference_pa - layer.contact.reference_kpa).abs() < 1e-12);
         assert_eq!(options.contact.exponent, layer.contact.exponent);
         assert_eq!(options.contact.saturation_s_per_m2, layer.contact.saturation_s_per_m2);
-        // The file says itself in one piece: what a recording keeps needs no other file.
+        // The written file is self-contained, so a recording needs no other file.
         assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
     }
 }
@@ -134,11 +134,11 @@ fn single_touches_on_the_disc_are_found_in_their_places() {
         .collect();
     let (largest, mean) = bench.errors(&places, 5e3);
     println!("disc: mean {mean:.2} mm, largest {largest:.2} mm");
-    // Patches are shorted whole: their pitch of 10 mm shows in the positions.
+    // A patch is shorted as a whole, so its pitch of 10 mm shows in the positions.
     assert!(mean < 3.0 && largest < 6.0, "mean {mean:.2} mm, largest {largest:.2} mm");
 }
 
-/// P3: a light touch, a hard one at the same place, two at once, on the skin bent round the cylinder.
+/// P3: a light touch, a hard one at the same place, and two at once, on the skin bent around the cylinder.
 #[test]
 fn the_cylinder_tells_light_from_hard_and_one_from_two() {
     let mut bench = Bench::new("piezo-cylinder");

@@ -1,6 +1,6 @@
-//! Skins whose channels are listed: the forward model is that of explicit matrices, a twin that is read through the
-//! pipeline has its touches where they are, the instrument on the wire is told the list, and the search for orders finds
-//! layouts that no pair of patterns says.
+//! Skins with an explicit list of channels: the forward model agrees with explicit matrices, a twin read through the
+//! pipeline has its touches in the right places, an instrument on the wire receives the list, and the search for
+//! orders finds layouts that no pair of patterns describes.
 
 use dermis::device::{FrameTable, Layout};
 use dermis::lab::channel_search::find_order;
@@ -31,7 +31,7 @@ impl Dice {
     }
 }
 
-/// Channels of every kind in no order, 50 to 400 of them.
+/// 50 to 400 channels of every kind, in random order.
 fn random_list(dice: &mut Dice, electrodes: usize) -> Vec<ListedChannel> {
     let count = 50 + dice.below(351);
     let channel = |_| {
@@ -64,7 +64,7 @@ fn random_skin(dice: &mut Dice) -> Skin {
     skin.checked().unwrap()
 }
 
-/// Dense rows of a channel: amperes into each electrode, weights of their potentials.
+/// Dense rows for a channel: current into each electrode in amperes, and weights of the potentials.
 fn rows_of(channel: &ListedChannel, electrodes: usize, current_a: f64) -> (Vec<f64>, Vec<f64>) {
     let (mut drive, mut read) = (vec![0.0; electrodes], vec![0.0; electrodes]);
     let at = |number: u32| number as usize - 1;
@@ -104,7 +104,8 @@ fn the_model_of_a_list_is_that_of_explicit_matrices() {
             .collect();
         let found = ForwardModel::new(body.clone(), skin.protocol().unwrap()).unwrap().voltages(&sigma).unwrap();
         let electrodes = body.electrodes.len();
-        // Potentials of all electrodes against the first for a current through each and the first; then matrices alone.
+        // Potentials of all electrodes relative to the first, for a current through each and the first; the rest is
+        // matrix algebra.
         let unit: Vec<Pattern> = (1..electrodes as u32).map(|k| Pattern::pair(k, 0, 1.0)).collect();
         let channels =
             (0..unit.len()).flat_map(|drive| (1..electrodes as u32).map(move |e| (Pattern::pair(e, 0, 1.0), drive)));
@@ -124,12 +125,12 @@ fn the_model_of_a_list_is_that_of_explicit_matrices() {
         let largest = expected.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
         let apart = found.iter().zip(&expected).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
         assert!(apart < 1e-10 * largest, "round {round}: {apart:e} of {largest:e} V");
-        // Written and read again it is the same skin.
+        // Written and read back it is the same skin.
         assert_eq!(Skin::parse(&skin.to_toml(), "again.toml").unwrap(), skin);
     }
 }
 
-/// 16 electrodes on a disc, every channel of neighbouring and of wider pairs in a shuffled order.
+/// 16 electrodes on a disc, with channels of neighbouring and wider pairs in a shuffled order.
 fn mixed_disc() -> Skin {
     let mut dice = Dice(2);
     let mut list: Vec<ListedChannel> = Vec::new();
@@ -219,13 +220,13 @@ fn a_list_s_own_order_is_found_again_turned_reversed_and_begun_elsewhere() {
     let (source, signs) = found.candidates[0].to_skin(&skin).unwrap().unwrap();
     let mut ordered = vec![0.0; rest.len()];
     (0..rest.len()).for_each(|k| ordered[source[k] as usize] = signs[k] * late[k]);
-    // Exactly for a list, whose channels differ from each other.
+    // Exactly for a list, whose channels all differ.
     assert!(ordered.iter().zip(&rest).all(|(a, b)| (a - b).abs() < 1e-3 * rest[0].abs().max(b.abs())));
     let read = Prepared::new(found.candidates[0].on(&skin)).unwrap();
     assert!(read.diagnose(&late).correlation > 0.999);
 }
 
-/// What a change of layout does to the readings of 16 drives by 13 measurements.
+/// Changes of layout applied to the readings of 16 drives by 13 measurements.
 fn layouts(rest: &[f64]) -> Vec<(&'static str, Vec<f64>)> {
     let at = |drive: usize, read: usize| rest[13 * drive + read];
     let of = |order: &dyn Fn(usize) -> (usize, usize)| -> Vec<f64> {
@@ -251,7 +252,7 @@ fn layouts_that_no_pattern_says_are_proposed_as_lists() {
         assert!(found.is_clear, "{name}: {}", found.verdict());
         let read = Prepared::new(found.candidates[0].on(&skin)).unwrap();
         assert!(read.diagnose(&file).correlation > 0.999, "{name}: {}", found.verdict());
-        // The lines themselves, in a skin file.
+        // The lines are valid in a skin file.
         let lines = found.candidates[0].lines();
         assert!(format!("[backend]\n{lines}").parse::<toml::Table>().is_ok(), "{lines}");
     }

@@ -1,5 +1,5 @@
-//! Skins that nobody has tuned: outline, size, layer, electrodes, protocol and presses drawn by seed, read by the file as it
-//! is. What is asserted holds over the whole draw.
+//! Skins that nobody has tuned: outline, size, layer, electrodes, protocol and presses are drawn by seed and read
+//! with the skin file as it is. The assertions hold over the whole draw.
 
 use dermis::lab::twin_sample::random_presses;
 use dermis::skin::Skin;
@@ -14,10 +14,10 @@ use crate::sigmas::pressed_and_read;
 const SKINS: usize = 12;
 const SINGLES: usize = 12;
 const PAIRS: usize = 6;
-/// Pairs are a quarter of the longer side apart, give or take this share of that.
+/// Relative tolerance on the distance between the presses of a pair, which is a quarter of the longer side.
 const SLACK: f64 = 0.1;
 
-/// Layers as `dermis new` writes them.
+/// Layers as written by `dermis new`.
 const LAYERS: [&str; 4] = [
     "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.2, gauge_factor = 1.0, modulus_kpa = 60.0 }",
     "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.5, gauge_factor = 0.0, \
@@ -116,10 +116,10 @@ fn presses_on_skins_drawn_at_random_are_found_counted_and_as_sure_as_they_say() 
     let within = inside.map(|count| count as f64 / coordinates);
     let (median, worst) = (shares[SKINS / 2], shares[SKINS - 1]);
     told += &format!("within {within:?}, missed {missed}, split {split} of {singles}, pairs {right} of {pairs}");
-    // Half a per cent of the shorter side at most on the skin in the middle; on the worst, few electrodes limit what noise
-    // leaves of the place.
+    // Half a per cent of the shorter side at most on the median skin. On the worst one, with few electrodes, noise
+    // limits the positions.
     assert!(median <= 0.004 && worst <= 0.02, "{told}");
     assert!(missed == 0 && split * 30 <= singles && right * 20 >= 19 * pairs, "{told}");
-    // 288 coordinates scatter by 3 %; those of one press are not independent.
+    // 288 coordinates scatter by 3 %; the two of one press are not independent.
     assert!((0.57..=0.84).contains(&within[0]) && within[1] >= 0.93, "{told}");
 }

@@ -22,7 +22,8 @@ fn head() -> RecordingHead {
     head
 }
 
-/// Frame n: odd readings, device time in every second, imaginary parts in every third, every eleventh number missing.
+/// Frame n: odd readings, a device time in every second frame, imaginary parts in every third, and every eleventh
+/// number missing.
 fn frame(n: u64) -> Frame {
     let values = vec![f64::from_bits(0x7ff8_0000_dead_beef + n), -0.0, (n as f64).sin()];
     Frame {
@@ -36,7 +37,7 @@ fn frame(n: u64) -> Frame {
     }
 }
 
-/// Everything of a frame, readings as bits.
+/// All content of a frame, with readings as bits.
 fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
     let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary, .. } = frame;
@@ -48,7 +49,7 @@ fn baseline() -> BaselineEntry {
     BaselineEntry { record, values: vec![0.1, f64::NAN.copysign(-1.0), 3e-300], noise_std: vec![1e-6] }
 }
 
-/// Writes frames 0 to `frames`, with other entries after the second. Events of a megabyte close a chunk after every
+/// Writes frames 0 to `frames`, with other entries after the second. Megabyte-sized events close a chunk after every
 /// hundred frames.
 fn record(path: &Path, frames: u64) {
     let mut recorder = Recorder::create(path, &head()).unwrap();
@@ -79,7 +80,7 @@ fn open(bytes: &[u8]) -> Recording<Cursor<&[u8]>> {
     Recording::from_reader(Cursor::new(bytes), "a.mcap").unwrap()
 }
 
-/// Reads everything; returns the frames' numbers.
+/// Reads everything and returns the frames' numbers.
 fn sequences(recording: &mut Recording<Cursor<&[u8]>>) -> Vec<u64> {
     recording.frames().map(|frame| frame.unwrap().sequence).collect()
 }
@@ -178,7 +179,7 @@ fn a_cut_file_is_read_up_to_the_cut() {
     let places = chunks(&bytes);
     assert!(places.len() >= 5, "{places:?}");
     let whole: Vec<u64> = sequences(&mut open(&bytes));
-    // The first chunk holds only channels, so there are whole chunks with frames before the fourth.
+    // The first chunk holds only channels, so there are complete chunks with frames before the fourth.
     let (offset, length) = places[3];
     let mut recording = open(&bytes[..offset + length / 2]);
     let found = sequences(&mut recording);
@@ -188,7 +189,7 @@ fn a_cut_file_is_read_up_to_the_cut() {
     assert_eq!((damage.bytes, damage.chunks, damage.messages), ((length / 2) as u64, 0, 0));
     assert!(matches!(damage.frames, LostFrames::Unknown { in_damaged_chunks: 1.. }), "{damage:?}");
     assert_eq!((recording.frames_written(), recording.frames_dropped()), (None, None));
-    // Only the closing records missing: every frame is there.
+    // Only the closing records are missing, so every frame is present.
     let (offset, length) = *places.last().unwrap();
     let mut recording = open(&bytes[..offset + length]);
     assert_eq!(sequences(&mut recording), whole);
@@ -328,7 +329,7 @@ fn a_frame_that_is_not_due_yet_is_idle() {
     assert!(Replay::new(Recording::open(&path).unwrap(), rate, Repeat::Once).is_err());
 }
 
-/// Opens and reads to the end whatever it is.
+/// Opens a file of any content and reads it to the end.
 fn exhaust(bytes: &[u8]) {
     if let Ok(mut recording) = Recording::from_reader(Cursor::new(bytes), "a.mcap") {
         while recording.next_entry().unwrap().is_some() {}
@@ -336,7 +337,7 @@ fn exhaust(bytes: &[u8]) {
     }
 }
 
-/// A file with the metadata of a recording and arbitrary messages, checksums right.
+/// A file with the metadata of a recording and arbitrary messages, with correct checksums.
 fn made_of(messages: &[(usize, Vec<u8>)]) -> Vec<u8> {
     let topics = ["/dermis/frames", "/dermis/baselines", "/dermis/touches", "/dermis/events", "/other"];
     let map = |entries: &[(&str, &str)]| entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();

@@ -1,4 +1,4 @@
-//! A device that is unplugged and plugged in again a hundred times, stalls, and is taken for another: the stream
+//! A device is unplugged and plugged in again a hundred times, stalls, and is replaced by another: the stream
 //! resumes, every gap is counted, and touches end and begin as they should.
 
 use std::collections::BTreeMap;
@@ -19,13 +19,13 @@ use dermis_touch::TouchEvent;
 
 use crate::own_clock::{EventConnect, Events, Timeless};
 
-/// Nothing is waited for so long, however busy the machine is.
+/// No wait takes this long, however busy the machine is.
 const LIMIT: Duration = Duration::from_secs(480);
 const CONNECTIONS: u64 = 100;
-/// Frames that a connection brings, the first one those of the baseline too.
+/// Frames per connection; the first connection also has the baseline's frames.
 const BROUGHT: u64 = 12;
 const BASELINE: u64 = 40;
-/// Frames that the device takes while it is unplugged: 0.42 s.
+/// Frames taken by the device while it is unplugged: 0.42 s.
 const MISSED: u64 = 21;
 const PERIOD_NS: u64 = 20_000_000;
 const PLACES_M: [[f64; 2]; 2] = [[-0.02, 0.015], [0.022, -0.018]];
@@ -61,12 +61,12 @@ fn readings(skin: &Skin) -> [Vec<Vec<f64>>; 3] {
             time_s += 0.02;
             frames.push(values.clone());
         }
-        // What fades in or out is left out.
+        // Skip the frames in which a press fades in or out.
         frames.split_off(30)
     })
 }
 
-/// Answers until the host has started the device (true) or has left it.
+/// Answers until the host has started the device (true) or has disconnected (false).
 fn shake_hands(stream: &mut TcpStream, device: &mut WireDevice) -> bool {
     device.reset_link();
     stream.set_read_timeout(Some(LIMIT)).expect("a timeout");
@@ -88,20 +88,20 @@ fn wait_until_left(stream: &mut TcpStream) {
     while stream.read(&mut [0; 64]).is_ok_and(|count| count > 0) {}
 }
 
-/// What the skin feels during a connection: nothing, or a press at one of the places. Every third time it is the same
-/// place as the time before.
+/// State of the skin during a connection: untouched, or pressed at one of the places. Every fourth connection repeats
+/// the place of the one before.
 fn state(connection: u64) -> usize {
     [0, 1, 2, 2][(connection % 4) as usize]
 }
 
-/// Plays the device on a socket. Frames flow once the host has asked for the first: of those that come before, a stream
-/// keeps few.
+/// Plays the device on a socket. Frames flow once the host has asked for the first, because a stream keeps only a
+/// few of those that arrive before.
 fn device(listener: &TcpListener, readings: &[Vec<Vec<f64>>; 3], events: &Events, asked: &Receiver<()>) {
     let mut device = WireDevice::new(info(208));
     let mut sequence = 0;
     for connection in 0..CONNECTIONS {
         if connection % 25 == 10 {
-            // Another device on the port: the host leaves it, and it costs no more than the time.
+            // Another device on the port: the host disconnects, and only time is lost.
             let (mut stream, _) = listener.accept().expect("a host");
             assert!(!shake_hands(&mut stream, &mut WireDevice::new(info(4))), "the host leaves");
         }
@@ -119,13 +119,13 @@ fn device(listener: &TcpListener, readings: &[Vec<Vec<f64>>; 3], events: &Events
             frame.device_time_ns = Some((sequence + n) * PERIOD_NS);
             bytes.clear();
             device.frame(&frame, Status::default(), &mut bytes);
-            // The last one is cut in two by the unplugging.
+            // Unplugging cuts the last frame in two.
             let length = if n == brought { bytes.len() / 2 } else { bytes.len() };
             stream.write_all(&bytes[..length]).expect("the host listens");
         }
         sequence += brought + MISSED;
         if connection % 25 == 20 {
-            // Stays plugged in and says nothing until the host gives up.
+            // Stays connected but silent until the host gives up.
             events.stall();
         } else {
             stream.shutdown(Shutdown::Write).expect("the host listens");
@@ -191,7 +191,7 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
             }
         }
     }
-    // One touch for every connection under a press, also where the place before was the same.
+    // One touch for every connection under a press, even if the previous place was the same.
     let pressed: Vec<u64> = (0..CONNECTIONS).filter(|connection| state(*connection) > 0).collect();
     assert_eq!(begun.iter().map(|(connection, _)| *connection).collect::<Vec<_>>(), pressed);
     let counters = source.counters();

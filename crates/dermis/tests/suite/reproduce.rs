@@ -1,4 +1,4 @@
-//! The published experiments, replayed: what the tables of `dermis reproduce` must show.
+//! The published experiments, replayed: the results that the tables of `dermis reproduce` must show.
 
 use dermis::lab::experiments::{PAPERS, Report};
 
@@ -19,7 +19,7 @@ fn two_to_six_touches_of_the_liquid_skin_are_told_apart() {
     let report = replay("I1");
     for count in 2..=6 {
         assert_eq!(value(&report, &format!("touches found of {count}")), f64::from(count));
-        // Half the indenter's radius: each touch belongs to its weight beyond doubt.
+        // Half the indenter's radius: each touch clearly belongs to its weight.
         assert!(value(&report, &format!("worst position of {count}")) < 5.0, "{:?}", report.rows);
     }
 }
@@ -31,7 +31,7 @@ fn the_smallest_weight_is_seen_everywhere_and_replays_are_identical() {
         // A touch begins at five standard deviations.
         assert!(row.here > 5.0, "{row:?}");
     }
-    // Images hold NaN outside the skin, so they are compared by their text.
+    // Images have NaN outside the skin, so compare their text.
     assert_eq!(format!("{report:?}"), format!("{:?}", replay("I3")));
 }
 
@@ -41,7 +41,8 @@ fn a_ring_is_closed_has_a_hole_and_a_touch_inside_is_found_from_every_reference(
     assert!(value(&report, "ring: weakest place over its mean") > 0.8, "{:?}", report.rows);
     assert!(value(&report, "ring: hole over its mean") < 0.5, "{:?}", report.rows);
     for name in ["rest", "the light ring", "the pressed ring"] {
-        // 7.2, 7.0 and 0.1 mm: the published bound for single touches is 6 mm, and a ring is pressed beside it.
+        // Measured: 7.2, 7.0 and 0.1 mm. The published bound for single touches is 6 mm, and here a ring is pressed
+        // as well.
         assert!(value(&report, &format!("touch inside, from {name}: nearest contact")) < 7.5, "{:?}", report.rows);
     }
 }
@@ -68,11 +69,11 @@ fn every_element_of_the_em_skins_is_located() {
     for name in ["8 coils, image", "8 coils, heights", "16 circular, heights", "16 square, heights"] {
         assert_eq!(share(name), 1.0, "{name}: {:?}", report.rows);
     }
-    // All but the element over the array's empty place, which is weakly seen, and some beside it.
+    // All except the element over the empty place of the array, which is weakly seen, and some of its neighbours.
     let alike = value(&report, "8 coils: model's against measured Jacobian, correlation, median of 25");
     assert!(alike > 0.98, "{:?}", report.rows);
-    // Heights make one touch of one element; in the linear image elements that travel far have a side lobe here and
-    // there.
+    // With heights each element gives one touch; in the linear image elements with a long travel occasionally have a
+    // side lobe.
     assert_eq!(value(&report, "8 coils, heights: share with one touch, there"), 1.0, "{:?}", report.rows);
 }
 
@@ -91,7 +92,7 @@ fn neighbours_threes_and_fours_of_the_em_skins_are_told_apart() {
         let quantity = format!("{array}: {groups} found whole, of 4");
         assert_eq!(value(&report, &quantity), 4.0, "{:?}", report.rows);
     }
-    // What was asked of heights under several touches.
+    // The requirement on heights under several touches.
     let travel = value(&report, "8 coils: travel of any element, largest error in fours");
     assert!(travel < 0.3, "{travel}");
 }
@@ -112,7 +113,7 @@ fn a_line_and_a_ring_are_recognised_and_square_coils_are_sharper() {
 fn a_foil_is_dented_less_locally_than_elements_move() {
     let report = replay("E14");
     let alike = |name: &str| value(&report, &format!("{name}: correlation of neighbours' readings, median"));
-    // What the paper saw, and why it took elements.
+    // The paper's observation, and its reason for choosing elements.
     assert!(alike("copper foil") > alike("cylinders") + 0.2, "{:?}", report.rows);
 }
 
@@ -141,12 +142,12 @@ fn force_curves_of_the_em_skins_rise_saturate_and_are_quadratics() {
 #[test]
 fn contacts_of_the_sandwich_beat_the_published_network() {
     let report = replay("H1");
-    // Published: 0.80, 0.59, 0.92; what is asked for here is 0.90, 0.40, 0.95.
+    // Published: 0.80, 0.59, 0.92; required here: 0.90, 0.40, 0.95.
     assert!(value(&report, "one touch, fitted discs: mean ICC") > 0.90, "{:?}", report.rows);
     assert!(value(&report, "one touch, fitted discs: mean RIE") < 0.40, "{:?}", report.rows);
     assert!(value(&report, "one touch, fitted discs: mean SSIM") > 0.95, "{:?}", report.rows);
-    // The network is shown what was fitted; published: 0.92, 0.86 and 0.70. By probabilities it has 0.95, 0.92 and 0.84
-    // here, by classes, as it was published, 0.97, 0.97 and 0.94.
+    // The network gets the fitted contacts as input. Published: 0.92, 0.86 and 0.70. Here it reaches 0.95, 0.92 and
+    // 0.84 with probabilities, and 0.97, 0.97 and 0.94 with classes, as in the paper.
     assert!(value(&report, "one touch, U-Net: mean SSIM") > 0.94, "{:?}", report.rows);
     assert!(value(&report, "one touch, U-Net's classes: mean SSIM") > 0.95, "{:?}", report.rows);
     assert_eq!(value(&report, "cases of six whose indenter is told by its size"), 6.0);
@@ -165,14 +166,15 @@ fn contacts_of_the_sandwich_beat_the_published_network() {
 #[test]
 fn a_cut_is_found_and_reads_as_compression_while_it_is_pressed() {
     let report = replay("H4");
-    // Asked for: within 3 mm, its length within 4 mm, touches beside it at most 1.3 times as far off as before.
+    // Required: position within 3 mm, length within 4 mm, and errors of touches next to it at most 1.3 times those
+    // before.
     assert!(value(&report, "cut: error of its middle") < 0.5, "{:?}", report.rows);
     assert!((value(&report, "cut: length") - 20.0).abs() < 1.0, "{:?}", report.rows);
     let beside = ["intact", "cut"].map(|state| {
         let rows = report.rows.iter().filter(|row| row.quantity.starts_with("mean error of"));
         rows.filter(|row| row.quantity.ends_with(state)).map(|row| row.here).next().unwrap()
     });
-    // Below a tenth of a millimetre both are noise, and so is their ratio.
+    // Below a tenth of a millimetre both are dominated by noise, and so is their ratio.
     assert!(beside[1] <= 1.3 * beside[0].max(0.1), "{beside:?}");
     assert_eq!(value(&report, "touches missed or not alone, cut"), 0.0);
     let report = replay("H6");
@@ -185,6 +187,6 @@ fn a_healed_place_is_as_good_as_before() {
     let report = replay("H5");
     assert_eq!(value(&report, "the damage counts as healed"), 1.0, "{:?}", report.rows);
     assert_eq!(value(&report, "a new baseline is proposed"), 1.0, "{:?}", report.rows);
-    // 0.08 mm before the cut, and 2.41 mm in the paper; off by less than what noise and mesh do elsewhere.
+    // 0.08 mm before the cut, and 2.41 mm in the paper. The limit is what noise and mesh cause elsewhere.
     assert!(value(&report, "error there, healed, new baseline") < 0.25, "{:?}", report.rows);
 }

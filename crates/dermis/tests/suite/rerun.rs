@@ -1,5 +1,5 @@
-//! A recording run through the pipeline again gives what the live run gave, to the bit, commands included; begun in the
-//! middle of a run it goes on from the baseline then in use.
+//! Running a recording through the pipeline again gives the results of the live run bit for bit, including commands.
+//! A recording started in the middle of a run continues from the baseline then in use.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -15,12 +15,12 @@ use dermis::skin::{Skin, builtin_text};
 use dermis_device::{Frame, Source, SourceEvent};
 
 const SKIN: &str = "healing-square";
-/// The demonstration presses from frame 61 on. The tare, forced under load, is done 32 frames after it was asked for.
+/// The demonstration presses from frame 61 on. The tare, forced under load, completes 32 frames after the request.
 const TARE_AT: u64 = 70;
 const LAMBDA_AT: u64 = 90;
 const FRAMES: u64 = 110;
 
-/// What came of a frame: its line, and its image bit for bit.
+/// Result of a frame: its line, and its image bit for bit.
 #[derive(Debug, PartialEq)]
 struct Result {
     sequence: u64,
@@ -37,8 +37,8 @@ impl Result {
     }
 }
 
-/// Runs the twin's demonstration for `frames` frames with a forced tare and another lambda on the way, recording from
-/// frame `from` on and leaving out every frame in `lost`.
+/// Runs the twin's demonstration for `frames` frames with a forced tare and a change of lambda, recording from frame
+/// `from` on and leaving out every frame in `lost`.
 fn live(path: &Path, frames: u64, from: u64, lost: &[u64]) -> Vec<Result> {
     let (source, _commands) = TwinSource::new(&Skin::open(SKIN).unwrap()).unwrap();
     let mut source = source.unpaced();
@@ -99,7 +99,7 @@ fn a_rerun_gives_the_live_result_to_the_bit_at_any_speed() {
     let path = directory.path().join("a.mcap");
     let first = live(&path, FRAMES, 0, &[]);
     assert!(first.iter().filter(|result| result.line.contains("\"id\"")).count() > 20, "too few touches to say much");
-    // A hundred times as fast as recorded: the unpaced recording is short, and this only has to wait at all.
+    // A hundred times real time: the unpaced recording is short, and the test only needs some waiting.
     for speed in [0.0, 100.0] {
         let (second, report) = again(&path, RerunOptions { speed, ..RerunOptions::default() }, |_| {});
         for (second, first) in second.iter().zip(&first) {
@@ -114,7 +114,7 @@ fn a_rerun_gives_the_live_result_to_the_bit_at_any_speed() {
 fn faults_and_recoveries_are_events_of_the_recording_and_found_again_in_the_same_frames() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
-    // Between frames 49 and 50, and 64 and 65; taken back 50 good frames later.
+    // Between frames 49 and 50, and between 64 and 65; reversed 50 good frames later.
     let faults = "seed = 5\nfaults = [{ open_electrodes = [5], from_s = 1.98, until_s = 2.58 }]";
     let skin = Skin::parse(&crate::with_twin(builtin_text(SKIN).unwrap(), faults), "test").unwrap();
     let (source, _commands) = TwinSource::new(&skin).unwrap();
@@ -175,7 +175,7 @@ fn another_lambda_gives_other_images_of_the_same_frames() {
 fn a_recording_begun_in_the_middle_goes_on_from_the_baseline_in_use() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
-    // Before the demonstration presses, so that no touch is on the skin that the recording would not know of.
+    // Before the demonstration presses, so that the recording doesn't start under a touch it knows nothing about.
     let first = live(&path, TARE_AT - 1, 34, &[]);
     let (second, report) = again(&path, RerunOptions::default(), |_| {});
     assert_eq!(report.frames, TARE_AT - 1 - 34);
@@ -186,7 +186,7 @@ fn a_recording_begun_in_the_middle_goes_on_from_the_baseline_in_use() {
         assert_eq!(second.sequence, first.sequence);
         assert_eq!(second.line.matches("\"id\"").count(), first.line.matches("\"id\"").count(), "{}", first.line);
         let difference: Vec<f32> = values(second).iter().zip(values(first)).map(|(a, b)| a - b).collect();
-        // The gain is matched to the baseline as it has drifted since: two frames in 60 s, of noise.
+        // The gain is matched to the baseline, which has drifted since, with the noise, by two frames' share of 60 s.
         assert!(largest(&difference) < 1e-3 * peak, "image of frame {}: {}", first.sequence, largest(&difference));
     }
     assert!(second.iter().any(|result| result.line.contains("\"id\"")), "no touch");

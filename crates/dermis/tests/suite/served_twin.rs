@@ -1,5 +1,5 @@
-//! A twin behind the real wire on a loopback socket: what comes out of the stream is what the twin read, and a twin
-//! that is killed and started again is found again with its gap counted.
+//! A twin served over the real wire protocol on a loopback socket: the stream delivers the twin's readings, and a
+//! twin that is killed and restarted is found again with its gap counted.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -18,7 +18,7 @@ use dermis_device::{Frame, Source, SourceEvent, open_stream};
 
 use crate::own_clock::Timeless;
 
-/// Only a test that hangs comes to this.
+/// Only reached if a test hangs.
 const LIMIT: Duration = Duration::from_secs(540);
 
 /// A twin that is being served.
@@ -60,8 +60,8 @@ fn collect(source: &mut StreamSource, count: usize) -> Vec<Frame> {
     seen
 }
 
-/// What is still on its way once the instrument has gone: the host has read all of it when it says that the connection
-/// ended.
+/// Collects what was still in flight when the instrument went away; the host has read everything once it reports the
+/// end of the connection.
 fn drain(source: &mut StreamSource, seen: &mut Vec<Frame>) {
     let began = Instant::now();
     while source.problem().is_none() {
@@ -74,7 +74,7 @@ fn drain(source: &mut StreamSource, seen: &mut Vec<Frame>) {
     }
 }
 
-/// The first frame that is as expected; only a twin that never gets there is waited for in vain.
+/// The first frame that meets the condition. Waiting is only in vain if the twin never gets there.
 fn until(source: &mut StreamSource, what: &str, is_expected: impl Fn(&Frame) -> bool) -> Frame {
     for _ in 0..10_000 {
         let frame = collect(source, 1).pop().expect("a frame");
@@ -85,7 +85,7 @@ fn until(source: &mut StreamSource, what: &str, is_expected: impl Fn(&Frame) -> 
     panic!("{what} in none of 10,000 frames");
 }
 
-/// A twin's thread may wait long for a core: its host is patient.
+/// Options of a patient host, since a twin's thread may have to wait for a core.
 fn options() -> StreamOptions {
     StreamOptions { patience: LIMIT, silence: LIMIT, longest_wait: Duration::from_millis(50), ..Default::default() }
 }
@@ -119,7 +119,7 @@ fn frames_are_the_twins_and_a_restart_is_survived() {
     assert_eq!(instrument.kill().skipped, 0);
     drain(&mut source, &mut again);
     let (last, next) = (first.last().expect("frames"), &again[0]);
-    // The count goes on over the gap, which the clock and the rate give after a restart.
+    // The numbering continues across the gap, whose length follows from clock and rate after a restart.
     let periods = (next.host_monotonic_ns - last.host_monotonic_ns) as f64 * 1e-9 * rate;
     assert_eq!(next.sequence - last.sequence - 1, (periods.round() as u64).saturating_sub(1));
     assert_eq!(next.device_time_ns, Some(0), "the twin began anew");
@@ -133,14 +133,14 @@ fn several_hosts_have_the_same_frames_whoever_else_says_nothing_or_goes() {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("an address");
     let instrument = Instrument::start(listener);
-    // One that says nothing, and one that says nothing that means anything.
+    // One host that says nothing, and one that sends only noise.
     let mute = TcpStream::connect(address).expect("it listens");
     let mut noisy = TcpStream::connect(address).expect("it listens");
     noisy.write_all(&[0x55; 20_000]).expect("it takes bytes");
     let open = || open_stream(&format!("tcp:{address}").parse().expect("a selector"), options()).expect("it answers");
     let (mut one, mut other) = (open(), open());
     let (mut of_one, mut of_other) = (collect(&mut one, 20), collect(&mut other, 20));
-    // Each host counts from its own first frame; the twin's clock is the same for both.
+    // Each host counts from its own first frame; the twin's clock is common to both.
     let time = |frame: &Frame| frame.device_time_ns.expect("a twin has a clock");
     while of_one.last().map(time) < of_other.last().map(time) {
         of_one.extend(collect(&mut one, 1));
@@ -158,7 +158,7 @@ fn several_hosts_have_the_same_frames_whoever_else_says_nothing_or_goes() {
     assert_eq!((served.hosts, served.skipped), (4, 0));
 }
 
-/// The twin stands at a pseudo-terminal as a board at a serial port; a host goes and another one comes.
+/// The twin on a pseudo-terminal acts like a board on a serial port; one host leaves and another one comes.
 #[cfg(unix)]
 #[test]
 fn a_twin_at_a_pseudo_terminal_is_a_board_at_a_serial_port() {
@@ -197,7 +197,7 @@ fn a_twin_at_a_pseudo_terminal_is_a_board_at_a_serial_port() {
     say("repair");
     let sound = until(&mut source, "a sound frame at rest", |frame| changed(frame) < 0.01);
 
-    // This host goes; the twin measures on, and the next host is told how it is numbered.
+    // This host leaves. The twin keeps measuring, and the next host gets its own numbering.
     let last_ns = sound.device_time_ns.expect("a clock");
     drop(source);
     thread::sleep(Duration::from_millis(300));

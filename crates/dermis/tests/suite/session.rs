@@ -1,5 +1,5 @@
-//! Sessions: every kind of source yields frames with touches, a baseline may be given, and what cannot be opened says
-//! why.
+//! Sessions: every kind of source yields frames with touches, a baseline can be given, and errors explain why a
+//! source cannot be opened.
 
 use std::path::Path;
 use std::time::Duration;
@@ -39,8 +39,8 @@ fn a_session_of_the_twin_is_repeatable_and_numbers_its_frames() {
         frames.iter().flat_map(|frame| frame.touches.iter().map(|touch| touch.position_m)).collect::<Vec<_>>()
     };
     let first = places();
-    // Positions may depend on the host's clock by drift and prediction alone: less than a hundredth of a millimetre
-    // here.
+    // Positions depend on the host's clock only through drift and prediction: by less than a hundredth of a
+    // millimetre here.
     assert!(first.len() > 20 && places().len() == first.len(), "{} touches", first.len());
 }
 
@@ -53,7 +53,7 @@ fn a_file_of_presses_has_touches_with_a_baseline_and_none_are_learned_away() {
     assert_eq!(frames.len(), 9);
     assert!(frames.iter().all(|frame| frame.is_ready && frame.image.iter().any(|value| value.is_finite())));
     assert!(frames[2].touches.len() == 1, "{:?}", frames[2].touches);
-    // The same from frames of the file itself.
+    // The same with a baseline from the file itself.
     let both = format!("{rest}#0..8");
     let options = SessionOptions { baseline: Some(both.parse().unwrap()), ..SessionOptions::default() };
     let again: Vec<_> = Session::open_with(&press, skin(), &options).unwrap().map(Result::unwrap).collect();
@@ -83,7 +83,7 @@ fn what_is_no_source_of_this_skin_says_so() {
     assert!(other.contains("expected 208 channels"), "{other}");
 }
 
-/// An instrument that is connected and says nothing.
+/// An instrument that is connected but silent.
 struct Silent(Layout);
 
 impl Source for Silent {

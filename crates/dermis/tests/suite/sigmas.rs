@@ -1,4 +1,5 @@
-//! Do sigmas hold? Every built-in twin is pressed at random places, and errors are counted in units of their sigmas.
+//! Checks the standard deviations of positions: every built-in twin is pressed at random places, and errors are
+//! counted in units of their standard deviations.
 
 use dermis::device::FileSpec;
 use dermis::lab::reconstruct::{Request, reconstruct};
@@ -7,29 +8,29 @@ use dermis::skin::Skin;
 use dermis::twin::from_skin::press_range;
 use dermis::twin::mechanics::{Indenter, Load, Shape};
 
-/// Presses of each twin, of 0.6 to 1.4 times the usual radius and 0.3 to 2 times the usual pressure.
+/// Presses of each twin, with 0.6 to 1.4 times the usual radius and 0.3 to 2 times the usual pressure.
 const PRESSES: usize = 200;
 const RADII: [f64; 2] = [0.6, 1.4];
 const PRESSURES: [f64; 2] = [0.3, 2.0];
 
-/// Errors of x and y of presses, mm, each with its sigma; and in how many frames as many touches as presses were found.
+/// Errors in x and y, mm, each with its standard deviation, and the number of frames with as many touches as presses.
 struct Trial {
     errors_mm: Vec<f64>,
     sigmas_mm: Vec<f64>,
     complete: usize,
 }
 
-/// Between two numbers, even in the logarithm: the n-th number of a sequence that fills an interval evenly.
+/// Number n of a sequence that fills an interval evenly on a logarithmic scale.
 fn between([low, high]: [f64; 2], n: usize, step: f64) -> f64 {
     low * (high / low).powf((n as f64 * step).fract())
 }
 
-/// Presses at random, so many at once, whose discs are half as far again apart as they need to be.
+/// Random presses, several at once, with their discs half as far apart again as needed.
 fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>> {
     let usual = press_range(skin);
     let places = random_presses(&skin.outline(), &usual, 8 * PRESSES, seed).unwrap();
     let mut singles = places.into_iter().flatten().enumerate().map(|(n, indenter)| Indenter {
-        // The golden section, and the root of two.
+        // Steps of the golden section and of the root of two.
         shape: Shape::Disc { radius_m: usual.initial_radius_m * between(RADII, n, 0.618_034) },
         load: Load::PressurePa(usual.initial_pressure_pa * between(PRESSURES, n, 0.414_214)),
         ..indenter
@@ -50,8 +51,8 @@ fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>>
     frames
 }
 
-/// Presses the twin of a skin, a frame for each entry, and reads the frames by the skin's file: the touches of each frame,
-/// as numbers of the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres).
+/// Presses the twin of a skin, one frame per entry, and reads the frames with the skin's file. Returns the touches of
+/// each frame as the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres).
 pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u64) -> Vec<Vec<Vec<f64>>> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -123,8 +124,8 @@ impl Trial {
     }
 }
 
-/// Two thirds of the errors within one sigma an axis: 60 to 76 % is asked for of many presses; 400 errors scatter by 2
-/// to 3 %, since those of one press are not independent.
+/// Two thirds of the errors should lie within one standard deviation per axis: 60 to 76 % are required over many
+/// presses. 400 errors scatter by 2 to 3 %, since the two of one press are not independent.
 #[test]
 fn errors_of_presses_anywhere_lie_within_their_sigmas() {
     let mut wrong = Vec::new();
@@ -141,7 +142,7 @@ fn errors_of_presses_anywhere_lie_within_their_sigmas() {
             trial.quantile_mm(0.95),
             sigmas[sigmas.len() / 2],
         );
-        // Presses between elements over coils have errors of long tails.
+        // Presses between elements over coils have errors with long tails.
         let (band, least_more) = if name.starts_with("em-") { (0.52..=0.84, 0.75) } else { (0.58..=0.79, 0.92) };
         if !band.contains(&one) || more < least_more {
             wrong.push((name, one, more));
@@ -150,7 +151,7 @@ fn errors_of_presses_anywhere_lie_within_their_sigmas() {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
-/// The same of two and three presses at once, of the layers on which these are told apart anywhere.
+/// The same for two and three presses at once, on the layers that can separate them anywhere.
 #[test]
 fn errors_of_several_presses_at_once_lie_within_their_sigmas() {
     let mut wrong = Vec::new();
@@ -174,7 +175,7 @@ fn errors_of_several_presses_at_once_lie_within_their_sigmas() {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
-/// One of every layer and shape that a built-in twin has.
+/// One of every layer and shape among the built-in twins.
 const SKINS: [&str; 12] = [
     "healing-square",
     "hydrogel-disc",

@@ -1,4 +1,4 @@
-//! Touches placed by the forward model, on twins that use another mesh and other physics than the model.
+//! Touches placed by the forward model, on twins whose mesh and physics differ from the model's.
 
 use dermis::lab::twin_bench::Rig;
 use dermis::live::imager::Imager;
@@ -11,7 +11,7 @@ use dermis::skin::Skin;
 use dermis::twin::TwinKit;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
-/// Mean and largest, millimetres.
+/// Mean and maximum, millimetres.
 fn figures(errors_mm: &[f64]) -> (f64, f64) {
     let sum: f64 = errors_mm.iter().sum();
     (sum / errors_mm.len() as f64, errors_mm.iter().copied().fold(0.0, f64::max))
@@ -26,13 +26,13 @@ fn press(centre_m: [f64; 2], radius_m: f64, force_n: f64) -> Indenter {
 }
 
 struct Errors {
-    /// Of the image's centroid.
+    /// Errors of the image's centroid.
     image_mm: Vec<f64>,
-    /// Of the fitted place.
+    /// Errors of the fitted position.
     refined_mm: Vec<f64>,
-    /// Of the place fitted to a frame without noise: what the model has wrong.
+    /// Errors of the position fitted to a noise-free frame: the model error.
     model_mm: Vec<f64>,
-    /// The bound at the instrument's noise.
+    /// Lower bounds at the instrument's noise.
     bound_mm: Vec<f64>,
 }
 
@@ -87,7 +87,8 @@ fn errors(name: &str, radius_m: f64, forces_n: &[f64]) -> Errors {
     all
 }
 
-/// Mean error at most twice what noise and model together make, and a given share of the image's own.
+/// Checks that the mean error is at most twice the combined effect of noise and model, and at most the given share of
+/// the image's own error.
 fn check(name: &str, radius_m: f64, forces_n: &[f64], share: f64) {
     let all = errors(name, radius_m, forces_n);
     let expected: Vec<f64> = all.model_mm.iter().zip(&all.bound_mm).map(|(m, b)| m.hypot(*b)).collect();
@@ -99,20 +100,21 @@ fn check(name: &str, radius_m: f64, forces_n: &[f64], share: f64) {
 
 #[test]
 fn the_liquid_disc_places_presses_four_times_as_well_as_its_image() {
-    // Measured: 1.97 to 0.31 mm on average, 4.2 to 1.4 at most. What the model has wrong was 0.33 mm in proportion, and
-    // is 0.09.
+    // Measured: from 1.97 to 0.31 mm on average, from 4.2 to 1.4 mm at most. The model error was 0.33 mm with the
+    // linear model and is now 0.09 mm.
     check("ionic-disc", 0.01, &[0.128, 0.255, 0.57], 0.25);
 }
 
 #[test]
 fn the_sandwich_places_presses_four_times_as_well_as_its_image() {
-    // Measured: 0.77 to 0.17 mm on average, 1.4 to 1.1 at most.
+    // Measured: from 0.77 to 0.17 mm on average, from 1.4 to 1.1 mm at most.
     check("healing-square", 0.01, &[8.0, 25.0], 0.4);
 }
 
 #[test]
 fn patches_are_placed_no_worse() {
-    // A patch of 10 mm conducts as a whole: its middle is not the indenter's, and no fit of a smooth spot knows.
+    // A 10 mm patch conducts as a whole, so its centre isn't the indenter's, which a fit of a smooth spot cannot
+    // know.
     check("piezo-disc", 0.011, &[0.3, 1.0], 1.1);
 }
 

@@ -1,5 +1,5 @@
-//! Four tanks measured by others, from file to images and touches by the same call as `dermis reconstruct`. The data
-//! are not part of this repository; without them the tests count as skipped.
+//! Four tanks measured by others, from file to images and touches with the function behind `dermis reconstruct`. The
+//! data are not part of this repository; without them the tests count as skipped.
 
 mod golfball;
 mod ktc;
@@ -14,12 +14,12 @@ use dermis::lab::evidence::imaged::{Imaged, imaged};
 use dermis::skin::Skin;
 use dermis_device::FileSpec;
 
-/// A file or folder of a set of measured data, if the set is there; otherwise the test counts as skipped.
+/// A file or folder in a set of measured data, if the set is present; otherwise the test counts as skipped.
 pub(crate) fn measured(set: &str, path: &str) -> Option<PathBuf> {
     Some(dermis_testdata::set(set)?.join(path))
 }
 
-/// The chosen frames of a file.
+/// Selected frames of a file.
 pub(crate) fn chosen(path: &Path, select: &str) -> FileSpec {
     FileSpec { path: path.to_path_buf(), select: select.parse().unwrap() }
 }

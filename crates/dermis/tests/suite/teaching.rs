@@ -1,4 +1,4 @@
-//! The teaching examples run, keep to their length, and hold what they say.
+//! The teaching examples run, stay short, and do what they say.
 
 #[path = "../../examples/first_touch.rs"]
 mod first_touch;

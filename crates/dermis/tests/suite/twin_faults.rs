@@ -1,5 +1,5 @@
-//! A broken or turned instrument, from the skin file to the pipeline: frames lost and repeated are counted exactly, and
-//! an open electrode reaches the channels that use it.
+//! A broken instrument or one that reverses signs, from the skin file to the pipeline: lost and repeated frames are
+//! counted exactly, and an open electrode affects the channels that use it.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use dermis::twin::TwinKit;
 use dermis_device::Layout;
 use dermis_twin::instrument::FrameFate;
 
-/// Frames that may wait for the pipeline.
+/// Frames that may queue for the pipeline.
 const QUEUE: usize = 4;
 
 fn broken(faults: &str) -> Skin {
@@ -20,14 +20,15 @@ fn broken(faults: &str) -> Skin {
     Skin::parse(&crate::with_twin(text, &format!("seed = 5\nfaults = [{faults}]")), "a test").unwrap()
 }
 
-/// Runs so many frames of a skin's twin through acquisition and pipeline; the frames' numbers and raw channels.
+/// Runs a skin's twin for `frames` frames through acquisition and pipeline; returns the frames' numbers and raw
+/// channels.
 fn run(skin: &Skin, frames: usize) -> (Vec<u64>, Vec<Vec<f64>>) {
     let (numbers, raw, _) = run_until(skin, frames, |_| true);
     (numbers, raw)
 }
 
-/// The same, and what the acquisition has counted when its queue is full and the counts are as expected, or after a
-/// minute.
+/// The same, and also returns the acquisition's counters, once its queue is full and the counters are as expected, or
+/// after a minute.
 fn run_until(
     skin: &Skin,
     frames: usize,
@@ -49,14 +50,14 @@ fn run_until(
             other => panic!("{other:?} after {} frames", numbers.len()),
         }
     }
-    // The thread runs ahead until its queue is full and one frame more waits for room: its counts then stand still.
+    // The thread runs ahead until its queue is full and one more frame waits for room; then its counters stop.
     for _ in 0..3000 {
         if acquisition.waiting() == QUEUE && is_expected(&acquisition.counters()) {
             break;
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    // Counts that go on are seen to be wrong.
+    // Counters that keep rising are thus noticed.
     std::thread::sleep(Duration::from_millis(20));
     (numbers, raw, acquisition.counters())
 }
@@ -81,11 +82,11 @@ fn dropped_and_repeated_frames_are_counted_exactly() {
         }
     }
     let count = 100;
-    // The source runs ahead by the queue of four and the frame that waits for room, and then stands.
+    // The source runs ahead by the queue of four and the frame waiting for room, then stops.
     let expected = (lost_before[count + 4], repeated_before[count + 4]);
     let (numbers, _, counters) = run_until(&skin, count, |counters| (counters.lost, counters.repeated) == expected);
     assert_eq!(numbers, delivered[..count]);
-    // The gaps in the numbers are the frames lost.
+    // The gaps in the numbers are the lost frames.
     let gaps = numbers.windows(2).map(|pair| pair[1] - pair[0] - 1).sum::<u64>() + numbers[0];
     assert_eq!(gaps, lost_before[count - 1]);
     assert!(gaps > 5 && repeated_before[count - 1] > 3, "{gaps} {}", repeated_before[count - 1]);
@@ -95,7 +96,7 @@ fn dropped_and_repeated_frames_are_counted_exactly() {
 
 #[test]
 fn an_open_electrode_comes_and_goes_in_its_time() {
-    // 25 frames/s: frames 35 and 36 alone, while nothing touches yet.
+    // At 25 frames/s: frames 35 and 36 only, before the first touch.
     let skin = broken("{ open_electrodes = [5], from_s = 1.39, until_s = 1.45 }");
     let sound = broken("");
     let protocol = skin.protocol().unwrap();
@@ -110,8 +111,9 @@ fn an_open_electrode_comes_and_goes_in_its_time() {
         }
         let uses = |k: &usize| protocol.stimulation_of(*k).touches(4) || protocol.pattern_of(*k).touches(4);
         assert!(changed.iter().all(uses), "frame {frame}: {changed:?}");
-        // 16 drives of 13 channels: electrode 5 drives in 2 of them and is read in 2 channels of each of the others but
-        // those that share its partners; all floating channels change, dead ones too unless they read 0 before.
+        // 16 drives with 13 channels each: electrode 5 drives in two of them, and is read by two channels in each of
+        // the others, except those that share its partners. All floating channels change, even dead ones unless they
+        // read 0 before.
         let used = (0..208).filter(uses).count();
         assert!(changed.len() > used * 9 / 10, "frame {frame}: {} of {used}", changed.len());
     }
@@ -129,7 +131,7 @@ fn complex_and_rectified_readings_come_to_the_same_channels() {
     let (_, magnitude) = run(&skin("magnitude", 30.0), 33);
     let largest = signed[32].iter().fold(0.0_f64, |most, v| most.max(v.abs()));
     for channel in 0..208 {
-        // In phase with the baseline the complex reading has its whole size; noise is 3e-4 of the largest channel.
+        // In phase with the baseline the complex reading has its full size; noise is 3e-4 of the largest channel.
         let size = signed[32][channel].abs();
         let apart = (complex[32][channel].abs() - size).abs().max((magnitude[32][channel].abs() - size).abs());
         assert!(apart < 5e-3 * largest, "channel {channel}: {apart} of {largest}");

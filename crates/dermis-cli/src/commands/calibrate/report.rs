@@ -1,4 +1,4 @@
-//! What is said of a calibration by pokes and of a force calibration.
+//! Reports on a calibration by pokes and on a force calibration.
 
 use std::io::Write;
 
@@ -9,7 +9,7 @@ use dermis_touch::locator::{Accuracy, PriorUse};
 
 use crate::commands::listed;
 
-/// From so many standard errors on, a session drifts.
+/// Standard errors from which a session counts as drifting.
 const DRIFT_Z: f64 = 3.0;
 
 pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std::io::Result<()> {
@@ -61,7 +61,7 @@ pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std
     Ok(())
 }
 
-/// Which parts of the locator are used, and what physics and sister skins brought.
+/// Prints the parts of the locator in use, and the benefit of physics and sister skins.
 pub(super) fn print_experts(
     skin: &Skin,
     calibration: &Calibration,

@@ -1,4 +1,4 @@
-//! The file that the tables go to: a page in Markdown whose tables are replaced, a page in HTML, or JSON.
+//! The output file of the tables: a Markdown page whose tables are replaced, an HTML page, or JSON.
 
 use std::path::{Path, PathBuf};
 
@@ -7,10 +7,10 @@ use dermis_device::write_atomic;
 use super::tables::Evidence;
 use crate::exit::UsageError;
 
-/// What stands before and after the tables of a page.
+/// Markers before and after the tables of a page.
 const BEGIN: &str = "<!-- evidence:begin -->";
 const END: &str = "<!-- evidence:end -->";
-/// A page larger than this is none.
+/// Largest page accepted, bytes.
 const MOST_BYTES: u64 = 8 << 20;
 const STYLE: &str = "body{font:16px/1.5 sans-serif;max-width:80em;margin:2em auto;padding:0 1em;color:#282c34}\
 table{border-collapse:collapse}td,th{padding:.3em .8em;border-bottom:1px solid #ddd;text-align:left;vertical-align:top}\
@@ -23,14 +23,14 @@ enum Kind {
     Json,
 }
 
-/// A file that the tables can go to.
+/// An output file for the tables.
 pub(super) struct OutFile {
     path: PathBuf,
     kind: Kind,
 }
 
 impl OutFile {
-    /// Refuses endings that mean nothing, folders that are not there, and pages without a place for the tables.
+    /// Refuses unknown endings, missing folders, and pages without a place for the tables.
     pub(super) fn checked(path: &Path) -> anyhow::Result<Self> {
         let refuse = |reason: &str| UsageError(format!("--out {}: {reason}", path.display()));
         let kind = match path.extension().and_then(|end| end.to_str()) {
@@ -54,7 +54,7 @@ impl OutFile {
         &self.path
     }
 
-    /// What a page has before and after its tables, markers included; a new page's where there is none.
+    /// The parts of a page before and after its tables, including the markers; for a new page, the defaults.
     fn around(&self) -> anyhow::Result<[String; 2]> {
         let refuse = |reason: &str| UsageError(format!("--out {}: {reason}", self.path.display()));
         let Ok(found) = std::fs::metadata(&self.path) else {

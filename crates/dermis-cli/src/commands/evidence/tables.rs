@@ -1,4 +1,4 @@
-//! What came of all sets: as text, as JSON and as the tables of a page.
+//! Results of all sets: as text, as JSON, and as the tables of a page.
 
 use std::fmt::Write as _;
 use std::io::Write;
@@ -9,7 +9,7 @@ use dermis::lab::evidence::{Extent, Set, SetReport};
 use crate::commands::escaped;
 use crate::exit::Outcome;
 
-/// All sets that were asked for, with what came of them.
+/// The selected sets and their results.
 pub(super) struct Evidence {
     pub(super) data: PathBuf,
     pub(super) extent: Extent,
@@ -19,7 +19,7 @@ pub(super) struct Evidence {
 /// Columns of a set's table.
 const COLUMNS: [&str; 6] = ["measured", "known or assumed", "dermis", "plain method", "best published", "time"];
 
-/// A set on the terminal.
+/// Prints a set on the terminal.
 pub(super) fn print(out: &mut dyn Write, set: &Set, report: &SetReport) -> std::io::Result<()> {
     writeln!(out, "{}  {} ({:.1} s)", set.name, set.title, report.seconds)?;
     for finding in &report.findings {
@@ -56,14 +56,14 @@ fn duration(seconds: f64) -> String {
 }
 
 impl Evidence {
-    /// 1 where a set failed or none is there.
+    /// Outcome of the command: failure if a set failed or none is present.
     pub(super) fn outcome(&self) -> Outcome {
         let failed = self.sets.iter().any(|(_, report)| report.failed.is_some());
         let none = self.sets.iter().all(|(_, report)| report.is_missing());
         if failed || none { Outcome::ProblemsFound } else { Outcome::Done }
     }
 
-    /// How many sets are there, in a sentence.
+    /// A sentence that says how many sets are present.
     pub(super) fn summary(&self) -> String {
         let names = |wanted: &str| -> Vec<&str> {
             self.sets.iter().filter(|(_, report)| state(report) == wanted).map(|(set, _)| set.name).collect()
@@ -80,7 +80,7 @@ impl Evidence {
         text
     }
 
-    /// All of it for programs.
+    /// All results for programs.
     pub(super) fn as_json(&self) -> serde_json::Value {
         let set = |(set, report): &(&Set, SetReport)| {
             serde_json::json!({
@@ -104,20 +104,20 @@ impl Evidence {
         })
     }
 
-    /// What repeats a set.
+    /// The command that repeats a set.
     fn command(&self, set: &Set) -> String {
         let quick = if self.extent == Extent::Quick { " --quick" } else { "" };
         format!("dermis evidence --data DIR --only {}{quick}", set.name)
     }
 
-    /// How a page begins.
+    /// Introduction of a page.
     fn lead(&self) -> String {
         let quick = if self.extent == Extent::Quick { " --quick" } else { "" };
         let version = env!("CARGO_PKG_VERSION");
         format!("Written by `dermis evidence --data DIR{quick}` of dermis {version}: {}.", self.summary())
     }
 
-    /// A missing file as a page names it: where the data lie is nobody else's business.
+    /// A missing file as named on a page. The folder of the data is private and left out.
     fn named(&self, path: &Path) -> String {
         path.strip_prefix(&self.data).map_or_else(
             |_| path.display().to_string(),
@@ -185,7 +185,7 @@ impl Evidence {
     }
 }
 
-/// The cells of a set's rows, as [`COLUMNS`] has them.
+/// The cells of a set's rows, in the order of [`COLUMNS`].
 fn cells(report: &SetReport) -> impl Iterator<Item = [String; 6]> {
     report.findings.iter().map(|finding| {
         [
@@ -199,7 +199,7 @@ fn cells(report: &SetReport) -> impl Iterator<Item = [String; 6]> {
     })
 }
 
-/// Text within a cell of a Markdown table.
+/// Text escaped for a cell of a Markdown table.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace(['\n', '\r'], " ")
 }

@@ -1,8 +1,8 @@
-//! Numbers of a table as text.
+//! Formats the numbers of a table.
 
 use dermis::lab::experiments::Row;
 
-/// Paper, here, ratio, as text.
+/// The paper's value, the value here and their ratio, as text.
 pub(super) fn cells(row: &Row) -> [String; 3] {
     let ratio = row.paper.filter(|paper| *paper != 0.0).map(|paper| format!("{:.2}", row.here / paper));
     [row.paper.map(number).unwrap_or_default(), number(row.here), ratio.unwrap_or_default()]

@@ -1,4 +1,4 @@
-//! Figures of experiments as pictures, with what their captions say of symbols and colours.
+//! Draws the figures of experiments, with captions that explain symbols and colours.
 
 use dermis::lab::experiments::{Figure, Look, METHODS, Report};
 use dermis::skin::Skin;
@@ -6,7 +6,7 @@ use dermis::skin::Skin;
 use super::cells::cells;
 use crate::draw::{Chart, Dot, DotPlot, Heatmap, Mark, Panel, Picture, Series, SkinDrawing};
 
-/// Name of its files, and the picture.
+/// File name and picture of a figure.
 pub(super) fn drawing(figure: &Figure) -> (&'static str, Picture) {
     match figure {
         Figure::Curves { name, title, x_label, y_label, curves, .. } => {
@@ -81,7 +81,7 @@ pub(super) fn caption(figure: &Figure) -> String {
     }
 }
 
-/// Every number that the papers of these reports print against ours, as ratios; none where they print none.
+/// Every number printed in the papers compared with the value here, as ratios; `None` if there are no numbers.
 pub(super) fn comparison(letter: &str, reports: &[&Report]) -> Option<Picture> {
     let kinds = ["fitted", "predicted", "algorithm"];
     let mut dots = Vec::new();
@@ -100,7 +100,7 @@ pub(super) fn comparison(letter: &str, reports: &[&Report]) -> Option<Picture> {
     (!dots.is_empty()).then(|| DotPlot { title, label, kinds, dots }.picture())
 }
 
-/// The skins of a paper to scale, with their electrodes' or coils' numbers: name, title and picture.
+/// The skins of a paper to scale with numbered electrodes or coils: name, title and picture.
 pub(super) fn skins(letter: &str) -> anyhow::Result<Vec<(&'static str, String, Picture)>> {
     let names = METHODS.iter().filter(|method| method.letter == letter).flat_map(|method| method.skins);
     let drawn = names.map(|name| {

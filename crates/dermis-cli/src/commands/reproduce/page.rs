@@ -1,5 +1,5 @@
-//! One page for all experiments that were replayed: contents, methods, tables, figures with captions, downloads. It
-//! holds its pictures and its type, so that it can be sent alone; downloads lie in the folders beside it.
+//! One page for all replayed experiments: contents, methods, tables, figures with captions, downloads. Pictures and
+//! styles are embedded, so the page can be sent by itself; downloads lie in the folders next to it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,25 +17,25 @@ use crate::commands::escaped;
 use crate::draw::{self, Picture};
 
 const STYLE: &str = include_str!("report.css");
-/// What twins, kinds and measures are.
+/// Explains twins, kinds of figures and measures.
 const METHODS_TEXT: &str = include_str!("methods.html");
-/// Pictures wider than this, pixels, are moved sideways on a small screen.
+/// Wider pictures, in pixels, scroll sideways on a small screen.
 const WIDE_PX: u32 = 640;
 
-/// The page with the numbers of its figures.
+/// The page and its count of figures.
 struct Page {
     text: String,
     figures: usize,
 }
 
-/// A paper and what of it was replayed.
+/// A paper and its replayed experiments.
 struct Chapter<'a> {
     letter: &'static str,
     title: &'static str,
     reports: Vec<&'a Report>,
 }
 
-/// One page for all experiments in the folder's `report.html`.
+/// Writes one page for all experiments to `report.html` in the folder.
 pub fn write_page(folder: &Path, reports: &[Report]) -> anyhow::Result<PathBuf> {
     let chapters = chapters(reports);
     let mut page = Page { text: String::new(), figures: 0 };
@@ -51,7 +51,7 @@ pub fn write_page(folder: &Path, reports: &[Report]) -> anyhow::Result<PathBuf> 
     Ok(path)
 }
 
-/// Reports by paper, papers in their own order.
+/// Reports grouped by paper, papers in their fixed order.
 fn chapters(reports: &[Report]) -> Vec<Chapter<'_>> {
     let chapter = |(letter, title, experiments): &(&'static str, &'static str, &[_])| Chapter {
         letter,
@@ -249,7 +249,7 @@ mod tests {
 
     #[test]
     fn one_page_has_all_papers_with_contents_methods_tables_and_figures() {
-        // As they were replayed; the page has the papers in their own order.
+        // In the order of replay; the page has the papers in their fixed order.
         let page = page(&[report("P1"), report("I3")]);
         let targets: Vec<&str> = page.split("href=\"#").skip(1).filter_map(|rest| rest.split('"').next()).collect();
         assert_eq!(targets, ["methods", "I", "I3", "P", "P1"]);
@@ -257,7 +257,7 @@ mod tests {
             assert!(page.contains(&format!("id=\"{target}\"")), "{target}");
         }
         assert!(page.contains("dermis reproduce I3 P1"));
-        // What is fitted in these papers, and in no others; the measures; seeds.
+        // Only values fitted in these papers appear; the measures; the seeds.
         assert!(page.contains("0.888 kPa") && page.contains("60 N/m") && !page.contains("56.8 dB"));
         assert!(page.contains("<dt>ICC") && page.contains("<dt>RIE") && page.contains("<dt>SSIM"));
         assert!(page.contains("<tr><td>piezo-disc<td>P<td>1<td>30<td>4096"));
@@ -266,7 +266,7 @@ mod tests {
         for file in ["I3/table.csv", "I3/chart.svg", "P1/chart.pdf", "P1/chart.csv"] {
             assert!(page.contains(&format!("href=\"{file}\" download")), "{file}");
         }
-        // A comparison for each paper, two and three skins, and a chart for each experiment, counted through.
+        // A comparison for each paper, two and three skins, and a chart for each experiment, numbered throughout.
         assert_eq!(page.matches("<figure>").count(), 9);
         assert!(page.contains("<b>Figure 9.</b>") && !page.contains("Figure 10."));
     }

@@ -1,4 +1,4 @@
-//! What an experiment leaves behind: a table, on the terminal and as a file, and figures with their data.
+//! Output of an experiment: a table on the terminal and as a file, and figures with their data.
 
 use std::fmt::Write as _;
 use std::io::Write;
@@ -13,7 +13,7 @@ use super::cells::cells;
 use super::figures::drawing;
 use crate::draw;
 
-/// The table on the terminal.
+/// Prints the table on the terminal.
 pub fn print(out: &mut dyn Write, report: &Report) -> std::io::Result<()> {
     writeln!(out, "{}  {}", report.id, report.title)?;
     writeln!(out, "  {:<52} {:>10} {:>10} {:>7}  {:<16} kind", "", "paper", "here", "ratio", "unit")?;
@@ -30,7 +30,7 @@ pub fn print(out: &mut dyn Write, report: &Report) -> std::io::Result<()> {
     report.notes.iter().try_for_each(|note| writeln!(out, "  {note}"))
 }
 
-/// Table, figures and data of one experiment, in a folder of its own.
+/// Writes table, figures and data of one experiment to its own folder.
 pub fn write(folder: &Path, report: &Report) -> anyhow::Result<()> {
     let folder = folder.join(report.id);
     std::fs::create_dir_all(&folder).with_context(|| format!("creating {}", folder.display()))?;
@@ -56,7 +56,7 @@ pub(super) fn put(path: &Path, content: &[u8]) -> anyhow::Result<()> {
     Ok(write_atomic(path, |file| file.write_all(content))?)
 }
 
-/// What a figure shows, for other programs: CSV of curves, NPY of images.
+/// Writes the data of a figure for other programs: CSV for curves, NPY for images.
 fn data(folder: &Path, figure: &Figure) -> anyhow::Result<()> {
     match figure {
         Figure::Curves { name, curves, .. } => {

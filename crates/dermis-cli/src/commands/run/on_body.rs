@@ -1,4 +1,4 @@
-//! `dermis run BODY.toml`: all skins of a robot at once, as JSON lines.
+//! `dermis run BODY.toml`: runs all skins of a robot at once and prints JSON lines.
 
 use std::io::Write;
 use std::path::Path;
@@ -13,9 +13,9 @@ use super::super::{busy, hint};
 use crate::exit::Outcome;
 use crate::interrupt;
 
-/// The table of health is printed this often.
+/// Interval between printed tables of health.
 const HEALTH_EVERY: Duration = Duration::from_secs(1);
-/// How long to wait for a line at a time.
+/// Longest wait for a line.
 const NAP: Duration = Duration::from_millis(50);
 
 /// Runs a body until every patch has ended or the user interrupts.

@@ -1,4 +1,4 @@
-//! What is shown and recorded of a run, and what pages ask of it.
+//! A run in progress: shows and records its frames and answers the pages' requests.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -19,10 +19,10 @@ use dermis_page::message::Notice;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 
-/// Requests of pages that may wait for the next frame; of one kind, the last counts.
+/// Most page requests handled per frame. Of each kind, only the last counts.
 const MOST_REQUESTS: usize = 256;
 
-/// The run in progress: what is shown and recorded of its frames, and what pages ask of it.
+/// A run in progress: what it shows and records, and the requests of its pages.
 pub(in crate::commands) struct Running {
     twin: Option<dermis::source::TwinControl>,
     recorder: Option<LiveRecording>,
@@ -35,7 +35,7 @@ pub(in crate::commands) struct Running {
 }
 
 impl Running {
-    /// Of a pipeline that has not seen a frame, without a page.
+    /// A run without a page, for a pipeline that hasn't seen a frame.
     pub(in crate::commands) fn new(
         twin: Option<dermis::source::TwinControl>,
         head: RecordingHead,
@@ -55,7 +55,7 @@ impl Running {
         }
     }
 
-    /// Serves its page; what pages ask comes by the channel.
+    /// Serves the page; its requests arrive through the channel.
     pub(in crate::commands) fn serve(
         &self,
         address: SocketAddr,
@@ -67,14 +67,14 @@ impl Running {
         Ok((page::serve(address, options, self.hub.clone(), scene, commands)?, requests))
     }
 
-    /// Does what pages have asked for, before the next frame.
+    /// Carries out the pages' requests before the next frame.
     pub(in crate::commands) fn answer_all(&mut self, requests: &Receiver<Request>, pipeline: &mut Pipeline) {
         for request in page::coalesced(requests.try_iter().take(MOST_REQUESTS)) {
             self.answer(request, pipeline);
         }
     }
 
-    /// No frame came.
+    /// Call this when no frame arrived.
     pub(in crate::commands) fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
         if self.feed.wait(acquisition.problem(), HostStamp::now().monotonic_ns) {
             self.hub.publish(self.feed.update())?;
@@ -82,14 +82,14 @@ impl Running {
         Ok(())
     }
 
-    /// Raw is on its way to the disk before anything is made of it.
+    /// Hands a raw frame to the recording before it is processed.
     pub(in crate::commands) fn record(&mut self, frame: &Frame) {
         if let Some(recorder) = &mut self.recorder {
             recorder.frame(frame);
         }
     }
 
-    /// After a frame that was shown; `renewed`: its time, where a new baseline stands since.
+    /// Updates the page after a frame was shown. `renewed` is the frame's time if a new baseline has just been taken.
     pub(in crate::commands) fn after(
         &mut self,
         acquisition: &Acquisition,
@@ -104,23 +104,23 @@ impl Running {
         Ok(())
     }
 
-    /// One line for the terminal.
+    /// A status line for the terminal.
     pub(in crate::commands) fn status(&self) -> String {
         self.feed.status()
     }
 
-    /// What a run with these losses came to; `incomplete` is what could not be read of its source.
+    /// Outcome of a run with these losses; `incomplete` describes the part of its source that could not be read.
     pub(in crate::commands) fn outcome(&self, counters: AcquisitionCounters, incomplete: Option<&str>) -> Outcome {
         Outcome::of_frames(counters, incomplete, self.not_recorded, self.recording_failed)
     }
 
-    /// There will be no more frames.
+    /// Tells the page that there will be no more frames.
     pub(in crate::commands) fn end(&mut self) -> anyhow::Result<()> {
         self.feed.end();
         Ok(self.hub.publish(self.feed.update())?)
     }
 
-    /// Hands the results of a frame to the recording and the page, and says what has happened.
+    /// Hands the results of a frame to the recording and the page, and announces events.
     pub(in crate::commands) fn show(&mut self, output: &Output<'_>) {
         if let Some(recorder) = &mut self.recorder {
             recorder.results(output);
@@ -132,7 +132,7 @@ impl Running {
         }
     }
 
-    /// Brings the page up to date.
+    /// Updates the page.
     fn publish(&mut self, acquisition: &Acquisition, pipeline: &Pipeline) -> anyhow::Result<()> {
         let recording = self.recorder.as_ref().map(|recorder| {
             let RecorderStatus { written, dropped, .. } = recorder.status();
@@ -150,7 +150,7 @@ impl Running {
         Ok(())
     }
 
-    /// A recording that has stopped is said at once; the stream goes on.
+    /// Reports a failed recording at once; the stream goes on.
     fn notice_failure(&mut self) {
         if let Some(error) = self.recorder.as_mut().and_then(LiveRecording::new_failure) {
             tracing::error!("the recording has stopped: {error}");
@@ -233,7 +233,7 @@ impl Running {
                 Err(refused) => reply.refuse(format!("refused: {refused}")),
             },
             Command::Release { pointer_id } => self.ask_twin(TwinCommand::Release { pointer: pointer_id }, reply),
-            // Every channel is published; the page chooses among them.
+            // All channels are published; the page selects.
             Command::ChooseChannels(_) => {}
         }
     }
@@ -261,14 +261,14 @@ impl Running {
         self.twin.as_ref().map_or(Ok(()), |twin| twin.commands.send(command))
     }
 
-    /// Hands a command to the twin, and says so only where it is refused.
+    /// Hands a command to the twin; replies only if it is refused.
     fn ask_twin(&self, command: TwinCommand, reply: Reply) {
         if let Err(refused) = self.command_twin(command) {
             reply.refuse(format!("refused: {refused}"));
         }
     }
 
-    /// Records from here on.
+    /// Starts a recording.
     pub(in crate::commands) fn start_recording(&mut self, path: &Path, pipeline: &Pipeline) -> anyhow::Result<()> {
         if let Some(recorder) = &self.recorder {
             return Err(UsageError(format!("already recording to {}", recorder.path().display())).into());
@@ -279,7 +279,7 @@ impl Running {
         Ok(())
     }
 
-    /// Ends the recording, where there is one.
+    /// Ends the recording, if there is one.
     pub(in crate::commands) fn stop_recording(&mut self) -> Option<RecordingEnd> {
         let end = self.recorder.take().map(LiveRecording::finish)?;
         self.not_recorded += end.lost;
@@ -291,7 +291,8 @@ impl Running {
     }
 }
 
-/// A name for a recording that no file has: seconds since 1970, which sorts by time, and a number where that is taken.
+/// An unused file name for a recording: date and time in UTC, so that names sort by time, and a number if that is
+/// taken.
 fn free_name() -> PathBuf {
     let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let [year, month, day] = date(seconds / 86_400);
@@ -302,7 +303,7 @@ fn free_name() -> PathBuf {
     names.find(|name| !name.exists()).unwrap_or_default()
 }
 
-/// Year, month and day of a number of days since 1970-01-01. Counts in years that begin in March.
+/// Year, month and day of a number of days since 1970-01-01, computed with years that begin in March.
 fn date(days: u64) -> [u64; 3] {
     let days = days + 719_468;
     let (era, day_of_era) = (days / 146_097, days % 146_097);

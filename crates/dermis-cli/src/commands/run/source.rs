@@ -1,4 +1,4 @@
-//! Where the frames of a run come from, by what the user wrote.
+//! Opens the source of a run's frames from the text that the user wrote.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -19,29 +19,29 @@ use super::super::skin_word::{SkinWord, skin};
 use super::super::{busy, hint};
 use crate::exit::UsageError;
 
-/// The arguments that say which frames, of which skin, read by which calibrations.
+/// Options that select the frames, their skin and their calibrations.
 #[derive(clap::Args)]
 pub struct InputArguments {
     #[command(flatten)]
     skin: SkinWord,
-    /// Where frames come from: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
+    /// Source of the frames: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
     /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that
     /// send just numbers.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
-    /// Frames of the untouched skin, of the source's own file for instance. Without them the first 32 frames are taken
-    /// for it.
+    /// Frames of the untouched skin, for example from the source's own file. Without them the first 32 frames are
+    /// used.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
     #[command(flatten)]
     read: ReadArguments,
-    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
+    /// Leave an instrument on the wire as it is set; without this it is set to the skin file's protocol and current.
     #[arg(long)]
     as_set: bool,
-    /// Read a recording, and calibrations, as SKIN's though they are of another skin.
+    /// Accept a recording and calibrations of another skin as SKIN's.
     #[arg(long)]
     as_skin: bool,
-    /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
+    /// Speed of a file or twin: 1 in real time, 0 as fast as possible.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
     /// A calibration made by `dermis calibrate`.
@@ -53,19 +53,20 @@ pub struct InputArguments {
 }
 
 impl InputArguments {
-    /// The body file that stands in place of a skin, if one does.
+    /// The body file given in place of a skin, if any.
     ///
     /// # Errors
-    /// Two skins.
+    /// Two skins are given.
     pub fn body_file(&self) -> Result<Option<PathBuf>, UsageError> {
         let given = self.skin.given()?.map(PathBuf::from);
         Ok(given.filter(|path| is_body_file(path)))
     }
 
-    /// How the sources of a body's patches are opened; what the body file says of each patch is no option here.
+    /// Options for opening the sources of a body's patches. Settings that the body file makes for each patch are not
+    /// options.
     ///
     /// # Errors
-    /// Options of a single skin, and a pace that is none.
+    /// An option for a single skin is given, or the speed is invalid.
     pub fn source_options(&self) -> Result<SourceOptions, UsageError> {
         let given = [
             ("--source", "source", self.source != "twin"),
@@ -85,11 +86,11 @@ impl InputArguments {
         SourceOptions { speed, as_set, as_skin, read: self.read.options() }
     }
 
-    /// Opens the source, its pipeline, and what a recording of it says at its beginning.
+    /// Opens the source and its pipeline, and makes the head of a recording.
     pub fn open(&self) -> anyhow::Result<(Opened, Pipeline, RecordingHead)> {
         let given = self.skin.given()?;
         let skin = given.clone().unwrap_or_else(|| DEFAULT_NAME.to_owned());
-        // What is wrong with a file is said before the work of preparing a skin.
+        // Report faults in a file before the work of preparing a skin.
         let baseline = self.baseline.as_ref().map(|spec| self.read_baseline(spec, &skin)).transpose()?;
         let busy = busy(format!("preparing {skin}"));
         let options = self.options();
@@ -112,7 +113,7 @@ impl InputArguments {
 }
 
 impl InputArguments {
-    /// Reads the baseline, of the skin that was named where the source is no recording, which has its own.
+    /// Reads the baseline, using the named skin unless the source is a recording, which brings its own.
     fn read_baseline(&self, spec: &FileSpec, name: &str) -> anyhow::Result<FrameTable> {
         let is_recorded = self.source.parse().is_ok_and(|selector| match selector {
             SourceSelector::File(spec) => is_recording(&spec.path),
@@ -126,31 +127,31 @@ impl InputArguments {
     }
 }
 
-/// A source, the skin that its frames are of, and what goes with it.
+/// An opened source with the skin of its frames and related settings.
 pub struct Opened {
     /// The skin that the frames are of.
     pub skin: Skin,
     /// The frames.
     pub source: Box<dyn Source>,
-    /// To press on it, if it is a twin.
+    /// Control over the twin, if the source is one.
     pub twin: Option<TwinControl>,
-    /// A file may be held up, and a twin without pace; an instrument may not.
+    /// True if the source can wait, as files and unpaced twins can; an instrument cannot.
     pub wait: bool,
-    /// It is a table of frames, or a recording, and ends.
+    /// True if the source is a table of frames or a recording, which ends.
     pub is_file: bool,
-    /// Calibrations of another skin are used as well.
+    /// Accept calibrations of another skin.
     as_skin: bool,
-    /// The skin, where it was prepared beside its twin, until the pipeline takes it.
+    /// The skin prepared in parallel with its twin, until the pipeline takes it.
     prepared: Option<Prepared>,
 }
 
 impl Opened {
-    /// A source of one's own, which may be held up.
+    /// A custom source, which may be made to wait.
     pub fn of(skin: Skin, source: Box<dyn Source>) -> Self {
         Self { skin, source, twin: None, wait: true, is_file: false, as_skin: false, prepared: None }
     }
 
-    /// The pipeline for these frames, and what a recording of it says at its beginning; both calibrations are files.
+    /// The pipeline for these frames, and the head of a recording of it. Both calibrations are files.
     pub fn pipeline(
         &mut self,
         calibration: Option<&Path>,
@@ -175,17 +176,17 @@ impl Opened {
             let parse = if self.as_skin { parse_forces_as } else { parse_forces };
             pipeline.set_forces(parse(text, path, &self.skin)?)?;
         }
-        // What was parsed as JSON is text.
+        // JSON that has been parsed is valid text.
         let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
         (head.calibration, head.forces) = (as_text(calibration_text), as_text(forces_text));
         Ok((pipeline, head))
     }
 }
 
-/// Opens what `--source` names.
+/// Opens the source that `--source` names.
 ///
 /// # Errors
-/// As [`open_of`].
+/// As for [`open_of`].
 pub fn open(selector: &str, given: Option<&str>, options: &SourceOptions) -> anyhow::Result<Opened> {
     let named = given.map(skin).transpose()?;
     let find = |name: Option<&str>| match (name, &named) {
@@ -195,12 +196,15 @@ pub fn open(selector: &str, given: Option<&str>, options: &SourceOptions) -> any
     open_of(selector, &find, named.as_ref(), options)
 }
 
-/// As [`open`], of the skin that `find` makes of the name in the selector, or of none where it has no name. A recording
-/// is read as the skin that the user has `named`, which must be the recorded one but for what frames do not depend on,
-/// or else as the skin that is in it; a twin is of the skin in its name.
+/// Like [`open`], with `find` to look up the skin named in the selector (`None` if it names none).
+///
+/// A recording is read as the skin that the user has `named`, which may differ from the recorded one only where
+/// frames don't depend on it; if the user named none, it is read as the recorded skin. A twin is made of the skin in
+/// the selector.
 ///
 /// # Errors
-/// A selector that names nothing, a skin or source that cannot be opened, a recording of another skin than was named.
+/// The selector is invalid, a skin or source cannot be opened, or the recording is of another skin than the named
+/// one.
 pub fn open_of(
     selector: &str,
     find: &dyn Fn(Option<&str>) -> anyhow::Result<Skin>,
@@ -217,11 +221,12 @@ pub fn open_of(
         }
         _ => find(None)?,
     };
-    // The twin that was named is the skin's own.
+    // The selected twin is a twin of this skin.
     let is_twin = matches!(selector, SourceSelector::Twin { .. });
     let selector = if is_twin { SourceSelector::Twin { name: None } } else { selector };
     let source = || open_source(&selector, &skin, options);
-    // A twin takes as long to make as its skin; what is wrong with an instrument is said before either is begun.
+    // A twin takes as long to make as its skin, so make both at once. With an instrument, report its faults before
+    // preparing the skin.
     let (opened, prepared) = match is_twin {
         true => rayon::join(source, || Prepared::new(skin.clone()).map(Some)),
         false => (source(), Ok(None)),
@@ -237,7 +242,7 @@ fn check_speed(speed: f64) -> Result<(), UsageError> {
     Err(UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")))
 }
 
-/// Asks the desktop to show the page; without a desktop nothing happens.
+/// Asks the desktop to open the page; without a desktop, does nothing.
 pub fn open_browser(url: &str) {
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     if Path::new("/usr/bin").join(opener).exists() {

@@ -1,5 +1,5 @@
-//! TEAM Workshop Problem 7 (Fujiwara and Nakata, COMPEL 9, 1990): a racetrack coil over an aluminium plate with a hole
-//! off its centre. Lengths of the problem sheet in millimetres, origin at the plate's corner.
+//! TEAM Workshop Problem 7 (Fujiwara and Nakata, COMPEL 9, 1990): a racetrack coil over an aluminium plate with an
+//! off-centre hole. Lengths are those of the problem sheet in millimetres, with the origin at the plate's corner.
 
 use dermis_mit::edge::{Dipole, EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
 use dermis_mit::{MitError, Segment};
@@ -13,7 +13,7 @@ const LINES_Z_MM: f64 = 34.0;
 const AMPERE_TURNS: f64 = 2742.0;
 const CONDUCTIVITY_S_PER_M: f64 = 3.526e7;
 
-/// Nodes and weights of Gauss on [0, 1].
+/// Nodes and weights of Gauss quadrature on [0, 1].
 fn gauss(count: usize) -> Vec<(f64, f64)> {
     let legendre = |x: f64| {
         let (mut before, mut value) = (1.0, x);
@@ -35,8 +35,8 @@ fn gauss(count: usize) -> Vec<(f64, f64)> {
     (0..count).map(node).collect()
 }
 
-/// The coil as closed polygons: `across` by `along` of them in its section, `bend` pieces in each corner, whose length
-/// is that of the arc.
+/// The coil as closed polygons: `across` by `along` of them over its section, and `bend` segments in each corner,
+/// scaled to the arc's length.
 pub fn coil(across: usize, along: usize, bend: usize) -> Wires {
     let mut wires = Vec::new();
     for (t, t_weight) in gauss(across) {
@@ -53,11 +53,11 @@ pub fn coil(across: usize, along: usize, bend: usize) -> Wires {
     Wires(wires)
 }
 
-/// Counter-clockwise; corners about points 50 mm from the centre each way.
+/// A counter-clockwise racetrack. Its corners are arcs about points 50 mm from the centre in x and y.
 fn racetrack(radius_m: f64, bend: usize) -> Vec<[f64; 2]> {
     let quarter = std::f64::consts::FRAC_PI_2;
     let step = quarter / bend as f64;
-    // Inner points of an arc lie outside it as far as the chords cut it off.
+    // Inner points lie outside the arc by as much as the chords would cut off.
     let out = (0.5 * step) / (0.5 * step).sin();
     let mut points = Vec::new();
     for (corner, [x, y]) in [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].into_iter().enumerate() {
@@ -70,7 +70,8 @@ fn racetrack(radius_m: f64, bend: usize) -> Vec<[f64; 2]> {
     points
 }
 
-/// The plate in air: `fine` cells where there is one at least; 0 is a coarser mesh for a quick look.
+/// The plate in air, with every interval between the planes divided into `fine` cells; 0 gives a coarser mesh for a
+/// quick look.
 ///
 /// # Errors
 /// Never for these planes.
@@ -100,11 +101,11 @@ pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
     })
 }
 
-/// Bz in 1e-4 T on the two lines, per place: phases 0 and 90 degrees of the first line, then of the second. The value
-/// at phase 90 is that a quarter of a period later: with `e^{j w t}`, minus the imaginary part.
+/// Bz in 1e-4 T on the two lines, per place: phases 0 and 90 degrees of the first line, then of the second. Phase 90
+/// is a quarter of a period later: minus the imaginary part under `e^{j w t}`.
 ///
 /// # Errors
-/// A frequency that makes no sense.
+/// The frequency is invalid.
 pub fn flux_density(mesh: &EdgeMesh, frequency_hz: f64) -> Result<Vec<[f64; 4]>, MitError> {
     let plate = Material { conductivity_s_per_m: CONDUCTIVITY_S_PER_M, relative_permeability: 1.0 };
     let system = EddySystem::new(mesh, &[plate], frequency_hz, Order::Second)?;

@@ -1,4 +1,4 @@
-//! The skins that are compared, and their twins on the bench.
+//! The skins to compare, and their twins on the bench.
 
 use dermis_twin::mechanics::Indenter;
 
@@ -10,26 +10,26 @@ use dermis_live::magnetic_model::MagneticModel;
 use dermis_skin::{Skin, Solve};
 use dermis_twin::TwinKit;
 
-/// The skins that are compared.
+/// The skins to compare.
 pub(super) const EIGHT: Array = Array { skin: "em-8", name: "8 coils", press_n: 2.0, elements: 25, frames: 1 };
 pub(super) const CIRCULAR: Array =
     Array { skin: "em-16-circular", name: "16 circular", press_n: 20.0, elements: 64, frames: 10 };
 pub(super) const SQUARE: Array =
     Array { skin: "em-16-square", name: "16 square", press_n: 20.0, elements: 64, frames: 10 };
 
-/// A skin and how it is pressed: on the sixteen coils nearly to the end of the travel, as the paper does, whose 50 dB
-/// show little else in single frames.
+/// A skin and its press. The sixteen coils are pressed nearly to the end of the travel, as in the paper; at their 50
+/// dB a single frame shows little else.
 #[derive(Clone, Copy)]
 pub(super) struct Array {
     pub(super) skin: &'static str,
     pub(super) name: &'static str,
     pub(super) press_n: f64,
     pub(super) elements: usize,
-    /// Frames that are averaged where several elements are told apart.
+    /// Frames to average when several elements have to be told apart.
     frames: usize,
 }
 
-/// A twin on the bench with the places of its elements.
+/// A twin on the bench, with the places of its elements.
 pub(super) struct Bench {
     pub(super) rig: Rig,
     pub(super) places: Vec<[f64; 2]>,
@@ -43,7 +43,7 @@ impl Array {
     pub(super) fn bench(self, solve: Solve) -> Result<Bench, Error> {
         let mut skin = Skin::open(self.skin)?;
         skin.imaging.solve = solve;
-        // The paper tells neighbouring elements apart; every element that moves is a touch.
+        // The paper distinguishes neighbouring elements, so every element that moves counts as a touch.
         skin.touch.join_cells = 0.0;
         let (frontend, instrument, _) = TwinKit::of(&skin)?.twin.into_parts();
         self.bench_from(Rig::from_parts(skin, frontend, instrument)?)
@@ -67,8 +67,8 @@ impl Bench {
         disc(self.places[element], self.element_mm, force_n)
     }
 
-    /// The mean of so many frames with these elements pressed, after four at rest and three in which the mechanics
-    /// settle.
+    /// The mean of several frames with these elements pressed, after four frames at rest and three for the mechanics
+    /// to settle.
     pub(super) fn settled(&mut self, pressed: &[usize], frames: usize) -> Result<Vec<f64>, Error> {
         self.rig.frames(&[], 4)?;
         let indenters: Vec<Indenter> = pressed.iter().map(|k| self.press(*k, self.press_n)).collect();
@@ -76,13 +76,13 @@ impl Bench {
         self.rig.mean_frame(&indenters, frames)
     }
 
-    /// The element whose place is nearest.
+    /// The element nearest to a position.
     pub(super) fn nearest(&self, at: [f64; 2]) -> usize {
         let distance = |k: &usize| distance_mm(self.places[*k], at);
         (0..self.places.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
     }
 
-    /// Image of a frame and whether its touches are one for each of these elements, nearest to it.
+    /// The image of a frame, and whether it has exactly one touch at each of these elements.
     pub(super) fn finds(&mut self, frame: &[f64], pressed: &[usize]) -> Result<(Vec<f32>, bool), Error> {
         let image = self.rig.image(frame)?;
         let touches = self.rig.touches(&image)?;

@@ -1,4 +1,4 @@
-//! What the paper could not do: the frequency that shows most, and metal that lies nearby.
+//! Experiments that the paper could not do: finding the best frequency, and metal nearby.
 
 use dermis_mit::Sphere;
 use dermis_mit::sheet::SheetMaterial;
@@ -19,8 +19,9 @@ use dermis_skin::{Skin, Solve};
 pub(super) const SWEEP: Experiment =
     Experiment { id: "E12", title: "which frequency is best, 1 to 100 kHz", run: sweep };
 
-/// E12: how much one element in the middle, pressed by half its travel, changes the readings, as the root mean square
-/// over channels of their relative change, which is signal over noise where noise is a share of the reading.
+/// E12: the change of the readings when the middle element is pressed by half its travel. The measure is the root
+/// mean square over channels of the relative change, which is the signal-to-noise ratio if noise is proportional to
+/// the reading.
 fn sweep() -> Result<Report, Error> {
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
     for array in [EIGHT, CIRCULAR] {
@@ -86,9 +87,9 @@ fn sweep() -> Result<Report, Error> {
 pub(super) const FOIL: Experiment =
     Experiment { id: "E14", title: "a copper foil in place of the elements", run: foil };
 
-/// E14: the paper's first membrane, a foil of copper on sponge, which it set aside as a touch does not deform it
-/// locally: how alike the readings are when neighbouring places are pressed, and how far down the neighbour goes with
-/// the one pressed.
+/// E14: the paper's first membrane, a copper foil on sponge, which it abandoned because a touch doesn't deform it
+/// locally. Measures how similar the readings are for presses at neighbouring places, and how far the neighbour moves
+/// along with the pressed place.
 fn foil() -> Result<Report, Error> {
     let skin = Skin::open(EIGHT.skin)?;
     let elements = MagneticModel::of(&skin)?.elements;
@@ -156,7 +157,7 @@ fn foil() -> Result<Report, Error> {
     Ok(Report { id: FOIL.id, title: FOIL.title, rows, figures: Vec::new(), notes })
 }
 
-/// Relative changes of the readings by 2 N at each place in turn; `look` sees the skin under each.
+/// Relative changes of the readings under 2 N at each place in turn; `look` gets the skin during each press.
 fn responses<F: Frontend>(
     skin: &mut F,
     places: &[[f64; 2]],
@@ -174,20 +175,20 @@ fn responses<F: Frontend>(
     Ok(all)
 }
 
-/// What lies nearby.
+/// Metal near the skin.
 #[derive(Clone, Copy)]
 struct Metal {
     name: &'static str,
     plate_mm: Option<f64>,
-    /// Whether the model knows of the plate.
+    /// The model includes the plate.
     known: bool,
     ball: Option<NearbyMetal>,
 }
 
 pub(super) const METAL: Experiment = Experiment { id: "E13", title: "metal under and beside the array", run: metal };
 
-/// E13: every element pressed with metal that was there from the start, which the model knows of or not; and the same
-/// metal come after the baseline.
+/// E13: every element is pressed with metal present from the start, included in the model or not. Then the same metal
+/// arrives only after the baseline.
 fn metal() -> Result<Report, Error> {
     let plate = |name, z_mm, known| Metal { name, plate_mm: Some(z_mm), known, ball: None };
     let ball = |name, x_m| {
@@ -219,7 +220,7 @@ fn metal() -> Result<Report, Error> {
         let (now, before) = (&bench.rig.reference().baseline, &clear.rig.reference().baseline);
         let square: f64 = now.iter().zip(before).map(|(n, b)| (n / b - 1.0).powi(2)).sum();
         changed.push(100.0 * (square / now.len() as f64).sqrt());
-        // Come after the baseline: what an image without a tare shows.
+        // The metal arrives after the baseline: image without a new tare.
         bench.rig.set_reference(clear.rig.reference().clone());
         let frame = bench.rig.frames(&[], 1)?.swap_remove(0);
         let image = bench.rig.image(&frame)?;
@@ -271,7 +272,7 @@ fn bench(array: Array, metal: Metal) -> Result<Bench, Error> {
     array.bench_from(Rig::from_parts(skin, Box::new(frontend), instrument)?)
 }
 
-/// Elements that have their touch, and no other, in one frame.
+/// Number of elements located by a single touch, and no other, in one frame.
 fn located(bench: &mut Bench) -> Result<f64, Error> {
     let mut count = 0;
     for element in 0..bench.places.len() {

@@ -1,11 +1,11 @@
-//! How hard: force curves with their quadratic calibration, and the smallest force.
+//! Force: force curves with their quadratic calibration, and the smallest force.
 
 use super::array::{Array, CIRCULAR, EIGHT, row, solve_name};
 use crate::Error;
 use crate::report::{Curve, Experiment, Figure, Kind, Look, Report};
 use dermis_skin::Solve;
 
-/// Standard deviations that a detected force stands out by.
+/// Detection limit, in standard deviations.
 const DETECTED: f64 = 3.3;
 
 pub(super) const RAMPS: Experiment = Experiment {
@@ -14,7 +14,7 @@ pub(super) const RAMPS: Experiment = Experiment {
     run: ramps,
 };
 
-/// E9 and E10: the image at the element against force, and a quadratic fitted to it, up to the given force.
+/// E9 and E10: the image at the element against force, with a quadratic fitted up to the given force.
 fn ramps() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     let eight = [("L1", 6), ("L2", 12), ("L3", 18)];
@@ -85,7 +85,7 @@ fn ramp(
 pub(super) const SMALLEST: Experiment =
     Experiment { id: "E11", title: "smallest force: 120 mN on one element", run: smallest };
 
-/// E11: 120 mN on each element, frame by frame, against frames at rest.
+/// E11: 120 mN on each element, frame by frame, compared with frames at rest.
 fn smallest() -> Result<Report, Error> {
     let mut bench = EIGHT.bench(Solve::Pixels)?;
     let (mut ratios, mut limits) = (Vec::new(), Vec::new());
@@ -132,7 +132,8 @@ pub(super) fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     (mean, variance.sqrt())
 }
 
-/// Share of the variance that the least-squares quadratic explains, by orthogonal polynomials on the points themselves.
+/// Share of variance explained by the least-squares quadratic, computed with polynomials orthogonal on the points
+/// themselves.
 fn quadratic_r2(points: &[[f64; 2]]) -> f64 {
     let mut basis: Vec<Vec<f64>> = Vec::new();
     let mut rest: Vec<f64> = points.iter().map(|p| p[1]).collect();

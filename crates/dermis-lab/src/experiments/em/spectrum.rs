@@ -1,4 +1,4 @@
-//! When: one element held, and elements pressed to a rhythm.
+//! Time: one element held, and elements pressed in a rhythm.
 
 use dermis_touch::rhythm::{Spectrum, SpectrumAnalyser};
 
@@ -8,13 +8,13 @@ use crate::report::{Curve, Experiment, Figure, Kind, Look, Report};
 use crate::twin_bench::distance_mm;
 use dermis_skin::Solve;
 
-/// Frames of a rhythm: 12.8 s, lines 0.078 Hz apart.
+/// Frames of a rhythm: 12.8 s, so spectral lines are 0.078 Hz apart.
 const FRAMES: usize = 128;
 
 pub(super) const STABILITY: Experiment =
     Experiment { id: "E6", title: "one element held for 100 frames", run: stability };
 
-/// E6: 100 frames of one element pressed.
+/// E6: one element pressed for 100 frames.
 fn stability() -> Result<Report, Error> {
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
     for solve in [Solve::Pixels, Solve::LiftOff] {
@@ -48,7 +48,7 @@ fn stability() -> Result<Report, Error> {
 
 pub(super) const CYCLIC: Experiment = Experiment { id: "E7", title: "cyclic touch at 3 Hz", run: cyclic };
 
-/// E7: one element at 3 Hz; the spectrum of the frame's mean.
+/// E7: one element pressed at 3 Hz, and the spectrum of the frame's mean.
 fn cyclic() -> Result<Report, Error> {
     let mut bench = EIGHT.bench(Solve::LiftOff)?;
     let series = rhythms(&mut bench, &[(12, 3.0)])?;
@@ -95,7 +95,7 @@ fn cyclic() -> Result<Report, Error> {
 pub(super) const TWO_RHYTHMS: Experiment =
     Experiment { id: "E8", title: "two elements at 0.5 and 2 Hz at once", run: two_rhythms };
 
-/// E8: two elements at once, each with its own rhythm.
+/// E8: two elements pressed at once, each with its own rhythm.
 fn two_rhythms() -> Result<Report, Error> {
     let mut bench = EIGHT.bench(Solve::LiftOff)?;
     let pressed = [(6, 0.5), (18, 2.0)];
@@ -136,12 +136,12 @@ fn two_rhythms() -> Result<Report, Error> {
 
 struct Series {
     frame_mean: Vec<f64>,
-    /// Of each pressed element.
+    /// One series per pressed element.
     elements: Vec<Vec<f64>>,
     panels: Vec<crate::experiments::ImagePanel>,
 }
 
-/// Elements pressed with a raised cosine each, up to the usual force.
+/// Presses each element with a raised cosine, up to the usual force.
 fn rhythms(bench: &mut Bench, pressed: &[(usize, f64)]) -> Result<Series, Error> {
     let mut series = Series { frame_mean: Vec::new(), elements: vec![Vec::new(); pressed.len()], panels: Vec::new() };
     for k in 0..FRAMES {

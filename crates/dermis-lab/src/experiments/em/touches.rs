@@ -1,4 +1,4 @@
-//! Where: single touches, neighbours, several touches, the two kinds of coils, a line and a ring.
+//! Position: single touches, neighbours, several touches, the two kinds of coils, a line and a ring.
 
 use dermis_touch::measure::pearson;
 use dermis_twin::mechanics::Indenter;
@@ -13,7 +13,8 @@ use dermis_skin::Solve;
 pub(super) const SINGLE: Experiment =
     Experiment { id: "E1", title: "single touch at every element, eight and sixteen coils", run: single };
 
-/// E1: every element pressed, one frame each after the mechanics settled; the eight coils for 100 frames each as well.
+/// E1: presses every element and takes one frame after the mechanics have settled; with eight coils also 100 frames
+/// each.
 fn single() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, solve, frames) in [
@@ -73,8 +74,8 @@ fn single() -> Result<Report, Error> {
     Ok(Report { id: SINGLE.id, title: SINGLE.title, rows, figures, notes })
 }
 
-/// How close the Jacobian of the images is to the one that is measured as published, by poking each element once:
-/// correlation over the channels, element by element.
+/// Compares the Jacobian of the images with one measured as published, by poking each element once: the correlation
+/// over channels for each element.
 fn jacobians() -> Result<Vec<Row>, Error> {
     let mut bench = EIGHT.bench(Solve::Pixels)?;
     let pitch_m = MagneticModel::of(&bench.rig.prepared().skin)?.elements.pitch_m();
@@ -101,7 +102,7 @@ fn jacobians() -> Result<Vec<Row>, Error> {
 
 pub(super) const ADJACENT: Experiment = Experiment { id: "E2", title: "two adjacent elements", run: adjacent };
 
-/// E2: every pair of elements side by side in a row.
+/// E2: every pair of adjacent elements in a row.
 fn adjacent() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, solve) in
@@ -135,7 +136,7 @@ fn adjacent() -> Result<Report, Error> {
     Ok(Report { id: ADJACENT.id, title: ADJACENT.title, rows, figures, notes })
 }
 
-/// In how many of these groups every element has its touch and there is no other; images of the first four.
+/// Number of groups in which every element has exactly one touch and no other appears, with images of the first four.
 fn told_apart<const N: usize>(
     bench: &mut Bench,
     groups: &[[usize; N]],
@@ -155,7 +156,7 @@ fn told_apart<const N: usize>(
 
 pub(super) const SEVERAL: Experiment = Experiment { id: "E3", title: "three and four touches", run: several };
 
-/// E3: threes and fours, near each other and far apart.
+/// E3: groups of three and four, close together and far apart.
 fn several() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, file) in [(EIGHT, "several-8"), (CIRCULAR, "several-16")] {
@@ -198,7 +199,7 @@ fn several() -> Result<Report, Error> {
     Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }
 
-/// Largest error of any element's travel when four are pressed half as hard, of the mean of ten frames.
+/// Largest error of any element's travel when four are pressed half as hard, from the mean of ten frames.
 fn travel_error(bench: &mut Bench, name: &str, groups: &[[usize; 4]]) -> Result<Row, Error> {
     let skin = bench.rig.prepared().skin.clone();
     let options = dermis_twin::from_skin::element_options(&skin)?;
@@ -222,7 +223,7 @@ fn travel_error(bench: &mut Bench, name: &str, groups: &[[usize; 4]]) -> Result<
 
 pub(super) const COILS: Experiment = Experiment { id: "E4", title: "circular against square coils", run: coils };
 
-/// E4: how wide one element is in the linear image, which both arrays make with the same prior and noise.
+/// E4: the width of one element in the linear image, made for both arrays with the same prior and noise.
 fn coils() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, file) in [(CIRCULAR, "circular"), (SQUARE, "square")] {
@@ -275,7 +276,7 @@ fn coils() -> Result<Report, Error> {
 
 pub(super) const SHAPES: Experiment = Experiment { id: "E5", title: "a line and a ring", run: shapes };
 
-/// E5: the middle row, and the eight elements around the middle.
+/// E5: the middle row, and the eight elements around the centre.
 fn shapes() -> Result<Report, Error> {
     let (mut rows, mut panels, mut columns) = (Vec::new(), Vec::new(), 0);
     let line: Vec<usize> = (10..15).collect();

@@ -12,7 +12,7 @@ use crate::twin_bench::Rig;
 use dermis_live::network::{Classes, Classifier, built_in, draw_discs};
 
 pub(super) const SKIN: &str = "healing-square";
-/// Pressure of all touches, pascal.
+/// Pressure of every touch, pascals.
 pub(super) const PRESSURE_PA: f64 = 80e3;
 
 pub(super) fn row(quantity: impl Into<String>, unit: &'static str, paper: Option<f64>, here: f64, kind: Kind) -> Row {
@@ -27,16 +27,16 @@ pub(super) fn indenter(centre_mm: [f64; 2], diameter_mm: f64) -> Indenter {
     }
 }
 
-/// How an image came about.
+/// Method of making an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
-    /// The linear image over its own peak.
+    /// The linear image divided by its own peak.
     First,
-    /// Compressed less damaged, by the network's probabilities.
+    /// Probability of compressed minus that of damaged, from the network.
     Network,
     /// The network's most likely class of each pixel: 1 compressed, -1 damaged.
     Classes,
-    /// Discs at the places and of the radii that the forward model fits.
+    /// Discs with the positions and radii fitted by the forward model.
     Fit,
 }
 
@@ -53,14 +53,14 @@ impl Step {
     }
 }
 
-/// Images of one frame, row-major, 1 where compressed.
+/// Images of one frame, row-major, with 1 for compressed.
 pub(super) struct Seen {
-    /// By [`Step::ALL`].
+    /// In the order of [`Step::ALL`].
     pub(super) images: [Vec<f64>; Step::ALL.len()],
     pub(super) contacts: Vec<Contact>,
 }
 
-/// The twin on the bench, and what makes images of its frames.
+/// The twin on the bench, with everything needed to image its frames.
 pub(super) struct Bench {
     pub(super) rig: Rig,
     classifier: Option<Classifier>,
@@ -82,7 +82,7 @@ impl Bench {
         self.rig.prepared().map.grid()
     }
 
-    /// One frame under these indenters, after frames at rest and one in which the mechanics settle.
+    /// One frame under these indenters, after frames at rest and one for the mechanics to settle.
     fn frame(&mut self, indenters: &[Indenter]) -> Result<Vec<f64>, Error> {
         self.rig.frames(&[], 2)?;
         self.rig.frames(indenters, 1)?;
@@ -102,8 +102,8 @@ impl Bench {
         Ok(Seen { images: [first, network, classes, fit], contacts })
     }
 
-    /// Probability of compressed less that of damaged, and the same of the most likely class; NaN outside the skin.
-    /// Nothing where no network ships.
+    /// Probability of compressed minus that of damaged, and the same for the most likely class; NaN outside the skin.
+    /// Blank if no network ships with the skin.
     fn classified(&mut self, frame: &[f64], image: &[f32]) -> Result<[Vec<f64>; 2], Error> {
         if let Some(classifier) = &mut self.classifier {
             classifier.classify(&self.rig.reference().difference(frame, None), &mut self.classes)?;
@@ -121,14 +121,14 @@ impl Bench {
         Ok([image_of(&probability), image_of(&is_class)])
     }
 
-    /// Share of each pixel that lies in any of these discs (centre, radius); NaN outside the skin.
+    /// Share of each pixel covered by any of these discs (centre, radius); NaN outside the skin.
     fn discs(&self, discs: &[([f64; 2], f64)]) -> Vec<f64> {
         let mut covered = vec![f32::NAN; self.grid().len()];
         draw_discs(self.grid(), self.rig.prepared().map.inside_pixels(), discs, &mut covered);
         covered.into_iter().map(f64::from).collect()
     }
 
-    /// What the indenters cover.
+    /// The area covered by the indenters.
     pub(super) fn truth(&self, indenters: &[Indenter]) -> Vec<f64> {
         let discs: Vec<([f64; 2], f64)> = indenters
             .iter()
@@ -140,14 +140,14 @@ impl Bench {
         self.discs(&discs)
     }
 
-    /// ICC, RIE and SSIM (equations 6 to 8) of an image whose values are 0 to 1.
+    /// ICC, RIE and SSIM (equations 6 to 8) of an image with values from 0 to 1.
     pub(super) fn scores(&self, truth: &[f64], image: &[f64]) -> Result<[f64; 3], Error> {
         let similarity = ssim(truth, image, self.grid().columns, &SsimOptions::new(1.0))?;
         Ok([icc(truth, image)?, rie(truth, image)?, similarity])
     }
 }
 
-/// Fitted radius of a contact, else that of a disc of its area.
+/// A contact's fitted radius, or the radius of a disc with its area.
 pub(super) fn radius_m(contact: &Contact) -> f64 {
     contact.radius_m.unwrap_or_else(|| (contact.area_m2 / std::f64::consts::PI).sqrt())
 }

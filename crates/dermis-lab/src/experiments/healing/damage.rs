@@ -1,4 +1,4 @@
-//! H4 to H6: cut, pressed beside and on the cut, healed, with the live pipeline following.
+//! H4 to H6: the skin is cut, pressed next to and on the cut, and healed, followed by the live pipeline.
 
 use dermis_touch::Touch;
 use dermis_touch::damage::{DamageEvent, DamageState};
@@ -11,19 +11,19 @@ use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report};
 use crate::twin_bench::{distance_mm, panel_of};
 use dermis_skin::TwinAction;
 
-/// A cut of 20 mm in the first quadrant.
+/// A 20 mm cut in the first quadrant.
 const FROM_MM: [f64; 2] = [15.0, 18.0];
 const TO_MM: [f64; 2] = [31.0, 30.0];
 const MIDDLE_MM: [f64; 2] = [23.0, 24.0];
-/// Places beside it.
+/// Places next to the cut.
 const BESIDE_MM: [[f64; 2]; 6] = [[-25.0, 0.0], [0.0, -25.0], [-20.0, -20.0], [25.0, -15.0], [-12.0, 28.0], [0.0, 0.0]];
-/// A press is held so long before it is read, and its place left alone for as long.
+/// Time that a press is held before it is read, and that its place then rests, seconds.
 const HELD_S: f64 = 0.8;
-/// Time for a damage to be believed.
+/// Time for a damage to be confirmed, seconds.
 const BELIEF_S: f64 = 4.0;
-/// Hours that are followed after heat is applied, one a step.
+/// Hours to follow after heat is applied, one per step.
 const STEPS: u32 = 60;
-/// How fast cuts heal while frames go on at their pace.
+/// Speed-up of healing while frames keep their pace.
 const LAPSE: f64 = 1200.0;
 
 fn cut(line: &mut Line) -> Result<(), Error> {
@@ -31,7 +31,7 @@ fn cut(line: &mut Line) -> Result<(), Error> {
     line.run(BELIEF_S)
 }
 
-/// Distance of the nearest touch, millimetres; infinite without any.
+/// Distance to the nearest touch, millimetres; infinite without touches.
 fn error_mm(touches: &[Touch], place_mm: [f64; 2]) -> f64 {
     let place = place_mm.map(|v| 1e-3 * v);
     touches.iter().map(|touch| distance_mm(touch.position_m, place)).fold(f64::INFINITY, f64::min)
@@ -47,7 +47,7 @@ fn images(line: &Line, name: &'static str, [title, caption]: [&str; 2], panels: 
     Figure::Images { name, title: title.into(), caption: caption.into(), columns, panels }
 }
 
-/// Mean error of touches beside the cut, and how many were missed or not alone.
+/// Mean error of touches next to the cut, and the number of presses that gave no touch or several.
 fn beside(line: &mut Line) -> Result<(f64, usize), Error> {
     let (mut errors, mut odd) = (Vec::new(), 0);
     for place in BESIDE_MM {
@@ -64,7 +64,7 @@ fn beside(line: &mut Line) -> Result<(f64, usize), Error> {
 pub(super) const CUT_AND_TOUCHES: Experiment =
     Experiment { id: "H4", title: "a cut of 20 mm, and touches beside it", run: cut_and_touches };
 
-/// H4: a cut is found, and touches beside it are placed as before.
+/// H4: a cut is found, and touches next to it are placed as before.
 fn cut_and_touches() -> Result<Report, Error> {
     let mut line = Line::new()?;
     let (intact_mm, intact_odd) = beside(&mut line)?;
@@ -116,7 +116,7 @@ fn cut_and_touches() -> Result<Report, Error> {
 pub(super) const HEALING: Experiment =
     Experiment { id: "H5", title: "healing: heat, two days, a new baseline", run: healing };
 
-/// H5: heated, left alone for 48 h, given a new baseline.
+/// H5: heated, left alone for 48 h, then given a new baseline.
 fn healing() -> Result<Report, Error> {
     let mut line = Line::new()?;
     let intact = line.touched(MIDDLE_MM, HELD_S)?;
@@ -146,7 +146,7 @@ fn healing() -> Result<Report, Error> {
     line.frame_s = 0.04;
     let old = line.touched(MIDDLE_MM, HELD_S)?;
     line.pipeline.tare(true, "after healing")?;
-    // The sheet with the scar is in use three seconds after the baseline.
+    // The scarred sheet becomes the model three seconds after the baseline.
     line.run(5.0)?;
     line.press(MIDDLE_MM)?;
     line.run(HELD_S)?;
@@ -193,7 +193,7 @@ fn healing() -> Result<Report, Error> {
 
 pub(super) const ON_THE_CUT: Experiment = Experiment { id: "H6", title: "pressing on the cut", run: on_the_cut };
 
-/// H6: pressed on the cut, and released.
+/// H6: pressed on the cut, then released.
 fn on_the_cut() -> Result<Report, Error> {
     let mut line = Line::new()?;
     cut(&mut line)?;

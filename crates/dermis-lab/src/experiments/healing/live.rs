@@ -1,5 +1,5 @@
-//! The sandwich's twin followed by the live pipeline, frame by frame, for what takes time: cuts, presses, heat and
-//! baselines.
+//! The sandwich's twin followed frame by frame by the live pipeline, for processes that take time: cuts, presses,
+//! heat and baselines.
 
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_touch::Touch;
@@ -13,7 +13,7 @@ use dermis_live::prepare::Prepared;
 use dermis_skin::{Skin, TwinAction};
 use dermis_twin::{AnyTwin, TwinKit};
 
-/// Pressure of a press, pascal, and radius of the 20 mm indenter.
+/// Pressure of a press, pascals, and radius of the 20 mm indenter, metres.
 const PRESS: (f64, f64) = (PRESSURE_PA, 10e-3);
 
 /// A twin and the pipeline that follows it.
@@ -25,15 +25,15 @@ pub(super) struct Line {
     /// Seconds between frames.
     pub(super) frame_s: f64,
     pub(super) events: Vec<DamageEvent>,
-    /// Of the last frame.
+    /// Image of the last frame.
     pub(super) image: Vec<f32>,
-    /// Of the last frame against the intact skin.
+    /// Image of the last frame relative to the intact skin.
     pub(super) damage_image: Vec<f32>,
     pub(super) touches: Vec<Touch>,
 }
 
 impl Line {
-    /// With a baseline.
+    /// A line that has run long enough to have a baseline.
     pub(super) fn new() -> Result<Self, Error> {
         let skin = Skin::open(SKIN)?;
         let twin = TwinKit::of(&skin)?.twin;
@@ -48,7 +48,7 @@ impl Line {
         Ok(line)
     }
 
-    /// Runs for so long.
+    /// Runs for the given time.
     pub(super) fn run(&mut self, seconds: f64) -> Result<(), Error> {
         let mut values = Vec::new();
         for _ in 0..(seconds / self.frame_s).ceil() as u64 {
@@ -76,7 +76,7 @@ impl Line {
         Ok(self.twin.frontend_mut().treat(&treatment)?)
     }
 
-    /// Presses the 20 mm indenter, or moves it there.
+    /// Presses the 20 mm indenter at a place, or moves it there.
     pub(super) fn press(&mut self, [x_mm, y_mm]: [f64; 2]) -> Result<(), Error> {
         Ok(self.twin.scene_mut().press(1, 1e-3 * x_mm, 1e-3 * y_mm, PRESS.1, PRESS.0)?)
     }
@@ -85,7 +85,7 @@ impl Line {
         self.twin.scene_mut().release(1);
     }
 
-    /// Presses there for so long, and lets go for as long: the touches at the end of the press.
+    /// Presses at a place for the given time and releases for as long; returns the touches at the end of the press.
     pub(super) fn touched(&mut self, place_mm: [f64; 2], seconds: f64) -> Result<Vec<Touch>, Error> {
         self.press(place_mm)?;
         self.run(seconds)?;
@@ -95,12 +95,12 @@ impl Line {
         Ok(touches)
     }
 
-    /// Damages that are believed to be there.
+    /// Damages currently believed to exist.
     pub(super) fn open(&self) -> Vec<Damage> {
         self.pipeline.damage().damages.iter().filter(|damage| damage.is_open()).copied().collect()
     }
 
-    /// What is truly cut.
+    /// The true cuts.
     pub(super) fn wounds(&self) -> Vec<Wound> {
         self.twin.frontend().wounds()
     }

@@ -1,4 +1,4 @@
-//! H1 to H3: intact skin, one to three round indenters.
+//! H1 to H3: the intact skin under one to three round indenters.
 
 use dermis_tomo::quality::centroid_above_m;
 use dermis_twin::mechanics::Indenter;
@@ -8,23 +8,22 @@ use crate::Error;
 use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report, Row};
 use crate::twin_bench::distance_mm;
 
-/// The two indenters, millimetres.
+/// Diameters of the two indenters, millimetres.
 const DIAMETERS_MM: [f64; 2] = [20.0, 25.0];
-/// Where the paper presses them.
+/// Places pressed in the paper.
 const PLACES_MM: [[f64; 2]; 3] = [[0.0, 0.0], [0.0, 25.0], [25.0, 25.0]];
-/// ICC, RIE and SSIM that the paper's U-Net reaches with one, two and three touches.
+/// ICC, RIE and SSIM of the paper's U-Net with one, two and three touches.
 const PUBLISHED: [[f64; 3]; 3] = [[0.80, 0.59, 0.92], [0.85, 0.54, 0.86], [0.70, 0.78, 0.70]];
 
-/// What the images of all steps hold, and the truth.
-/// How the panels of a touch come about.
+/// Caption that explains the images of each step and the truth.
 const STEPS: &str = "Truth is what the indenters cover; the first step is the linear image over its own peak; the \
                      U-Net's image is its probability of compressed less that of damaged; fitted discs are the \
                      touches of the live pipeline. Single frames.";
 const COMPRESSED: &str = "compressed (0: not, 1: fully)";
 
-/// Scores of all steps over some cases, with images of each.
+/// Scores of all steps over several cases, with images of each.
 struct Scores {
-    /// By step, by case: ICC, RIE, SSIM.
+    /// ICC, RIE and SSIM for each step and case.
     by_step: [Vec<[f64; 3]>; Step::ALL.len()],
     panels: Vec<ImagePanel>,
 }
@@ -45,7 +44,7 @@ impl Scores {
         show("truth", &truth);
         for ((step, image), scores) in Step::ALL.iter().zip(&seen.images).zip(&mut self.by_step) {
             scores.push(bench.scores(&truth, image)?);
-            // Four panels to a row: classes look like the probabilities with hard rims.
+            // Show four panels per row. The classes look like the probabilities with hard edges, so skip them.
             if *step != Step::Classes {
                 show(step.name(), image);
             }
@@ -108,7 +107,7 @@ fn single() -> Result<Report, Error> {
 pub(super) const POSITIONS: Experiment =
     Experiment { id: "H2", title: "position error at nine places of the first quadrant", run: positions };
 
-/// H2: nine places 12.5 mm apart, 20 mm indenter.
+/// H2: nine places 12.5 mm apart, with the 20 mm indenter.
 fn positions() -> Result<Report, Error> {
     let mut bench = Bench::new()?;
     let grid = *bench.grid();
@@ -159,7 +158,7 @@ fn positions() -> Result<Report, Error> {
 
 pub(super) const SEVERAL: Experiment = Experiment { id: "H3", title: "two and three touches at once", run: several };
 
-/// H3: two and three touches of 20 mm.
+/// H3: two and three 20 mm touches.
 fn several() -> Result<Report, Error> {
     let two: [&[[f64; 2]]; 4] = [
         &[[-25.0, 0.0], [25.0, 0.0]],

@@ -1,4 +1,4 @@
-//! The signal-to-noise ratio at rest, by both readings of the paper's figure.
+//! The signal-to-noise ratio at rest, under both readings of the paper's figure.
 
 use dermis_skin::Skin;
 use dermis_touch::{RunningStats, SnrDefinition, average_snr_db};
@@ -14,15 +14,15 @@ pub(super) const NOISE: Experiment = Experiment { id: "I-SNR", title: "signal-to
 const SNR_DB: f64 = 59.7;
 const SNR_FRAMES: f64 = 100.0;
 
-/// Noise in proportion to each reading at which the paper's formula as printed, `10 log10(mean / deviation)`, gives its
-/// figure: the mean logarithm of a deviation estimated from n + 1 frames is low by `1/(2n) + 1/(6n^2)`.
+/// Relative noise at which the formula as printed in the paper, `10 log10(mean / deviation)`, gives the paper's
+/// figure. The mean logarithm of a deviation estimated from n + 1 frames is low by `1/(2n) + 1/(6n^2)`.
 fn printed_noise() -> f64 {
     let n = SNR_FRAMES - 1.0;
     let logarithm = SNR_DB / 10.0 * std::f64::consts::LN_10 + (-0.5 / n - 1.0 / (6.0 * n * n));
     (-logarithm).exp()
 }
 
-/// The paper's figure under both readings of it: its own formula takes ten times the logarithm of a ratio of
+/// The paper's figure under both readings: its printed formula takes ten times the logarithm of a ratio of
 /// amplitudes.
 fn noise() -> Result<Report, Error> {
     let at_rest = |noise_share, definition| -> Result<f64, Error> {

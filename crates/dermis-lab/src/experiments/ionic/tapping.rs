@@ -89,10 +89,10 @@ fn tapping() -> Result<Report, Error> {
     Ok(Report { id: TAPPING.id, title: TAPPING.title, rows, figures, notes })
 }
 
-/// Frames of a slice through the images over time.
+/// Number of frames in a slice through the images over time.
 const SLICE_FRAMES: usize = 48;
 
-/// Slices of the volume of images over time through the middle row and column; a frame is a row.
+/// Slices through the images over time along the middle row and column; each frame is one row.
 fn through_the_centre(images: &[Vec<f32>], columns: usize) -> Vec<ImagePanel> {
     let panel = |name: &str, pixel: &dyn Fn(usize) -> usize| ImagePanel {
         name: name.into(),

@@ -1,4 +1,4 @@
-//! A convolution with its batch norm (Ioffe & Szegedy, ICML 2015, algorithm 1 and its slopes) and Softsign.
+//! A convolution with batch norm (Ioffe & Szegedy, ICML 2015, algorithm 1 and its gradients) and Softsign.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -11,14 +11,14 @@ use crate::network::NORM_EPSILON;
 use crate::shape::TensorSpec;
 use crate::train::batch::Batch;
 
-/// Share by which a batch moves the running mean and variance; PyTorch's default.
+/// Momentum of the running mean and variance; PyTorch's default.
 const MOMENTUM: f32 = 0.1;
-/// Values of a kernel whose slopes one thread sums.
+/// Number of kernel values whose gradients one thread sums.
 const KERNEL_CHUNK: usize = 2048;
 
 /// One layer.
 pub(super) struct Layer {
-    /// Its place among the layers: that of the raw values in a sample.
+    /// Index among the layers, which is also that of its raw values in a sample.
     number: usize,
     pub(super) level: usize,
     pub(super) outputs: usize,
@@ -30,7 +30,7 @@ pub(super) struct Layer {
     pub(super) mean: Vec<f32>,
     pub(super) variance: Vec<f32>,
     taps: Taps,
-    /// Brings slopes back; the images that come first need none.
+    /// Propagates gradients back; `None` for the layer that reads the input images.
     back: Option<Taps>,
     /// Mean and 1 / standard deviation of each channel over the batch.
     norm: Vec<[f32; 2]>,
@@ -63,7 +63,7 @@ impl Layer {
         })
     }
 
-    /// Takes the kernel as it is now.
+    /// Loads the current kernel.
     pub(super) fn refresh(&mut self) {
         self.taps.set(&self.kernel.value, |_| 1.0);
         if let Some(back) = &mut self.back {
@@ -75,7 +75,7 @@ impl Layer {
         (batch.count * layout.pixels()) as f64
     }
 
-    /// Of all samples; the running mean and variance follow.
+    /// Forward pass over all samples; updates the running mean and variance.
     pub(super) fn forward(&mut self, arch: Arch, batch: &Batch<'_>, samples: &mut [Sample]) {
         let (layout, number) = (layout_of(batch, self.level), self.number);
         let (from, taps) = (self.from, &self.taps);
@@ -114,7 +114,8 @@ impl Layer {
         });
     }
 
-    /// Slopes by the kernel, by gain and offset, and by what went in, from those by what came out, which are lost.
+    /// Backward pass: gradients of the kernel, gain, offset and input from the gradient of the output, which is
+    /// overwritten.
     pub(super) fn backward(&mut self, arch: Arch, batch: &Batch<'_>, samples: &mut [Sample]) {
         let (layout, number) = (layout_of(batch, self.level), self.number);
         let (to, norm) = (self.to, &self.norm);
@@ -132,7 +133,7 @@ impl Layer {
                         *slope *= rest * rest;
                     }
                     let [sum, product] = sums(layout, slope, raw);
-                    // The product with what the norm gives, from that with the raw values.
+                    // Product with the normalised values, derived from the product with the raw values.
                     [sum, f64::from(scale) * (product - f64::from(mean) * sum)]
                 })
             }));
@@ -180,7 +181,7 @@ impl Layer {
     }
 }
 
-/// Sum of a channel, and of its products with another, whose pixels alone count where its border is zero.
+/// Sum of a channel, and of its products with another, over the pixels only.
 #[inline(always)]
 pub(super) fn sums(layout: Layout, channel: &[f32], other: &[f32]) -> [f64; 2] {
     let mut sums = [0.0_f64; 2];
@@ -205,7 +206,7 @@ pub(super) fn sums(layout: Layout, channel: &[f32], other: &[f32]) -> [f64; 2] {
     sums
 }
 
-/// Over the samples, in their order.
+/// Sums over the samples, in their order.
 fn total(samples: &[Sample], channel: usize) -> [f64; 2] {
     samples.iter().fold([0.0; 2], |[a, b], sample| [a + sample.sums[channel][0], b + sample.sums[channel][1]])
 }

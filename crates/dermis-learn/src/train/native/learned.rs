@@ -1,14 +1,14 @@
-//! Tensors that descent moves, and where they are read from.
+//! Tensors learned by gradient descent, and how they are loaded.
 
 use crate::LearnError;
 use crate::shape::TensorSpec;
 use crate::weights::Tensors;
 
-/// Adam's decay rates and the number that keeps its division finite: the paper's.
+/// Adam's decay rates and epsilon, from the paper.
 const DECAY: [f64; 2] = [0.9, 0.999];
 const ADAM_EPSILON: f64 = 1e-8;
 
-/// A tensor that descent moves: slopes of the last batch, and Adam's moments.
+/// A tensor learned by gradient descent, with the gradient of the last batch and Adam's moments.
 pub(super) struct Learned {
     pub(super) value: Vec<f32>,
     pub(super) slope: Vec<f32>,
@@ -30,7 +30,7 @@ impl Learned {
     }
 }
 
-/// From named values to what is learned.
+/// Loads learned tensors from named values.
 pub(super) struct Loader<'a> {
     pub(super) tensors: &'a Tensors,
     pub(super) moments: Option<&'a Tensors>,
@@ -46,7 +46,7 @@ impl Loader<'_> {
         Ok(Learned { value: self.running(spec)?, slope: vec![0.0; spec.len()], first, second })
     }
 
-    /// Values that are not learned by descent.
+    /// Values that are not learned by gradient descent.
     pub(super) fn running(&self, spec: &TensorSpec) -> Result<Vec<f32>, LearnError> {
         Self::values(self.tensors, &spec.name, spec)
     }

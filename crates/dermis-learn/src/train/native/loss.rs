@@ -1,5 +1,5 @@
-//! The 1x1 convolution that gives the logits, softmax and cross-entropy, with their slopes. Classes may weigh unlike
-//! each other: the loss is then the weighted mean, as that of PyTorch's `cross_entropy`.
+//! The 1x1 convolution that gives the logits, softmax and cross-entropy, with their gradients. With class weights,
+//! the loss is the weighted mean, as in PyTorch's `cross_entropy`.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -11,12 +11,12 @@ use crate::kernels::Layout;
 use crate::shape::TensorSpec;
 use crate::train::batch::Batch;
 
-/// From the last image to the loss.
+/// Computes the loss from the last image.
 pub(super) struct Head {
     pub(super) weight: Learned,
     pub(super) bias: Learned,
     classes: usize,
-    /// The image it starts from.
+    /// Index of the input image.
     from: usize,
     class_weights: Vec<f32>,
 }
@@ -37,7 +37,7 @@ impl Head {
         Ok(Self { weight, bias, classes, from, class_weights: class_weights.to_vec() })
     }
 
-    /// The mean loss; leaves slopes by weights, biases and the last image.
+    /// The mean loss; leaves the gradients of the weights, the biases and the last image.
     pub(super) fn run(&mut self, arch: Arch, batch: &Batch<'_>, samples: &mut [Sample]) -> f64 {
         let layout = layout_of(batch, 0);
         let all: f64 = batch.labels.iter().map(|label| f64::from(self.class_weights[usize::from(*label)])).sum();
@@ -70,7 +70,7 @@ impl Head {
         }
     }
 
-    /// The weighted sum of `-ln p`; puts its slopes in place of the logits, each times `share`.
+    /// The weighted sum of `-ln p`; replaces the logits with their gradients, times `share`.
     fn entropy(&self, layout: Layout, share: f32, sample: &mut Sample, labels: &[u8]) -> f64 {
         let (pitch, mut loss) = (layout.pitch(), 0.0);
         let mut shares = [0.0_f32; 64];

@@ -1,6 +1,6 @@
-//! Training on the processor without a framework: forward and backward of exactly this U-Net on the kernels that run it
-//! live, Adam (Kingma & Ba, ICLR 2015, algorithm 1), samples of a batch side by side on all threads. Sums over samples
-//! are taken in their order, so that a training gives the same weights whatever the number of threads.
+//! Training on the CPU without a framework: forward and backward pass of exactly this U-Net on the kernels used live,
+//! and Adam (Kingma & Ba, ICLR 2015, algorithm 1). The samples of a batch run in parallel on all threads. Sums over
+//! samples keep their order, so training gives the same weights for any number of threads.
 
 mod layer;
 mod learned;
@@ -20,29 +20,29 @@ use learned::{Learned, Loader};
 use loss::Head;
 use sample::{Place, Sample, layout_of};
 
-/// A U-Net being trained.
+/// A U-Net in training.
 pub(super) struct NativeUNet {
     shape: UNetShape,
     layers: Vec<Layer>,
     head: Head,
     program: Vec<Step>,
     samples: Vec<Sample>,
-    /// Steps of Adam so far.
+    /// Number of Adam steps made.
     steps: usize,
     arch: Arch,
 }
 
-/// What is done to every sample, one after the other; backward in the opposite order.
+/// An operation on every sample. The backward pass runs them in reverse order.
 #[derive(Clone, Copy, Debug)]
 enum Step {
     Layer(usize),
-    /// To the coarser level that is named.
+    /// Max-pooling into the coarser `level`.
     Pool {
         level: usize,
         from: Place,
         to: usize,
     },
-    /// From the coarser level that is named.
+    /// Upsampling from the coarser `level`.
     Repeat {
         level: usize,
         from: usize,
@@ -51,7 +51,8 @@ enum Step {
 }
 
 impl NativeUNet {
-    /// From weights; `moments`, where given, holds Adam's as written by [`NativeUNet::moments`] after so many steps.
+    /// Builds the network from weights. `moments`, if given, holds Adam's moments as written by
+    /// [`NativeUNet::moments`] and the number of steps made.
     pub(super) fn new(
         shape: UNetShape,
         tensors: &Tensors,
@@ -92,8 +93,7 @@ impl NativeUNet {
         Ok(Self { shape, layers, head, program, samples, steps, arch: Arch::new() })
     }
 
-    /// Loss of a batch; slopes by all that is learned are left beside the values, and the running means and variances
-    /// move.
+    /// Loss of a batch. Leaves the gradients next to the learned values and updates the running means and variances.
     fn slopes(&mut self, batch: &Batch<'_>) -> f64 {
         self.take_in(batch);
         let samples = &mut self.samples[..batch.count];
@@ -139,7 +139,7 @@ impl NativeUNet {
         loss
     }
 
-    /// Lays out the samples, and puts the images in.
+    /// Allocates the samples and copies the images into them.
     fn take_in(&mut self, batch: &Batch<'_>) {
         let fits = self.samples.first().is_none_or(|sample| sample.size == (batch.rows, batch.columns));
         if !fits {
@@ -169,7 +169,7 @@ impl NativeUNet {
 }
 
 impl NativeUNet {
-    /// One step of Adam on a batch; the loss before it.
+    /// One Adam step on a batch; returns the loss before the step.
     pub(super) fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64 {
         let loss = self.slopes(batch);
         self.steps += 1;
@@ -178,7 +178,7 @@ impl NativeUNet {
         loss
     }
 
-    /// The weights as they are now.
+    /// The current weights.
     pub(super) fn tensors(&self) -> Result<Tensors, LearnError> {
         let mut tensors = Tensors::default();
         let specs = self.shape.tensors();

@@ -1,33 +1,33 @@
-//! What is remembered of one sample between forward and backward: every image of the network, and the slopes by it.
+//! State of one sample between forward and backward pass: every image of the network and its gradient.
 
 use crate::kernels::Layout;
 use crate::shape::UNetShape;
 use crate::train::batch::Batch;
 
-/// Images a level.
+/// Images per level.
 const PLANES: usize = 5;
 
-/// What a level starts from on the way down.
+/// Input of a level on the way down.
 pub(super) fn entrance(level: usize) -> usize {
     PLANES * level
 }
 
-/// Between its two layers on the way down.
+/// Between a level's two layers on the way down.
 pub(super) fn middle_down(level: usize) -> usize {
     PLANES * level + 1
 }
 
-/// The coarser image repeated, then the level's own; the own alone on the coarsest level.
+/// The upsampled coarser image followed by the level's own; on the coarsest level, its own alone.
 pub(super) fn joined(level: usize) -> usize {
     PLANES * level + 2
 }
 
-/// Between its two layers on the way up.
+/// Between a level's two layers on the way up.
 pub(super) fn middle_up(level: usize) -> usize {
     PLANES * level + 3
 }
 
-/// What the way up ends in.
+/// Output of a level on the way up.
 pub(super) fn risen(level: usize) -> usize {
     PLANES * level + 4
 }
@@ -37,16 +37,16 @@ pub(super) fn layout_of(batch: &Batch<'_>, level: usize) -> Layout {
     Layout { rows: batch.rows >> level, columns: batch.columns >> level }
 }
 
-/// One sample on its way.
+/// One sample in training.
 pub(super) struct Sample {
     pub(super) size: (usize, usize),
     pub(super) planes: Vec<Vec<f32>>,
     pub(super) slopes: Vec<Vec<f32>>,
-    /// Sums of each layer before its batch norm.
+    /// Convolution output of each layer before its batch norm.
     pub(super) raw: Vec<Vec<f32>>,
-    /// Slopes by the kernel of the layer at work.
+    /// Gradient of the current layer's kernel.
     pub(super) kernel_slope: Vec<f32>,
-    /// Two sums a channel of the layer at work.
+    /// Two sums per channel for the current layer.
     pub(super) sums: Vec<[f64; 2]>,
     /// Classes x layout.
     pub(super) logits: Vec<f32>,
@@ -54,7 +54,7 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    /// `layers` are the channels that each layer gives, and its level.
+    /// Allocates a sample. `layers` gives the output channels and level of each layer.
     pub(super) fn new(shape: &UNetShape, batch: &Batch<'_>, layers: impl Iterator<Item = (usize, usize)>) -> Self {
         let mut planes = Vec::new();
         for level in 0..shape.levels {
@@ -81,7 +81,7 @@ impl Sample {
     }
 }
 
-/// Channels of one image of a sample: which image, and the first channel.
+/// Channels of one image of a sample: the image, and its first channel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub(super) plane: usize,

@@ -1,5 +1,5 @@
-//! Slopes against finite differences of the definition in double precision, and the same weights on any number of
-//! threads.
+//! Compares gradients with finite differences of the definition in double precision, and checks that weights do not
+//! depend on the number of threads.
 
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -12,7 +12,7 @@ const CLASS_WEIGHTS: [f32; 3] = [1.0, 2.0, 0.5];
 /// Channels x rows x columns of every sample.
 type Images = Vec<Vec<Vec<f64>>>;
 
-/// The loss by its definition, written out in double precision; batch norms take their means over all samples.
+/// The loss according to its definition, in double precision; batch norms average over all samples.
 struct Definition<'a> {
     shape: UNetShape,
     rows: usize,
@@ -129,7 +129,7 @@ fn samples(shape: &UNetShape, count: usize, rows: usize, columns: usize) -> (Vec
 
 #[test]
 fn slopes_are_those_of_finite_differences() {
-    // Widths that fill a block of output channels, or not; images that are not square; one level.
+    // Widths that fill a block of output channels and widths that do not; non-square images; one level.
     for (width, levels, rows, columns) in [(3, 3, 8, 12), (5, 2, 6, 4), (2, 1, 5, 7)] {
         let shape = UNetShape { inputs: 2, classes: 3, width, levels };
         let tensors = initial(&shape, &mut StdRng::seed_from_u64(3)).unwrap();
@@ -150,7 +150,7 @@ fn slopes_are_those_of_finite_differences() {
             .collect();
         let expected = definition.loss(&values, &images);
         assert!((loss - expected).abs() < 1e-5 * expected, "{loss} {expected}");
-        // Those that are learned, in the order of `learned`: running means and variances are not.
+        // The learned tensors in the order of `learned`; running means and variances are not learned.
         let learned = (0..specs.len()).filter(|k| !specs[*k].name.contains("running"));
         for (found, tensor) in found.iter().zip(learned) {
             for place in (0..found.len()).step_by(1 + found.len() / 12) {
@@ -161,7 +161,8 @@ fn slopes_are_those_of_finite_differences() {
                 values[tensor][place] = middle - step;
                 let slope = (above - definition.loss(&values, &images)) / (2.0 * step);
                 values[tensor][place] = middle;
-                // Single precision against a slope of some 0.01 to 0.1; a wrong term is of its own size.
+                // Single precision against gradients of about 0.01 to 0.1; a wrong term would be as large as the
+                // gradient.
                 let gap = (f64::from(found[place]) - slope).abs();
                 assert!(gap < 2e-5 + 1e-3 * slope.abs(), "{} {place}: {} {slope}", specs[tensor].name, found[place]);
             }
@@ -190,7 +191,8 @@ fn the_number_of_threads_changes_no_bit() {
 
 #[test]
 fn a_step_of_adam_is_that_of_the_paper() {
-    // Algorithm 1 by hand for slopes 0.5 and then -1: m = 0.05, 0.9 * 0.05 - 0.1; v = 0.00025, 0.999 * 0.00025 + 0.001.
+    // Algorithm 1 by hand for gradients 0.5 and then -1: m = 0.05, 0.9 * 0.05 - 0.1; v = 0.00025, 0.999 * 0.00025 +
+    // 0.001.
     let mut learned = Learned { value: vec![1.0], slope: vec![0.5], first: vec![0.0], second: vec![0.0] };
     learned.step(0.1, 1);
     assert!((learned.value[0] - 0.9).abs() < 1e-6, "the first step is the rate itself: {}", learned.value[0]);

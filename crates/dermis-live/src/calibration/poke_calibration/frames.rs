@@ -1,4 +1,4 @@
-//! What pokes measured: frames and baselines or their differences, and the difference data made of them.
+//! Measurements of pokes, as frames and baselines or as differences, and the difference data computed from them.
 
 use dermis_touch::health::RestScatter;
 
@@ -6,22 +6,22 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{Reference, are_pairs, check_frames};
 
-/// What a skin measured when it was poked, channels in the protocol's order.
+/// Measurements of a skin when it was poked, channels in the protocol's order.
 #[derive(Clone, Copy, Debug)]
 pub enum PokeFrames<'a> {
-    /// Frames of the pressed skin, one a poke, and of the untouched skin: as many, each poke's own, or some for all.
+    /// Frames of the pressed skin, one per poke, and of the untouched skin: one for each poke, or some for all.
     Readings {
-        /// Of the untouched skin.
+        /// Frames of the untouched skin.
         baselines: &'a [Vec<f64>],
-        /// Of the pressed skin.
+        /// Frames of the pressed skin.
         frames: &'a [Vec<f64>],
     },
-    /// Differences of both, one a poke.
+    /// Differences of both, one per poke.
     Differences(&'a [Vec<f64>]),
 }
 
 impl PokeFrames<'_> {
-    /// How the channels rest, where each poke has a baseline of its own and there are enough.
+    /// Scatter of the channels at rest, if each poke has its own baseline and there are enough.
     pub(super) fn rest_scatter(&self) -> Option<RestScatter> {
         match self {
             PokeFrames::Readings { baselines, frames } if baselines.len() == frames.len() => RestScatter::of(baselines),
@@ -29,7 +29,7 @@ impl PokeFrames<'_> {
         }
     }
 
-    /// Whether each poke has a baseline of its own.
+    /// True if each poke has its own baseline.
     pub(super) fn has_pairs(&self) -> bool {
         matches!(self, PokeFrames::Readings { baselines, frames } if are_pairs(baselines, frames))
     }
@@ -57,14 +57,14 @@ pub(crate) fn differences_of(
     }
 }
 
-/// Gives these channels of all frames a value: NaN where they say nothing. The channels exist.
+/// Sets these channels of all frames to a value: NaN to exclude them. The channels must exist.
 pub fn set_channels(frames: &mut [Vec<f64>], channels: &[u32], value: f64) {
     for &channel in channels {
         frames.iter_mut().for_each(|frame| frame[channel as usize] = value);
     }
 }
 
-/// A frame in which channels that read nothing in any poke change by nothing.
+/// A frame in which the change of channels without any reading is set to zero.
 pub(super) fn without_silence(frame: &[f64], dead_channels: &[u32]) -> Vec<f64> {
     let mut frame = frame.to_vec();
     for &channel in dead_channels {

@@ -1,4 +1,4 @@
-//! The calibration file: what is written of a calibration, and how one is read back.
+//! The calibration file: its contents and how it is read back.
 
 use dermis_touch::locator::{FusedLocator, Locator, PlaceCorrection};
 use serde::{Deserialize, Serialize};
@@ -8,13 +8,13 @@ use super::super::pokes::LoadQuantity;
 use super::strength::TouchStrength;
 use super::{Calibration, PokeReview};
 
-/// Versions of the calibration file: with a locator of one expert, of two, and beside it what corrects the model's
-/// places.
+/// Versions of the calibration file: a locator with one expert, with two, and with two plus a correction of the
+/// model's positions.
 const VERSION_SINGLE: u32 = 1;
 const VERSION_FUSED: u32 = 2;
 const VERSION_BY_MODEL: u32 = 3;
 
-/// The stored form of a [`Calibration`]. Exactly one of `locator` (version 1) and `fused` is there, and `by_model` in
+/// The stored form of a [`Calibration`]. It has exactly one of `locator` (version 1) and `fused`, and `by_model` in
 /// version 3.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -111,7 +111,7 @@ impl From<Calibration> for StoredCalibration {
     }
 }
 
-/// Frames as JSON holds them: what is missing is `null`.
+/// Frames as stored in JSON: missing values are `null`.
 fn frames_with_gaps<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<Vec<f64>>, D::Error> {
     let rows = Vec::<Vec<Option<f64>>>::deserialize(from)?;
     Ok(rows.into_iter().map(|row| row.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect()).collect())

@@ -1,51 +1,53 @@
-//! How strong touches are, against frames at rest.
+//! Strength of touches compared with frames at rest.
 
 use serde::{Deserialize, Serialize};
 
-/// The part of the pokes that may be weaker than the weakest touch that counts.
+/// Share of the pokes that may be weaker than the weakest touch that counts.
 const WEAK_SHARE: f64 = 0.02;
-/// The part of the frames at rest that stay below the amplitude of rest, and above its deviation.
+/// Quantile of frames at rest: this share is below the amplitude of rest, and above its standard deviation of
+/// positions.
 const REST_SHARE: f64 = 0.95;
-/// A touch is so many times stronger than what frames at rest seldom reach; and weak pokes are so much stronger than the
-/// weakest touch that counts, whatever rest does.
+/// A touch must exceed the upper bound of rest by the factor `ABOVE_REST`. If its position is precise, `BELOW_WEAK`
+/// times the amplitude of weak pokes is enough.
 const ABOVE_REST: f64 = 1.2;
 const BELOW_WEAK: f64 = 0.7;
-/// A frame no stronger than rest shows a touch where its place is sure: where its standard deviation is below this part
-/// of that of frames at rest, or this many times the usual error of left-out pokes, and below this part of half the
-/// shorter side. Noise, like nothing learnt, may be anywhere; what a gel remembers of the last press may not.
+/// A frame no stronger than rest still shows a touch if its position is precise. Its standard deviation must be below
+/// `BELOW_REST` times that of frames at rest, or `ABOVE_USUAL_ERROR` times the usual error of left-out pokes if that
+/// is larger, and in any case below `BELOW_HALF_WIDTH` times half the shorter side. Noise resembles nothing in the
+/// training data and could be anywhere; what a gel remembers of the last press may have a precise position.
 const BELOW_REST: f64 = 0.5;
 const ABOVE_USUAL_ERROR: f64 = 1.5;
 const BELOW_HALF_WIDTH: f64 = 0.25;
 /// Standard deviations above its mean that white noise stays below in `REST_SHARE` of the frames.
 const SELDOM: f64 = 1.645;
 
-/// What a frame is to the locator.
+/// A frame as seen by the locator.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Weighed {
-    /// Root mean square of the frame, weighted as the locator does.
+    /// RMS of the frame, weighted as in the locator.
     pub amplitude: f64,
-    /// Larger standard deviation of the coordinates of its place, metres.
+    /// Larger standard deviation of the coordinates of its position, metres.
     pub sigma_m: f64,
 }
 
-/// Amplitudes and deviations that tell a touch from rest.
+/// Amplitudes and standard deviations that separate a touch from rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TouchStrength {
-    /// What all but the weakest pokes reach.
+    /// Amplitude reached by all but the weakest pokes.
     pub weak: Option<f64>,
-    /// What frames at rest seldom reach, where there were frames at rest.
+    /// Amplitude that frames at rest seldom reach, if there were frames at rest.
     pub rest: Option<f64>,
-    /// The standard deviation of their places that frames at rest seldom stay below, metres.
+    /// Standard deviation of positions that frames at rest are seldom below, metres.
     #[serde(default)]
     pub rest_sigma_m: Option<f64>,
-    /// Whether amplitudes are in units of the channels' noise.
+    /// True if amplitudes are in units of the channels' noise.
     #[serde(default)]
     pub in_noise: bool,
 }
 
 impl TouchStrength {
-    /// Of the amplitudes of pokes, and of frames at rest.
+    /// Thresholds from the amplitudes of pokes, and from frames at rest.
     pub fn of(pokes: Vec<f64>, resting: &[Weighed], in_noise: bool) -> Self {
         let resting = |value: fn(&Weighed) -> f64| resting.iter().map(value).collect();
         Self {
@@ -56,16 +58,16 @@ impl TouchStrength {
         }
     }
 
-    /// Of the amplitudes of pokes alone; all of them count as touches.
+    /// Thresholds from the amplitudes of pokes alone; all of them count as touches.
     pub fn of_all(pokes: Vec<f64>) -> Self {
         Self { weak: quantile(pokes, 0.0), in_noise: true, ..Self::default() }
     }
 
-    /// The amplitudes below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of
-    /// the noise (`hold_sigma`) are less; but more than rest reaches, in the calibration's own frames and in the session
-    /// at hand (`noise`: the amplitude of its noise over so many channels, where it is known). Where a frame tells its
-    /// place, what weak pokes reach is enough, whatever rest does. `usual_error_m`: that of left-out pokes;
-    /// `half_width_m`: half the shorter side of the skin.
+    /// The amplitudes below which a frame shows no touch. The basis is half the amplitude of weak pokes, or
+    /// `hold_sigma` sigmas of the noise if that is less. It is raised above rest, both in the calibration's own
+    /// frames and in the current session (`noise`: the amplitude of its noise and the number of channels, if known).
+    /// If a frame has a precise position, the amplitude of weak pokes is enough, whatever rest reaches.
+    /// `usual_error_m` is the error of left-out pokes, `half_width_m` half the shorter side of the skin.
     pub fn smallest(
         &self,
         hold_sigma: f64,
@@ -75,10 +77,10 @@ impl TouchStrength {
     ) -> SmallestAmplitude {
         let weak = self.weak.unwrap_or(0.0);
         let usual = if self.in_noise { hold_sigma.min(0.5 * weak) } else { 0.5 * weak };
-        // A root mean square over c channels varies by 1 / sqrt(2 c) of itself.
+        // An RMS over c channels varies by 1 / sqrt(2 c) of itself.
         let seldom = |(noise, channels): (f64, usize)| noise * (1.0 + SELDOM / (2.0 * channels as f64).sqrt());
         let rest = ABOVE_REST * self.rest.unwrap_or(0.0).max(noise.map_or(0.0, seldom));
-        // Without frames at rest nobody knows how sure their places are.
+        // Without frames at rest, the precision of their positions is unknown.
         let placed_sigma_m = self.rest_sigma_m.map_or(f64::INFINITY, |rest_m| {
             (BELOW_REST * rest_m).max(ABOVE_USUAL_ERROR * usual_error_m).min(BELOW_HALF_WIDTH * half_width_m)
         });
@@ -89,22 +91,22 @@ impl TouchStrength {
 /// Amplitudes below which a frame shows no touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::calibration) struct SmallestAmplitude {
-    /// Whatever the frame tells of its place: noise does not reach it.
+    /// Threshold for any position; noise does not reach it.
     pub anywhere: f64,
-    /// Of a frame that tells its place well, which noise does not.
+    /// Threshold for a frame with a precise position, which noise does not have.
     pub placed: f64,
-    /// Larger standard deviation of its coordinates below which a frame does that, metres.
+    /// Larger standard deviation of the coordinates up to which a position is precise, metres.
     pub placed_sigma_m: f64,
 }
 
 impl SmallestAmplitude {
-    /// Does a frame that is to the locator of this amplitude and larger deviation show a touch?
+    /// True if a frame with this amplitude and larger standard deviation shows a touch.
     pub fn is_touch(&self, amplitude: f64, sigma_m: f64) -> bool {
         amplitude >= self.anywhere || (amplitude >= self.placed && sigma_m <= self.placed_sigma_m)
     }
 }
 
-/// The `share` quantile, a value that is there; `None` of nothing.
+/// The `share` quantile, one of the values; `None` for an empty list.
 fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;
@@ -115,7 +117,7 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Frames at rest reach 0.9 to 1.1, and 1.32 stands clear of that; their places are known to within 10 mm.
+    /// Frames at rest reach 0.9 to 1.1, and 1.32 is clearly above; their positions are known to within 10 mm.
     fn resting() -> Vec<Weighed> {
         (0..40_u32).map(|i| Weighed { amplitude: 0.9 + 0.005 * f64::from(i), sigma_m: 0.01 }).collect()
     }
@@ -131,10 +133,11 @@ mod tests {
         assert_eq!(smallest.placed, BELOW_WEAK);
         assert!(smallest.is_touch(1.0, 0.004) && !smallest.is_touch(1.0, 0.006), "{smallest:?}");
         assert!(smallest.is_touch(1.4, 0.1) && !smallest.is_touch(0.6, 0.001), "{smallest:?}");
-        // What is as sure as pokes usually are is a touch, although rest is as sure: that remembers one.
+        // A frame as precise as pokes usually are is a touch, even if frames at rest are as precise: those remember a
+        // touch.
         let remembered = TouchStrength::of(pokes_of(1.0), &resting(), true).smallest(4.0, None, 0.006, 0.1);
         assert!(remembered.is_touch(1.0, 0.008) && !remembered.is_touch(1.0, 0.01), "{remembered:?}");
-        // On a skin of 20 mm a place known to within 4 mm is not known.
+        // On a skin of 20 mm, a position known to within 4 mm is not precise.
         let small = TouchStrength::of(pokes_of(1.0), &resting(), true).smallest(4.0, None, 0.0, 0.01);
         assert!(!small.is_touch(1.0, 0.004), "{small:?}");
         let unknown = TouchStrength { rest_sigma_m: None, ..TouchStrength::of(pokes_of(1.0), &resting(), true) };
@@ -144,7 +147,7 @@ mod tests {
     #[test]
     fn a_noisy_session_asks_for_more_up_to_what_weak_pokes_reach() {
         let strength = TouchStrength::of(vec![10.0; 40], &resting(), true);
-        // Of 200 channels noise seldom reaches 1.08 times its usual amplitude.
+        // Over 200 channels, noise seldom exceeds 1.08 times its usual amplitude.
         let noisy = |noise: f64| ABOVE_REST * noise * (1.0 + SELDOM / 20.0);
         let smallest = |noise: f64| {
             let smallest = strength.smallest(4.0, Some((noise, 200)), 0.0, 0.1);

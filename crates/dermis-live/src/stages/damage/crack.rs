@@ -1,11 +1,13 @@
-//! What a straight cut does to the voltages of a sheet, from the fields of the intact sheet alone. Across a cut of half
-//! length a the potential jumps by `w(x) = sum_k c_k sqrt(1 - x^2) U_k(x)`, `x` in units of a, `U_k` the Chebyshev
-//! polynomials of the second kind, for which the normal field of the jump is `-(k + 1) c_k U_k / 2a` (finite part of
-//! `(1/pi) int sqrt(1-t^2) U_k / (x-t)^2 dt = -(k+1) U_k`; Hills, Kelly, Dai and Korsunsky, *Solution of Crack
-//! Problems*, 1996). The current that crosses it is `s E_n = g w`, with s the sheet's conductance and g that of the
-//! joined faces per length; with `l = s/g` and E the normal field of the intact sheet,
-//! `sum_k ((pi/4a) (l+1) delta_lk + M_lk / l) c_k = (pi/2) e_l`, and by reciprocity a channel changes by
-//! `s int w E' dx`, E' the adjoint field. The rim's answer to the cut is left out: of order (a / distance)^2 / 4.
+//! Effect of a straight cut on the voltages of a sheet, from the fields of the intact sheet alone.
+//!
+//! Across a cut of half length a the potential jumps by `w(x) = sum_k c_k sqrt(1 - x^2) U_k(x)`, `x` in units of a,
+//! `U_k` the Chebyshev polynomials of the second kind, for which the normal field of the jump is
+//! `-(k + 1) c_k U_k / 2a` (finite part of `(1/pi) int sqrt(1-t^2) U_k / (x-t)^2 dt = -(k+1) U_k`; Hills, Kelly, Dai
+//! and Korsunsky, *Solution of Crack Problems*, 1996). The current across it is `s E_n = g w`, with s the conductance
+//! of the sheet and g the conductance of the joined faces per length. With `l = s/g` and E the normal field of the
+//! intact sheet, `sum_k ((pi/4a) (l+1) delta_lk + M_lk / l) c_k = (pi/2) e_l`, and by reciprocity a channel changes
+//! by `s int w E' dx`, E' the adjoint field. The rim's response to the cut is neglected: it is of order (a /
+//! distance)^2 / 4.
 
 use dermis_skin::Modality;
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol};
@@ -14,25 +16,25 @@ use dermis_tomo::mesh::PixelGrid;
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// Chebyshev terms.
+/// Number of Chebyshev terms.
 const TERMS: usize = 5;
-/// Points along a cut.
+/// Number of points along a cut.
 const POINTS: usize = 10;
 
-/// A straight cut as the model has it.
+/// A straight cut in the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crack {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub centre_m: [f64; 2],
-    /// Its length, metres.
+    /// Length, metres.
     pub length_m: f64,
-    /// Its direction from +x counter-clockwise.
+    /// Direction, counter-clockwise from +x.
     pub direction_rad: f64,
-    /// 1/l: conductance of its faces, joined in part, over that of the sheet; 0 when open. 1/m.
+    /// 1/l: conductance of its partly joined faces relative to the sheet's; 0 when open. 1/m.
     pub joined_per_m: f64,
 }
 
-/// Responses to cuts of a prepared sheet.
+/// Computes the response of a prepared sheet to cuts.
 #[derive(Debug)]
 pub struct CrackModel {
     grid: PixelGrid,
@@ -45,18 +47,18 @@ pub struct CrackModel {
     sheet_s: f64,
     /// Points, weights and values of the polynomials at them.
     points: [(f64, f64, [f64; TERMS]); POINTS],
-    /// M: products of the jumps' shapes.
+    /// M: products of the jump shapes.
     overlap: [[f64; TERMS]; TERMS],
 }
 
 impl CrackModel {
-    /// Whether cuts can be fitted: on flat sheets that electrodes read as they are.
+    /// True if cuts can be fitted: on flat sheets that are read by electrodes without a readout circuit.
     pub fn applies_to(prepared: &Prepared) -> bool {
         let skin = &prepared.skin;
         skin.modality == Modality::Eit && skin.backend.circuit.is_none() && skin.frontend.bend.is_none()
     }
 
-    /// From the fields of the resting sheet.
+    /// A model from the fields of the resting sheet.
     ///
     /// # Errors
     /// A forward problem that cannot be solved.
@@ -65,7 +67,7 @@ impl CrackModel {
         let electrodes = protocol.electrode_count();
         let mut all = protocol.stimulations().to_vec();
         all.extend(protocol.patterns().iter().map(|pattern| balanced(pattern, electrodes)));
-        // A protocol wants something to be read; only its drives are of use here.
+        // A protocol must measure something; only its drives are needed here.
         let read = vec![(protocol.pattern_of(0).clone(), 0)];
         let fields_of = Protocol::from_patterns(electrodes, all, read)
             .map_err(|source| Error::Protocol { skin: prepared.skin.name.clone(), source })?;
@@ -94,12 +96,12 @@ impl CrackModel {
         Ok(Self { grid, fields, drives, patterns: count - drives, channels, sheet_s, points, overlap })
     }
 
-    /// Channels of a response.
+    /// Number of channels in a response.
     pub fn channel_count(&self) -> usize {
         self.channels.len()
     }
 
-    /// Change of every channel by a cut, model volts, into `response`; false where the cut leaves the skin.
+    /// Change of every channel due to a cut, model volts, into `response`. False if the cut leaves the skin.
     pub fn respond(&self, crack: &Crack, scratch: &mut CrackScratch, response: &mut [f64]) -> bool {
         let half_m = 0.5 * crack.length_m;
         let (sin, cos) = crack.direction_rad.sin_cos();
@@ -136,7 +138,7 @@ impl CrackModel {
         true
     }
 
-    /// The pixels about a point with their shares of a bilinear interpolation, those outside the skin left out.
+    /// The pixels around a point with their weights in bilinear interpolation, without those outside the skin.
     fn corners(&self, [x, y]: [f64; 2]) -> Option<[(usize, f64); 4]> {
         let count = self.drives + self.patterns;
         let column = (x - self.grid.left_m) / self.grid.pixel_m - 0.5;
@@ -166,14 +168,14 @@ impl CrackModel {
     }
 }
 
-/// A pattern as currents that return evenly through all electrodes where they do not add to zero.
+/// A pattern as currents; if they do not sum to zero, the rest returns evenly through all electrodes.
 fn balanced(pattern: &Pattern, electrodes: usize) -> Pattern {
     let mean = pattern.sum() / electrodes as f64;
     let returned = (0..electrodes as u32).map(|electrode| (electrode, -mean));
     Pattern::new(pattern.entries().iter().copied().chain(returned).collect())
 }
 
-/// Memory for responses.
+/// Working memory for responses.
 #[derive(Debug, Default)]
 pub struct CrackScratch {
     modes: Vec<[f64; TERMS]>,

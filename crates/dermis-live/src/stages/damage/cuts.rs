@@ -1,5 +1,5 @@
-//! The cuts that are known by their fit: what they make of the channels and of the image, how far they have healed, and
-//! the scars that they leave.
+//! Cuts known from a fit: their effect on the channels and the image, how far they have healed, and the scars they
+//! leave.
 
 use dermis_touch::damage::{Damage, DamageShape, DamageState};
 
@@ -10,23 +10,23 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::stages::sandwich_contacts::SheetCut;
 
-/// A fit that explains less of the data's energy is not believed: what is damaged is no cut.
+/// Minimum share of the data's energy that a fit must explain. Otherwise the damage is not a cut.
 const LEAST_EXPLAINED: f64 = 0.7;
 
 /// Fitted cuts, and scars.
 #[derive(Debug)]
 pub(super) struct KnownCuts {
-    /// What cuts do, where the skin is a sheet that is read by electrodes.
+    /// Effect of cuts, if the skin is a sheet read by electrodes.
     model: Option<CrackModel>,
     scratch: CrackScratch,
-    /// Fitted cuts by the damage's identity.
+    /// Fitted cuts by the identity of their damage.
     fitted: Vec<(u64, Crack)>,
-    /// What healed cuts have left in the sheet, as joined as they were when they became part of the intact reference.
+    /// Scars of healed cuts in the sheet, joined as they were when they became part of the intact reference.
     scars: Vec<SheetCut>,
     healing: HealingMonitor,
     /// Joining of a healed scar, 1/m.
     healed_per_m: f64,
-    /// What the fitted cuts make of the channels and of the image, as far as they are open; stale after any has
+    /// Effect of the fitted cuts on the channels and on the image, as far as they are open; stale after any has
     /// changed.
     response: Vec<f64>,
     present: Vec<f64>,
@@ -51,7 +51,7 @@ impl KnownCuts {
         })
     }
 
-    /// What cuts do to this skin, if that is known.
+    /// Effect of cuts on this skin, if known.
     pub fn model(&self) -> Option<&CrackModel> {
         self.model.as_ref()
     }
@@ -61,28 +61,28 @@ impl KnownCuts {
         &self.response
     }
 
-    /// Its image, where there is any cut.
+    /// Image of the response, if there is any cut.
     pub fn image(&self) -> Option<&[f32]> {
         (!self.fitted.is_empty()).then_some(&self.image)
     }
 
-    /// How far the fitted cuts have healed.
+    /// Healing of the fitted cuts.
     pub fn healing(&self) -> &[Healing] {
         self.healing.states()
     }
 
-    /// The largest sum of squares of an open cut's response; `None` where no healing is followed.
+    /// The largest sum of squares of an open cut's response; `None` if no healing is followed.
     pub fn open_square(&self) -> Option<f64> {
         (!self.healing.states().is_empty()).then(|| self.healing.open_square())
     }
 
-    /// Another operator makes images from now on.
+    /// Call this when another operator makes the images.
     pub fn invalidate_image(&mut self) {
         self.is_stale = true;
     }
 
-    /// Brings the response up to date: what is to be imaged, without the channels that `difference` lacks, and where
-    /// to. `None` where the image is still that of the response.
+    /// Updates the response. Returns the data to image, without the channels missing in `difference`, and the image
+    /// to write. `None` if the image is still up to date.
     pub fn update_response(&mut self, difference: &[f64]) -> Option<(&[f64], &mut [f32])> {
         if !std::mem::take(&mut self.is_stale) {
             return None;
@@ -95,13 +95,13 @@ impl KnownCuts {
         Some((&self.present, &mut self.image))
     }
 
-    /// Whether another cut than that of a damage is known.
+    /// True if the cut of another damage site is known.
     pub fn knows_others(&self, damage: u64) -> bool {
         self.fitted.iter().any(|(id, _)| *id != damage)
     }
 
-    /// Fits a cut to a new damage. `change` (model volts) holds what all other cuts make of the channels, as modelled,
-    /// where `with_others`. The shape found.
+    /// Fits a cut to new damage. If `with_others`, `change` (model volts) includes the modelled effect of all other
+    /// cuts. Returns the shape found.
     pub fn fit(
         &mut self,
         damage: &Damage,
@@ -132,7 +132,7 @@ impl KnownCuts {
         self.is_stale = true;
     }
 
-    /// What is healed leaves the record with a new intact reference, and stays in the sheet as a scar.
+    /// With a new intact reference, healed cuts leave the record and stay in the sheet as scars.
     pub fn keep_scars(&mut self, damages: &[Damage]) {
         for damage in damages.iter().filter(|damage| damage.state == DamageState::Healed) {
             let is_fitted = self.fitted.iter().any(|(id, _)| *id == damage.id);
@@ -144,7 +144,7 @@ impl KnownCuts {
         }
     }
 
-    /// Forgets the cuts of all other damages.
+    /// Forgets the cuts of all other damage sites.
     pub fn retain(&mut self, damages: &[Damage]) {
         let stands = |id: u64| damages.iter().any(|damage| damage.id == id);
         self.fitted.retain(|(id, _)| stands(*id));

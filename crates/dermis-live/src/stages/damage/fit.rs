@@ -1,5 +1,6 @@
-//! A cut's place, direction and length from difference data: the response of [`CrackModel`] fitted by damped least
-//! squares ([`dermis_tomo::least_squares`]), from several starts, with a change of the whole sheet beside it.
+//! A cut's position, direction and length from difference data. The response of [`CrackModel`] is fitted by damped
+//! least squares ([`dermis_tomo::least_squares`]), from several starting points, together with a change of the whole
+//! sheet.
 
 use dermis_tomo::least_squares::{
     Acceptance, Control, Damping, Error as StepError, NormalEquations, Params, Problem, Scratch, Tolerances, Trial,
@@ -12,11 +13,11 @@ use super::crack::{Crack, CrackModel, CrackScratch};
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// Middle x, middle y, direction, logarithm of the length.
+/// Centre x, centre y, direction, logarithm of the length.
 const UNKNOWNS: usize = 4;
-/// Error of the model beside the noise, as a share of the data's root mean square: meshes, contact, the rim's answer.
+/// Model error in addition to the noise, as a share of the data's RMS: meshes, contact, the rim's response.
 const MODEL_ERROR: f64 = 0.03;
-/// Rules of the fit.
+/// Parameters of the fit.
 const PARAMS: Params = Params {
     control: Control::Damping(Damping {
         start: 1e-2,
@@ -33,9 +34,9 @@ const PARAMS: Params = Params {
     most_linearisations: 25,
     most_rejections: 6,
 };
-/// Starts that are followed to the end.
+/// Number of starting points that are followed to the end.
 const BEST: usize = 4;
-/// Lengths that a fit may reach, metres.
+/// Range of lengths in a fit, metres.
 const LENGTHS_M: [f64; 2] = [1e-3, 0.12];
 
 /// A fitted cut.
@@ -43,34 +44,34 @@ const LENGTHS_M: [f64; 2] = [1e-3, 0.12];
 pub struct CutEstimate {
     /// The cut.
     pub crack: Crack,
-    /// Covariance of middle x and y (m), direction (rad) and length (m).
+    /// Covariance of centre x and y (m), direction (rad) and length (m).
     pub covariance: [[f64; UNKNOWNS]; UNKNOWNS],
-    /// Share of the data's energy that it explains, together with the change of the whole sheet: 1 is all.
+    /// Share of the data's energy explained together with the change of the whole sheet; 1 is all.
     pub explained: f64,
-    /// Change of all voltages beside it, a share of the resting ones.
+    /// Additional change of all voltages, as a share of the resting ones.
     pub uniform: f64,
 }
 
 impl CutEstimate {
-    /// Standard deviations of middle x and y, length (m) and direction (rad).
+    /// Standard deviations of centre x and y, length (m) and direction (rad).
     pub fn deviations(&self) -> [f64; 4] {
         let deviation = |k: usize| self.covariance[k][k].max(0.0).sqrt();
         [deviation(0), deviation(1), deviation(3), deviation(2)]
     }
 
-    /// Its shape.
+    /// Shape of the cut.
     pub fn shape(&self) -> DamageShape {
         let Crack { centre_m, length_m, direction_rad, .. } = self.crack;
         DamageShape { centre_m, length_m, width_m: 0.0, direction_rad, deviations: Some(self.deviations()) }
     }
 }
 
-/// Fits a cut to difference data against the intact skin (model volts, NaN where missing, of standard deviations
-/// `noise`): its middle, direction and length with their covariance. `start` is where the image has it. None where none
-/// fits.
+/// Fits a cut to difference data against the intact skin (model volts, NaN where missing, with standard deviations
+/// `noise`): its centre, direction and length with their covariance. `start` is its shape in the image. `None` if no
+/// cut fits.
 ///
 /// # Errors
-/// Data or noise of another length than the skin's channels.
+/// Data or noise whose length is not the skin's number of channels.
 pub fn estimate_cut(
     prepared: &Prepared,
     model: &CrackModel,
@@ -86,11 +87,11 @@ pub fn estimate_cut(
         }
     }
     let data = CutData { model, difference, noise, rest: &prepared.voltages };
-    // The image's middle is off by up to half a cut's length and some.
+    // The centre in the image is off by up to half a cut's length, and some margin.
     Ok(fit(&data, start.centre_m, 0.4 * prepared.half_width_m(), 0.0))
 }
 
-/// Difference data with what is needed to judge a fit.
+/// Difference data with everything needed to judge a fit.
 struct CutData<'a> {
     pub model: &'a CrackModel,
     /// Model volts; NaN where missing.
@@ -116,7 +117,7 @@ struct Fitter<'a> {
 }
 
 impl Fitter<'_> {
-    /// Whitened residual of a cut with the best uniform change taken out, into `residual`.
+    /// Whitened residual of a cut after removing the best uniform change, into `residual`.
     fn residual(&mut self, crack: &Crack, residual: &mut Vec<f64>) -> Option<Misfit> {
         residual.resize(self.data.difference.len(), 0.0);
         if !self.data.model.respond(crack, &mut self.scratch, residual) {
@@ -172,7 +173,7 @@ impl Fitter<'_> {
         let scale = (misfit.cost / freedom).max(1.0);
         let mut covariance = inverse(normal)?;
         covariance.iter_mut().flatten().for_each(|value| *value *= scale);
-        // From the logarithm of the length to the length.
+        // Convert from the logarithm of the length to the length.
         for k in 0..UNKNOWNS {
             covariance[k][3] *= crack.length_m;
             covariance[3][k] *= crack.length_m;
@@ -182,7 +183,7 @@ impl Fitter<'_> {
     }
 }
 
-/// A fit while it goes on.
+/// A fit in progress.
 struct FitUnderWay<'a, 'b> {
     fitter: &'a mut Fitter<'b>,
     at: (Crack, Misfit),
@@ -234,8 +235,8 @@ impl Problem for FitUnderWay<'_, '_> {
     }
 }
 
-/// Fits a cut of the given joining (0: open) to the data, near a place that the image gives, metres, and within
-/// `reach_m` of it at the start. None where no cut fits at all.
+/// Fits a cut with the given joining (0: open) to the data, near a position given by the image, metres, and initially
+/// within `reach_m` of it. `None` if no cut fits at all.
 fn fit(data: &CutData<'_>, near_m: [f64; 2], reach_m: f64, joined_per_m: f64) -> Option<CutEstimate> {
     let present = |v: &&f64| v.is_finite();
     let energy: f64 = data.difference.iter().filter(present).map(|v| v * v).sum();
@@ -271,7 +272,7 @@ fn fit(data: &CutData<'_>, near_m: [f64; 2], reach_m: f64, joined_per_m: f64) ->
 
 fn moved(crack: &Crack, [x, y, turn, longer]: [f64; UNKNOWNS]) -> Crack {
     let turned = crack.direction_rad + turn;
-    // Within a half turn, above -pi/2.
+    // Within half a turn, above -pi/2.
     let direction_rad = turned - std::f64::consts::PI * ((turned / std::f64::consts::PI) - 0.5).ceil();
     Crack {
         centre_m: [crack.centre_m[0] + x, crack.centre_m[1] + y],
@@ -281,7 +282,7 @@ fn moved(crack: &Crack, [x, y, turn, longer]: [f64; UNKNOWNS]) -> Crack {
     }
 }
 
-/// No farther than 10 mm, half a radian and a factor of 1.6 at once.
+/// Limits a step to 10 mm, half a radian and a factor of 1.6.
 fn limited(step: [f64; UNKNOWNS]) -> [f64; UNKNOWNS] {
     let most = [10e-3, 10e-3, 0.5, 0.5];
     let excess = step.iter().zip(most).map(|(step, most)| step.abs() / most).fold(1.0, f64::max);
@@ -300,7 +301,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The inverse of a small positive matrix, by Gauss and Jordan; none where it is singular.
+/// The inverse of a small positive matrix, by Gauss-Jordan elimination; `None` if it is singular.
 fn inverse(mut matrix: [[f64; UNKNOWNS]; UNKNOWNS]) -> Option<[[f64; UNKNOWNS]; UNKNOWNS]> {
     let mut inverse = [[0.0; UNKNOWNS]; UNKNOWNS];
     (0..UNKNOWNS).for_each(|k| inverse[k][k] = 1.0);

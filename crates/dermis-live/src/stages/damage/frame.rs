@@ -1,17 +1,17 @@
-//! A frame as damage is looked for in it, and what follows from it.
+//! A frame as input for damage detection, and the resulting decisions.
 
 use dermis_touch::{Baseline, Contact, Touch};
 
 use crate::stages::sandwich_contacts::PatchStage;
 
-/// One frame with what touches are made of it.
+/// One frame with its touches.
 #[derive(Clone, Copy)]
 pub(crate) struct DamageFrame<'a> {
-    /// Its time on the frames' axis, nanoseconds.
+    /// Time of the frame, nanoseconds on the frames' axis.
     pub time_ns: u64,
-    /// The baseline of touches, with the readings of the frame.
+    /// The baseline of touches, with the frame's readings.
     pub baseline: &'a Baseline,
-    /// Difference data against that baseline, model volts, NaN where channels are left out.
+    /// Difference data against that baseline, model volts, NaN in excluded channels.
     pub difference: &'a [f64],
     /// Factors from readings to model volts.
     pub scale: &'a [f64],
@@ -19,34 +19,34 @@ pub(crate) struct DamageFrame<'a> {
     pub noise: &'a [f64],
     /// Touches on the skin.
     pub touches: &'a [Touch],
-    /// What touches are made of, and what is not enough to begin one.
+    /// Contacts, both those of touches and those too weak to begin one.
     pub contacts: &'a [Contact],
-    /// What touches are fitted by, where they are.
+    /// The stage that fits touches, if used.
     pub patches: Option<&'a PatchStage>,
-    /// Anything lies on the skin.
+    /// True if anything lies on the skin.
     pub loaded: bool,
 }
 
-/// What follows from one frame for the baseline of touches.
+/// Decisions from one frame for the baseline of touches.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct DamageDecision {
-    /// A baseline to adopt in place of the one in use.
+    /// A baseline to adopt in place of the current one.
     pub adopt: Option<Adoption>,
-    /// Something is suspected: the baseline must not follow it as drift.
+    /// Something is suspected, so the baseline must not follow it as drift.
     pub hold_drift: bool,
-    /// Damage is in the baseline, which has to follow the resting skin as it heals.
+    /// The baseline includes damage, and must follow the resting skin as it heals.
     pub follow_rest: bool,
-    /// Nothing lies on the skin: what begins no touch is in the baseline alone.
+    /// Nothing lies on the skin; contacts that begin no touch come from the baseline alone.
     pub is_free: bool,
 }
 
 /// Readings to adopt as a baseline.
 #[derive(Clone, Debug)]
 pub(crate) struct Adoption {
-    /// Mean readings, one a channel.
+    /// Mean readings, one per channel.
     pub readings: Vec<f64>,
-    /// Frames that they are the mean of.
+    /// Number of frames averaged.
     pub frames: usize,
-    /// Why, for the baseline's record.
+    /// Reason, for the baseline's record.
     pub reason: String,
 }

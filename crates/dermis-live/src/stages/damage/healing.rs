@@ -1,38 +1,39 @@
-//! How far a fitted cut has healed, from difference data against the intact skin: what is left of the open cut's
-//! response, beside a rise of conductivity about it (heat heals, and leaves the sheet more conductive) and a change of
-//! the whole sheet. What is left says how well the faces are joined; a healed scar is not the intact sheet, so the
-//! length of sheet that it is worth sets the scale. Once the rise has come to rest, a new baseline is due.
+//! Healing of a fitted cut, from difference data against the intact skin. Three components are fitted: the remaining
+//! share of the open cut's response, a rise of conductivity around it (heat heals, and leaves the sheet more
+//! conductive) and a change of the whole sheet. The remaining share gives the joining of the faces. A healed scar is
+//! not an intact sheet, so the length of sheet that it is equivalent to sets the scale. Once the rise has settled, a
+//! new baseline is due.
 
 use super::crack::{Crack, CrackModel, CrackScratch};
 use crate::prepare::Prepared;
 
-/// Radii within which the sheet is tried to have risen, metres: from the cut outwards, and of a round pad on its
-/// middle.
+/// Radii tried for the region of raised conductivity, metres: distances from the cut, and radii of a round pad on its
+/// centre.
 const ABOUT_M: [f64; 5] = [6e-3, 10e-3, 14e-3, 18e-3, 25e-3];
 const ROUND_M: [f64; 7] = [10e-3, 13e-3, 16e-3, 20e-3, 25e-3, 30e-3, 40e-3];
-/// Joining at which responses are tabulated: from the first to the last by this factor, 1/m.
+/// Joinings at which responses are tabulated, 1/m: number, first value, and factor between neighbours.
 const JOININGS: usize = 48;
 const LEAST_JOINED_PER_M: f64 = 1.0;
 const STEP: f64 = 1.2;
-/// Error of the model beside the noise, as a share of the data's root mean square.
+/// Model error in addition to the noise, as a share of the data's RMS.
 const MODEL_ERROR: f64 = 0.03;
-/// Entries of the history before every second one is dropped.
+/// Number of entries in the history at which every second one is dropped.
 const MOST_HISTORY: usize = 512;
-/// The rise has come to rest when it changes by less than this in half of the time since it was at its highest.
+/// The rise has settled if it changes by less than this in half of the time since its maximum.
 const SETTLED: f64 = 0.02;
 
-/// How far a damage has healed.
+/// Healing of a damage site.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Healing {
     /// The damage.
     pub id: u64,
-    /// Share of the open cut's response that is left. A healed scar keeps some of it.
+    /// Remaining share of the open cut's response. A healed scar keeps some of it.
     pub left: f64,
-    /// Share of the faces that is joined: conductance across them over that of a healed scar, 0 to about 1.
+    /// Joined share of the faces: conductance across them relative to a healed scar's, 0 to about 1.
     pub joined: f64,
-    /// Relative rise of the conductivity about it.
+    /// Relative rise of the conductivity around it.
     pub rise: f64,
-    /// The rise has come to rest: a baseline taken now stays good.
+    /// The rise has settled, so a baseline taken now remains valid.
     pub settled: bool,
 }
 
@@ -44,10 +45,10 @@ struct Watched {
     open: Vec<f64>,
     /// Responses to a rise within each radius.
     rises: Vec<Vec<f64>>,
-    /// Share of the open response that is left at each joining.
+    /// Remaining share of the open response at each joining.
     left_at: Vec<f64>,
     history: Vec<(u64, f64)>,
-    /// What it makes of the data by the last fit.
+    /// Its contribution to the data in the last fit.
     fitted: Vec<f64>,
 }
 
@@ -61,17 +62,17 @@ pub(super) struct HealingMonitor {
 }
 
 impl HealingMonitor {
-    /// The state of every cut that is followed.
+    /// The state of every cut being followed.
     pub fn states(&self) -> &[Healing] {
         &self.states
     }
 
-    /// The largest sum of squares of an open cut's response, of those that are followed.
+    /// The largest sum of squares of an open cut's response, among those being followed.
     pub fn open_square(&self) -> f64 {
         self.watched.iter().map(|watched| dot(&watched.open, &watched.open)).fold(0.0, f64::max)
     }
 
-    /// Follows a cut from now on, in place of what was followed under its identity.
+    /// Starts following a cut, replacing any with the same identity.
     pub fn follow(&mut self, id: u64, crack: &Crack, model: &CrackModel, prepared: &Prepared) {
         self.forget(id);
         let mut scratch = CrackScratch::default();
@@ -97,20 +98,20 @@ impl HealingMonitor {
         self.publish();
     }
 
-    /// Follows a cut no longer.
+    /// Stops following a cut.
     pub fn forget(&mut self, id: u64) {
         self.watched.retain(|watched| watched.state.id != id);
         self.publish();
     }
 
-    /// Keeps only these.
+    /// Keeps only the cuts accepted by `keep`.
     pub fn retain(&mut self, keep: impl Fn(u64) -> bool) {
         self.watched.retain(|watched| keep(watched.state.id));
         self.publish();
     }
 
-    /// Estimates the healing from difference data (model volts, NaN where missing) of a mean over free frames.
-    /// `healed_per_m`: joining of a healed scar, one over the length of sheet that it is worth.
+    /// Estimates healing from difference data (model volts, NaN where missing) of a mean over free frames.
+    /// `healed_per_m` is the joining of a healed scar: one over the equivalent length of sheet.
     pub fn estimate(&mut self, time_ns: u64, difference: &[f64], noise: &[f64], rest: &[f64], healed_per_m: f64) {
         let energy: f64 = difference.iter().filter(|d| d.is_finite()).map(|d| d * d).sum();
         let floor = MODEL_ERROR * (energy / difference.len().max(1) as f64).sqrt();
@@ -140,7 +141,7 @@ impl HealingMonitor {
 }
 
 impl Watched {
-    /// What is left of the response, the rise and the index of its radius, that fit best; neither is below zero.
+    /// Best-fitting remaining share of the response, rise, and index of its radius; neither value is negative.
     fn fit(&self, data: &[f64], weights: &[f64], rest: &[f64]) -> Option<(f64, f64, usize)> {
         let mut best: Option<(f64, (f64, f64, usize))> = None;
         for (radius, rises) in self.rises.iter().enumerate() {
@@ -176,11 +177,11 @@ impl Watched {
         self.state = Healing { left, joined, rise, settled, ..self.state };
     }
 
-    /// The joining at which so much of the response is left, 1/m, linear between the tabulated ones.
+    /// The joining with this remaining share of the response, 1/m, linear between tabulated values.
     fn joining_for(&self, left: f64) -> f64 {
         let Some(above) = self.left_at.iter().position(|at| *at <= left) else { return joining((JOININGS - 1) as f64) };
         if above == 0 {
-            // Below the least joining the response falls linearly from the open one.
+            // Below the smallest joining the response falls linearly from the open one.
             return LEAST_JOINED_PER_M * ((1.0 - left) / (1.0 - self.left_at[0])).clamp(0.0, 1.0);
         }
         let (before, after) = (self.left_at[above - 1], self.left_at[above]);
@@ -206,7 +207,7 @@ fn rise_response(prepared: &Prepared, crack: &Crack, radius_m: f64) -> Vec<f64> 
     (0..prepared.channels()).map(|c| within.iter().map(|&pixel| prepared.jacobian.row(c)[pixel]).sum()).collect()
 }
 
-/// Weighted least squares in three columns, the second left out where it is not wanted: the factors, and the cost.
+/// Weighted least squares in three columns, the second optional. Returns the factors and the cost.
 fn least_squares(columns: [&[f64]; 3], data: &[f64], weights: &[f64], second: bool) -> Option<([f64; 3], f64)> {
     let mut system = [[0.0; 4]; 3];
     let mut energy = 0.0;

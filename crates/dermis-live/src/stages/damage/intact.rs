@@ -1,23 +1,23 @@
-//! The intact skin, and how far each frame is from it. The reference stays as it is until nothing is damaged any more.
+//! The intact skin, and the difference of each frame from it. The reference stays unchanged until no damage is left.
 
 use dermis_touch::Baseline;
 
 use super::frame::DamageFrame;
 use super::readings::mean_difference;
 
-/// A frame reads as the intact skin does if it is off by no more than this many standard deviations, root mean square
-/// over the channels. Noise alone makes 1.0, within 0.05 for 208 channels; with the noise of a reference of few frames
-/// and with drift it was seen at 1.1 to 1.5.
+/// A frame matches the intact skin if it is off by at most this many standard deviations, RMS over the channels.
+/// Noise alone gives 1.0, to within 0.05 for 208 channels. With the noise of a reference made from few frames, and
+/// with drift, values of 1.1 to 1.5 were observed.
 const AS_INTACT_SIGMA: f64 = 2.0;
 
-/// The reference that damage is judged by, and the frame at hand against it.
+/// The reference for judging damage, and the current frame against it.
 #[derive(Debug)]
 pub(super) struct IntactReference {
-    /// Readings of the intact skin, and the drift that was followed when they were taken.
+    /// Readings of the intact skin, and the drift factor at the time they were taken.
     readings: Vec<f64>,
     drift: f64,
     record: usize,
-    /// Drift since then, up to the frame at hand.
+    /// Drift factor from then to the current frame.
     drift_since: f64,
     difference: Vec<f64>,
     image: Vec<f32>,
@@ -37,12 +37,12 @@ impl IntactReference {
         }
     }
 
-    /// Whether there is a reference yet.
+    /// True once there is a reference.
     pub fn stands(&self) -> bool {
         self.stands
     }
 
-    /// Place of the reference among the baselines that were in use.
+    /// Index of the reference among the baselines used.
     pub fn record(&self) -> Option<usize> {
         self.stands.then_some(self.record)
     }
@@ -52,20 +52,20 @@ impl IntactReference {
         &self.readings
     }
 
-    /// The baseline just taken is one of the intact skin.
+    /// Makes the latest baseline the intact reference.
     pub fn set(&mut self, baseline: &Baseline) {
         self.set_readings(baseline.baseline(), baseline.drift_factor());
         self.record = baseline.records().len().saturating_sub(1);
         self.stands = true;
     }
 
-    /// Takes these readings, followed by drift so far, for those of the intact skin.
+    /// Makes these readings, with the drift factor at that time, the intact reference.
     pub fn set_readings(&mut self, readings: &[f64], drift: f64) {
         self.readings.copy_from_slice(readings);
         self.drift = drift;
     }
 
-    /// Takes the difference of a frame from the intact skin: what is to be imaged, and where to.
+    /// Computes a frame's difference from the intact skin. Returns the data to image, and the image to write.
     pub fn compare(&mut self, baseline: &Baseline, difference: &[f64], scale: &[f64]) -> (&[f64], &mut [f32]) {
         self.drift_since = baseline.drift_factor() / self.drift;
         for (channel, value) in self.difference.iter_mut().enumerate() {
@@ -76,7 +76,7 @@ impl IntactReference {
         (&self.difference, &mut self.image)
     }
 
-    /// Takes the difference of mean readings from the intact skin, without some channels, in place of a frame's.
+    /// As `compare` for mean readings, without some channels.
     pub fn compare_mean(
         &mut self,
         mean: &[f64],
@@ -92,12 +92,12 @@ impl IntactReference {
         (&self.difference, &mut self.image)
     }
 
-    /// Difference of the frame at hand, model volts, NaN where channels are left out.
+    /// Difference of the current frame, model volts, NaN in excluded channels.
     pub fn difference(&self) -> &[f64] {
         &self.difference
     }
 
-    /// Whether the frame at hand reads as the intact skin does, within noise (model volts, one a channel).
+    /// True if the current frame matches the intact skin to within noise (model volts, one value per channel).
     pub fn is_read(&self, noise: &[f64]) -> bool {
         let ratios = self.difference.iter().zip(noise).map(|(difference, sigma)| (difference / sigma).powi(2));
         let (mut sum, mut channels) = (0.0, 0.0_f64);
@@ -108,12 +108,12 @@ impl IntactReference {
         self.stands && channels > 0.0 && sum <= AS_INTACT_SIGMA * AS_INTACT_SIGMA * channels
     }
 
-    /// Its image.
+    /// Image of that difference.
     pub fn image(&self) -> &[f32] {
         &self.image
     }
 
-    /// Difference of mean readings, of the free skin or of a warm one, model volts, NaN where channels are left out.
+    /// Difference of mean readings, of the free or of a warm skin, model volts, NaN in excluded channels.
     pub fn change_of(&self, mean: &[f64], frame: &DamageFrame<'_>) -> Vec<f64> {
         let intact: Vec<f64> = self.readings.iter().map(|value| self.drift_since * value).collect();
         mean_difference(mean, &intact, frame)

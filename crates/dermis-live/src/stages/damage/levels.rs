@@ -1,8 +1,8 @@
-//! Damage of skins on which a cut and a press look alike, because both lower the conductivity: told apart by what
-//! stays. [`LevelWatch`] follows the drift of each channel, which is the baseline of touches, and says when the
-//! readings have come to rest elsewhere. A change that is left when something has been let go is imaged; where that
-//! image is deep enough it is damage, with its place and extent there. What merely lies still is held for a touch, for
-//! ten minutes.
+//! Damage on skins where a cut and a press look alike, because both lower the conductivity. They are distinguished by
+//! their remainder. [`LevelWatch`] follows the drift of each channel, which gives the baseline of touches, and
+//! reports when the readings have come to rest at other values. A change that remains after a load was released is
+//! imaged. If its image is deep enough, it is damage, with position and extent from the image. A change that merely
+//! stays is treated as a touch for ten minutes.
 
 use dermis_skin::Polarity;
 use dermis_touch::damage::{DamageMonitor, LevelChange, LevelParams, LevelWatch};
@@ -14,42 +14,41 @@ use crate::Error;
 use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 
-/// What lies still for so long, seconds, and was never let go, is no touch any more.
+/// A change that stays this long without a release is no longer treated as a touch, seconds.
 const HELD_S: f64 = 600.0;
-/// A change undoes a damage where the two are so much alike, but for the sign (cosine, channels in standard
-/// deviations).
+/// A change undoes damage if their cosine, apart from the sign, is at least this (channels in standard deviations).
 const UNDOES: f64 = 0.7;
 
-/// The watch of a skin with what its images are made into.
+/// The level watch of a skin, and the monitor of the damage it finds.
 #[derive(Debug)]
 pub(crate) struct LevelStage {
     watch: LevelWatch,
     monitor: DamageMonitor,
     /// Image noise of each pixel.
     noise: Vec<f32>,
-    /// The change at hand, if the readings rest away from their levels.
+    /// The current change, if the readings rest away from their levels.
     found: Option<LevelChange>,
-    /// It, model volts, NaN where channels are left out; and the image of it, in which damage is below zero.
+    /// This change, model volts, NaN in excluded channels, and its image, in which damage is below zero.
     change: Vec<f64>,
     fall: Vec<f32>,
-    /// Changes that open damages have made, as measured, by their identities.
+    /// Changes due to open damage sites, as measured, by identity.
     known: Vec<(u64, Vec<f64>)>,
-    /// Difference of the frame at hand from the intact skin, and its image, as the image of touches.
+    /// Difference of the current frame from the intact skin, and its image, in the form of touch images.
     difference: Vec<f64>,
     image: Vec<f32>,
-    /// Place of the intact skin's baseline among those that were in use.
+    /// Index of the intact skin's baseline among those used.
     intact: Option<usize>,
     begin_sigma: f64,
     smallest_depth: f64,
 }
 
 impl LevelStage {
-    /// Whether damage of a skin is told by levels: where an image rises under a touch because the skin conducts less.
+    /// True if damage is detected by levels: on skins where touches raise the image by lowering conductivity.
     pub fn is_wanted(prepared: &Prepared) -> bool {
         prepared.skin.damage.watch && prepared.skin.imaging.polarity == Polarity::LowersConductivity
     }
 
-    /// For a prepared skin.
+    /// A stage for a prepared skin.
     ///
     /// # Errors
     /// Settings out of range.
@@ -78,8 +77,8 @@ impl LevelStage {
         })
     }
 
-    /// Takes in the readings of a frame; channels in `left_out` have no part. The levels that the baseline has to move
-    /// to are those of [`LevelStage::levels`].
+    /// Takes the readings of a frame; ignores channels in `left_out`. Afterwards move the baseline to
+    /// [`LevelStage::levels`].
     ///
     /// # Errors
     /// Times that run backwards.
@@ -90,21 +89,21 @@ impl LevelStage {
         Ok(())
     }
 
-    /// Levels of the undisturbed skin, once a baseline stands.
+    /// Levels of the undisturbed skin, once there is a baseline.
     pub fn levels(&self) -> Option<&[f64]> {
         self.intact.is_some().then(|| self.watch.levels())
     }
 
-    /// Whether the readings have left the levels.
+    /// True if the readings have left the levels.
     pub fn is_disturbed(&self) -> bool {
         self.watch.disturbed_since_ns().is_some()
     }
 
-    /// A new baseline stands. One that this stage has not made is taken for the levels, and for those of the intact
-    /// skin where nothing is damaged.
+    /// Reports a new baseline. Unless this stage made it, it sets the levels, and if nothing is damaged, those of the
+    /// intact skin.
     ///
     /// # Errors
-    /// A baseline of another length.
+    /// A baseline of the wrong length.
     pub fn set_baseline(&mut self, baseline: &Baseline, noise: Vec<f32>) -> Result<(), Error> {
         self.noise = noise;
         if baseline.records().last().is_some_and(|record| record.origin == ReferenceOrigin::Damage) {
@@ -125,18 +124,18 @@ impl LevelStage {
         Ok(())
     }
 
-    /// Another operator or other noise is in use.
+    /// Reports a change of operator or noise.
     pub fn set_noise(&mut self, noise: Vec<f32>) {
         self.noise = noise;
     }
 
-    /// Damages whose changes are known.
+    /// Number of damage sites whose changes are known.
     pub fn known_count(&self) -> usize {
         self.known.len()
     }
 
-    /// What one of these has changed at its worst, model volts, and where its image goes, for
-    /// [`LevelStage::redraw_known`]. `scale` holds the factors from readings to model volts.
+    /// The largest change due to one of these, model volts, and the image to write for [`LevelStage::redraw_known`].
+    /// `scale` holds the factors from readings to model volts.
     pub fn known(&mut self, index: usize, scale: &[f64], left_out: &[u32]) -> (&[f64], &mut [f32]) {
         for ((to, known), scale) in self.change.iter_mut().zip(&self.known[index].1).zip(scale) {
             *to = scale * known;
@@ -145,50 +144,50 @@ impl LevelStage {
         (&self.change, &mut self.fall)
     }
 
-    /// Another model makes the images: a known damage lies where the image just made has it.
+    /// After a change of the model that makes the images, moves a known damage site to its position in the new image.
     ///
     /// # Errors
-    /// An image of another size.
+    /// An image of the wrong size.
     pub fn redraw_known(&mut self, index: usize) -> Result<(), Error> {
-        // In the image of touches damage rises as they do.
+        // In touch images damage rises like touches.
         self.fall.iter_mut().for_each(|value| *value = -*value);
         let noise = PixelNoise::PerPixel(&self.noise);
         Ok(self.monitor.redraw(self.known[index].0, &self.fall, noise, 1.0, true)?)
     }
 
-    /// The change at hand, model volts, and where its image goes; `None` where the readings do not rest elsewhere.
-    /// `scale` holds the factors from readings to model volts.
+    /// The current change, model volts, and the image to write; `None` unless the readings rest away from their
+    /// levels. `scale` holds the factors from readings to model volts.
     pub fn change(&mut self, scale: &[f64]) -> Option<(&[f64], &mut [f32])> {
         self.found?;
         for ((to, change), scale) in self.change.iter_mut().zip(self.watch.change()).zip(scale) {
             *to = scale * change;
         }
-        // An image of nothing cannot be made.
+        // An image needs at least one channel.
         let has_any = self.change.iter().any(|value| value.is_finite());
         has_any.then_some((&*self.change, &mut *self.fall))
     }
 
-    /// Judges the change whose image was made. What stays becomes part of the levels; where it is damage, they are to
-    /// be the baseline of touches from now on.
+    /// Judges the change whose image was made. A permanent change becomes part of the levels. If it is damage, the
+    /// levels must become the baseline of touches.
     ///
     /// # Errors
-    /// An image of another size.
+    /// An image of the wrong size.
     pub fn judge(&mut self, time_ns: u64) -> Result<Option<Adoption>, Error> {
         let Some(found) = self.found.take() else { return Ok(None) };
-        // In the image of touches damage rises as they do.
+        // In touch images damage rises like touches.
         self.fall.iter_mut().for_each(|value| *value = -*value);
         let finite = || self.fall.iter().copied().filter(|value| value.is_finite());
         let depth = -f64::from(finite().fold(0.0, f32::min));
         let rise = f64::from(finite().fold(0.0, f32::max));
         let lasted_s = time_ns.saturating_sub(found.since_ns) as f64 * 1e-9;
-        // What conducts better than before is nothing that touches.
+        // A region that conducts better than before is not a touch.
         let may_be_touch = depth > rise && !found.was_released() && lasted_s < HELD_S;
         if may_be_touch {
             return Ok(None);
         }
         let is_sudden = found.was_released() || !found.has_crept();
         let is_deep = found.significance >= self.begin_sigma && depth >= self.smallest_depth;
-        // A cut makes nothing conduct better; beside one, the image rises by less than it falls.
+        // A cut makes nothing conduct better. Next to it, the image rises by less than it falls.
         let counts = is_sudden && is_deep && depth > rise && !found.is_remainder();
         let noise = PixelNoise::PerPixel(&self.noise);
         let id = if counts { self.monitor.declare(found.since_ns, &self.fall, noise)? } else { None };
@@ -208,7 +207,7 @@ impl LevelStage {
         Ok(Some(Adoption { readings, frames: 3, reason: format!("includes damage {id}") }))
     }
 
-    /// Keeps what a damage has changed, together with what it had before.
+    /// Adds the change due to a damage site to its earlier change.
     fn remember(&mut self, id: u64) {
         let change = || self.watch.change().iter().map(|value| if value.is_finite() { *value } else { 0.0 });
         match self.known.iter_mut().find(|(known, _)| *known == id) {
@@ -217,7 +216,7 @@ impl LevelStage {
         }
     }
 
-    /// A change that undoes what a damage has changed is its healing.
+    /// Treats a change that undoes the effect of a damage site as its healing.
     fn heal(&mut self) {
         let noise = self.watch.noise();
         let weighted = |values: &[f64], channel: usize| values[channel] / noise[channel];
@@ -241,8 +240,8 @@ impl LevelStage {
         self.monitor.set_share(self.known[index].0, left);
     }
 
-    /// Takes the difference of a frame from the intact skin: what is to be imaged, and where to. `difference` (model
-    /// volts) is that from the baseline of touches, and `scale` as in [`LevelStage::change`].
+    /// Computes a frame's difference from the intact skin. Returns the data to image, and the image to write.
+    /// `difference` (model volts) is relative to the baseline of touches, and `scale` as in [`LevelStage::change`].
     pub fn compare(&mut self, difference: &[f64], scale: &[f64]) -> (&[f64], &mut [f32]) {
         self.difference.copy_from_slice(difference);
         for (id, known) in &self.known {
@@ -255,7 +254,7 @@ impl LevelStage {
         (&self.difference, &mut self.image)
     }
 
-    /// What is known now.
+    /// Current view of damage and baselines.
     pub fn view<'a>(&'a self, baseline: &'a Baseline) -> DamageView<'a> {
         DamageView {
             now_ns: 0,

@@ -1,13 +1,13 @@
-//! Mean readings over frames, and their difference from others.
+//! Mean readings over frames, and their difference from other readings.
 
 use super::frame::DamageFrame;
 
 /// Time constant of the mean readings, seconds.
 const MEAN_S: f64 = 0.4;
-/// Its least number of frames, by weight.
+/// Minimum effective number of frames in the mean.
 const FEWEST_IN_MEAN: f64 = 12.0;
 
-/// Mean of the readings over frames that have something in common.
+/// Mean of the readings over related frames.
 #[derive(Debug, Default)]
 pub(super) struct Readings {
     pub mean: Vec<f64>,
@@ -20,7 +20,7 @@ impl Readings {
         Self { mean: Vec::with_capacity(channels), ..Self::default() }
     }
 
-    /// What was before has no part in the mean of what comes.
+    /// Restarts the mean.
     pub fn restart(&mut self) {
         self.frames = 0;
     }
@@ -30,7 +30,7 @@ impl Readings {
         let elapsed_s = time_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
         self.last_ns = time_ns;
         self.frames += 1;
-        // However slow the frames, the mean is one of several.
+        // Even at low frame rates, average several frames.
         let follow = (-(-elapsed_s / MEAN_S).exp_m1()).min(1.0 / FEWEST_IN_MEAN);
         let gain = if self.frames == 1 { 1.0 } else { (1.0 / self.frames as f64).max(follow) };
         if self.frames == 1 {
@@ -43,7 +43,7 @@ impl Readings {
     }
 }
 
-/// Mean readings against others, model volts, NaN where channels are left out.
+/// Difference of mean readings from others, model volts, NaN in excluded channels.
 pub(super) fn mean_difference(mean: &[f64], from: &[f64], frame: &DamageFrame<'_>) -> Vec<f64> {
     let change = |(channel, scale): (usize, &f64)| {
         let left_out = frame.difference[channel].is_nan();

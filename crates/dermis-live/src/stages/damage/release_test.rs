@@ -1,6 +1,6 @@
-//! A fall that is no damage: the reference was taken while something touched the skin, and now that has gone. The skin
-//! then comes nearer to what the model has for an intact sheet, by as much as it changes; damage takes it away from
-//! there. And what has changed is what touches do, with the opposite sign, which a cut is not.
+//! Detects a fall in the image that is not damage: the reference was taken while something touched the skin, and that
+//! is now gone. The skin then moves towards the model of an intact sheet by the full size of the change; damage moves
+//! it away. And the change is that of touches with the opposite sign, unlike a cut.
 
 use dermis_skin::GainMatch;
 
@@ -8,13 +8,13 @@ use super::frame::DamageFrame;
 use crate::prepare::Prepared;
 use crate::stages::sandwich_contacts::{ReleaseLook, Released};
 
-/// A change that is a touch's has at least so much of its weighted energy explained by touches.
+/// Minimum share of a change's weighted energy that touches must explain.
 const LEAST_EXPLAINED: f64 = 0.9;
-/// Of the way to the intact sheet's model, on a scale on which damage is 0 and a release 1.
+/// Minimum progress towards the model of an intact sheet, on a scale where damage is 0 and a release is 1.
 const LEAST_NEARER: f64 = 0.5;
 
-/// Begins to look whether `change` (model volts, of the free skin against the reference, NaN where missing) is the
-/// release of something that touched the skin when `reference` (as measured) was taken; `None` where it is not.
+/// Starts to test whether `change` (model volts, free skin minus reference, NaN where missing) is the release of a
+/// touch that was present when `reference` (as measured) was taken. `None` if it is not.
 pub(super) fn begin_look(
     change: &[f64],
     reference: &[f64],
@@ -23,7 +23,7 @@ pub(super) fn begin_look(
 ) -> Option<ReleaseLook> {
     let offset: Vec<f64> =
         reference.iter().zip(frame.scale).zip(&prepared.voltages).map(|((r, scale), v)| scale * r - v).collect();
-    // Where every channel is scaled to the model by itself, the reference cannot be off it.
+    // If every channel is scaled to the model individually, the reference cannot deviate from it.
     let knows = prepared.skin.imaging.gain != GainMatch::Channel;
     let nearer = nearer(change, &offset, &prepared.voltages).filter(|_| knows);
     let may_be = nearer.is_none_or(|share| share >= LEAST_NEARER);
@@ -31,7 +31,7 @@ pub(super) fn begin_look(
     frame.patches.filter(|_| may_be).and_then(|patches| patches.look_for_release(change))
 }
 
-/// Goes on with a look, which a frame does for a bounded time only; `None` where it has to go on in the next one.
+/// Continues a test, for a limited time per frame. `None` if it must continue in the next one.
 pub(super) fn is_release(look: &mut ReleaseLook, frame: &DamageFrame<'_>) -> Option<bool> {
     let found = frame.patches.map_or(Released::Unknown, |patches| patches.go_on_looking(look));
     tracing::debug!(?found, "is this fall a touch that has gone?");
@@ -42,10 +42,9 @@ pub(super) fn is_release(look: &mut ReleaseLook, frame: &DamageFrame<'_>) -> Opt
     }
 }
 
-/// By how much of itself a change leads from the reference's offset towards no offset at all, the common gain left
-/// aside: `-<offset, change> / <change, change>`. Model errors do not look like the change, so that it is about 1 where
-/// the change undoes what the reference had too much, and about 0 where it has nothing to do with it. None without a
-/// change.
+/// Share of a change that leads from the reference's offset towards zero offset, ignoring the common gain:
+/// `-<offset, change> / <change, change>`. Model errors do not resemble the change, so the value is about 1 if the
+/// change removes an excess in the reference, and about 0 if it is unrelated. `None` without a change.
 fn nearer(change: &[f64], offset: &[f64], model: &[f64]) -> Option<f64> {
     let present = |values: &[f64]| -> Vec<f64> {
         let both = values.iter().zip(change).zip(offset);
@@ -76,7 +75,7 @@ mod tests {
             (0..40).map(|k| 0.03 * model[k] + error(k) - of_change * change[k]).collect()
         };
         let [released, cut] = [1.0, 0.0].map(|share| nearer(&change, &offset(share), &model).unwrap());
-        // Over 40 channels two patterns that have nothing in common have a sixth of their length in common by chance.
+        // Over 40 channels, two unrelated patterns have a cosine of about a sixth by chance.
         assert!((released - 1.0).abs() < 0.3 && cut.abs() < 0.3, "{released}, {cut}");
         let mut missing = change.clone();
         missing[3] = f64::NAN;

@@ -1,5 +1,5 @@
-//! The skin at rest: a suspicion may be a touch that was in the reference and has gone, and a skin that has rested for
-//! long enough at other values than its baseline's does well to have a new one, which is proposed and never taken.
+//! The skin at rest. A suspicion may be a touch that was in the reference and is now gone. And if the skin has rested
+//! for long enough at values other than its baseline's, a new baseline is proposed, but never adopted automatically.
 
 use dermis_touch::Baseline;
 use dermis_touch::damage::{Damage, DamageMonitor, DamageState};
@@ -9,26 +9,26 @@ use super::healing::Healing;
 use super::readings::Readings;
 use super::view::{Proposal, ProposalReason};
 
-/// Rest that a proposal wants, seconds.
+/// Rest needed before a proposal, seconds.
 const REST_S: f64 = 30.0;
-/// Readings that moved by less than this many standard deviations (root mean square over the channels, of means) rest.
+/// Readings are at rest if their means move by less than this many standard deviations (RMS over the channels).
 const RESTING: f64 = 0.5;
-/// A baseline that is off by less than this is good enough, in the same terms.
+/// A baseline is good enough if it is off by less than this, in the same units.
 const OFF: f64 = 1.0;
-/// A suspicion is looked at so often, seconds, in the mean of at least so many frames: is it a touch that has gone?
+/// Interval between tests whether a suspicion is a released touch, seconds, and minimum number of frames in the mean.
 const RELEASE_S: f64 = 0.6;
 const FEWEST_FOR_RELEASE: usize = 3;
 
-/// The rest that proposals wait for.
+/// State of the rest that proposals wait for.
 #[derive(Debug)]
 pub(super) struct Rest {
-    /// Readings where the rest began.
+    /// Readings at the start of the rest.
     readings: Vec<f64>,
     since_ns: Option<u64>,
-    /// When a suspicion began, or was last looked at.
+    /// Time when a suspicion began, or was last tested.
     looked_ns: u64,
-    /// Since when it is known that the baseline was taken under a touch; the intact reference is then what was read
-    /// after it.
+    /// Since when the baseline is known to have been taken under a touch. The intact reference is then what was read
+    /// after the release.
     released_ns: Option<u64>,
     proposal: Option<Proposal>,
 }
@@ -39,27 +39,27 @@ impl Rest {
         Self { readings, since_ns: None, looked_ns: 0, released_ns: None, proposal: None }
     }
 
-    /// The baseline that is proposed.
+    /// The proposed baseline.
     pub fn proposal(&self) -> Option<Proposal> {
         self.proposal
     }
 
-    /// A new baseline stands: nothing is known against it.
+    /// Reports a new baseline, against which nothing is known.
     pub fn restart(&mut self) {
         (self.since_ns, self.proposal, self.released_ns) = (None, None, None);
     }
 
-    /// Something lies on the skin.
+    /// Reports that something lies on the skin.
     pub fn interrupt(&mut self) {
         (self.since_ns, self.proposal) = (None, None);
     }
 
-    /// A suspicion has just begun, or nothing can be said of it: the next look at it has to wait.
+    /// Postpones the next test, since a suspicion has just begun or cannot be judged.
     pub fn postpone_look(&mut self, time_ns: u64) {
         self.looked_ns = time_ns;
     }
 
-    /// Whether to look now for a touch that was in the reference and has gone; if so, the next look has to wait.
+    /// True if it is time to test for a touch that was in the reference and is gone. If so, postpones the next test.
     pub fn is_look_due(&mut self, frame: &DamageFrame<'_>, readings: &Readings, monitor: &DamageMonitor) -> bool {
         let due = frame.time_ns.saturating_sub(self.looked_ns) as f64 * 1e-9 >= RELEASE_S;
         let alone = !monitor.damages().iter().any(Damage::is_open);
@@ -71,12 +71,12 @@ impl Rest {
         is_due
     }
 
-    /// A touch was in the reference and has gone.
+    /// Records that a touch was in the reference and is gone.
     pub fn note_release(&mut self, time_ns: u64) {
         self.released_ns = Some(time_ns);
     }
 
-    /// Watches the rest that a proposal wants, in a frame of a free skin.
+    /// Updates the rest with a frame of a free skin.
     pub fn update(
         &mut self,
         time_ns: u64,
@@ -110,7 +110,7 @@ impl Rest {
     }
 }
 
-/// Root mean square over the channels of how far means are from other readings, in standard deviations.
+/// RMS over the channels of the difference between means and other readings, in standard deviations.
 fn deviation(means: &[f64], from: &[f64], noise_std: &[f64]) -> f64 {
     let (mut sum, mut noise) = (0.0, 0.0);
     for ((mean, from), sigma) in means.iter().zip(from).zip(noise_std) {

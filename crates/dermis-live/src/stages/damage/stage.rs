@@ -1,6 +1,6 @@
-//! The second look at each frame: against the intact skin. The monitor tells from that image what is damaged; the parts
-//! beside it know the intact skin, the fitted cuts, what no touch explains, the rest and the warmth. None of them
-//! changes another: this stage hands on what they find, and returns what follows for the baseline of touches.
+//! Damage detection in each frame, against the intact skin. The monitor detects damage in the image. Its helpers
+//! handle the intact skin, fitted cuts, changes that no touch explains, rest and warmth. They do not change each
+//! other: this stage passes on their results, and returns decisions for the baseline of touches.
 
 use dermis_touch::damage::{
     Damage, DamageEvent, DamageFrame as MonitorFrame, DamageMonitor, DamageParams, DamageState,
@@ -21,18 +21,19 @@ use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::sandwich_contacts::{ReleaseLook, SheetCut};
 
-/// Rises of the touch image below this part of its deepest fall are lobes of damage not yet in the baseline. The lobes
-/// of a cut reach 0.62 of its fall on the sandwich's twin, the falls about a press 0.13 of its rise.
+/// Rises of the touch image below this share of its deepest fall are side lobes of damage not yet in the baseline. On
+/// the sandwich's twin, the lobes of a cut reach 0.62 of its fall, while the falls around a press reach 0.13 of its
+/// rise.
 const LOBE_SHARE: f64 = 0.8;
-/// Fewest frames in a mean that healing is estimated from.
+/// Minimum number of frames in a mean for estimating healing.
 const FEWEST_FOR_HEALING: usize = 8;
-/// Fewest frames in the mean that becomes the baseline of a damaged skin.
+/// Minimum number of frames in the mean that becomes the baseline of a damaged skin.
 const FEWEST_FOR_BASELINE: usize = 8;
 
-/// Differences from the intact skin, and where their image goes.
+/// Differences from the intact skin, and the image to write.
 type ImageOfAll<'a> = (&'a [f64], &'a mut [f32]);
 
-/// The monitor of a skin, and what it is told about each frame.
+/// The damage monitor of a skin, and the helpers that prepare its input.
 #[derive(Debug)]
 pub(crate) struct DamageStage {
     monitor: DamageMonitor,
@@ -40,7 +41,7 @@ pub(crate) struct DamageStage {
     cuts: KnownCuts,
     unexplained: Unexplained,
     rest: Rest,
-    /// Whether what is suspected is a touch that has gone, while that is being worked out.
+    /// Test in progress whether a suspicion is a released touch.
     release: Option<ReleaseLook>,
     warmth: Warmth,
     /// Mean readings over frames of a free skin.
@@ -48,17 +49,17 @@ pub(crate) struct DamageStage {
     /// Image noise of each pixel.
     noise: Vec<f32>,
     suspicious: bool,
-    /// Damage has been confirmed or has grown, and is not in the baseline yet.
+    /// Damage that has been confirmed or has grown, and is not yet in the baseline.
     pending: Option<u64>,
 }
 
-/// Below this, rises of the touch image are lobes of damage that its baseline does not include.
+/// Threshold below which rises of the touch image are side lobes of damage that the baseline does not include.
 pub(crate) fn lobe_floor(image: &[f32]) -> f64 {
     let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0_f32, f32::min);
     LOBE_SHARE * -f64::from(lowest)
 }
 
-/// How the skin file wants damage to be told.
+/// Parameters of damage detection from the skin file.
 pub(super) fn damage_params(prepared: &Prepared) -> DamageParams {
     let settings = &prepared.skin.damage;
     let half_width = prepared.half_width_m();
@@ -68,7 +69,7 @@ pub(super) fn damage_params(prepared: &Prepared) -> DamageParams {
         confirm_s: settings.confirm_s,
         reach_m: 0.1 * half_width,
         point_spread_m: 0.12 * half_width,
-        // The last of a scar is hard to tell from the heat that closed it.
+        // The last of a scar is hard to distinguish from the heat that closed it.
         healed_share: 0.3,
         ..DamageParams::default()
     }
@@ -92,7 +93,7 @@ impl DamageStage {
         })
     }
 
-    /// A new baseline stands. It becomes the intact reference only where nothing is damaged or suspected: re-zeroing
+    /// Reports a new baseline. It becomes the intact reference only if nothing is damaged or suspected, so re-zeroing
     /// never hides damage.
     pub fn set_baseline(&mut self, baseline: &Baseline, noise: Vec<f32>) {
         self.noise = noise;
@@ -108,7 +109,7 @@ impl DamageStage {
         self.rest.restart();
     }
 
-    /// Another operator or other noise is in use.
+    /// Reports a change of operator or noise.
     pub fn set_noise(&mut self, noise: Vec<f32>) {
         self.noise = noise;
         self.cuts.invalidate_image();
@@ -116,8 +117,9 @@ impl DamageStage {
         self.monitor.restart();
     }
 
-    /// Another model makes the images from now on; the intact skin and the damages stay. What all that is damaged
-    /// changes, model volts, NaN in `left_out`, and where its image goes, for [`DamageStage::redraw`].
+    /// Reports a change of the model that makes the images; the intact skin and the damage sites are kept. Returns the
+    /// total effect of the damage, model volts, NaN in `left_out`, and the image to write for
+    /// [`DamageStage::redraw`].
     pub fn see_anew(
         &mut self,
         noise: Vec<f32>,
@@ -131,10 +133,10 @@ impl DamageStage {
         self.intact.compare_mean(readings, baseline, scale, left_out)
     }
 
-    /// Known damages lie where the image just made has them.
+    /// Moves known damage sites to their positions in the new image.
     ///
     /// # Errors
-    /// An image of another size.
+    /// An image of the wrong size.
     pub fn redraw(&mut self) -> Result<(), Error> {
         let noise = PixelNoise::PerPixel(&self.noise);
         let open: Vec<Damage> = self.monitor.damages().iter().filter(|damage| damage.is_open()).copied().collect();
@@ -149,13 +151,14 @@ impl DamageStage {
         self.cuts.in_sheet(self.monitor.damages())
     }
 
-    /// Takes the difference of a frame from the intact skin: what is to be imaged, and where to. `difference` and
-    /// `scale` are as in [`DamageFrame`].
+    /// Computes a frame's difference from the intact skin. Returns the data to image, and the image to write.
+    /// `difference` and `scale` are as in [`DamageFrame`].
     pub fn compare(&mut self, baseline: &Baseline, difference: &[f64], scale: &[f64]) -> (&[f64], &mut [f32]) {
         self.intact.compare(baseline, difference, scale)
     }
 
-    /// What is to be imaged of the known cuts after [`DamageStage::compare`], and where to, where that has changed.
+    /// The response of the known cuts to image after [`DamageStage::compare`], and the image to write, if it has
+    /// changed.
     pub fn update_known(&mut self) -> Option<(&[f64], &mut [f32])> {
         self.cuts.update_response(self.intact.difference())
     }
@@ -163,13 +166,13 @@ impl DamageStage {
     /// Looks for damage in a frame whose images were made.
     ///
     /// # Errors
-    /// Data of which no cut can be fitted.
+    /// Data to which no cut can be fitted.
     pub fn process(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) -> Result<DamageDecision, Error> {
         let lags = self.pending.is_some();
-        // Of a free skin nothing is asked: what was gathered waits for the next frame that is not free.
+        // In a free frame there is no question; collected frames wait for the next one under load.
         let is_cut = frame.loaded && self.unexplained.is_cut(frame, &self.intact, &self.cuts, lags, prepared)?;
-        // What begins no touch on a healed or renewed skin that reads as the intact one is in the baseline of touches
-        // alone.
+        // Contacts that begin no touch on a healed or renewed skin come from the baseline of touches alone, if the
+        // frame matches the intact skin.
         let damages = self.monitor.damages();
         let is_mended = !damages.is_empty() && !damages.iter().any(Damage::is_open);
         let is_intact = frame.loaded && is_mended && frame.touches.is_empty() && self.intact.is_read(frame.noise);
@@ -207,9 +210,9 @@ impl DamageStage {
         Ok(DamageDecision { adopt, hold_drift: self.monitor.is_suspicious(), follow_rest, is_free: is_intact })
     }
 
-    /// Fits cuts to damage that is new or has grown. Where the baseline of touches has all the others, a new one is
-    /// what differs from it, as measured; otherwise it is what differs from the intact skin with the others as
-    /// modelled.
+    /// Fits cuts to damage that is new or has grown. If the baseline of touches includes all other damage, a new one
+    /// is fitted to the measured difference from that baseline. Otherwise the difference is from the intact skin,
+    /// including the modelled effect of the others.
     fn fit_new_damage(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) -> Result<(), Error> {
         for index in 0..self.monitor.events().len() {
             let (damage, is_new) = match &self.monitor.events()[index] {
@@ -235,8 +238,9 @@ impl DamageStage {
         Ok(())
     }
 
-    /// A suspicion may be a touch that was in the reference and has gone. Then no damage comes of it: it is judged from
-    /// what is read now, and a new baseline is proposed, which alone mends the image of touches.
+    /// Tests whether a suspicion is a touch that was in the reference and is gone. If so, it does not become damage:
+    /// the current readings become the intact reference, and a new baseline is proposed, which alone repairs the
+    /// image of touches.
     fn look_for_release(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
         if self.release.is_none() && self.rest.is_look_due(frame, &self.readings, &self.monitor) {
             let change = self.intact.change_of(&self.readings.mean, frame);
@@ -254,7 +258,7 @@ impl DamageStage {
         }
     }
 
-    /// The readings become the baseline of touches once they include a damage that is believed.
+    /// Adopts the readings as baseline of touches once they include confirmed damage.
     fn adoption(&mut self, frame: &DamageFrame<'_>) -> Option<Adoption> {
         let settled = self.readings.frames >= FEWEST_FOR_BASELINE && !self.monitor.is_suspicious();
         let id = self.pending.take_if(|_| settled && !frame.loaded)?;
@@ -262,7 +266,7 @@ impl DamageStage {
         Some(Adoption { readings, frames: self.readings.frames, reason: format!("includes damage {id}") })
     }
 
-    /// Estimates, now and then, how far fitted cuts have healed.
+    /// Estimates the healing of fitted cuts from time to time.
     fn estimate_healing(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
         let readings = match self.warmth.look(frame, self.intact.difference(), self.cuts.open_square()) {
             Look::None => return,
@@ -282,7 +286,7 @@ impl DamageStage {
         }
     }
 
-    /// What is known now.
+    /// Current view of damage and baselines.
     pub fn view<'a>(&'a self, baseline: &'a Baseline) -> DamageView<'a> {
         DamageView {
             now_ns: 0,

@@ -1,6 +1,6 @@
-//! Frames in which something is on the skin that begins no touch: is it a cut? A thin cut raises the image almost as
-//! much beside it as it lowers it, because no isotropic conductivity does what a cut does; the rise is taken for
-//! something that touches.
+//! Tests whether something on the skin that begins no touch is a cut. A thin cut raises the image next to it almost
+//! as much as it lowers it, because no isotropic conductivity has the effect of a cut. The rise then looks like a
+//! touch.
 
 use dermis_touch::damage::DamageShape;
 
@@ -12,23 +12,23 @@ use super::intact::IntactReference;
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// What is on the skin and begins no touch is looked at so often, seconds, in the mean of at least so many frames: is
-/// it a cut? Each look in vain doubles the time to the next, up to the most.
+/// Shortest and longest interval between tests whether something on the skin that begins no touch is a cut, seconds,
+/// and minimum number of frames in the mean. Each negative test doubles the interval.
 const UNEXPLAINED_S: [f64; 2] = [0.4, 12.8];
 const FEWEST_UNEXPLAINED: u32 = 8;
-/// It is one if a cut explains so much of the mean's weighted energy, and remains one while it explains so much of a
-/// frame's.
+/// Share of the mean's weighted energy that a cut must explain to be accepted, and share of a frame's for it to
+/// remain.
 const CUT_EXPLAINS: [f64; 2] = [0.9, 0.8];
 
-/// What is gathered of frames that no touch explains.
+/// Data collected from frames that no touch explains.
 #[derive(Debug)]
 pub(super) struct Unexplained {
     since_ns: u64,
     frames: u32,
     wait_s: f64,
-    /// Mean change against the intact sheet with what is known of its damage, model volts.
+    /// Mean change against the intact sheet with its known damage, model volts.
     mean: Vec<f64>,
-    /// The response of the cut that it is.
+    /// The response of the accepted cut.
     cut: Option<Vec<f64>>,
     scratch: CrackScratch,
 }
@@ -39,13 +39,13 @@ impl Unexplained {
         Self { since_ns: 0, frames: 0, wait_s: UNEXPLAINED_S[0], mean: Vec::new(), cut: None, scratch }
     }
 
-    /// Begins anew.
+    /// Restarts the collection.
     pub fn clear(&mut self) {
         (self.frames, self.wait_s, self.cut) = (0, UNEXPLAINED_S[0], None);
     }
 
-    /// Whether what is on the skin in a loaded frame and begins no touch is a cut: the frame is then one of a free
-    /// skin. `lags` says that the baseline of touches does not include yet what is known by now.
+    /// True if the object in a loaded frame that begins no touch is a cut, so that the skin is free. `lags` means
+    /// that the baseline of touches does not yet include all known damage.
     pub fn is_cut(
         &mut self,
         frame: &DamageFrame<'_>,
@@ -101,7 +101,7 @@ impl Unexplained {
     }
 }
 
-/// Share of a change's energy (missing channels `NaN`) that a cut explains, together with a change of all resting
+/// Share of a change's energy (missing channels `NaN`) explained by a cut together with a change of all resting
 /// voltages by the same share.
 fn explained(change: &mut dyn Iterator<Item = f64>, cut: &[f64], rest: &[f64]) -> f64 {
     let (mut energy, mut left, mut along, mut square) = (0.0, 0.0, 0.0, 0.0);

@@ -1,23 +1,23 @@
-//! What is known of damage and baselines in a frame, for what comes after the pipeline.
+//! Knowledge about damage and baselines in a frame, for users of the pipeline.
 
 use dermis_touch::ReferenceRecord;
 use dermis_touch::damage::{Damage, DamageEvent, DamageState};
 
 use super::healing::Healing;
 
-/// Why a new baseline is proposed.
+/// Reason for proposing a new baseline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProposalReason {
-    /// The skin rests at other values than its baseline's.
+    /// The skin rests at values other than its baseline's.
     Offset,
-    /// So it does, after damage has healed or while it heals no further.
+    /// The same, after damage has healed or once it heals no further.
     Healed,
-    /// The baseline was taken while something touched the skin, which has gone since.
+    /// The baseline was taken while something touched the skin that is now gone.
     Touched,
 }
 
 impl ProposalReason {
-    /// The word for it in files and streams.
+    /// Name of the reason in files and streams.
     pub fn name(self) -> &'static str {
         match self {
             Self::Offset => "offset",
@@ -27,45 +27,45 @@ impl ProposalReason {
     }
 }
 
-/// A new baseline would do the skin good: it has rested, without touch and without change of damage. Taking it is left
-/// to a tare.
+/// A proposal of a new baseline: the skin has rested, without touch and without change of damage. Only a tare adopts
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Proposal {
-    /// Why.
+    /// The reason.
     pub reason: ProposalReason,
     /// Since when the skin has rested, or since when the reason has been known, on the frames' axis, nanoseconds.
     pub since_ns: u64,
-    /// How far the readings are from the baseline, in standard deviations of the channels (root mean square).
+    /// Distance of the readings from the baseline, in standard deviations of the channels (RMS).
     pub offset_sigma: f64,
 }
 
-/// All that is known of damage and baselines in a frame. Empty where damage is not watched.
+/// Everything known about damage and baselines in a frame. Empty if damage is not monitored.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DamageView<'a> {
-    /// True where damage is watched and there is a baseline.
+    /// True if damage is monitored and there is a baseline.
     pub watched: bool,
-    /// Time of the frame on the axis that all times here are on, nanoseconds.
+    /// Time of the frame on the axis of all times here, nanoseconds.
     pub now_ns: u64,
-    /// All damages, suspected and healed ones included.
+    /// All damage sites, including suspected and healed ones.
     pub damages: &'a [Damage],
-    /// What happened to them in this frame.
+    /// Their events in this frame.
     pub events: &'a [DamageEvent],
-    /// The image against the intact skin, as the image of touches; empty where not watched.
+    /// The image against the intact skin, in the form of touch images; empty if not monitored.
     pub image: &'a [f32],
-    /// Baselines that were in use, oldest first; the last is in use now.
+    /// All baselines used, oldest first; the last is current.
     pub baselines: &'a [ReferenceRecord],
-    /// Which of them damage is judged against.
+    /// Index of the baseline that damage is judged against.
     pub intact: Option<usize>,
-    /// How far the fitted cuts have healed.
+    /// Healing of the fitted cuts.
     pub healing: &'a [Healing],
-    /// A new baseline is proposed.
+    /// The proposed baseline, if any.
     pub proposal: Option<Proposal>,
-    /// Change of the readings as a whole since the start that was followed as drift, a share.
+    /// Relative change of all readings since the start that was followed as drift.
     pub drift: f64,
 }
 
 impl DamageView<'_> {
-    /// True where there is nothing to tell: no damage, event or proposal.
+    /// True if there is nothing to report: no damage, event or proposal.
     pub fn is_silent(&self) -> bool {
         self.damages.iter().all(|damage| damage.state == DamageState::Suspected)
             && self.events.is_empty()
@@ -73,7 +73,7 @@ impl DamageView<'_> {
     }
 }
 
-/// What happened to a damage, for people: `damage 1 (20 mm at 23, 24 mm, 37 degrees) is covered by a touch`.
+/// Description of an event for users: `damage 1 (20 mm at 23, 24 mm, 37 degrees) is covered by a touch`.
 pub fn describe(event: &DamageEvent) -> String {
     let damage = event.damage();
     let shape = &damage.shape;

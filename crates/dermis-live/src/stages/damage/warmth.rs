@@ -1,5 +1,5 @@
-//! Warmth about a damage: heat heals, and makes the sheet more conductive, which looks like a touch. What has come on
-//! steadily there, or rests there low, for long, is warmth and belongs into the baseline.
+//! Warmth around damage: heat heals, and makes the sheet more conductive, which looks like a touch. A change there
+//! that has developed steadily, or that stays low for long, is warmth and belongs in the baseline.
 
 use dermis_touch::Touch;
 use dermis_touch::damage::Damage;
@@ -7,31 +7,32 @@ use dermis_touch::damage::Damage;
 use super::frame::{Adoption, DamageFrame};
 use super::readings::Readings;
 
-/// Healing is estimated so often, seconds.
+/// Interval between estimates of healing, seconds.
 const HEALING_S: f64 = 0.5;
-/// What rests on a damage for so long, no higher than this in the image and without moving farther than this, is not a
-/// touch but warmth: heat heals, and makes the sheet more conductive. Published indenters reach 0.7 and more on a cut.
+/// A contact on damage that stays this long, no higher than `WARM_HEIGHT` in the image and within `WARM_TRAVEL_M`,
+/// is warmth rather than touch. Published indenters reach 0.7 and more on a cut.
 const WARM_S: f64 = 20.0;
 const WARM_HEIGHT: f64 = 0.45;
 const WARM_TRAVEL_M: f64 = 3e-3;
-/// It lies within so much of the damage, metres. What lies there for so long and begins no touch at all is warmth too.
+/// Maximum distance from the damage, metres. A contact that stays there this long and begins no touch is warmth too.
 const WARM_REACH_M: f64 = 20e-3;
-/// And so is what came on steadily there, however high and wherever it moves: between two looks ([`HEALING_S`]) the
-/// readings changed by less than this share of the open cut's response. A press comes on within one.
+/// A change that developed steadily is warmth too, whatever its height and movement. Between two looks
+/// ([`HEALING_S`]) the readings must change by less than this share of the open cut's response. A press develops
+/// within one interval.
 const STEADY: f64 = 0.25;
 
-/// What the next estimate of healing is made from.
+/// Data for the next estimate of healing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Look {
-    /// There is none in this frame.
+    /// No estimate in this frame.
     None,
     /// The mean readings of the free skin.
     Free,
-    /// Those of what came on steadily about the damage: [`Warmth::course`].
+    /// The readings of a steady change around the damage: [`Warmth::course`].
     Course,
 }
 
-/// Something that rests on a damage.
+/// A contact that rests on damage.
 #[derive(Debug)]
 struct Resting {
     at_m: [f64; 2],
@@ -39,24 +40,24 @@ struct Resting {
     readings: Readings,
 }
 
-/// What has come on steadily about a damage.
+/// A change that has developed steadily around damage.
 #[derive(Debug, Default)]
 struct Course {
     since_ns: u64,
     readings: Readings,
     /// Change against the intact skin at the last look, model volts.
     last: Vec<f64>,
-    /// It went on otherwise than steadily, or elsewhere.
+    /// True if it continued unsteadily, or elsewhere.
     broken: bool,
 }
 
 impl Course {
-    /// What is on the skin now begins a new one.
+    /// Starts a new course with the current load.
     fn restart(&mut self, time_ns: u64) {
         (self.since_ns, self.readings.frames, self.broken) = (time_ns, 0, false);
     }
 
-    /// Whether a change is near that of the last look, `square` being that of the size to compare with.
+    /// True if a change is close to the last look's, compared with a change whose sum of squares is `square`.
     fn goes_on(&self, change: &[f64], square: f64) -> bool {
         if self.last.len() != change.len() {
             return false;
@@ -67,7 +68,7 @@ impl Course {
     }
 }
 
-/// Watches for warmth.
+/// Detects warmth.
 #[derive(Debug, Default)]
 pub(super) struct Warmth {
     resting: Option<Resting>,
@@ -76,7 +77,7 @@ pub(super) struct Warmth {
 }
 
 impl Warmth {
-    /// Gathers what is read while something lies on damage and nowhere else.
+    /// Collects readings while something lies on damage and nowhere else.
     pub fn gather(&mut self, frame: &DamageFrame<'_>, damages: &[Damage]) {
         if !frame.loaded {
             self.course.restart(frame.time_ns);
@@ -88,7 +89,7 @@ impl Warmth {
         self.course.readings.add(frame.time_ns, frame.baseline.raw());
     }
 
-    /// What to adopt as a baseline: warmth about a damage that is no touch.
+    /// Readings to adopt as a baseline because of warmth around damage.
     pub fn adoption(&mut self, frame: &DamageFrame<'_>, damages: &[Damage]) -> Option<Adoption> {
         let has_lasted = |since_ns: u64| frame.time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= WARM_S;
         let adopted = |readings: &Readings| Adoption {
@@ -105,7 +106,7 @@ impl Warmth {
         let near = |at_m: [f64; 2]| lies_on_damage(damages, at_m);
         let low = |touch: &Touch| touch.amplitude <= WARM_HEIGHT && near(touch.position_m);
         let here = match (frame.touches, frame.contacts) {
-            // Something was there a moment ago: the next frames will tell.
+            // Something was there a moment ago; wait for the next frames.
             ([], []) if frame.loaded => return None,
             ([], contacts) if contacts.iter().all(|contact| near(contact.centroid_m)) => {
                 contacts.first().map(|contact| contact.centroid_m)
@@ -131,8 +132,9 @@ impl Warmth {
         Some(adoption)
     }
 
-    /// Whether healing is to be estimated in this frame, and from what. `change` is that of the frame against the
-    /// intact skin and `open_square` the size of an open cut's, where healing is followed at all.
+    /// Decides whether to estimate healing in this frame, and from which data. `change` is the frame's change against
+    /// the intact skin, and `open_square` the sum of squares of an open cut's response, if healing is followed at
+    /// all.
     pub fn look(&mut self, frame: &DamageFrame<'_>, change: &[f64], open_square: Option<f64>) -> Look {
         let Some(open_square) = open_square else {
             self.course.broken = true;
@@ -154,13 +156,13 @@ impl Warmth {
         if frame.loaded { Look::Course } else { Look::Free }
     }
 
-    /// Readings of what came on steadily.
+    /// Readings of the steady change.
     pub fn course(&self) -> &Readings {
         &self.course.readings
     }
 }
 
-/// Whether a place lies on damage, open or healed: a scar is warm for longer than it is open.
+/// True if a position lies on damage, open or healed: a scar stays warm for longer than the cut is open.
 fn lies_on_damage(damages: &[Damage], at_m: [f64; 2]) -> bool {
     damages.iter().any(|damage| damage.shape.distance_m(at_m) <= WARM_REACH_M)
 }

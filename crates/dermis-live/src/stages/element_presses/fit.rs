@@ -1,5 +1,5 @@
-//! The fit of round presses to the readings of coils: place, radius and pressure of each by Levenberg and Marquardt,
-//! with priors of radius and pressure that are wide, so that what the readings do not tell stays usual.
+//! The fit of round presses to the readings of coils: position, radius and pressure of each by Levenberg-Marquardt.
+//! Wide priors on radius and pressure keep quantities that the readings do not determine at their usual values.
 
 use dermis_mit::MitError;
 use dermis_tomo::least_squares::{
@@ -11,23 +11,23 @@ use faer::{MatRef, Side};
 use super::mechanics::{Mechanics, OF_PRESS, Press, Travels};
 use crate::imager::ElementFrame;
 
-/// Standard deviations of the logarithms of radius and pressure before anything is measured.
+/// Prior standard deviations of the logarithms of radius and pressure.
 const LOG_RADIUS_DEVIATION: f64 = 0.35;
 const LOG_PRESSURE_DEVIATION: f64 = 1.2;
-/// Radii that are possible, in cells.
+/// Range of possible radii, in cells.
 const RADII_CELLS: [f64; 2] = [0.1, 3.0];
-/// A press is looked for along a direction in so many steps of so many cells either way.
+/// Number of steps to scan on either side of a press along a direction, and their length in cells.
 const SCANNED_STEPS: i32 = 12;
 pub(super) const SCANNED_CELLS: f64 = 0.1;
-/// At each step the least cost is looked for across it, by parabolas of these half widths in cells.
+/// At each step, the lowest cost across the direction is found by parabolas of these half widths in cells.
 const ACROSS_CELLS: [f64; 2] = [0.05, 0.02];
-/// What costs so much more than the least is not possible, nor is what lies beyond.
+/// A position that costs this much more than the best one, and any beyond it, is impossible.
 const NOT_POSSIBLE: f64 = 50.0;
-/// Longest step: in cells and in logarithms.
+/// Longest step, in cells and in logarithms.
 const LONGEST_STEP: f64 = 0.5;
-/// A fit has converged where no place moves by more than this share of a cell, and no logarithm by as much.
+/// A fit has converged if no position moves by more than this share of a cell, and no logarithm by more than this.
 const CONVERGED: f64 = 3e-3;
-/// Trials of a fit at most.
+/// Maximum number of trials of a fit.
 pub(super) const MOST_TRIALS: usize = 25;
 const PARAMS: Params = Params {
     control: Control::Damping(Damping {
@@ -46,12 +46,12 @@ const PARAMS: Params = Params {
     most_rejections: 6,
 };
 
-/// What presses are like before anything is measured.
+/// Prior knowledge about presses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Usual {
     pub log_radius: f64,
     pub log_pressure: f64,
-    /// Where presses may be, metres.
+    /// Range of positions, metres.
     pub low_m: [f64; 2],
     pub high_m: [f64; 2],
 }
@@ -63,18 +63,18 @@ pub(super) type Covariance = [[f64; 2]; 2];
 #[derive(Clone, Debug)]
 pub(super) struct FittedPresses {
     pub presses: Vec<Press>,
-    /// What is left of the readings in units of noise and model error, squared and summed, and how unusual the presses
-    /// are, likewise.
+    /// Cost: sum of squared residuals in units of noise and model error, plus the squared deviations of the presses
+    /// from usual ones.
     pub cost: f64,
-    /// The readings' part of it.
+    /// The residuals' part of the cost.
     pub left: f64,
-    /// Force of each on all elements, newtons.
+    /// Total force of each press on all elements, newtons.
     pub forces_n: Vec<f64>,
-    /// Readings less unknowns.
+    /// Readings minus unknowns.
     pub degrees_of_freedom: usize,
 }
 
-/// Fits presses from these starts, in so many trials at most.
+/// Fits presses from these starting points, in at most `most_trials` trials.
 pub(super) fn fit(
     mechanics: &Mechanics,
     usual: &Usual,
@@ -93,10 +93,10 @@ pub(super) fn fit(
     Ok(FittedPresses { forces_n, presses: way.presses, cost: info.cost, left, degrees_of_freedom })
 }
 
-/// Covariance of x and y of each press where it stands, square metres: the inverse of the normal matrix.
+/// Covariance of x and y of each press at its current position, square metres: the inverse of the normal matrix.
 ///
 /// # Errors
-/// Travels that the model of the coils refuses.
+/// Travels that the model of the coils rejects.
 pub(super) fn covariances(
     mechanics: &Mechanics,
     usual: &Usual,
@@ -110,9 +110,9 @@ pub(super) fn covariances(
     Ok(inverse_of_places(&equations, mechanics.cell_m))
 }
 
-/// Where a press of a fit may lie along a direction: mean offset and variance (metres, square metres) of what these
-/// readings and the usual presses allow, its force on the elements kept. Beyond the outermost elements, and for small
-/// presses within a cell, that is not the bottom of a parabola.
+/// Distribution of a press of a fit along a direction: mean offset and variance (metres, square metres) allowed by
+/// these readings and the priors, at constant force on the elements. Beyond the outermost elements, and for small
+/// presses within a cell, the cost is not a parabola.
 pub(super) fn moments_along(
     mechanics: &Mechanics,
     usual: &Usual,
@@ -126,7 +126,7 @@ pub(super) fn moments_along(
     let cell = mechanics.cell_m[0].min(mechanics.cell_m[1]);
     let across = [-direction[1], direction[0]];
     let (mut tried, mut residual) = (presses.clone(), Vec::new());
-    // What a press costs at these offsets along and across, its force kept; `None` where no press can be.
+    // Cost of a press at these offsets along and across, at constant force; `None` outside the possible positions.
     let mut cost_at = |along_m: f64, across_m: f64| -> Result<Option<f64>, MitError> {
         let press = &mut tried[number];
         *press = presses[number];
@@ -146,7 +146,7 @@ pub(super) fn moments_along(
     };
     let (mut sums, mut least) = ([0.0; 3], found.cost);
     for sign in [-1.0, 1.0] {
-        // How far across the least cost lies goes on from step to step.
+        // Carry the best offset across the direction over from step to step.
         let mut across_m = 0.0;
         for step in i32::from(sign > 0.0)..=SCANNED_STEPS {
             let offset_m = sign * f64::from(step) * SCANNED_CELLS * cell;
@@ -167,7 +167,7 @@ pub(super) fn moments_along(
             if cost > least + NOT_POSSIBLE {
                 break;
             }
-            // Sums count from the least cost so far.
+            // Sums are relative to the lowest cost found.
             let (scale, weight) = (((cost - least).min(0.0) * 0.5).exp(), (-0.5 * (cost - least).max(0.0)).exp());
             least = least.min(cost);
             sums = sums.map(|sum| sum * scale);
@@ -183,7 +183,7 @@ pub(super) fn moments_along(
     Ok((mean, (sums[2] / sums[0] - mean * mean).max(0.0)))
 }
 
-/// What these presses cost as they are: see [`FittedPresses::cost`].
+/// Cost of these presses as they are: see [`FittedPresses::cost`].
 pub(super) fn cost_of(
     mechanics: &Mechanics,
     usual: &Usual,
@@ -193,7 +193,7 @@ pub(super) fn cost_of(
     Way::new(mechanics, usual, frame, presses).cost()
 }
 
-/// The parts of the inverse of a normal matrix that belong to places.
+/// The position blocks of the inverse of a normal matrix.
 fn inverse_of_places(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<Covariance> {
     let n = equations.unknowns();
     let normal = MatRef::from_row_major_slice(&equations.normal, n, n);
@@ -208,7 +208,7 @@ fn inverse_of_places(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<Covar
     (0..n / OF_PRESS).map(of).collect()
 }
 
-/// Presses while they are fitted.
+/// Presses during a fit.
 struct Way<'a, 'f> {
     mechanics: &'a Mechanics,
     usual: &'a Usual,
@@ -218,7 +218,7 @@ struct Way<'a, 'f> {
     travels: Travels,
     residual: Vec<f64>,
     tried_residual: Vec<f64>,
-    /// Change of each reading with each unknown, unknown by unknown.
+    /// Derivative of each reading by each unknown, unknown by unknown.
     columns: Vec<f64>,
 }
 
@@ -249,7 +249,7 @@ impl<'a, 'f> Way<'a, 'f> {
         residual.iter().zip(&self.frame.weights).map(|(r, w)| w * r * r).sum()
     }
 
-    /// How far logarithms of radius and pressure are from the usual ones, in deviations.
+    /// Deviation of the logarithms of radius and pressure from the usual ones, in standard deviations.
     fn unusual(&self, press: &Press) -> [f64; 2] {
         [
             (press.log_radius - self.usual.log_radius) / LOG_RADIUS_DEVIATION,
@@ -313,7 +313,7 @@ impl Problem for Way<'_, '_> {
             }
         }
         for (number, press) in self.presses.iter().enumerate() {
-            // Presses lie anywhere: places have the variance of that, and no pull.
+            // Presses may be anywhere: positions have the variance of a uniform prior, and no gradient.
             for axis in 0..2 {
                 let side_cells = (self.usual.high_m[axis] - self.usual.low_m[axis]) / self.mechanics.cell_m[axis];
                 let at = OF_PRESS * number + axis;

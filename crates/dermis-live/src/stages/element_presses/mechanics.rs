@@ -1,5 +1,5 @@
-//! What round presses do to elements on sponge or springs. A press is a disc of even pressure with a soft edge; each
-//! element carries what lies on its cell, `F = p area(disc within cell)`, drags its neighbours along,
+//! Effect of round presses on elements on sponge or springs. A press is a disc of uniform pressure with a soft edge.
+//! Each element carries the load on its cell, `F = p area(disc within cell)`. It drags its neighbours along,
 //! `(k + c L) x = F` with L the Laplacian of the grid's graph, and its spring stiffens near the end of its travel,
 //! `t = x / (1 + (x/l)^n)^(1/n)`.
 
@@ -10,31 +10,31 @@ use faer::{Mat, Side};
 
 use crate::Error;
 
-/// Unknowns of a press: x and y in cells, the logarithms of its radius and of its pressure.
+/// Number of unknowns of a press: x and y in cells, the logarithms of its radius and of its pressure.
 pub(super) const OF_PRESS: usize = 4;
-/// Nodes and weights of Gauss and Legendre's rule of eight points on -1 to 1, half of them.
+/// Nodes and weights of the eight-point Gauss-Legendre rule on -1 to 1; only the positive half.
 const NODES: [(f64, f64); 4] = [
     (0.183_434_642_495_649_8, 0.362_683_783_378_362),
     (0.525_532_409_916_329, 0.313_706_645_877_887_3),
     (0.796_666_477_413_626_7, 0.222_381_034_453_374_47),
     (0.960_289_856_497_536_3, 0.101_228_536_290_376_26),
 ];
-/// Softness of a press's edge, a standard deviation in cells: without it a small press within one cell could lie
-/// anywhere on it. Discs of three radii with these weights stand for it (the rule of Gauss and Hermite).
+/// Softness of a press's edge, a standard deviation in cells. Without it, a small press within one cell could lie
+/// anywhere on it. Discs of three radii with these weights represent it (Gauss-Hermite rule).
 const SOFTNESS_CELLS: f64 = 0.125;
 const SOFT_EDGE: [(f64, f64); 3] =
     [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
-/// Relative step by which areas are differentiated by the radius.
+/// Relative step for differentiating areas by the radius.
 const RADIUS_STEP: f64 = 1e-3;
 
 /// A round press.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Press {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub centre_m: [f64; 2],
-    /// Logarithm of its radius in metres.
+    /// Logarithm of the radius in metres.
     pub log_radius: f64,
-    /// Logarithm of its pressure in pascals.
+    /// Logarithm of the pressure in pascals.
     pub log_pressure: f64,
 }
 
@@ -44,12 +44,12 @@ impl Press {
     }
 }
 
-/// Elements, their cells and what they stand on.
+/// Elements, their cells and their springs.
 #[derive(Clone, Debug)]
 pub(super) struct Mechanics {
     pub places_m: Vec<[f64; 2]>,
     pub cell_m: [f64; 2],
-    /// Of `k + c L`, newtons per metre: travel of each element by a force on another, row by row.
+    /// Inverse of `k + c L`, metres per newton: travel of each element per force on another, row by row.
     compliance_m_per_n: Vec<f64>,
     limit_m: f64,
     sharpness: f64,
@@ -58,17 +58,17 @@ pub(super) struct Mechanics {
 /// Travels under presses and their derivatives.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Travels {
-    /// Of each element, metres.
+    /// Travel of each element, metres.
     pub travel_m: Vec<f64>,
-    /// Of each press on all elements, newtons.
+    /// Total force of each press on all elements, newtons.
     pub forces_n: Vec<f64>,
-    /// By each unknown of each press: unknown by unknown, element by element.
+    /// Derivatives by each unknown of each press: unknown by unknown, element by element.
     pub slopes: Vec<f64>,
 }
 
 impl Mechanics {
     /// # Errors
-    /// Springs whose stiffness makes no sense.
+    /// Springs with invalid stiffness.
     pub(super) fn new(elements: &Elements, layer: &ElementsLayer, beside: &[Vec<usize>]) -> Result<Self, Error> {
         let places_m = elements.places_m();
         let count = places_m.len();
@@ -99,12 +99,12 @@ impl Mechanics {
         self.places_m.len()
     }
 
-    /// Whether a place is on the cell of an element.
+    /// True if a position is on the cell of an element.
     pub(super) fn is_felt(&self, at_m: [f64; 2]) -> bool {
         self.places_m.iter().any(|place| (0..2).all(|k| (at_m[k] - place[k]).abs() <= 0.5 * self.cell_m[k]))
     }
 
-    /// Travels of all elements under these presses; with their derivatives where these are wanted.
+    /// Computes the travels of all elements under these presses, and optionally their derivatives.
     pub(super) fn travels(&self, presses: &[Press], with_slopes: bool, out: &mut Travels) {
         let count = self.count();
         out.travel_m.clear();
@@ -136,8 +136,8 @@ impl Mechanics {
         }
     }
 
-    /// Force of a press on an element and its derivatives by x and y (in cells) and both logarithms; `None` where it
-    /// does not reach its cell.
+    /// Force of a press on an element and its derivatives by x and y (in cells) and both logarithms; `None` if it
+    /// does not reach the element's cell.
     fn load(&self, press: &Press, element: usize, with_slopes: bool) -> Option<[f64; 1 + OF_PRESS]> {
         let cell = [0, 1].map(|axis| {
             let middle = self.places_m[element][axis] - press.centre_m[axis];
@@ -157,7 +157,7 @@ impl Mechanics {
         load
     }
 
-    /// Adds what a disc of this radius and pressure does.
+    /// Adds the contribution of a disc with this radius and pressure.
     fn add_disc(
         &self,
         press: &Press,
@@ -172,7 +172,7 @@ impl Mechanics {
         if !with_slopes {
             return;
         }
-        // A disc that moves gains what its chord at one edge of the cell is long, and loses the other's.
+        // A moving disc gains the length of its chord at one edge of the cell, and loses that at the other.
         for axis in 0..2 {
             let chord = |at: f64| chord_within(radius, at, cell[1 - axis]);
             sum[1 + axis] += pressure * (chord(cell[axis][0]) - chord(cell[axis][1])) * self.cell_m[axis];
@@ -184,16 +184,16 @@ impl Mechanics {
     }
 }
 
-/// Length of the chord of a disc about the origin at this distance from its middle that lies between two bounds.
+/// Length within two bounds of a chord of a disc about the origin, at this distance from its centre.
 fn chord_within(radius: f64, at: f64, [low, high]: [f64; 2]) -> f64 {
     let half = (radius * radius - at * at).max(0.0).sqrt();
     (high.min(half) - low.max(-half)).max(0.0)
 }
 
-/// Area of a disc about the origin within a rectangle: chords summed by Gauss and Legendre's rule over the angle.
+/// Area of a disc about the origin within a rectangle: chords integrated over the angle by the Gauss-Legendre rule.
 fn area_within(radius: f64, [x, y]: [[f64; 2]; 2]) -> f64 {
     let angle = |at: f64| (at / radius).clamp(-1.0, 1.0).asin();
-    // The rule is exact enough where chords have no kink: between the angles at which they meet the bounds.
+    // The rule is accurate where chords have no kink, so split at the angles where they meet the bounds.
     let kink = |bound: f64| (bound.abs() < radius).then(|| (bound / radius).acos());
     let mut ends = [angle(x[0]), angle(x[1]), 0.0, 0.0, 0.0, 0.0];
     let mut used = 2;

@@ -1,5 +1,5 @@
-//! What has changed in the health of a skin from one frame to the next, in words and numbers: for logs, the page and
-//! recordings. Electrodes come first; channels that go with an electrode are not named beside it.
+//! Changes in the health of a skin from one frame to the next, in words and numbers, for logs, the page and
+//! recordings. Electrodes come first; channels that fail with an electrode are not listed separately.
 
 use dermis_touch::health::{
     ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, FrameFault, FrameFaultKind, Health,
@@ -7,24 +7,24 @@ use dermis_touch::health::{
 
 use dermis_skin::{Modality, Skin};
 
-/// Channels named in the words of a change; further ones are counted.
+/// Maximum number of channels named in a description; the others are counted.
 const MOST_NAMED: usize = 8;
 
-/// A fault that was recognised, or one that is over.
+/// A fault that was detected, or has ended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HealthChange {
     /// `frame-fault`, `frame-recovered`, `electrode-fault`, `electrode-recovered`, `channel-fault` or
     /// `channel-recovered`; coils count as electrodes.
     pub event: &'static str,
-    /// For people: `electrode 7 is lost since frame 142`.
+    /// Description for users: `electrode 7 is lost since frame 142`.
     pub detail: String,
-    /// The electrode, or the channels, counted from 1; none for whole frames.
+    /// The electrode, or the channels, counted from 1; empty for whole frames.
     pub numbers: Vec<f64>,
     /// True for a fault, false for a recovery.
     pub is_fault: bool,
 }
 
-/// Compares the health of every frame with that of the one before. Allocates only where something has changed.
+/// Compares the health of every frame with the previous frame's. Allocates only if something has changed.
 #[derive(Clone, Debug)]
 pub struct HealthWatch {
     electrode: &'static str,
@@ -34,13 +34,13 @@ pub struct HealthWatch {
 }
 
 impl HealthWatch {
-    /// A watch that has seen nothing broken, in the words for this skin.
+    /// A watch without known faults, using the terms of this skin.
     pub fn new(skin: &Skin) -> Self {
         let electrode = if skin.modality == Modality::Mit { "coil" } else { "electrode" };
         Self { electrode, frame: None, electrodes: Vec::new(), channels: Vec::new() }
     }
 
-    /// What has changed with this frame.
+    /// Changes in this frame.
     pub fn changes(&mut self, health: Health<'_>) -> Vec<HealthChange> {
         if health.frame == self.frame && health.electrodes == self.electrodes && health.channels == self.channels {
             return Vec::new();
@@ -173,7 +173,7 @@ mod tests {
         assert_eq!(texts(&changes), expected);
         assert_eq!(changes[2].numbers, [4.0, 5.0]);
         assert!(watch.changes(broken).is_empty());
-        // One of the stuck channels turns out to go with a short; the others are good again.
+        // One of the stuck channels turns out to belong to a short; the others recover.
         let channels = [channel(3, ChannelFaultKind::Electrode)];
         let electrodes = [electrode(6, ElectrodeFaultKind::Shorted { with: 7 })];
         let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes, ..Health::default() });

@@ -1,4 +1,4 @@
-//! The monitor of one skin, fed with what the operator makes of its frames. It returns what follows for the other
+//! The health monitor of a skin, fed with the operator's view of its frames. It returns decisions for the other
 //! stages.
 
 use dermis_tomo::inverse::{LeaveOneOutResidual, Operator};
@@ -10,66 +10,65 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{MeasuredNoise, Reference};
 
-/// Deviations estimated from a start-up's frames are uncertain by this share; they are taken to be larger by it.
+/// Standard deviations estimated from start-up frames are uncertain; they are increased by this factor.
 const UNCERTAINTY: f64 = 1.2;
-/// Below this share of the channels there is no image.
+/// Minimum share of the channels needed for an image.
 const FEWEST_SHARE: f64 = 0.25;
-/// Weight of a new frame in the value at which a channel would agree with the others.
+/// Weight of a new frame in the reading at which a channel would agree with the others.
 const AGREEING: f64 = 0.1;
 
-/// The monitor of a skin with what it needs of the operator.
+/// The health monitor of a skin, with the inputs it needs from the operator.
 #[derive(Debug)]
 pub(crate) struct HealthStage {
     monitor: HealthMonitor,
     residual_of: Option<LeaveOneOutResidual>,
-    /// Difference data without the channels left out so far.
+    /// Difference data without the channels already excluded.
     masked: Vec<f64>,
     residuals: Vec<f64>,
-    /// Readings at which channels left out would agree with the others.
+    /// Readings at which excluded channels would agree with the others.
     agreeing: Vec<f64>,
-    /// Channels left out for good, for the operator.
+    /// Channels excluded permanently, for the operator.
     left_out: Vec<u32>,
     moved: Vec<(usize, f64)>,
-    /// Doubtful frames in a row.
+    /// Consecutive doubtful frames.
     doubtful_frames: usize,
 }
 
-/// One frame as its health is examined.
+/// One frame for a health check.
 pub(crate) struct HealthFrame<'a> {
-    /// Its time on the host's clock and its number.
+    /// Time on the host's clock, and sequence number.
     pub at: (u64, u64),
-    /// Readings as they came.
+    /// Readings as received.
     pub raw: &'a [f64],
     /// Factors from readings to model volts.
     pub scale: &'a [f64],
     /// Difference data, model volts.
     pub difference: &'a [f64],
-    /// What the channels that are left let expect of all: [`HealthStage::mask`], filled in. `None` where too few are
-    /// left.
+    /// All channels as expected from the remaining ones: [`HealthStage::mask`], filled in. `None` if too few remain.
     pub expected: Option<&'a [f64]>,
 }
 
-/// How much of a frame there is to see.
+/// Visibility of the skin in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sight {
-    /// An image can be made, and believed.
+    /// An image can be made, and is reliable.
     Clear,
-    /// Something is wrong that is not known yet: what is made of the frame is not to be believed.
+    /// An unidentified fault makes the frame unreliable.
     Doubtful,
     /// Nothing can be seen: the frames are wrong as a whole, or too few channels are left for an image.
     Blind,
 }
 
-/// What follows from one frame.
+/// Decisions from one frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HealthDecision<'a> {
-    /// Channels without a say in this frame.
+    /// Channels excluded from this frame.
     pub excluded: &'a [bool],
-    /// Channels left out for good, where they are others than before.
+    /// Channels excluded permanently, if the set has changed.
     pub left_out: Option<&'a [u32]>,
-    /// Channels taken back, each with the reading to move its baseline to: where it agrees with the others.
+    /// Channels restored, each with the reading to which its baseline must move so that it agrees with the others.
     pub moved: &'a [(usize, f64)],
-    /// How much there is to see.
+    /// Visibility of the skin.
     pub sight: Sight,
 }
 
@@ -88,35 +87,35 @@ impl HealthStage {
         })
     }
 
-    /// What is known to be broken.
+    /// All known faults.
     pub fn health(&self) -> Health<'_> {
         self.monitor.health()
     }
 
-    /// Channels left out for good.
+    /// Channels excluded permanently.
     pub fn left_out(&self) -> &[u32] {
         &self.left_out
     }
 
-    /// True where the frame just read may be learnt from: it is not wrong as a whole.
+    /// True if the current frame is not wrong as a whole, so that other stages may learn from it.
     pub fn is_frame_sound(&self) -> bool {
         !self.monitor.is_frame_suspect()
     }
 
-    /// To be called with the readings of every frame, before anything is made of them.
+    /// Takes the readings of every frame. Call it before any other processing.
     pub fn read(&mut self, raw: &[f64]) -> Result<(), Error> {
         Ok(self.monitor.read(raw)?)
     }
 
-    /// Looks for what was broken while the first baseline was made.
+    /// Looks for faults that existed while the first baseline was made.
     pub fn check_start(&mut self, at: (u64, u64), prepared: &Prepared, baseline: &Baseline) -> Result<(), Error> {
         self.monitor.check_start(at, baseline.baseline(), baseline.noise_std(), &prepared.voltages)?;
         self.note_left_out();
         Ok(())
     }
 
-    /// The reference of a new baseline. Channels left out have no say in it, and get the model's own resting values, to
-    /// which their baselines are to be moved.
+    /// The reference of a new baseline. Excluded channels do not contribute to it; they get the model's own resting
+    /// values, to which their baselines must be moved.
     pub fn reference(&self, prepared: &Prepared, baseline: &Baseline) -> Result<Reference, Error> {
         let (mut rest, mut noise) = (baseline.baseline().to_vec(), baseline.noise_std().to_vec());
         for &channel in &self.left_out {
@@ -129,7 +128,7 @@ impl HealthStage {
         Ok(reference)
     }
 
-    /// Compares with a new reference, or through a new operator, from now on.
+    /// Switches to a new reference or operator.
     pub fn compare_with(&mut self, reference: &Reference, operator: &Operator) -> Result<(), Error> {
         let deviation: Vec<f64> = reference.noise.iter().map(|sigma| UNCERTAINTY * sigma).collect();
         let rest: Vec<f64> = reference.baseline.iter().zip(&reference.scale).map(|(b, s)| b * s).collect();
@@ -147,8 +146,8 @@ impl HealthStage {
         Ok(self.monitor.begin(&reference)?)
     }
 
-    /// Difference data without the channels that had no say in the last frame (NaN); `None` where too few are left to
-    /// fill these in.
+    /// Difference data without the channels excluded from the last frame (NaN); `None` if too few remain to fill
+    /// these in.
     pub fn mask(&mut self, difference: &[f64]) -> Option<&[f64]> {
         self.masked.clear();
         let kept = |(d, excluded): (&f64, &bool)| if *excluded { f64::NAN } else { *d };
@@ -156,7 +155,7 @@ impl HealthStage {
         is_enough(&self.masked).then_some(&self.masked)
     }
 
-    /// Examines a frame, after [`HealthStage::mask`] of its difference data.
+    /// Checks a frame, after [`HealthStage::mask`] of its difference data.
     pub fn examine(&mut self, frame: &HealthFrame<'_>) -> Result<HealthDecision<'_>, Error> {
         let difference = frame.difference;
         let residuals = match (&mut self.residual_of, frame.expected) {
@@ -175,7 +174,7 @@ impl HealthStage {
             for (channel, _) in self.monitor.declared().iter().enumerate().filter(|(_, declared)| **declared) {
                 let value = frame.raw[channel] - filled[channel] / frame.scale[channel];
                 let agreeing = &mut self.agreeing[channel];
-                // Of frames without fault only, of which there are many before a channel is taken back.
+                // Average only fault-free frames; there are many of these before a channel is restored.
                 *agreeing = if agreeing.is_finite() && self.monitor.is_clean(channel) {
                     *agreeing + AGREEING * (value - *agreeing)
                 } else {
@@ -199,7 +198,7 @@ impl HealthStage {
         let sight = if self.monitor.health().frame.is_some() || !is_enough_of(left, difference.len()) {
             Sight::Blind
         } else if is_suspect || (doubtful && self.doubtful_frames <= HEALTH_WINDOW) {
-            // A doubt that is not settled within the window ends: the skin must not stand still.
+            // Stop doubting after the window, so that the skin does not freeze.
             Sight::Doubtful
         } else {
             Sight::Clear

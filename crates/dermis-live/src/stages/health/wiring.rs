@@ -7,25 +7,26 @@ use dermis_touch::health::{HealthParams, Wiring};
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// An electrode belongs to a pattern where its weight is at least this share of the largest: mean references hold all.
+/// An electrode belongs to a pattern if its weight is at least this share of the largest: a mean reference contains
+/// all.
 const LEAST_WEIGHT: f64 = 0.5;
 
 /// How the protocol's channels use the electrodes, for a [`dermis_touch::health::HealthMonitor`].
 ///
 /// # Errors
-/// None for a protocol that could be made.
+/// None for a valid protocol.
 pub fn wiring(prepared: &Prepared) -> Result<Wiring, Error> {
     let protocol: &Protocol = &prepared.protocol;
     let electrodes = |patterns: &[Pattern]| patterns.iter().map(main_electrodes).collect::<Vec<_>>();
     let channels = protocol.measurements().iter().map(|m| [m.stimulation, m.pattern]).collect();
-    // A readout circuit mixes lines, and coils are read one way only.
+    // A readout circuit mixes lines, and coils are read in one direction only.
     let reciprocal = prepared.skin.backend.circuit.is_none() && prepared.skin.modality == Modality::Eit;
     let partners = if reciprocal { protocol.reciprocal_channels() } else { vec![None; protocol.channel_count()] };
     let (drives, patterns) = (electrodes(protocol.stimulations()), electrodes(protocol.patterns()));
     Ok(Wiring::new(protocol.electrode_count(), drives, patterns, channels, partners)?)
 }
 
-/// The limits of health as the skin file has them.
+/// The limits of health from the skin file.
 pub fn health_params(prepared: &Prepared) -> HealthParams {
     let settings = &prepared.skin.health;
     HealthParams {

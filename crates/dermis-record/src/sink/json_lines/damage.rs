@@ -1,4 +1,4 @@
-//! The part of a line that tells of damage.
+//! The part of a line that describes damage.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use dermis_touch::damage::{Damage, DamageState};
 use super::number::{Number, push_since};
 use dermis_live::stages::damage::DamageView;
 
-/// Appends what is known of damage, if there is anything to tell. Suspicions are not told.
+/// Appends the known damage, if there is any news. Suspected damage is left out.
 pub(super) fn push_damage(text: &mut String, view: &DamageView<'_>) {
     if view.is_silent() {
         return;

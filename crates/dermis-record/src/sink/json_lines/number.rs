@@ -1,8 +1,8 @@
-//! Numbers and times as lines of JSON have them.
+//! Numbers and times in JSON notation.
 
 use std::fmt::{self, Write as _};
 
-/// A number as JSON has it.
+/// A number in JSON notation; `null` if it is not finite.
 pub(super) struct Number(pub(super) f64);
 
 impl fmt::Display for Number {
@@ -11,7 +11,7 @@ impl fmt::Display for Number {
     }
 }
 
-/// Ends an object with the time since when it has been so.
+/// Closes an object with the time at which its state began.
 pub(super) fn push_since(text: &mut String, since_ns: u64) {
     let _ = write!(text, ",\"since_s\":{}.{:09}}}", since_ns / 1_000_000_000, since_ns % 1_000_000_000);
 }

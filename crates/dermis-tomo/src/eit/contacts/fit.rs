@@ -1,5 +1,5 @@
-//! Patches of contact fitted to a frame: places, radii and conductances of all of them together, by damped least
-//! squares ([`crate::least_squares`]) on the full model, with a broad prior on radius and conductance.
+//! Fits patches of contact to a frame: all positions, radii and conductances together, by damped least squares
+//! ([`crate::least_squares`]) on the full model, with a broad prior on radius and conductance.
 
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
@@ -12,33 +12,33 @@ use crate::least_squares::{
 
 /// Parameters of a patch: x, y, logarithm of the radius, logarithm of the conductance per area.
 const OF_PATCH: usize = 4;
-/// Damping at the start and at most, relative to the diagonal.
+/// Initial and maximum damping, relative to the diagonal.
 const DAMPING: [f64; 2] = [1e-3, 1e6];
-/// A step that would lower the cost (half squared standard deviations) by less than this is not taken: all parameters
-/// are then within a tenth of their standard deviations of the best ones.
+/// Minimum drop in cost (half squared standard deviations) to take another step. Below it, all parameters are within
+/// a tenth of their standard deviations of the optimum.
 const SETTLED: f64 = 5e-3;
-/// A step moves no place by more than this many radii, and no logarithm by more than [`LONGEST_LOG`].
+/// Maximum change of a position in one step, in radii, and of a logarithm ([`LONGEST_LOG`]).
 const LONGEST: f64 = 0.7;
 const LONGEST_LOG: f64 = 0.7;
 
-/// What is expected of patches before anything is measured.
+/// Prior on patches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitOptions {
     /// Typical radius, metres.
     pub radius_m: f64,
     /// Standard deviation of its natural logarithm.
     pub radius_log_deviation: f64,
-    /// Steps make no radius larger than this, metres, infinite for no bound: what a step costs grows with the fourth
-    /// power of it.
+    /// Maximum radius that a step may reach, metres; infinite for no bound. The cost of a step grows with its fourth
+    /// power.
     pub most_radius_m: f64,
     /// Typical conductance per area, S/m^2.
     pub conductance_s_per_m2: f64,
     /// Standard deviation of its natural logarithm.
     pub conductance_log_deviation: f64,
-    /// Standard deviation of a change of all voltages by the same share, which is fitted beside the patches: a sheet
-    /// grows warmer. 0: there is none.
+    /// Standard deviation of a common relative change of all voltages, fitted together with the patches (for example
+    /// as a sheet warms up). 0 to leave it out.
     pub gain_deviation: f64,
-    /// Steps at most.
+    /// Maximum number of steps.
     pub most_steps: usize,
 }
 
@@ -51,50 +51,50 @@ pub struct ContactFit {
     pub covariance: [[f64; 4]; 4],
 }
 
-/// How a fit went.
+/// Summary of a fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FitSummary {
-    /// Mean over the channels of the squared residual over its variance: 1 where noise alone is left.
+    /// Mean over the channels of squared residual over variance: 1 if only noise is left.
     pub misfit: f64,
-    /// The same before anything was explained.
+    /// The same before the fit.
     pub energy: f64,
-    /// Sum over the channels of the squared residual over its variance, and over the patches of how far radius and
-    /// conductance are from what is expected, in squared standard deviations: what a fit makes small.
+    /// The quantity that a fit minimises: the sum over the channels of squared residual over variance, plus the sum
+    /// over the patches of the squared deviations of radius and conductance from the prior, in standard deviations.
     pub cost: f64,
-    /// Steps taken.
+    /// Number of steps taken.
     pub steps: usize,
-    /// Whether further steps would change nothing, or cannot be taken.
+    /// True if further steps would change nothing or cannot be taken.
     pub settled: bool,
 }
 
-/// Patches with what the sheet makes of them: where a fit goes on, on the same frame or the next one.
+/// Patches with their effect on the sheet: the state from which a fit continues, on the same frame or the next.
 #[derive(Clone, Debug)]
 pub struct PatchFit {
     patches: Vec<ContactPatch>,
     touched: Touched,
-    /// Change of the channels by the patches, volts.
+    /// Change of the channels due to the patches, volts.
     change_v: Vec<f64>,
-    /// Change of all voltages beside it, a share of those of the bare sheet.
+    /// Common change of all voltages, as a share of the bare sheet's voltages.
     gain: f64,
-    /// Derivatives of the change by the patches, channels x parameters; worked out when they are needed.
+    /// Derivatives of the change with respect to the patch parameters, channels x parameters; computed on demand.
     jacobian: Option<Vec<f64>>,
     damping: f64,
 }
 
 impl PatchFit {
-    /// The patches as they are now.
+    /// The current patches.
     pub fn patches(&self) -> &[ContactPatch] {
         &self.patches
     }
 
-    /// Change of all voltages that was found beside the patches, a share of those of the bare sheet.
+    /// Fitted common change of all voltages, as a share of the bare sheet's voltages.
     pub fn gain(&self) -> f64 {
         self.gain
     }
 }
 
 impl ContactSheet {
-    /// Begins a fit at these patches.
+    /// Starts a fit from these patches.
     ///
     /// # Errors
     /// As [`ContactSheet::change_v`].
@@ -104,11 +104,11 @@ impl ContactSheet {
         Ok(PatchFit { patches: start.to_vec(), touched, change_v, gain: 0.0, jacobian: None, damping: DAMPING[0] })
     }
 
-    /// Fits patches, from where they are, to changes of the channels (volts; those that are not finite do not count)
-    /// with these standard deviations. `left_v` gets what is left over, `NaN` where the change was.
+    /// Fits patches, starting from their current positions, to changes of the channels (volts; non-finite ones are
+    /// ignored) with these standard deviations. `left_v` receives the residuals, `NaN` where the change was.
     ///
     /// # Errors
-    /// Lengths that are not the number of channels; as [`ContactSheet::change_v`].
+    /// Fails if a length is not the number of channels; otherwise as [`ContactSheet::change_v`].
     pub fn fit(
         &self,
         change_v: &[f64],
@@ -120,8 +120,8 @@ impl ContactSheet {
         self.go_on(change_v, deviation_v, &mut self.begin_fit(start)?, options, left_v)
     }
 
-    /// As [`ContactSheet::fit`], from where a fit stands; it stands at the patches found afterwards, and one that used
-    /// all of its steps can be gone on with.
+    /// As [`ContactSheet::fit`], continuing from the state of a fit and leaving it at the patches found. A fit that
+    /// used up its steps can be continued.
     ///
     /// # Errors
     /// As [`ContactSheet::fit`].
@@ -165,7 +165,7 @@ impl ContactSheet {
         let (steps, cost) = (info.trials, info.cost);
         let settled = steps < options.most_steps || (info.outcome == Outcome::Settled && !is_empty);
         from.damping = info.damping;
-        // A fit that is gone on with on another frame begins boldly again.
+        // Restart with little damping when the fit continues on another frame.
         if settled {
             from.damping = DAMPING[0];
         }
@@ -189,14 +189,14 @@ impl ContactSheet {
         Ok((fits, summary))
     }
 
-    /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s`, times what each parameter does to the node's
-    /// conductance.
+    /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s` times the derivative of the node's conductance with
+    /// respect to each parameter.
     pub(super) fn derivatives(&self, patches: &[ContactPatch], touched: &Touched) -> Vec<f64> {
         let (size, stimulations) = (OF_PATCH * patches.len(), self.stimulations);
         let measuring = self.measuring();
         let mut jacobian = vec![0.0; self.channels() * size];
         for (k, patch) in patches.iter().enumerate() {
-            // The rows of the touched nodes that this patch covers, and what its parameters do to their conductance.
+            // The rows of the touched nodes that this patch covers, and the derivatives of their conductances.
             let (mut rows, mut moves) = (Vec::new(), Vec::new());
             for (row, &node) in touched.nodes.iter().enumerate() {
                 let (at, area) = (self.positions_m[node as usize], self.areas_m2[node as usize]);
@@ -207,7 +207,7 @@ impl ContactSheet {
                     let g = patch.conductance_s_per_m2 * area;
                     let far = distance.max(1e-12);
                     rows.push(row);
-                    // Over the node's conductance, which turns a current into the potential across the contact.
+                    // Divided by the node's conductance, which turns a current into the potential across the contact.
                     let by = g / touched.conductance_s[row];
                     moves.push([
                         -slope * dx / far * by,
@@ -262,7 +262,7 @@ struct Fit<'a> {
     change_v: &'a [f64],
     deviation_v: &'a [f64],
     options: &'a FitOptions,
-    /// Precision of the gain (one over its variance) by the data and what is expected of it, where it is fitted.
+    /// Precision of the gain (inverse variance) from data and prior, if it is fitted.
     gain_precision: Option<f64>,
 }
 
@@ -278,7 +278,7 @@ impl Fit<'_> {
         sum / f64::max(count, 1.0)
     }
 
-    /// The gain that suits patches of this effect best; 0 where none is fitted.
+    /// The best-fitting gain for patches with this effect; 0 if it is not fitted.
     fn gain(&self, model: &[f64]) -> f64 {
         let Some(precision) = self.gain_precision else { return 0.0 };
         let mut cross = 0.0;
@@ -290,7 +290,7 @@ impl Fit<'_> {
         cross / precision
     }
 
-    /// Misfit and cost of where a fit stands, at the gain that suits it best.
+    /// Misfit and cost at the current state, with the best-fitting gain.
     fn judge(&self, at: &mut PatchFit) -> (f64, f64) {
         at.gain = self.gain(&at.change_v);
         let misfit = self.misfit(&at.change_v, at.gain);
@@ -302,7 +302,7 @@ impl Fit<'_> {
         (misfit, 0.5 * (count * misfit + prior))
     }
 
-    /// How far radius and conductance are from what is expected, in standard deviations.
+    /// Deviations of radius and conductance from the prior, in standard deviations.
     fn off(&self, patch: &ContactPatch) -> [f64; 2] {
         let options = self.options;
         [
@@ -311,7 +311,7 @@ impl Fit<'_> {
         ]
     }
 
-    /// The equations where a fit stands; the gain is eliminated.
+    /// The normal equations at the current state, with the gain eliminated.
     fn normal(&self, at: &mut PatchFit, equations: &mut NormalEquations) {
         let size = OF_PATCH * at.patches.len();
         let gain = at.gain;
@@ -356,13 +356,13 @@ impl Fit<'_> {
     }
 }
 
-/// A fit while it goes on.
+/// A fit in progress.
 struct FitUnderWay<'a> {
     fit: &'a Fit<'a>,
     at: &'a mut PatchFit,
-    /// The patches tried last, with their misfit.
+    /// The last patches tried, with their misfit.
     tried: Option<(PatchFit, f64)>,
-    /// Misfit where the fit stands.
+    /// Misfit at the current state.
     misfit: f64,
 }
 
@@ -406,7 +406,7 @@ impl Problem for FitUnderWay<'_> {
     }
 }
 
-/// The matrix of the equations with its diagonal multiplied.
+/// The matrix of the normal equations with its diagonal scaled.
 fn matrix(equations: &NormalEquations, diagonal: f64) -> Mat<f64> {
     let size = equations.unknowns();
     Mat::from_fn(size, size, |a, b| equations.normal[a * size + b] * if a == b { diagonal } else { 1.0 })

@@ -1,6 +1,7 @@
-//! Where patches may be, before they are fitted: all ones and twos of places on a coarse grid, and threes and more that
-//! extend the best of those, each judged by a model of ports. A port is a patch of typical radius and conductance whose
-//! current keeps its shape; ports are joined by the layer above, as patches are.
+//! Search for starting positions of patches before a fit: all single positions and pairs on a coarse grid, then
+//! triples and more that extend the best of those. Each set is judged by a model of ports. A port is a patch of
+//! typical radius and conductance whose current distribution is fixed; ports are connected through the layer above,
+//! like patches.
 
 use pulp::{Arch, NullaryFnOnce};
 
@@ -8,32 +9,32 @@ use super::{ContactPatch, ContactSheet};
 use crate::eit::EitError;
 use crate::eit::protocol::Measurement;
 
-/// Sets that are extended by one more port.
+/// Number of sets that are extended by one more port.
 const EXTENDED: usize = 12;
-/// Ports of the largest set.
+/// Maximum number of ports in a set.
 const MOST: usize = 4;
-/// Channels that are worked on side by side.
+/// Number of channels processed in parallel.
 const LANES: usize = 16;
 
-/// Shares of a port's current at its nodes.
+/// Distribution of a port's current over its nodes.
 type Shape = Vec<(usize, f64)>;
 
 /// The ports of a sheet.
 #[derive(Debug)]
 pub struct PatchSearch {
     patches: Vec<ContactPatch>,
-    /// Ports x ports, ohm: on the diagonal a port's own resistance, contact included.
+    /// Ports x ports, ohm. The diagonal holds each port's own resistance, including its contact.
     resistance: Vec<Vec<f64>>,
-    /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and
+    /// Ports x channels: the effect of a single port, volts, and its potentials under the channel's stimulation and
     /// measuring pattern.
     alone_v: Vec<Vec<[f32; LANES]>>,
     driven: Vec<Vec<[f32; LANES]>>,
     measured: Vec<Vec<[f32; LANES]>>,
-    /// Ports closer than this are not taken together, metres.
+    /// Minimum distance between ports of a set, metres.
     apart_m: f64,
 }
 
-/// A set of ports and how much of the data it leaves.
+/// A set of ports and the energy of the data that it leaves unexplained.
 #[derive(Clone, Debug)]
 struct Candidate {
     ports: Ports,
@@ -63,36 +64,36 @@ impl Ports {
     }
 }
 
-/// The sets of one frame, larger by a patch each time: [`PatchSearch::look`] looks for them one size after the other,
-/// since larger sets take longer and are seldom needed.
+/// The sets for one frame, which grow by one patch at a time. [`PatchSearch::look`] searches one size after another,
+/// since larger sets take longer and are rarely needed.
 #[derive(Clone, Debug)]
 pub struct PatchSets {
-    /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
+    /// Changes of the channels over their standard deviations, and the inverse standard deviations; 0 if missing.
     scaled: Vec<[f32; LANES]>,
     weight: Vec<[f32; LANES]>,
-    /// Sum of the squares of the former.
+    /// Sum of squares of the scaled changes.
     energy: f64,
-    /// Those of the last size, best first.
+    /// Sets of the last size, best first.
     best: Vec<Candidate>,
     size: usize,
-    /// Those of the next size, and the first of them with what they leave.
+    /// Sets of the next size, and the residual energies of those judged already.
     grown: Vec<Ports>,
     judged: Vec<Candidate>,
 }
 
-/// What a look came to.
+/// Result of a call.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Looked {
-    /// There are more sets of this size to judge.
+    /// More sets of this size remain to be judged.
     NotDone,
     /// The best set of this size.
     Best(Vec<ContactPatch>),
-    /// No larger set finds room, or there are four patches.
+    /// There is no room for a larger set, or the set has four patches.
     NoRoom,
 }
 
 impl PatchSearch {
-    /// Ports of this patch's radius and conductance at these places (metres).
+    /// Ports with this patch's radius and conductance at these positions (metres).
     ///
     /// # Errors
     /// As [`ContactSheet::change_v`].
@@ -127,10 +128,10 @@ impl PatchSearch {
         Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
-    /// Begins the search in changes of the channels (volts, not finite where missing) with these standard deviations.
+    /// Starts the search in changes of the channels (volts, non-finite if missing) with these standard deviations.
     ///
     /// # Errors
-    /// Lengths that are not the number of channels.
+    /// Fails if a length is not the number of channels.
     pub fn begin(&self, sheet: &ContactSheet, change_v: &[f64], deviation_v: &[f64]) -> Result<PatchSets, EitError> {
         sheet.check_frame(change_v, deviation_v)?;
         let of_channels = |value: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
@@ -143,8 +144,8 @@ impl PatchSearch {
         Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0, grown: Vec::new(), judged: Vec::new() })
     }
 
-    /// Looks for the best set of one patch; after it is found, for that of two, and so on to four: starts for
-    /// [`ContactSheet::fit`]. Judges at most so many sets in a call.
+    /// Searches for the best single patch, on later calls the best pair and so on up to four: starting points for
+    /// [`ContactSheet::fit`]. Judges at most `most` sets per call.
     pub fn look(&self, sets: &mut PatchSets, most: usize) -> Looked {
         if sets.grown.is_empty() {
             self.grow(sets);
@@ -170,14 +171,14 @@ impl PatchSearch {
         }
     }
 
-    /// The sets that are larger by a patch.
+    /// Grows the sets by one patch.
     fn grow(&self, sets: &mut PatchSets) {
         let count = self.patches.len();
         match sets.size {
             0 => sets.grown.extend((0..count).map(Ports::one)),
             MOST.. => {}
             size => {
-                // All pairs are looked at, since one port between two touches explains much and leads nowhere.
+                // Try all pairs: one port between two touches explains much of the data but is a dead end.
                 let extended = if size == 1 { count } else { EXTENDED };
                 for candidate in sets.best.iter().take(extended) {
                     let first = if size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
@@ -194,9 +195,9 @@ impl PatchSearch {
         (p[0] - q[0]).hypot(p[1] - q[1])
     }
 
-    /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are
-    /// unknowns, since all add up to nothing: with differences `d` of fields from the last port's and
-    /// `D_jk = R_jk - R_jn - R_nk + R_nn`, a channel changes by the sum of what ports do by themselves less
+    /// Whitened energy that a set leaves unexplained at its best scale. The currents of all ports but the last are
+    /// the unknowns, since all currents sum to zero. With differences `d` of the fields from the last port's and
+    /// `D_jk = R_jk - R_jn - R_nk + R_nn`, a channel changes by the sum of the single-port effects minus
     /// `d_m' D^-1 d_s`.
     #[inline(always)]
     fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
@@ -243,7 +244,7 @@ impl PatchSearch {
     }
 }
 
-/// The sets judged, in one loop, so that all of it is compiled for the vector instructions that the machine has.
+/// Judges the sets in one loop, so that all of it is compiled for the vector instructions of the machine.
 struct Judge<'a> {
     search: &'a PatchSearch,
     sets: &'a PatchSets,
@@ -263,7 +264,7 @@ impl NullaryFnOnce for Judge<'_> {
     }
 }
 
-/// Sums over the channels, a lane at a time: what values (volts) have in common with the data, and their own square.
+/// Sums over the channels, by lane: projection of the values (volts) on the data, and the values' own square.
 #[derive(Default)]
 struct Sums {
     along: [f32; LANES],
@@ -271,7 +272,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// What the values leave of the data's energy, at the scale that suits them best.
+    /// Energy of the data that the values leave unexplained at their best scale.
     fn left(&self, energy: f64) -> f64 {
         let sum = |lanes: &[f32; LANES]| lanes.iter().copied().map(f64::from).sum::<f64>();
         let (along, square) = (sum(&self.along), sum(&self.square));
@@ -279,7 +280,7 @@ impl Sums {
     }
 }
 
-/// Ports x ports, with what each has by itself on the diagonal.
+/// Ports x ports, with each port's own resistance on the diagonal.
 fn resistances(sheet: &ContactSheet, shapes: &[Shape], own: &[f64]) -> Vec<Vec<f64>> {
     let green = sheet.green.whole();
     let mut resistance = vec![vec![0.0; shapes.len()]; shapes.len()];
@@ -299,7 +300,7 @@ fn resistances(sheet: &ContactSheet, shapes: &[Shape], own: &[f64]) -> Vec<Vec<f
     resistance
 }
 
-/// Values of the channels in lanes, the last one filled up with zeros.
+/// Splits the channels into lanes, padded with zeros.
 fn in_lanes(values: impl IntoIterator<Item = f64>) -> Vec<[f32; LANES]> {
     let mut lanes = Vec::new();
     for (k, value) in values.into_iter().enumerate() {
@@ -313,7 +314,7 @@ fn in_lanes(values: impl IntoIterator<Item = f64>) -> Vec<[f32; LANES]> {
     lanes
 }
 
-/// Inverts the leading block of this size in place, by Gauss and Jordan; it is positive definite.
+/// Inverts the leading block of this size in place by Gauss-Jordan elimination; it is positive definite.
 fn invert(matrix: &mut [[f64; MOST - 1]; MOST - 1], size: usize) {
     for pivot in 0..size {
         let inverse = 1.0 / matrix[pivot][pivot];

@@ -1,4 +1,4 @@
-//! The bare sheet, and what patches of contact change of its channels.
+//! The bare sheet, and the effect of patches of contact on its channels.
 
 use std::ops::Range;
 
@@ -11,21 +11,21 @@ use crate::sparse::SparseError;
 /// A round patch of contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactPatch {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub position_m: [f64; 2],
-    /// Its radius, metres.
+    /// Radius, metres.
     pub radius_m: f64,
     /// Contact conductance per area, S/m^2.
     pub conductance_s_per_m2: f64,
 }
 
-/// Nodes of which less than this share is covered by a patch are not touched.
+/// Minimum share of a node's area that a patch must cover for the node to count as touched.
 const LEAST_COVERAGE: f64 = 1e-3;
-/// Fields that differ by no more than this share of the largest potential are the same.
+/// Fields that differ by at most this share of the largest potential are considered equal.
 const SAME: f64 = 1e-12;
 
-/// The Green's function between all nodes, which is symmetric: its lower triangle, column by column. It is the largest
-/// thing in memory of a live skin.
+/// The Green's function between all nodes. It is symmetric, so only the lower triangle is stored, column by column.
+/// It is the largest object in memory of a live skin.
 #[derive(Debug)]
 pub(super) struct Green {
     nodes: usize,
@@ -33,9 +33,9 @@ pub(super) struct Green {
 }
 
 impl Green {
-    /// Values of the nodes from this one on.
+    /// Values for the nodes from `node` on.
     pub(super) fn column(&self, node: usize) -> &[f32] {
-        // Those before it have nodes, nodes - 1, ... values.
+        // Earlier columns have nodes, nodes - 1, ... values.
         let start = node * self.nodes - node * node.saturating_sub(1) / 2;
         &self.triangle[start..start + self.nodes - node]
     }
@@ -53,45 +53,45 @@ impl Green {
     }
 }
 
-/// The bare sheet, ready for any contacts. Its nodes stand in the order of elimination.
+/// The bare sheet, prepared for any contacts. Nodes are in elimination order.
 #[derive(Debug)]
 pub struct ContactSheet {
     pub(super) positions_m: Vec<[f64; 2]>,
-    /// Area of the sheet that goes with each node, m^2.
+    /// Area of the sheet represented by each node, m^2.
     pub(super) areas_m2: Vec<f64>,
     /// Width over which the edge of a patch is blurred, metres.
     edge_m: f64,
     /// Nodes x nodes, ohm.
     pub(super) green: Green,
-    /// Fields x nodes: potentials for the stimulations, volts, then for those measuring patterns that are no multiple
-    /// of one, ohm. A pair that both drives and measures is worked on once.
+    /// Fields x nodes: potentials for the stimulations, volts, followed by those for the measuring patterns that are
+    /// not a multiple of a stimulation, ohm. A pair that both drives and measures is stored once.
     pub(super) fields: Mat<f64>,
     pub(super) stimulations: usize,
-    /// Of each measuring pattern its field, and by how much that has to be multiplied.
+    /// Field of each measuring pattern, and the factor to multiply it by.
     pub(super) patterns: Vec<(usize, f64)>,
     pub(super) measurements: Vec<Measurement>,
     /// Channels on the bare sheet, volts.
     pub(super) bare_v: Vec<f64>,
 }
 
-/// What contacts do: the nodes that are touched and the currents there.
+/// Effect of contacts: the touched nodes and their currents.
 #[derive(Clone, Debug)]
 pub(super) struct Touched {
     pub(super) nodes: Vec<u32>,
     pub(super) conductance_s: Vec<f64>,
     /// Touched x fields: `P f`, the current out of the sheet.
     pub(super) currents: Mat<f64>,
-    /// `M^-1 1`, and its sum: the shape of the current of one common potential.
+    /// `M^-1 1` and its sum: the currents for one common potential.
     pub(super) common: Vec<f64>,
 }
 
 impl ContactSheet {
-    /// Works out the Green's function of a sheet of this conductance (siemens, one value an element). The edge of a
-    /// patch is blurred over `edge_m`, or over the distance between nodes where that is more: what a patch does then
-    /// changes smoothly with its place, and a cover spreads pressure so.
+    /// Computes the Green's function of a sheet with this conductance (siemens, one value per element). The edge of a
+    /// patch is blurred over `edge_m`, or over the distance between nodes if that is larger, so that its effect
+    /// varies smoothly with its position; a cover layer spreads pressure in the same way.
     ///
     /// # Errors
-    /// As [`ForwardModel::solve`]; point electrodes.
+    /// As [`ForwardModel::solve`]; also fails with point electrodes.
     pub fn new(model: &ForwardModel, sheet_s: &[f64], edge_m: f64) -> Result<Self, EitError> {
         let mesh = &model.body.mesh;
         let solution = model.solve(sheet_s)?;
@@ -146,10 +146,10 @@ impl ContactSheet {
         &self.bare_v
     }
 
-    /// Change of every channel, volts, by these patches. Where patches overlap, their conductances add.
+    /// Change of every channel due to these patches, volts. Conductances of overlapping patches add up.
     ///
     /// # Errors
-    /// A patch whose radius or conductance is not positive and finite.
+    /// Fails if a radius or conductance is not positive and finite.
     pub fn change_v(&self, patches: &[ContactPatch]) -> Result<Vec<f64>, EitError> {
         let touched = self.touch(patches)?;
         Ok(self.change_of(&touched))
@@ -160,13 +160,13 @@ impl ContactSheet {
         self.fields.nrows()
     }
 
-    /// The fields that measuring patterns have, some or all of which may be those of stimulations.
+    /// The range of fields of the measuring patterns; some or all of them may also belong to stimulations.
     pub(super) fn measuring(&self) -> Range<usize> {
         let fields = || self.patterns.iter().map(|(field, _)| *field);
         fields().min().unwrap_or(0)..fields().max().map_or(0, |last| last + 1)
     }
 
-    /// Share of a node that a patch covers, and its derivative with the distance from the middle (1/m).
+    /// Share of a node that a patch covers, and its derivative with respect to the distance from the centre (1/m).
     pub(super) fn coverage(&self, radius_m: f64, distance_m: f64) -> (f64, f64) {
         let width_m = self.edge_m;
         let x = (radius_m - distance_m) / width_m + 0.5;
@@ -179,7 +179,7 @@ impl ContactSheet {
         }
     }
 
-    /// Solves the contacts of these patches.
+    /// Solves for the contacts of these patches.
     pub(super) fn touch(&self, patches: &[ContactPatch]) -> Result<Touched, EitError> {
         for patch in patches {
             let sound = |value: f64| value > 0.0 && value.is_finite();
@@ -218,7 +218,7 @@ impl ContactSheet {
         // Only the lower triangle is read.
         let mut matrix = Mat::zeros(count, count);
         for (b, &node) in nodes.iter().enumerate() {
-            // Nodes ascend.
+            // Nodes are in ascending order.
             let green = self.green.column(node as usize);
             for (a, &other) in nodes.iter().enumerate().skip(b) {
                 matrix[(a, b)] = f64::from(green[(other - node) as usize]);
@@ -255,7 +255,7 @@ impl ContactSheet {
     }
 }
 
-/// The number that these potentials are another's multiples by; `None` where they are not.
+/// The factor between two sets of potentials; `None` if they are not multiples of each other.
 fn multiple_of(driven: &[f64], measured: &[f64]) -> Option<f64> {
     let largest = |values: &[f64]| (0..values.len()).max_by(|&a, &b| values[a].abs().total_cmp(&values[b].abs()));
     let at = largest(driven)?;

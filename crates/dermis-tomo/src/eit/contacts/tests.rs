@@ -1,5 +1,5 @@
-//! Contacts against the same contacts as a floating electrode of the complete electrode model, derivatives against
-//! differences, and fits and searches on patches that are known.
+//! Compares contacts with the same contacts as a floating electrode of the complete electrode model, compares
+//! derivatives with differences, and tests fits and searches on known patches.
 
 use super::*;
 use crate::eit::{Drive, Driven, EitError, ForwardModel, Measure, Order, Pattern, Protocol, ProtocolSpec};
@@ -45,7 +45,7 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
     norm(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>()) / norm(b)
 }
 
-/// The same patches as one electrode that carries no current: an independent way to the same physics.
+/// The same patches as one electrode that carries no current: an independent computation of the same physics.
 fn by_floating_electrode(patches: &[ContactPatch], size_m: f64) -> Vec<f64> {
     let mut body = body(size_m);
     let centre = |cell: &[u32]| -> [f64; 2] {
@@ -59,7 +59,7 @@ fn by_floating_electrode(patches: &[ContactPatch], size_m: f64) -> Vec<f64> {
     let bare = ForwardModel::new(body.clone(), protocol.clone()).unwrap();
     let sigma = vec![SHEET_S; body.mesh.element_count()];
     let at_rest = bare.voltages(&sigma).unwrap();
-    // First, so that the reference stays a pad: numbers of the others rise by one.
+    // Insert it first, so that the reference stays a pad; the other electrode numbers rise by one.
     let z = 1.0 / patches[0].conductance_s_per_m2;
     body.electrodes.insert(0, Electrode { contact: Contact::Area(triangles), contact_impedance: z });
     let shifted = |pattern: &Pattern| Pattern::new(pattern.entries().iter().map(|&(e, w)| (e + 1, w)).collect());
@@ -79,7 +79,8 @@ fn contacts_are_a_floating_electrode() {
     for patches in [vec![patch(0.0, 0.0, 12.0)], vec![patch(-25.0, 5.0, 10.0), patch(20.0, -15.0, 12.5)]] {
         let ours = sheet().change_v(&patches).unwrap();
         let theirs = by_floating_electrode(&patches, 1.2e-3);
-        // The edge of a patch is resolved to half a triangle there (0.6 mm of 10) and blurred over 2.5 mm here.
+        // The reference resolves the edge of a patch to half a triangle (0.6 mm of 10); here it is blurred over 2.5
+        // mm.
         let off = difference(&ours, &theirs);
         assert!(off < 0.03, "{} patches: {off}", patches.len());
     }
@@ -95,7 +96,7 @@ fn two_contacts_are_joined_by_the_layer() {
     assert!(difference(&both, &sum) > 0.5, "the layer between them carries most of the current");
 }
 
-/// The best set of the next size, looked for in portions.
+/// The best set of the next size, searched in portions.
 fn next(search: &PatchSearch, sets: &mut PatchSets) -> Vec<ContactPatch> {
     loop {
         match search.look(sets, 1000) {
@@ -117,7 +118,7 @@ fn known_patches_are_found_and_fitted() {
         radius_m: 10e-3,
         radius_log_deviation: 0.5,
         most_radius_m: f64::INFINITY,
-        // Data say little of radius and conductance apart: the prior decides, and is right here.
+        // The data hardly separate radius and conductance. The prior decides, and is correct here.
         conductance_s_per_m2: 600.0,
         conductance_log_deviation: 0.5,
         gain_deviation: 0.0,
@@ -142,9 +143,10 @@ fn known_patches_are_found_and_fitted() {
                 (at[0] - truth.position_m[0]).hypot(at[1] - truth.position_m[1])
             };
             let near = fits.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
-            // Data without noise: what is left is the pull of the prior.
+            // The data are noise-free; only the pull of the prior remains.
             assert!(distance(near) < 2e-4, "{} m off", distance(near));
-            // Radius and conductance trade with each other: what both make of a uniform current is what is known.
+            // Radius and conductance trade off against each other; only their combined effect on a uniform current is
+            // determined.
             assert!((near.patch.radius_m / truth.radius_m - 1.0).abs() < 0.1, "{near:?} for {truth:?}");
         }
     }
@@ -179,7 +181,7 @@ fn a_change_of_all_voltages_displaces_no_patch_where_it_is_allowed_for() {
     };
     let (displaced_m, none, _) = off_m(0.0);
     assert!(displaced_m > 1e-3 && none == 0.0, "{displaced_m}");
-    // The prior pulls at the gain by one over the number of its deviations in the data, thousands here.
+    // The prior shrinks the gain by about one over its size in standard deviations of the data, thousands here.
     let (off_m, found, left) = off_m(0.008);
     assert!(off_m < 1e-4 && (found - gain).abs() < 1e-4 && left < 1e-3, "{off_m} {found} {left}");
 }

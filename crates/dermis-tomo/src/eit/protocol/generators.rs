@@ -1,13 +1,13 @@
-//! Protocols by the names that the field uses: adjacent, opposite, trigonometric and the like, and pairs of coils.
+//! Generators for common protocols (adjacent, opposite, trigonometric and others) and for pairs of coils.
 
 use super::{Drive, Driven, Measure, Measurement, Order, Pattern, Protocol, ProtocolError, ProtocolSpec, Reference};
 
 impl Protocol {
-    /// Coils that drive one after the other while those of higher number are read: N(N-1)/2 channels (0, 1), (0, 2),
-    /// ..., (N-2, N-1). For magnetic induction: a coil's current needs no other coil to return through.
+    /// Coils drive one after another while those with higher numbers are read: N(N-1)/2 channels (0, 1), (0, 2), ...,
+    /// (N-2, N-1). For magnetic induction, where a coil's current needs no other coil as a return path.
     ///
     /// # Errors
-    /// Fewer than two coils, an amplitude that is not positive.
+    /// Fewer than two coils, or an amplitude that is not positive.
     pub fn coil_pairs(coil_count: usize, amplitude_a: f64) -> Result<Self, ProtocolError> {
         if coil_count < 2 {
             return Err(ProtocolError::TooFewElectrodes { pattern: "coils", needed: 2, even: false, got: coil_count });
@@ -27,11 +27,11 @@ impl Protocol {
         })
     }
 
-    /// Makes the lists that a named pattern stands for.
+    /// Generates the lists for a named pattern.
     ///
     /// # Errors
-    /// Too few electrodes, an odd number where opposite pairs are asked for, listed pairs out of range, an amplitude
-    /// that is not positive, or nothing left to measure.
+    /// Too few electrodes, an odd number with opposite pairs, listed pairs out of range, an amplitude that is not
+    /// positive, or no measurements left.
     pub fn generate(spec: &ProtocolSpec) -> Result<Self, ProtocolError> {
         let count = spec.electrode_count;
         if !(spec.amplitude_a > 0.0 && spec.amplitude_a.is_finite()) {
@@ -103,7 +103,7 @@ fn trigonometric(count: usize, amplitude: f64) -> Result<Vec<Pattern>, ProtocolE
         let entries = (0..count).map(|k| {
             let angle = std::f64::consts::TAU * (harmonic * k) as f64 / count as f64;
             let value = if sine { angle.sin() } else { angle.cos() };
-            // Round-off of exact zeros would count an electrode as driven.
+            // Rounding errors in place of exact zeros would mark an electrode as driven.
             (k as u32, if value.abs() < 1e-12 { 0.0 } else { amplitude * value })
         });
         Pattern::new(entries.collect())

@@ -45,7 +45,7 @@ fn rotating_order_starts_after_the_drive() {
     let absolute = Protocol::generate(&spec(Drive::Adjacent, Measure::Adjacent)).unwrap();
     assert_eq!(absolute.channel_label(13), "2-3 > 4-5");
     assert_eq!(absolute.channel_label(26), "3-4 > 1-2");
-    // The pair that wraps keeps its order: the reading is U16 - U1, and the last drive's current goes in at 1.
+    // The wrapping pair keeps its order: the reading is U16 - U1, and the last drive's current enters at electrode 1.
     let channels = || 0..absolute.channel_count();
     let wraps = channels().filter(|&channel| absolute.channel_label(channel).ends_with("> 16-1")).count();
     assert_eq!(wraps, 13);

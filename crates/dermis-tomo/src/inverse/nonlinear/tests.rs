@@ -34,7 +34,7 @@ impl Tank {
         ForwardModel::new(self.body.clone(), self.protocol.clone()).unwrap()
     }
 
-    /// Difference data of a blob of the given log conductivity.
+    /// Difference data for a blob with this log conductivity.
     fn blob(&self, log_conductivity: f64) -> (Vec<f64>, Vec<f64>) {
         let inside = |p: &[f64; 2]| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.03;
         let image: Vec<f64> =
@@ -137,7 +137,7 @@ fn about_a_guess_the_image_is_nearer_than_the_guess_whatever_the_common_factor()
     let reduced = problem.reduce(&[]).unwrap();
     let (dv, truth) = tank.blob(1.5);
     let rest = tank.model().solve(&vec![REST; tank.map.element_count()]).unwrap().voltages();
-    // Half of the blob, and unsure about it.
+    // Half of the blob, with large uncertainty around it.
     let centres = tank.map.inside_centres_m();
     let guess: Vec<f64> = centres.iter().zip(&truth).map(|(p, y)| if p[0] < 0.03 { *y } else { 0.0 }).collect();
     let near = |p: &[f64; 2]| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.045;

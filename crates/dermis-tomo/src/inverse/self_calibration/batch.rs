@@ -1,11 +1,11 @@
-//! Frames side by side as a matrix, how they match the templates, and the signs of their channels.
+//! Frames as a matrix, their match with the templates, and the signs of their channels.
 
 use faer::{Mat, MatRef, Side};
 
 use super::super::InverseError;
 
-/// Fewest frames to calibrate on. With 20 position errors are about a third larger than with hundreds; with 10 they
-/// can double.
+/// Minimum number of calibration frames. With 20, position errors are about a third larger than with hundreds; with
+/// 10 they can double.
 pub const LEAST_CALIBRATION_FRAMES: usize = 20;
 
 const SIGN_ITERATIONS: usize = 30;
@@ -75,7 +75,7 @@ pub(super) fn check_not_infinite(frame: &[f64]) -> Result<(), InverseError> {
     }
 }
 
-/// RMS of each channel over the frames that have it; checks the frames.
+/// RMS of each channel over the frames that contain it; also checks the frames.
 pub(super) fn channel_scale(frames: &[Vec<f64>], channels: usize) -> Result<Vec<f64>, InverseError> {
     let (mut sums, mut counts, mut useful) = (vec![0.0; channels], vec![0usize; channels], 0);
     for frame in frames {
@@ -105,7 +105,8 @@ pub(super) fn scale_rows(matrix: MatRef<'_, f64>, factors: &[f64]) -> Mat<f64> {
     Mat::from_fn(matrix.nrows(), matrix.ncols(), |row, column| factors[row] * matrix[(row, column)])
 }
 
-/// Signs by which the templates (channels x places) agree best with the second moments of the data (channels x frames).
+/// Signs for which the templates (channels x places) agree best with the second moments of the data (channels x
+/// frames).
 pub(super) fn synchronised_signs(
     templates: MatRef<'_, f64>,
     data: MatRef<'_, f64>,
@@ -121,7 +122,7 @@ pub(super) fn synchronised_signs(
         what: "the agreement of channels (its eigenvectors were not found)",
         hint: "look for channels of vastly different scale",
     })?;
-    // Eigenvalues ascend.
+    // Eigenvalues are in ascending order.
     let leading = decomposition.U().col(agreement.ncols() - 1);
     let mut signs: Vec<f64> = leading.iter().map(|&component| sign(component)).collect();
     for _ in 0..SIGN_ITERATIONS {

@@ -1,4 +1,4 @@
-//! Two touches in one frame: the two templates that explain it together.
+//! Two touches in one frame: the two templates that explain it best together.
 
 use faer::Mat;
 
@@ -6,14 +6,14 @@ use super::batch::Batch;
 use super::templates::square_distance;
 use super::{InverseError, MatchedPair, PairSearch, SelfCalibration};
 
-/// Times that one place is looked for anew while the other stays.
+/// Number of times that one place is searched again while the other stays fixed.
 const ROUNDS: usize = 4;
-/// Places that are tried in pairs are at least this share of the least distance of two touches apart.
+/// Minimum distance between places tried in pairs, as a share of the minimum distance between two touches.
 const COARSE: f64 = 0.3;
-/// Templates that are less independent than this (the sine squared between them) are one.
+/// Minimum independence (squared sine between them) for two templates to count as different.
 const LEAST_INDEPENDENT: f64 = 0.02;
 
-/// Two places, both amplitudes, and the energy that they explain.
+/// Two places, both amplitudes, and the energy explained by them.
 #[derive(Clone, Copy)]
 pub(super) struct Explained {
     pub(super) places: [usize; 2],
@@ -21,9 +21,9 @@ pub(super) struct Explained {
     energy: f64,
 }
 
-/// A frame beside the templates of all places, weighted, without the channels that the frame lacks.
+/// Products of a frame with the weighted templates of all places, without the channels missing from the frame.
 pub(super) struct Projected {
-    /// Products of the frame with every template, and the squared norms of these.
+    /// Product of the frame with every template, and the squared norms of the templates.
     products: Vec<f64>,
     squares: Vec<f64>,
     /// Squared norm of the frame.
@@ -31,12 +31,12 @@ pub(super) struct Projected {
 }
 
 impl Projected {
-    /// The share of the frame's energy that two places leave.
+    /// Share of the frame's energy that two places leave unexplained.
     pub(super) fn left_by(&self, explained: &Explained) -> f64 {
         (1.0 - explained.energy / self.energy).max(0.0)
     }
 
-    /// What two templates explain together, both pressing; `gram` is their product.
+    /// Joint explanation by two templates, both pressing; `gram` is their product.
     fn explained(&self, [a, b]: [usize; 2], gram: f64) -> Option<Explained> {
         let (p, q, m, n) = (self.products[a], self.products[b], self.squares[a], self.squares[b]);
         let determinant = m * n - gram * gram;
@@ -50,15 +50,15 @@ impl Projected {
 }
 
 impl SelfCalibration {
-    /// What [`SelfCalibration::locate_pair`] looks for two touches at least `apart_m` from each other with.
+    /// Prepares the search by [`SelfCalibration::locate_pair`] for two touches at least `apart_m` from each other.
     pub fn pair_search(&self, apart_m: f64) -> PairSearch {
         let coarse = self.coarse_places(COARSE * apart_m);
         let grams = self.grams(&coarse, None);
         PairSearch { apart_m, coarse, grams }
     }
 
-    /// The two touches that explain most of a frame of relative changes together; `None` where no two do, or no channel
-    /// changed. `search` must be of this calibration.
+    /// The two touches that together explain most of a frame of relative changes; `None` if no two do or no channel
+    /// changed. `search` must belong to this calibration.
     ///
     /// # Errors
     /// As [`SelfCalibration::scores`].
@@ -75,7 +75,7 @@ impl SelfCalibration {
         Ok(Some(MatchedPair { positions_m, amplitudes, left: projected.left_by(&best) }))
     }
 
-    /// The two places that explain most of the only frame of a batch.
+    /// The two places that explain most of the only frame in a batch.
     pub(super) fn best_pair(&self, batch: &Batch, search: &PairSearch) -> Option<(Projected, Explained)> {
         let (products, norms) = self.products(batch);
         let projected = Projected {
@@ -106,7 +106,7 @@ impl SelfCalibration {
         Some((projected, best))
     }
 
-    /// Weighted templates of some places, channels x places, without the channels that a frame lacks, where one is
+    /// Weighted templates of some places, channels x places, without the channels missing from a frame, if one is
     /// given.
     fn templates_of(&self, places: &[usize], without: Option<&Batch>) -> Mat<f64> {
         let present = |c: usize| without.map_or(1.0, |batch| batch.present[(c, 0)]);
@@ -118,12 +118,12 @@ impl SelfCalibration {
         self.templates_of(places, None).transpose() * self.templates_of(places, without)
     }
 
-    /// Products of the templates of all places with one: one column.
+    /// Products of the templates of all places with one template, as one column.
     fn grams_with(&self, place: usize, without: Option<&Batch>) -> Mat<f64> {
         &self.filter * self.templates_of(&[place], without)
     }
 
-    /// Places at least so far apart, all over the skin.
+    /// Places all over the skin with at least this distance between them.
     fn coarse_places(&self, apart_m: f64) -> Vec<usize> {
         let mut chosen: Vec<usize> = Vec::new();
         for (place, at) in self.places_m.iter().enumerate() {
@@ -134,7 +134,7 @@ impl SelfCalibration {
         chosen
     }
 
-    /// The centroid of one of two places by what others beside it would explain, the other place staying.
+    /// Refines one of two places: the centroid of the energy explained by alternatives, with the other place fixed.
     fn centroid_beside(
         &self,
         projected: &Projected,

@@ -1,4 +1,4 @@
-//! What a touch at each place does to each channel: Jacobian rows summed over a touch of Gaussian shape,
+//! Effect of a touch at each place on each channel: Jacobian rows summed over a touch of Gaussian shape,
 //! `T[c, g] = sum_p exp(-|x_p - x_g|^2 / (2 s^2)) J[c, p]`.
 
 use faer::{Mat, MatRef};
@@ -6,7 +6,7 @@ use faer::{Mat, MatRef};
 use super::super::check::positive;
 use super::super::{InverseError, check_finite};
 
-/// Voltage changes by a touch of unit conductivity change at each of a list of places.
+/// Voltage changes due to a touch of unit conductivity change at each of a list of places.
 #[derive(Clone, Debug)]
 pub struct TouchTemplates {
     /// Channels x places.
@@ -15,10 +15,11 @@ pub struct TouchTemplates {
 }
 
 impl TouchTemplates {
-    /// From a matrix (channels x places, `dv` for a *rise* of conductivity) and where its columns lie, metres.
+    /// Builds templates from a matrix (channels x places, `dv` for a *rise* of conductivity) and the positions of its
+    /// columns, metres.
     ///
     /// # Errors
-    /// No channel or place, sizes that disagree, or values that are not finite.
+    /// No channel or place, mismatched sizes, or non-finite values.
     pub fn new(matrix: Mat<f64>, places_m: Vec<[f64; 2]>) -> Result<Self, InverseError> {
         if places_m.is_empty() || places_m.len() != matrix.ncols() {
             let expected = matrix.ncols().max(1);
@@ -34,12 +35,12 @@ impl TouchTemplates {
         Ok(Self { matrix, places_m })
     }
 
-    /// From a Jacobian per pixel (channels x pixels) by summing it over a Gaussian touch of standard deviation
-    /// `touch_sigma_m` around each place. Places may be some of the pixels; leave out those within about a touch's
-    /// width of the rim, where electrodes make every channel respond to everything.
+    /// Builds templates from a Jacobian per pixel (channels x pixels) by summing it over a Gaussian touch of standard
+    /// deviation `touch_sigma_m` around each place. Places may be a subset of the pixels. Leave out those within
+    /// about a touch's width of the rim, where electrodes make every channel respond to everything.
     ///
     /// # Errors
-    /// As [`TouchTemplates::new`], and a touch size that is not positive and finite.
+    /// As [`TouchTemplates::new`]; also fails if the touch size is not positive and finite.
     pub fn blurred(
         jacobian: MatRef<'_, f64>,
         pixels_m: &[[f64; 2]],
@@ -62,7 +63,7 @@ impl TouchTemplates {
         self.matrix.as_ref()
     }
 
-    /// Where the columns lie, metres.
+    /// Positions of the columns, metres.
     pub fn places_m(&self) -> &[[f64; 2]] {
         &self.places_m
     }

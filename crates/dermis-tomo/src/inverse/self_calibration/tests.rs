@@ -29,7 +29,7 @@ fn protocol() -> Protocol {
     Protocol::from_patterns(ELECTRODES, stimulations, channels).unwrap()
 }
 
-/// Templates and modelled voltages, and touches simulated on a mesh of other size with 30 % conductivity loss.
+/// Templates and modelled voltages, and touches simulated on a different mesh with 30 % conductivity loss.
 struct Skin {
     templates: TouchTemplates,
     voltages: Vec<f64>,
@@ -73,7 +73,7 @@ fn simulate() -> (Vec<Vec<f64>>, Vec<[f64; 2]>) {
         ReadoutCircuit::HYDROGEL_BOARD.response(&model.solve(&sigma).unwrap(), 1.0).unwrap().voltages
     };
     let baseline = read(None);
-    // A sunflower of touches covers the disc evenly.
+    // A sunflower pattern of touches covers the disc evenly.
     let touch = |k: usize| {
         let (radius, angle) = (0.04 * ((k as f64 + 0.5) / FRAMES as f64).sqrt(), 2.399_963 * k as f64);
         [radius * angle.cos(), radius * angle.sin()]
@@ -85,7 +85,7 @@ fn simulate() -> (Vec<Vec<f64>>, Vec<[f64; 2]>) {
     (frames.collect(), touches_m)
 }
 
-/// Deterministic numbers in 0..1 that look random.
+/// Deterministic pseudorandom numbers in 0..1.
 fn noise(k: usize) -> f64 {
     let mut state = (k as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     state ^= state >> 29;
@@ -122,9 +122,9 @@ fn signs_and_gains_are_recovered_and_touches_located() {
         assert!((ratio / gains[channel].abs() - 1.0).abs() < 1e-12);
     }
     assert!(found.score() > 0.95, "{}", found.score());
-    // Nearly nothing is left unexplained: at most the floor, -1/2 ln 0.02.
+    // Almost nothing is left unexplained: at most the floor, -1/2 ln 0.02.
     assert!(found.log_likelihood() > 1.0 && found.log_likelihood() < 1.96, "{}", found.log_likelihood());
-    // Pixels of 4.2 mm, touches of 5 mm (one standard deviation).
+    // Pixels of 4.2 mm, touches of 5 mm (standard deviation).
     let worst = worst_error_m(&found, &distorted);
     assert!(worst < 0.003, "{worst}");
 }
@@ -163,7 +163,7 @@ fn amplitude_is_proportional_and_its_sign_follows_the_touch() {
     let two = calibration.locate(&twice).unwrap().unwrap();
     assert!((two.amplitude / one.amplitude - 2.0).abs() < 1e-9 && one.peak == two.peak);
     assert!((calibration.scores(&twice).unwrap()[two.peak] - two.score).abs() < 1e-12);
-    // The same skin gaining conductivity: all frames change sign, and so does the effect.
+    // The same skin with rising conductivity: all frames and the effect change sign.
     let negative: Vec<Vec<f64>> = skin.frames.iter().map(|f| f.iter().map(|d| -d).collect()).collect();
     let raise = CalibrationOptions { effect: TouchEffect::RaisesConductivity, ..lower };
     assert!(worst_error_m(&fit(&negative, raise).unwrap(), &negative) < 0.003);
@@ -193,7 +193,7 @@ fn frames_of_two_touches_weigh_the_channels_once_they_are_known_to_be() {
     calibration.weigh_with_pairs(&skin.templates, &frames, apart_m, are_two);
     let after = left(&calibration);
     assert!(after < 0.85 * before && calibration.score() > score, "{before} {after}, {score} {}", calibration.score());
-    // Frames of one touch each are left alone.
+    // Frames with one touch each are left unchanged.
     let of_one = SelfCalibration::fit(&skin.templates, &skin.voltages, &skin.frames, options).unwrap();
     let mut again = of_one.clone();
     again.weigh_with_pairs(&skin.templates, &skin.frames, apart_m, are_two);

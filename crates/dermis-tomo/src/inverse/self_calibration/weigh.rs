@@ -1,24 +1,25 @@
-//! Channels weighed by frames of two touches.
+//! Reweights channels with frames of two touches.
 
 use super::batch::{Batch, Peak};
 use super::pair::Explained;
 use super::{PairSearch, SelfCalibration, TouchTemplates};
 
-/// Frames that are looked at, at most, taken evenly, and how often.
+/// Maximum number of frames used, evenly spaced, and number of rounds.
 const MOST_FRAMES: usize = 240;
 const ROUNDS: usize = 4;
 
-/// What a calibration frame is explained by.
+/// Explanation of a calibration frame.
 enum By {
     One(Peak),
     Two(Explained),
 }
 
 impl SelfCalibration {
-    /// Weighs the channels anew with the frames of the fit, some of which two touches make: what one touch cannot
-    /// explain of those is no fault of the channels. Two touches are at least `apart_m` from each other, and a frame is
-    /// of two where `are_two` says so of the share of its energy that the best place leaves, of the share that the best
-    /// two do, and of how hard the weaker presses over the other. Nothing changes where no frame is of two.
+    /// Reweights the channels with the frames of the fit, assuming that some of them contain two touches. A channel
+    /// is not penalised for what a single touch cannot explain in those frames. Two touches are at least `apart_m`
+    /// apart. `are_two` decides whether a frame has two touches, given the share of its energy left by the best
+    /// single place, the share left by the best two, and the strength of the weaker touch relative to the stronger.
+    /// Nothing changes if no frame has two.
     pub fn weigh_with_pairs(
         &mut self,
         templates: &TouchTemplates,
@@ -60,7 +61,7 @@ impl SelfCalibration {
         }
     }
 
-    /// What explains the only frame of a batch, and the share of its energy that this leaves.
+    /// Explains the only frame in a batch, and returns the share of its energy left unexplained.
     fn explain(&self, batch: &Batch, search: &PairSearch, are_two: &impl Fn(f64, f64, f64) -> bool) -> (By, f64) {
         let peak = self.peaks(batch).remove(0);
         let one = 1.0 - peak.score.max(0.0).powi(2);

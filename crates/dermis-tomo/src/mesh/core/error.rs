@@ -1,19 +1,19 @@
-//! What makes a mesh, or an electrode on it, be refused.
+//! Errors of meshes and their electrodes.
 
 use thiserror::Error;
 
-/// Why a mesh, or an electrode on it, was refused.
+/// Reasons to refuse a mesh or an electrode on it.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum MeshError {
-    /// A list's length does not fit.
+    /// A list has the wrong length.
     #[error("{what}: expected {expected}, got {got}")]
     Count {
-        /// What was counted.
+        /// The items counted.
         what: &'static str,
-        /// What was expected, in words or a number.
+        /// Expected count, in words or as a number.
         expected: String,
-        /// What was found.
+        /// Count found.
         got: usize,
     },
     /// A coordinate is NaN or infinite.
@@ -24,16 +24,16 @@ pub enum MeshError {
         /// The offending value.
         value: f64,
     },
-    /// An element or face names a node that does not exist.
+    /// An element or electrode names a node that does not exist.
     #[error("{what} {index} names node {node}, but there are only {node_count} nodes")]
     NodeOutOfRange {
         /// `element` or `electrode`.
         what: &'static str,
-        /// Its index.
+        /// Index of the element or electrode.
         index: usize,
-        /// The node named.
+        /// Index of the node.
         node: usize,
-        /// How many nodes there are.
+        /// Number of nodes.
         node_count: usize,
     },
     /// An element has (almost) no area or volume.
@@ -41,17 +41,17 @@ pub enum MeshError {
     Degenerate {
         /// Element index.
         element: usize,
-        /// Its area or volume.
+        /// Area or volume of the element.
         measure: f64,
         /// Mean area or volume.
         mean: f64,
     },
-    /// Elements overlap: a face is shared by more than two of them.
+    /// Elements overlap: more than two share a face.
     #[error("face {nodes:?} is shared by {count} elements; at most 2 can meet there")]
     Overlapping {
         /// The nodes of the face.
         nodes: Vec<u32>,
-        /// How many elements share it.
+        /// Number of elements that share it.
         count: usize,
     },
     /// Two elements that share a face lie on the same side of it.
@@ -64,14 +64,14 @@ pub enum MeshError {
         /// The shared face.
         nodes: Vec<u32>,
     },
-    /// The mesh falls into parts that no current can pass between.
+    /// The mesh has parts that are not connected, so no current can pass between them.
     #[error("the mesh is disconnected: {parts} parts; node {node} cannot be reached from node {from}")]
     Disconnected {
         /// Number of parts.
         parts: usize,
         /// A node of another part.
         node: usize,
-        /// The node the search began at.
+        /// The node where the search started.
         from: usize,
     },
     /// A node belongs to no element.
@@ -85,25 +85,25 @@ pub enum MeshError {
     Electrode {
         /// Electrode index, zero-based.
         electrode: usize,
-        /// What is wrong, with the value.
+        /// The problem, with the value.
         reason: String,
     },
-    /// The shape itself makes no sense.
+    /// The shape itself is invalid.
     #[error("{field}: {value} is not {expected}")]
     Shape {
-        /// Which parameter.
+        /// Name of the parameter.
         field: &'static str,
         /// Its value.
         value: String,
-        /// What was expected.
+        /// Expected values.
         expected: String,
     },
-    /// Text that should hold a mesh does not.
+    /// Text that is not a valid mesh.
     #[error("line {line}: {reason}")]
     Parse {
         /// One-based line number.
         line: usize,
-        /// What was found and what was expected.
+        /// Found and expected content.
         reason: String,
     },
 }

@@ -1,9 +1,9 @@
-//! Binary MSH files: numbers as they lie in memory between sections that are headed by lines of text.
+//! Binary MSH files: raw numbers between sections that start with lines of text.
 
 use super::{Lines, MshFile, Version, dimension_of};
 use crate::mesh::MeshError;
 
-/// True of files whose header says that they are binary.
+/// True if the header says that the file is binary.
 pub(super) fn is_binary(bytes: &[u8]) -> bool {
     let mut lines = bytes.split(|&byte| byte == b'\n');
     let is_msh = lines.next().is_some_and(|line| line.trim_ascii() == b"$MeshFormat");
@@ -11,7 +11,7 @@ pub(super) fn is_binary(bytes: &[u8]) -> bool {
     is_msh && format.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).nth(1) == Some(b"1")
 }
 
-/// Reads a file that [`is_binary`].
+/// Reads a file for which [`is_binary`] is true.
 pub(super) fn read(file: &mut MshFile, bytes: &[u8]) -> Result<(), MeshError> {
     let mut input = Bytes { bytes, at: 0, line: 0, is_big: false };
     input.line();
@@ -163,11 +163,11 @@ fn old_elements(file: &mut MshFile, input: &mut Bytes<'_>) -> Result<(), MeshErr
     input.close("$EndElements")
 }
 
-/// What is left of a file.
+/// The unread rest of a file.
 struct Bytes<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Lines of text that were read.
+    /// Number of text lines read.
     line: usize,
     is_big: bool,
 }
@@ -199,7 +199,7 @@ impl<'a> Bytes<'a> {
         Ok(f64::from_bits(self.unsigned(what)?))
     }
 
-    /// A number of things that follow: no more than there are bytes.
+    /// A count of following items, at most the number of bytes left.
     fn size(&mut self, what: &str) -> Result<usize, MeshError> {
         let size = self.unsigned(what)?;
         let left = self.bytes.len() - self.at;
@@ -209,7 +209,7 @@ impl<'a> Bytes<'a> {
             .ok_or_else(|| self.error(format!("{what}: {size} of them, where {left} bytes are left")))
     }
 
-    /// Number of blocks, then three numbers that are not needed.
+    /// Number of blocks, followed by three numbers that are not needed.
     fn header(&mut self, what: &str) -> Result<usize, MeshError> {
         let blocks = self.size(what)?;
         for _ in 0..3 {
@@ -227,7 +227,7 @@ impl<'a> Bytes<'a> {
         Some(String::from_utf8_lossy(&rest[..length]).trim().to_string())
     }
 
-    /// A line that holds a number.
+    /// A line that contains a number.
     fn count(&mut self, what: &str) -> Result<usize, MeshError> {
         let line = self.line().unwrap_or_default();
         let left = self.bytes.len() - self.at;
@@ -235,7 +235,7 @@ impl<'a> Bytes<'a> {
         count.ok_or_else(|| self.error(format!("{what}: {:?} makes no sense", super::shortened(&line))))
     }
 
-    /// The line that ends a section, after the end of the line of its numbers.
+    /// The line that closes a section, after the line end of its numbers.
     fn close(&mut self, section: &str) -> Result<(), MeshError> {
         let mut line = self.line().unwrap_or_default();
         if line.is_empty() {
@@ -247,7 +247,7 @@ impl<'a> Bytes<'a> {
         Err(self.error(format!("expected {section}, got {:?}", super::shortened(&line))))
     }
 
-    /// All bytes up to the line that ends a section.
+    /// All bytes up to the line that closes a section.
     fn section(&mut self, end: &str) -> Result<&'a [u8], MeshError> {
         let rest = &self.bytes[self.at..];
         let found = rest.windows(end.len()).position(|part| part == end.as_bytes());

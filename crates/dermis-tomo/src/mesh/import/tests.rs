@@ -1,4 +1,4 @@
-//! MSH files: what is read, what is refused, and that nothing panics.
+//! MSH files: valid ones are read, invalid ones are refused, and nothing panics.
 
 use proptest::prelude::*;
 
@@ -144,7 +144,7 @@ fn mistakes_carry_their_line() {
     assert!(error.contains("electrode 0: physical group 77 of dimension 1 has no elements"), "{error}");
 }
 
-/// A disc of 12 triangles with a spare node and four edges as electrodes, as meshio 5.3 writes it.
+/// A disc of 12 triangles with a spare node and four edges as electrodes, as written by meshio 5.3.
 const DISC_22: &[u8] = include_bytes!("fixtures/disc22.msh");
 const DISC_22_BINARY: &[u8] = include_bytes!("fixtures/disc22_binary.msh");
 const DISC_41: &[u8] = include_bytes!("fixtures/disc41.msh");
@@ -155,10 +155,10 @@ fn files_of_both_versions_are_read_as_text_and_binary() {
     let text = read_msh(DISC_22, &named("electrode"), &[0.1]).unwrap();
     assert_eq!((text.mesh.nodes().len(), text.mesh.element_count(), text.electrodes.len()), (13, 12, 4));
     assert!(read_msh(DISC_22_BINARY, &named("electrode"), &[0.1]).unwrap() == text);
-    // The third electrode lies opposite the first.
+    // The third electrode is opposite the first.
     let centre = |k: usize| text.electrode_centre(k);
     assert!((0..2).all(|axis| (centre(0)[axis] + centre(2)[axis]).abs() < 1e-12), "{:?} {:?}", centre(0), centre(2));
-    // Version 4.1 of that writer says which group the triangles are of, and nothing of lines.
+    // In version 4.1 this writer states the group of the triangles but not of the lines.
     let groups = ElectrodeGroups::Tags(vec![(2, 9)]);
     let new = read_msh(DISC_41, &groups, &[0.1]).unwrap();
     assert!(new.mesh == text.mesh && read_msh(DISC_41_BINARY, &groups, &[0.1]).unwrap() == new);
@@ -189,7 +189,7 @@ proptest! {
         let _ = read_msh(&framed, &named(""), &[0.1]);
     }
 
-    /// Bytes, whole words and whole lines changed, dropped or doubled in files that were valid.
+    /// Changes, drops or doubles bytes, words and lines of valid files.
     #[test]
     fn mutated_files_are_read_or_refused(
         edits in prop::collection::vec((any::<prop::sample::Index>(), 0usize..5, any::<i64>(), any::<u8>()), 1..5),

@@ -1,9 +1,9 @@
-//! What a mesh must conform to, the sizes wanted, and the rim that positions run along.
+//! Constraints on a mesh, target sizes, and the rim on which positions are measured.
 
 use super::super::plane::{Point, distance, lerp, sides, to_segment};
 use super::super::shapes::Outline;
 
-/// A stretch of the rim, metres along it counter-clockwise; `end > start`, and `end` may pass the perimeter.
+/// A stretch of the rim, in metres counter-clockwise along it; `end > start`, and `end` may exceed the perimeter.
 #[derive(Clone, Copy, Debug)]
 pub struct Span {
     pub start: f64,
@@ -11,13 +11,13 @@ pub struct Span {
 }
 
 impl Span {
-    /// True where `position` lies between the ends, round the rim.
+    /// True if `position` lies between the ends, wrapping around the rim.
     pub fn holds(&self, position: f64, perimeter: f64) -> bool {
         (position - self.start).rem_euclid(perimeter) < self.end - self.start
     }
 }
 
-/// What a mesh must conform to. Indices in errors are those of the lists here, through the `_owner` lists.
+/// Constraints on a mesh. The `_owner` lists map these lists to the indices used in errors.
 #[derive(Clone, Debug, Default)]
 pub struct Features {
     pub spans: Vec<Span>,
@@ -28,11 +28,11 @@ pub struct Features {
     pub pad_owner: Vec<usize>,
     pub points: Vec<Point>,
     pub point_owner: Vec<usize>,
-    /// Lines inside that edges follow.
+    /// Interior lines that edges must follow.
     pub lines: Vec<[Point; 2]>,
 }
 
-/// Wanted sizes.
+/// Target sizes.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
     pub base: f64,

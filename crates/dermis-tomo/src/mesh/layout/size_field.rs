@@ -1,15 +1,16 @@
-//! The element size wanted at every place: small at electrodes and lines, growing with the distance from them.
+//! The target element size at every point: small at electrodes and lines, growing with the distance from them.
 
 use super::super::plane::{self, Point, distance, sides, to_segment};
 use super::features::{Border, Features, Sizes};
 
 /// Growth of the element size per unit distance from an electrode.
 const GRADING: f64 = 0.35;
-/// Edges along a line inside, and what an edge at its ends, where fields of a slit are singular, is as a share of it.
+/// Number of edges along an interior line, and the edge length at its ends, where the fields of a slit are singular,
+/// as a share of the line.
 const LINE_EDGES: f64 = 10.0;
 const LINE_END: f64 = 3e-3;
 
-/// Where elements must be small.
+/// A region where elements must be small.
 struct Source {
     segments: Vec<[Point; 2]>,
     low: Point,
@@ -29,7 +30,7 @@ impl Source {
     }
 }
 
-/// The element size wanted at every place.
+/// The target element size at every point.
 pub struct SizeField {
     pub base: f64,
     sources: Vec<Source>,
@@ -40,7 +41,7 @@ impl SizeField {
         let mut size = self.base;
         for source in &self.sources {
             let beside = |axis: usize| (source.low[axis] - p[axis]).max(p[axis] - source.high[axis]).max(0.0);
-            // Nearer than this the source could ask for less. Squares, as this is asked for every place and electrode.
+            // Skip sources too far away to reduce the size. Squares, since this runs for every point and electrode.
             let (reach, [x, y]) = ((size - source.size) / GRADING, [beside(0), beside(1)]);
             if reach <= 0.0 || x * x + y * y >= reach * reach {
                 continue;
@@ -56,7 +57,7 @@ impl SizeField {
         self.sources.iter().map(|source| source.size).fold(self.base, f64::min)
     }
 
-    /// Boxes outside which every wanted size is at least `size`.
+    /// Boxes outside which all target sizes are at least `size`.
     pub fn finer_than(&self, size: f64) -> impl Iterator<Item = (Point, Point)> + '_ {
         self.sources.iter().filter(move |source| source.size < size).map(move |source| {
             let reach = (size - source.size) / GRADING;
@@ -64,7 +65,7 @@ impl SizeField {
         })
     }
 
-    /// Roughly how many elements the field asks for: the integral of `4 / (sqrt(3) h^2)`.
+    /// Approximate number of elements for this field: the integral of `4 / (sqrt(3) h^2)`.
     pub fn expected_elements(&self, area: f64) -> f64 {
         let near = |source: &Source| {
             let ratio = (self.base / source.size).max(1.0);

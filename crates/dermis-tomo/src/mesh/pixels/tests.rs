@@ -1,4 +1,4 @@
-//! Pixels: exact overlaps against sampling, sums, masks, and the two ways between elements and pixels.
+//! Tests of pixels: exact overlaps against sampling, sums, masks, and conversion between elements and pixels.
 
 use super::*;
 use crate::mesh::{ElectrodeShape, Outline, PrismSpec, SheetSpec, SlabSpec};
@@ -37,7 +37,7 @@ fn grids_cover_and_count_from_the_top_left() {
     assert!(PixelGrid::covering([0.0, 0.0], [1.0, 1.0], 0).is_err());
 }
 
-/// Raw overlaps sum to each element's area, and every pixel's to what it holds.
+/// Raw overlaps must add up to each element's area and to each pixel's contents.
 #[test]
 fn raw_overlaps_add_up_to_elements() {
     let mesh = disc();
@@ -69,7 +69,7 @@ fn overlaps_agree_with_sampling() {
         let corners = [0, 1, 2].map(|k| mesh.nodes()[mesh.element(element)[k] as usize]);
         let mut counts = std::collections::HashMap::new();
         for k in 0..20_000 {
-            // The plane's own sequence: powers of the root of x^3 = x + 1.
+            // The corresponding sequence for the plane: powers of the root of x^3 = x + 1.
             let [a, b] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3].map(|s: f64| (0.5 + s * k as f64).fract());
             let (u, v) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
             let at = |axis: usize| {
@@ -79,7 +79,7 @@ fn overlaps_agree_with_sampling() {
         }
         for &(pixel, share) in &overlaps.shares[overlaps.starts[element]..overlaps.starts[element + 1]] {
             let sampled = counts.remove(&pixel).unwrap_or(0.0);
-            // 20,000 quasi-random samples: a few tenths of a percent.
+            // The error of 20,000 quasi-random samples is a few tenths of a percent.
             assert!((sampled - share).abs() < 0.005, "element {element}, pixel {pixel}: {sampled} against {share}");
         }
         assert!(counts.values().all(|&share| share < 0.005), "sampling found pixels without overlap: {counts:?}");
@@ -136,7 +136,7 @@ fn weights_sum_to_one_and_slivers_are_handed_over() {
     assert!(!mask[0] && mask[20 * 40 + 20]);
     let slivers = map.coverage().iter().filter(|share| **share > 0.0 && **share < INSIDE_COVERAGE).count();
     assert!(slivers > 0, "the test needs a sliver");
-    // A grid smaller than the sheet: what lies outside goes to its border.
+    // A grid smaller than the sheet: everything outside is assigned to its border.
     let small = PixelGrid::covering([-0.03, -0.03], [0.03, 0.03], 6).unwrap();
     let map = PixelMap::new(small, &mesh).unwrap();
     assert_eq!(map.inside_count(), 36);
@@ -153,7 +153,7 @@ fn values_travel_both_ways() {
     for (value, inside) in image.iter().zip(map.inside_mask()) {
         assert!(if inside { (value - 1.0).abs() < 1e-12 } else { value.is_nan() }, "{value}");
     }
-    // A linear field: pixels deep inside hold its value at their centre but for the elements' own steps.
+    // A linear field: pixels deep inside have its value at their centre, up to the size of the elements.
     let slope: Vec<f64> = (0..mesh.element_count()).map(|k| mesh.centroid(k)[0] + 2.0 * mesh.centroid(k)[1]).collect();
     let image = map.to_pixels(&slope).unwrap();
     for index in 0..map.grid().len() {
@@ -177,7 +177,7 @@ fn a_bent_sheet_casts_its_shadow() {
     let map = PixelMap::new(PixelGrid::over_mesh(&bent.mesh, 40).unwrap(), &bent.mesh).unwrap();
     let measures: f64 = map.pixel_measures().iter().sum();
     assert!((measures / bent.mesh.measures().iter().sum::<f64>() - 1.0).abs() < 1e-12);
-    // Bending keeps areas but for the chords: (h / R)^2 / 24 of each, 4 mm on 40 mm.
+    // Bending preserves areas except for the chords: (h / R)^2 / 24 of each, 4 mm on 40 mm.
     assert!((measures / 0.005 - 1.0).abs() < 1e-3, "{measures}");
     assert!(flat.bent_onto_cylinder(0.01).is_err(), "0.1 m does not fit round a radius of 0.01 m");
 }

@@ -1,4 +1,4 @@
-//! Sheets: areas, angles, electrodes, refinement and refusals.
+//! Tests of sheets: areas, angles, electrodes, refinement and refusals.
 
 use std::f64::consts::{PI, TAU};
 
@@ -19,7 +19,7 @@ fn area(mesh: &ElectrodedMesh) -> f64 {
     mesh.mesh.measures().iter().sum()
 }
 
-/// Middle of an electrode's nodes.
+/// Mean position of an electrode's nodes.
 fn middle(mesh: &ElectrodedMesh, electrode: usize) -> [f64; 2] {
     let nodes: Vec<u32> = match &mesh.electrodes[electrode].contact {
         Contact::Faces(faces) => faces.concat(),
@@ -44,7 +44,7 @@ fn disc_area_is_that_of_its_rim_polygon() {
         .collect();
     angles.sort_by(f64::total_cmp);
     angles.dedup_by(|a, b| (*a - *b).abs() < 1e-12);
-    // Nodes that refinement put on a chord do not change the polygon: the circle's nodes alone span it.
+    // Nodes added to a chord by refinement do not change the polygon, which only the circle's nodes span.
     let polygon: f64 = mesh
         .mesh
         .boundary_faces()
@@ -56,7 +56,7 @@ fn disc_area_is_that_of_its_rim_polygon() {
         .sum();
     // Sums of a few thousand terms: rounding of about 1e-13.
     assert_relative(area(&mesh), polygon, 1e-12);
-    // n equal edges miss 2 pi^2 / (3 n^2); graded ones a little more.
+    // A polygon of n equal edges misses 2 pi^2 / (3 n^2); graded edges miss slightly more.
     let loss = 2.0 * PI * PI / 3.0 / (angles.len() as f64).powi(2);
     let missing = 1.0 - area(&mesh) / DISC.area_m2();
     assert!(missing > 0.5 * loss && missing < 3.0 * loss, "{missing} {loss}");
@@ -70,7 +70,7 @@ fn arcs_end_on_the_circle_and_chords_fall_short_by_the_stated_amount() {
         assert!(faces.len() >= 4, "{}", faces.len());
         let expected = (0.06_f64).powi(2) / (24.0 * (faces.len() as f64).powi(2));
         let short = 1.0 - length / 0.006;
-        // The next term of the series is smaller by (w/r/n)^2; uneven edges add up to a few times the loss of even
+        // The next term of the series is smaller by (w/r/n)^2; uneven edges lose up to a few times as much as even
         // ones.
         assert!(short > 0.9 * expected && short < 4.0 * expected, "{short:e} {expected:e}");
         let radius = |node: u32| {
@@ -88,7 +88,7 @@ fn order_and_direction_follow_the_generator() {
     for (index, angle) in [(0, PI / 2.0), (1, PI / 2.0 - TAU / 16.0), (4, 0.0), (12, PI)] {
         let [x, y] = middle(&mesh, index);
         let off = (y.atan2(x) - angle).sin();
-        // Edges divide the arc evenly to a part in a million.
+        // Edges divide the arc evenly to one part in a million.
         assert!(off.abs() < 1e-6, "electrode {index} is {off} rad off");
     }
     let counter = Outline::rim_arcs(16, 0.006, 0.0, Direction::CounterClockwise);
@@ -220,7 +220,7 @@ fn polygon_with_a_hole_in_either_orientation() {
         assert_relative(mesh.electrode_measures()[0], 0.02, 1e-12);
         let [_, y] = middle(&mesh, 0);
         assert!(y.abs() < 1e-12, "the electrode is on the first side");
-        // A hole leaves a node less, by Euler's formula V - E + F = 0 for a ring.
+        // A hole removes one node from Euler's formula: V - E + F = 0 for a ring.
         let faces = mesh.mesh.element_count();
         let edges = (3 * faces + mesh.mesh.boundary_faces().len()) / 2;
         assert_eq!(mesh.mesh.nodes().len() + faces, edges);
@@ -313,8 +313,8 @@ fn mistakes_are_named() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// Star-shaped polygons of any spikiness: the mesh covers exactly the polygon, and angles hold where the outline
-    /// has no sharper corner itself.
+    /// Star-shaped polygons with random spikes: the mesh covers exactly the polygon, and the angle bound holds except
+    /// at sharper corners of the outline.
     #[test]
     fn random_polygons_are_covered_exactly(radii in prop::collection::vec(0.3f64..1.0, 3..14), turn in 0.0f64..6.0) {
         let count = radii.len() as f64;
@@ -332,7 +332,7 @@ proptest! {
         let (mesh, quality) = SheetSpec::new(outline.clone(), vec![], 0.15).build(&[0.01]).unwrap();
         prop_assert!((area(&mesh) / outline.area_m2() - 1.0).abs() < 1e-11);
         prop_assert!(quality.refinement_complete);
-        // Between sides that meet at less than 60 degrees Ruppert's bound does not hold.
+        // Ruppert's bound does not hold between sides that meet at less than 60 degrees.
         prop_assert!(sharpest < 60.0 || quality.min_angle_deg >= 25.0, "{} with {}", quality.min_angle_deg, sharpest);
     }
 }
@@ -370,7 +370,7 @@ fn any_electrode() -> impl Strategy<Value = ElectrodeShape> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// Whatever is asked for is either refused or meshed so that the sheet is covered, and every pad, exactly.
+    /// Every specification is either refused, or meshed so that the sheet and every pad are covered exactly.
     #[test]
     fn any_specification_is_meshed_or_refused(
         outline in any_outline(),

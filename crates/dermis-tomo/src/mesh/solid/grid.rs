@@ -1,8 +1,8 @@
-//! Grid lines, and boxes between them of six tetrahedra each.
+//! Grid lines, and the boxes between them, each with six tetrahedra.
 
 use super::super::core::MeshError;
 
-/// More tetrahedra than this are refused before any work is done.
+/// Maximum number of tetrahedra; larger meshes are refused before any work starts.
 const MOST_TETRAHEDRA: usize = 12_000_000;
 
 pub(super) fn refuse_too_many(tetrahedra: f64, field: &'static str, value: String) -> Result<(), MeshError> {
@@ -13,7 +13,7 @@ pub(super) fn refuse_too_many(tetrahedra: f64, field: &'static str, value: Strin
     Err(MeshError::Shape { field, value, expected })
 }
 
-/// Grid lines from `low` to `high`: all the breaks, and between them steps of about one `cells`-th of the whole.
+/// Grid lines from `low` to `high`: all breaks, with steps of about one `cells`-th of the range between them.
 pub(super) fn grid_lines(low: f64, high: f64, cells: usize, breaks: &[f64]) -> Vec<f64> {
     let slack = 1e-9 * (high - low);
     let mut fixed = vec![low, high];
@@ -40,7 +40,7 @@ pub(super) fn box_nodes(lines: &[Vec<f64>; 3]) -> Vec<[f64; 3]> {
     nodes
 }
 
-/// Six tetrahedra a box, one for every order in which a path can step along x, y and z from its lowest corner to its
+/// Six tetrahedra per box, one for each order in which a path can step along x, y and z from its lowest corner to its
 /// highest.
 pub(super) fn box_elements(lines: &[Vec<f64>; 3]) -> Vec<u32> {
     const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];

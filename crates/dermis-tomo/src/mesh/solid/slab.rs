@@ -1,4 +1,4 @@
-//! Slabs: boxes cut along grid lines that follow their electrodes' edges.
+//! Slabs: boxes cut along grid lines that follow the edges of their electrodes.
 
 use super::super::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
 use super::super::plane::{Point, distance};
@@ -6,7 +6,7 @@ use super::super::shapes::{check_coordinate, check_length};
 use super::super::sheet::spread;
 use super::grid::{box_elements, box_nodes, grid_lines, refuse_too_many};
 
-/// A side of a slab, with the two axes its patches are given in.
+/// A side of a slab, with the two axes of its patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlabFace {
     /// z = 0; patches in (x, y).
@@ -24,7 +24,7 @@ pub enum SlabFace {
 }
 
 impl SlabFace {
-    /// Axis the face is perpendicular to, and whether it is the upper end of it.
+    /// Axis perpendicular to the face, and whether the face is at its upper end.
     fn axis(self) -> (usize, bool) {
         match self {
             SlabFace::Left => (0, false),
@@ -48,8 +48,8 @@ impl SlabFace {
 /// A patch of a slab's surface, in the two axes of its [`SlabFace`], metres.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PatchShape {
-    /// All surface triangles whose centroid lies inside; its meshed area is a staircase's, see
-    /// [`ElectrodedMesh::electrode_measures`]. For round electrodes of exact area use a
+    /// All surface triangles whose centroid is inside. The meshed area is that of a staircase, see
+    /// [`ElectrodedMesh::electrode_measures`]. For round electrodes with exact area use a
     /// [`PrismSpec`](super::PrismSpec).
     Circle {
         /// Centre.
@@ -57,7 +57,7 @@ pub enum PatchShape {
         /// Radius.
         radius_m: f64,
     },
-    /// Grid lines run along its edges: its area is exact.
+    /// Grid lines run along its edges, so its area is exact.
     Rectangle {
         /// Centre.
         centre_m: [f64; 2],
@@ -66,9 +66,9 @@ pub enum PatchShape {
         /// Along the face's second axis.
         height_m: f64,
     },
-    /// One node, through which grid lines run.
+    /// One node, with grid lines through it.
     Point {
-        /// Where.
+        /// Position of the node.
         position_m: [f64; 2],
     },
 }
@@ -76,29 +76,29 @@ pub enum PatchShape {
 /// An electrode of a slab.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlabElectrode {
-    /// The side it is on.
+    /// Side of the slab.
     pub face: SlabFace,
-    /// What it covers there.
+    /// Area covered on that side.
     pub shape: PatchShape,
 }
 
-/// A box, x and y centred at the origin, z from 0 to its thickness.
+/// A box, with x and y centred on the origin and z from 0 to its thickness.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlabSpec {
     /// Width (x), depth (y) and thickness (z), metres.
     pub size_m: [f64; 3],
-    /// About how many boxes along each axis; electrodes' grid lines may add some.
+    /// Approximate number of boxes along each axis; grid lines for electrodes may add some.
     pub cells: [usize; 3],
-    /// Its electrodes, in order.
+    /// Electrodes, in order.
     pub electrodes: Vec<SlabElectrode>,
 }
 
 impl SlabSpec {
-    /// Meshes the slab; `contact_impedance` in ohm.m^2, one for all electrodes or one each.
+    /// Meshes the slab; `contact_impedance` in ohm.m^2, one value for all electrodes or one each.
     ///
     /// # Errors
-    /// Sizes or counts that are not usable, electrodes off their face, overlapping, or too small to hold the centroid
-    /// of one surface triangle.
+    /// Invalid sizes or counts, or electrodes that are off their face, overlap, or are too small to contain the
+    /// centroid of a surface triangle.
     pub fn build(&self, contact_impedance: &[f64]) -> Result<ElectrodedMesh, MeshError> {
         let impedances = spread(contact_impedance, self.electrodes.len())?;
         for (field, size) in ["size_m[0]", "size_m[1]", "size_m[2]"].into_iter().zip(self.size_m) {
@@ -197,7 +197,7 @@ impl PatchShape {
         [0, 1].map(|k| [centre[k] - half[k], centre[k] + half[k]])
     }
 
-    /// Where grid lines must run.
+    /// Required positions of grid lines.
     fn exact_ranges(&self) -> [Vec<f64>; 2] {
         match self {
             PatchShape::Circle { .. } => [Vec::new(), Vec::new()],

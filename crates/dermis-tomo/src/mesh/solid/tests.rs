@@ -1,4 +1,4 @@
-//! Slabs and prisms: volumes, conforming faces, electrodes' areas, refusals.
+//! Tests of slabs and prisms: volumes, conforming faces, electrode areas, refusals.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,7 +8,7 @@ fn volume(mesh: &ElectrodedMesh) -> f64 {
     mesh.mesh.measures().iter().sum()
 }
 
-/// Area of the whole surface: larger than the shape's own where tetrahedra do not conform.
+/// Area of the whole surface; larger than the true area if tetrahedra do not conform.
 fn surface(mesh: &ElectrodedMesh) -> f64 {
     mesh.mesh.boundary_faces().iter().map(|(face, _)| mesh.mesh.face_measure(face)).sum()
 }
@@ -46,7 +46,7 @@ fn slab_fills_its_box_and_its_rectangles_are_exact() {
     for (index, area) in [(0, 0.011 * 0.007), (1, 0.011 * 0.007), (2, 0.013 * 0.003), (3, 0.013 * 0.003)] {
         assert_relative(areas[index], area, 1e-12);
     }
-    // A staircase of 5 mm boxes, two triangles each, round a circle of 12 mm.
+    // A staircase of 5 mm boxes, two triangles each, around a circle of 12 mm.
     assert_relative(areas[4], PI * 0.012 * 0.012, 0.15);
     let Contact::Point(node) = mesh.electrodes[5].contact else { panic!("no point") };
     let p = mesh.mesh.nodes()[node as usize];
@@ -62,7 +62,8 @@ fn cylinder_has_the_volume_of_its_polygon_and_exact_wall_electrodes() {
             high_m,
         })
     };
-    // The upper ring is turned by a quarter of the electrodes' pitch: arcs of the two overlap seen from above.
+    // The upper ring is rotated by a quarter of the electrode pitch, so its arcs overlap those of the lower ring seen
+    // from above.
     let electrodes: Vec<_> = ring(0.01, 0.02, 0.0).chain(ring(0.04, 0.05, 0.1)).collect();
     let mesh = PrismSpec::cylinder(0.05, 0.06, 0.008, 6, electrodes).build(&[1e-3]).unwrap();
     let rim: f64 = mesh
@@ -78,7 +79,7 @@ fn cylinder_has_the_volume_of_its_polygon_and_exact_wall_electrodes() {
     // The polygon of at least 40 edges misses 2 pi^2 / 3 / 40^2 = 0.4 % of the circle.
     assert_relative(rim, PI * 0.05 * 0.05, 0.005);
     for area in mesh.electrode_measures() {
-        // Chords of 10 mm in 4 edges or more on a radius of 50 mm: (0.2)^2 / 24 / 16 = 1e-4 short.
+        // Chords of 10 mm in at least 4 edges on a radius of 50 mm: (0.2)^2 / 24 / 16 = 1e-4 short.
         assert_relative(area, 0.01 * 0.01, 5e-4);
     }
     let count = |z: f64| mesh.mesh.nodes().iter().filter(|p| p[2] == z).count();

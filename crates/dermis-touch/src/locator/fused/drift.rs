@@ -1,5 +1,5 @@
-//! Drift over a session: how much worse the first half of the pokes, in the order they were made, predicts the second
-//! than every other poke predicts those between.
+//! Drift over a session. Compares two errors: the first half of the pokes, in the order they were made, predicting
+//! the second half, and every other poke predicting those in between.
 
 use super::features::Features;
 use super::inverse::{Memory, Regression};
@@ -8,28 +8,28 @@ use crate::locator::data::{Examples, MIN_EXAMPLES};
 use crate::locator::error::LocatorError;
 use crate::locator::fit::evenly;
 
-/// Pokes used at most: the statistic needs no more, and its time grows with their cube.
+/// Maximum number of pokes used. The statistic needs no more, and its time grows with their cube.
 const MOST: usize = 2000;
 
-/// What [`SessionDrift::measure`] found.
+/// Result of [`SessionDrift::measure`].
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SessionDrift {
-    /// Errors in the second half of the session as the first half locates it.
+    /// Errors in the second half of the session, as located from the first half.
     pub later: Accuracy,
-    /// Errors of every other poke as those between locate them.
+    /// Errors of every other poke, as located from those in between.
     pub interleaved: Accuracy,
     /// Ratio of the medians, later to interleaved: about 1 without drift.
     pub ratio: f64,
-    /// Mean difference of the logarithms of the errors over its standard error: above 3 there is drift.
+    /// Mean difference of the logarithms of the errors over its standard error. Above 3 there is drift.
     pub z: f64,
 }
 
 impl SessionDrift {
-    /// Measures the drift of examples that are in the order they were made. The inverse expert alone is used.
+    /// Measures the drift of examples in the order they were made. Uses only the inverse expert.
     ///
     /// # Errors
-    /// Fewer than twenty examples, or such as nothing can be fitted to.
+    /// Fewer than twenty examples, or examples that cannot be fitted.
     pub fn measure(examples: &Examples) -> Result<Self, LocatorError> {
         let n = examples.len();
         if n < 4 * MIN_EXAMPLES {
@@ -63,7 +63,7 @@ impl SessionDrift {
     }
 }
 
-/// Errors of `tested` as `learnt` locate them, and their logarithms.
+/// Errors of `tested` as located from `learnt`, and their logarithms.
 fn errors(
     rows: &[Vec<f64>],
     places: &[[f64; 2]],

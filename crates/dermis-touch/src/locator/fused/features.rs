@@ -1,29 +1,29 @@
-//! From a raw frame to what the two experts see.
+//! Converts a raw frame into the inputs of the two experts.
 //!
-//! u = w f / |w f|: weighted by the channels' noise and of unit length, so that a light touch looks like a hard one.
-//! The forward expert sees u, or u companded: t_k = asinh(u_k / m_k), again of unit length, with m_k the channel's
-//! median
-//! |u_k|, so that few strong channels do not rule. The inverse expert sees u beside its signed square root.
+//! u = w f / |w f|: weighted by the channels' noise and scaled to unit length, so that a light touch looks like a
+//! hard one. The forward expert sees u, or u companded: t_k = asinh(u_k / m_k), again scaled to unit length, where
+//! m_k is the median of the channel's |u_k|. Companding stops a few strong channels from dominating. The inverse
+//! expert sees u and its signed square root.
 
 use crate::locator::data::{Examples, MIN_CHANNELS};
 use crate::locator::design::channel_weights;
 use crate::locator::error::{LocatorError, check_first, check_length};
 use crate::typical::median;
 
-/// A channel's median is taken as at least this part of the median channel's.
+/// Lower bound on a channel's median, as a share of the median channel's.
 const SMALLEST_MEDIAN: f64 = 0.2;
 
-/// What brings a frame to unit length and compands it.
+/// Scales frames to unit length and compands them.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Features {
-    /// Weight of each channel; 0 for one that is never used.
+    /// Weight of each channel; 0 if it is never used.
     pub weights: Vec<f64>,
-    /// Mean square of each channel of u: what a missing channel takes away from the length.
+    /// Mean square of each channel of u: the part of the squared length lost if the channel is missing.
     pub energy: Vec<f64>,
-    /// Median |u_k| of each channel, floored.
+    /// Median |u_k| of each channel, with a lower bound.
     pub medians: Vec<f64>,
-    /// Whether the forward expert sees companded frames.
+    /// True if the forward expert sees companded frames.
     pub companded: bool,
 }
 
@@ -58,8 +58,8 @@ impl Features {
         self.weights[k] > 0.0 && frame[k].is_finite()
     }
 
-    /// Writes u, zero where a channel is missing, as long as if it were complete; returns the root mean square of the
-    /// weighted frame and the part of a typical frame's energy that was seen.
+    /// Writes u, zero where a channel is missing, at the length it would have if complete. Returns the RMS of the
+    /// weighted frame and the share of a typical frame's energy that was measured.
     pub(super) fn unit(&self, frame: &[f64], u: &mut [f64]) -> Result<(f64, f64), LocatorError> {
         let (mut sum, mut count, mut lost, mut total) = (0.0, 0, 0.0, 0.0);
         for k in 0..frame.len() {
@@ -85,7 +85,7 @@ impl Features {
         Ok(((sum / seen / frame.len() as f64).sqrt(), seen))
     }
 
-    /// The frame that the forward expert sees: u or t, times the amplitude; NaN where `frame` is missing.
+    /// The forward expert's input: u or t, times the amplitude; NaN where `frame` is missing.
     pub(super) fn forward(&self, frame: &[f64], u: &[f64], amplitude: f64, out: &mut [f64]) {
         let mut sum = 0.0;
         for k in 0..u.len() {
@@ -99,17 +99,17 @@ impl Features {
         }
     }
 
-    /// t_k before it is brought to unit length, or u_k where frames are not companded.
+    /// t_k before scaling to unit length, or u_k without companding.
     pub(super) fn compand(&self, k: usize, u: f64) -> f64 {
         if self.companded { (u / self.medians[k]).asinh() } else { u }
     }
 
-    /// Number of values that the inverse expert sees.
+    /// Number of values in the inverse expert's input.
     pub(super) fn inverse_len(&self) -> usize {
         2 * self.weights.len()
     }
 
-    /// What the inverse expert sees of u: u itself and sign(u) sqrt(|u|), each of unit length.
+    /// The inverse expert's input: u and sign(u) sqrt(|u|), each scaled to unit length.
     pub(super) fn inverse(u: &[f64], out: &mut [f64]) {
         let (plain, roots) = out.split_at_mut(u.len());
         let (mut square, mut sum) = (0.0, 0.0);
@@ -124,7 +124,7 @@ impl Features {
         }
     }
 
-    /// Refuses arrays that do not fit.
+    /// Rejects arrays that do not match.
     pub(super) fn check(&self) -> Result<(), LocatorError> {
         let c = self.weights.len();
         check_length("features energy", c, self.energy.len())?;
@@ -137,7 +137,7 @@ impl Features {
     }
 }
 
-/// The error of a frame with its index.
+/// Adds the frame's index to an error.
 pub(super) fn in_frame(error: LocatorError, index: usize) -> LocatorError {
     match error {
         LocatorError::TooFewChannels { got, expected, .. } => {
@@ -148,7 +148,7 @@ pub(super) fn in_frame(error: LocatorError, index: usize) -> LocatorError {
     }
 }
 
-/// Fills the channels that an example lacks with the mean of its nearest neighbours that have them.
+/// Fills an example's missing channels with the mean of its nearest neighbours that have them.
 pub(super) fn fill_from_neighbours(units: &mut [Vec<f64>], present: &[Vec<bool>], positions: &[[f64; 2]]) {
     const NEIGHBOURS: usize = 8;
     let original: Vec<Vec<f64>> = units.to_vec();

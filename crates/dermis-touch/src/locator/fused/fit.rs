@@ -1,4 +1,4 @@
-//! Fitting both experts and what joins them.
+//! Fits both experts and their combination.
 
 use super::features::{Features, fill_from_neighbours, in_frame};
 use super::form::{Form, GRID, MOST_TURNED, TELLING, choose_form, forward_examples, projection};
@@ -20,38 +20,40 @@ use crate::locator::regression::{WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
 use crate::typical::spacing;
 
-/// Principal components of the features that the inverse expert sees.
+/// Number of principal components of the inverse expert's features.
 pub(super) const PLAIN_RANK: usize = 64;
-/// The same of whitened frames, whose leading components tell places apart best.
+/// Number for whitened frames, whose leading components separate positions best.
 const WHITENED_RANK: usize = 40;
-/// Whitened frames are used from so many pokes a channel: with fewer, what whitens them has seen the left-out poke.
+/// Minimum pokes per channel for using whitened frames. With fewer, the whitening has seen the left-out poke.
 const WHITENED_POKES: usize = 3;
-/// At most so many examples choose how the experts are joined.
+/// Maximum number of examples used to choose how the experts are combined.
 const JOINING: usize = 400;
-/// At most so many examples show how far one part of the skin is located from the others, or teach the load.
+/// Maximum number of examples that show how well one part of the skin is located from the others (`SOME`), or that
+/// teach the load (`LOADED`).
 const SOME: usize = 600;
 const LOADED: usize = 1000;
-/// Examples contradicted by more sigmas than this, and this many median errors, are doubtful.
+/// Examples that others contradict by more sigmas than this, and by this many median errors, are doubtful.
 const DOUBTFUL_SIGMAS: f64 = 8.0;
 const DOUBTFUL_MEDIANS: f64 = 10.0;
-/// At most this part of the examples is left out as doubtful, and only from at most so many.
+/// Maximum share of examples that may be excluded as doubtful, and maximum number of examples for refitting without
+/// them.
 const MOST_DOUBTFUL: f64 = 0.1;
 const REFIT_AT_MOST: usize = 1000;
-/// Of few examples with turned copies those left out choose sigma alone.
+/// With rotated copies of few examples, the left-out examples choose only sigma.
 const CHOSEN_BESIDE_COPIES: f64 = 1.0;
-/// From so many examples x and y have factors on sigma of their own.
+/// Minimum number of examples for separate sigma factors in x and y.
 const OWN_FACTORS: usize = 100;
 
 /// Options of [`FusedLocator::fit`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FusedOptions {
-    /// Up to so many examples every one is used by both experts. Time grows with its cube, memory with its square.
+    /// Up to this many examples, both experts use every one. Time grows with its cube, memory with its square.
     pub exact_examples: usize,
-    /// With more examples than that, so many evenly drawn ones make the forward expert's map and are the inverse
-    /// expert's landmarks; all still teach the inverse expert. Time grows with the number of examples times its square,
-    /// memory with its square, and the time for a frame with it.
+    /// With more examples than that, this many evenly drawn ones make the forward expert's map and serve as the
+    /// inverse expert's landmarks. All examples still train the inverse expert. Time grows with the number of
+    /// examples times the square of this number, memory with its square, and time per frame in proportion to it.
     pub landmarks: usize,
-    /// Examples that the others contradict are left out and reported.
+    /// Exclude examples that the others contradict, and report them.
     pub leave_out_doubtful: bool,
 }
 
@@ -62,8 +64,8 @@ impl Default for FusedOptions {
 }
 
 impl FusedLocator {
-    /// Fits to pokes. `map` holds the positions among which touches are looked for, with what physics predicts there,
-    /// or zeros.
+    /// Fits to pokes. `map` holds the positions at which touches are searched for, with the predictions of physics
+    /// there, or zeros.
     ///
     /// # Errors
     /// As [`Locator::fit`](Locator::fit); options out of range.
@@ -71,10 +73,10 @@ impl FusedLocator {
         fit(examples, map, options, None)
     }
 
-    /// [`FusedLocator::fit`] with a calibration of a skin of the same outline and electrodes to start from.
+    /// Like [`FusedLocator::fit`], but starts from the calibration of a skin with the same outline and electrodes.
     ///
     /// # Errors
-    /// As [`FusedLocator::fit`]; a prior with another number of channels.
+    /// As [`FusedLocator::fit`]; a prior with a different number of channels.
     pub fn fit_with_prior(
         examples: &Examples,
         map: &SignatureMap,
@@ -87,7 +89,7 @@ impl FusedLocator {
     }
 }
 
-/// Fits; a second time without the examples that the others contradict.
+/// Fits, and fits again without the examples that the others contradict.
 fn fit(
     examples: &Examples,
     map: &SignatureMap,
@@ -125,7 +127,7 @@ fn without(examples: &Examples, rows: &[usize]) -> Examples {
     }
 }
 
-/// Unit frames of all examples, complete.
+/// Unit frames of all examples, with missing channels filled.
 struct Units {
     units: Vec<Vec<f64>>,
     amplitude: Vec<f64>,
@@ -148,7 +150,7 @@ impl Units {
     }
 }
 
-/// The inverse expert with what it makes of left-out rows.
+/// The inverse expert with its results for left-out rows.
 struct Inverse {
     plain: Regression,
     plain_rows: Vec<Vec<f64>>,
@@ -159,7 +161,7 @@ struct Inverse {
 }
 
 impl Inverse {
-    /// `whitened` holds the rows of the forward expert's whitened frames, where those are to be used.
+    /// `whitened` holds the rows of the forward expert's whitened frames, if they should be used.
     fn fit(
         units: &Units,
         whitened: Option<Vec<Vec<f64>>>,
@@ -194,7 +196,7 @@ impl Inverse {
     }
 }
 
-/// The share of the first in the mean of both that errs least.
+/// The share of the first in the mean of both that gives the smallest error.
 fn best_mix(first: &LeftOutPlaces, second: &LeftOutPlaces, truth: &[[f64; 2]]) -> (f64, LeftOutPlaces) {
     let mix = |share: f64| -> Vec<[f64; 2]> {
         let pairs = first.places_m.iter().zip(&second.places_m);
@@ -268,7 +270,7 @@ fn fit_all(
     }
     let mut load = load_law(examples, &units, &map.positions_m, form.hyper.length_m)?;
     if let (Some(law), Some(loads)) = (&mut load, &examples.loads) {
-        // The load is solved for at the place found, not at the true one.
+        // The load is solved for at the position found, not at the true one.
         let error = |(t, (i, p)): (&Trial, (usize, &[f64; 2]))| {
             let place = [0, 1].map(|a| t.error_m[a] + p[a]);
             let nearest = nearest(&map.positions_m, place);
@@ -323,7 +325,7 @@ fn fit_all(
     })
 }
 
-/// All examples as the forward expert whitens them, of unit length.
+/// All examples as whitened by the forward expert, scaled to unit length.
 fn whitened_rows(examples: &Examples, features: &Features, judged: &Judged) -> Result<Vec<Vec<f64>>, LocatorError> {
     let all: Vec<usize> = (0..examples.len()).collect();
     let design = Design::new(&forward_examples(examples, features, &all)?)?;
@@ -347,12 +349,12 @@ fn load_law(
     let chosen = evenly(examples.len(), LOADED);
     let positions: Vec<[f64; 2]> = chosen.iter().map(|&i| examples.positions_m[i]).collect();
     let pick = |values: &[f64]| -> Vec<f64> { chosen.iter().map(|&i| values[i]).collect() };
-    // A few pokes far off would make a root mean square too wide for most.
+    // Not an RMS: a few pokes with large errors would make it too wide for most.
     let summary = |values: &[f64]| quantile(values, ONE_SIGMA) * (1.0 + 3.0 / values.len() as f64);
     LoadLaw::fit(map, &positions, &pick(&units.amplitude), &pick(loads), length_m, summary)
 }
 
-/// Each example as both experts locate it without it.
+/// Each example as located by both experts without it.
 fn near_trials(
     fitting: &Fitting,
     cells: &Cells,
@@ -374,7 +376,7 @@ fn near_trials(
     (0..truth.len()).map(trial).collect()
 }
 
-/// What locating one part of the skin by the others needs.
+/// Inputs for locating one part of the skin from the others.
 struct Far<'a> {
     fitting: &'a Fitting<'a>,
     cells: &'a Cells,
@@ -385,8 +387,8 @@ struct Far<'a> {
 }
 
 impl Far<'_> {
-    /// Some of the examples as those of the other sectors locate them, by both experts and by the forward one; none
-    /// when too few would be left.
+    /// Some examples as located from those of the other sectors: first by both experts, then by the forward expert
+    /// alone. Empty if too few would be left.
     fn trials(
         &self,
         design: &Design,
@@ -433,7 +435,7 @@ impl Far<'_> {
     }
 }
 
-/// Examples that the others contradict by far.
+/// Examples that the others strongly contradict.
 fn doubtful(report: &LeaveOneOut) -> Vec<usize> {
     let far = |e: &LeftOut| {
         let sigmas = |axis: usize| ((e.located_m[axis] - e.position_m[axis]) / e.sigma_m[axis]).powi(2);

@@ -1,5 +1,5 @@
-//! In which form the forward expert sees frames, and what it expects before any poke: all that is given is tried, and
-//! left-out pokes decide.
+//! Chooses the form in which the forward expert sees frames, and its expectation before any poke. Everything
+//! available is tried, and left-out pokes decide.
 
 use faer::Mat;
 
@@ -19,39 +19,39 @@ use crate::typical::spacing;
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
 pub(super) const GRID: Grid =
     Grid { lengths: &[0.38, 0.25, 0.57, 0.8], noises: &[0.04, 0.02, 0.01, 0.08], shrinkages: &[0.9, 0.6, 0.3, 0.97] };
-/// At most so many examples choose the forward expert's form and hyperparameters.
+/// Maximum number of examples that choose the forward expert's form and hyperparameters.
 const CHOOSING: usize = 250;
-/// So many pokes choose in which form frames are seen by its score with usual hyperparameters, and on every second of
-/// the map's positions. Every fourth would do for most skins, but not for the gelatin skin.
+/// From this many pokes on, the form of frames is chosen by its score with the usual hyperparameters, on every second
+/// map position. Every fourth would suffice for most skins, but not for the gelatin skin.
 const DECIDED: usize = 100;
-/// A thinned map has at least so many positions.
+/// Minimum number of positions in a thinned map.
 const FEWEST_POSITIONS: usize = 400;
-/// Pokes that the covariance of another skin is worth.
+/// Weight of another skin's covariance, in pokes.
 const SISTER_WORTH: f64 = 10.0;
-/// With fewer pokes than this, leaving one out tells too little to choose by. Beside a sister's calibration its form
-/// and covariance are then taken over, and the search for hyperparameters starts here (the length relative to the
-/// skin's radius).
+/// Below this many pokes, leaving one out is too unreliable to choose by. If a sister's calibration is given, its
+/// form and covariance are then adopted, and the search for hyperparameters starts from `UNTOLD` (length relative to
+/// the skin's radius).
 pub(super) const TELLING: usize = 30;
 const UNTOLD: Hyperparameters = Hyperparameters { length_m: 0.4, noise: 0.04, shrinkage: 0.95 };
-/// Gain in total log score that a mean of the map must then bring.
+/// Gain in total log score that a mean of the map must bring in that case.
 const UNTOLD_MARGIN: f64 = 1.0;
 
-/// Up to so many pokes have turned copies, of more there are enough; and how they are then seen (the length relative to
-/// the skin's radius). Chosen on two measured skins, with ten pokes, and not by the pokes at hand.
+/// Maximum number of pokes with rotated copies, since more pokes need none, and the hyperparameters then used (length
+/// relative to the skin's radius). Chosen on two measured skins with ten pokes, not by the pokes at hand.
 pub(super) const MOST_TURNED: usize = 60;
 const TURNED: Hyperparameters = Hyperparameters { length_m: 0.35, noise: 0.06, shrinkage: 1.0 };
 
-/// What the forward expert is to be made from.
+/// The basis of the forward expert.
 pub(super) struct Form {
     pub features: Features,
     pub map: SignatureMap,
     pub prior: Option<ChannelPrior>,
-    /// Under which turns every poke has copies.
+    /// Rotations under which every poke has copies.
     pub turn: Option<Turn>,
     pub hyper: Hyperparameters,
 }
 
-/// A form with its hyperparameters and the score that it reaches.
+/// A form with its hyperparameters and the score that they reach.
 struct Tried<'a> {
     features: Features,
     prior: Option<ChannelPrior>,
@@ -60,7 +60,7 @@ struct Tried<'a> {
     mean: Mean<'a>,
 }
 
-/// A form before its hyperparameters are chosen, with its score by those that all start from.
+/// A form before its hyperparameters are chosen, with its score for the starting values.
 struct Begun<'a> {
     features: Features,
     mean: Mean<'a>,
@@ -84,7 +84,7 @@ impl<'a> Begun<'a> {
         }
     }
 
-    /// Whether the other form differs from this one in how it sees frames at most.
+    /// True if the two forms differ at most in how they see frames.
     fn expects_the_same(&self, other: &Begun<'_>) -> bool {
         std::mem::discriminant(&self.mean) == std::mem::discriminant(&other.mean)
             && self.channel_prior.is_some() == other.channel_prior.is_some()
@@ -95,12 +95,12 @@ impl<'a> Begun<'a> {
 #[derive(Clone, Copy)]
 pub(super) enum Mean<'a> {
     Zero,
-    /// What the map itself holds.
+    /// The signatures of the map itself.
     Physics,
     Sister(&'a Sister),
 }
 
-/// The examples named, as the forward expert sees them.
+/// The given examples as the forward expert sees them.
 pub(super) fn forward_examples(
     examples: &Examples,
     features: &Features,
@@ -115,7 +115,7 @@ pub(super) fn forward_examples(
         features.forward(frame, &unit, amplitude, out);
     }
     let positions_m = rows.iter().map(|&i| examples.positions_m[i]).collect();
-    // The frames are in units of the noise already.
+    // The frames are already in units of the noise.
     let channel_noise = examples.channel_noise.as_ref().map(|_| vec![1.0; c]);
     Ok(Examples { channels: c, frames, positions_m, loads: None, channel_noise })
 }
@@ -138,7 +138,7 @@ fn mean_map(mean: Mean, map: &SignatureMap, features: &Features) -> Result<Signa
     }
 }
 
-/// The best form on some of the rows, with what physics, a sister's map and a sister's covariance brought.
+/// The best form on some of the rows, and the gains from physics, a sister's map, a sister's covariance and rotation.
 pub(super) fn choose_form<'a>(
     examples: &Examples,
     features: &Features,
@@ -189,8 +189,8 @@ pub(super) fn choose_form<'a>(
             }
         }
     }
-    // Many pokes choose how frames are seen before the hyperparameters, for each mean and covariance; few pokes try
-    // all.
+    // With many pokes, choose the form of frames before the hyperparameters, for each mean and covariance. With few,
+    // try all.
     let is_beaten = |form: &Begun| begun.iter().any(|other| form.expects_the_same(other) && other.score > form.score);
     let tried: Vec<bool> = begun.iter().map(|form| tries_all || !is_beaten(form)).collect();
     let mut forms: Vec<Tried> = Vec::new();
@@ -204,7 +204,7 @@ pub(super) fn choose_form<'a>(
     let best = |accept: &dyn Fn(&Tried) -> bool| {
         forms.iter().filter(|f| accept(f)).map(|f| f.score).fold(f64::NEG_INFINITY, f64::max)
     };
-    // What is given beside the pokes must bring more than chance would.
+    // Additional information must improve the score by more than chance would.
     let margin = if untold { UNTOLD_MARGIN } else { SELECTION_MARGIN } / chosen.len() as f64;
     let charged = |f: &Tried| {
         let mean = if matches!(f.mean, Mean::Zero) { 0.0 } else { margin };
@@ -243,9 +243,9 @@ pub(super) fn choose_form<'a>(
     Ok((Form { features, map, prior, turn: None, hyper }, uses))
 }
 
-/// The form in which every poke has copies, turned as a sister's map shows, with its score; `None` where the pokes are
-/// likelier without, or about one of the `means`. The skin may be numbered the other way round than the sister: the
-/// pokes tell.
+/// The form in which every poke has copies, rotated as a sister's map shows, with its score. `None` if the pokes are
+/// more likely without copies, or with one of the `means`. The skin may be numbered in the opposite direction from
+/// the sister, so both are tried.
 fn turned_form(
     examples: &Examples,
     features: &Features,
@@ -255,7 +255,7 @@ fn turned_form(
     means: &[Mean],
     turn: &Turn,
 ) -> Result<Option<(Form, f64)>, LocatorError> {
-    // Companded, channels are of one size, whatever their noise.
+    // Companding equalises the channels, whatever their noise.
     let features = Features { companded: true, ..features.clone() };
     let hyper = Hyperparameters { length_m: TURNED.length_m * extent(&map.positions_m), ..TURNED };
     let about = SignatureMap::without_physics(map.channels, coarse.positions_m.clone())?;
@@ -285,7 +285,7 @@ fn turned_form(
     Ok(Some((Form { features, map, prior: None, turn: Some(turn), hyper }, score)))
 }
 
-/// By how much the examples are likelier about a mean of the map than about nothing.
+/// Log evidence gained by using a mean of the map instead of zero.
 fn evidence_of(
     mean: Mean,
     examples: &Examples,
@@ -306,7 +306,7 @@ fn evidence_of(
     Ok(log_density(&rest, hyper)? - log_density(&design, hyper)?)
 }
 
-/// What frames of very many channels are projected on.
+/// Projection for frames with very many channels.
 pub(super) fn projection(
     design: &Design,
     prior: &Prior,
@@ -319,8 +319,7 @@ pub(super) fn projection(
     }
 }
 
-/// Every second of a map's positions, as the fields of one colour on a board of chess where they lie on a square
-/// lattice.
+/// Every second map position: on a square lattice, the fields of one colour on a chessboard.
 fn thinned(map: &SignatureMap, spacing_m: f64) -> SignatureMap {
     let origin = map.positions_m[0];
     let is_kept = |p: &[f64; 2]| {
@@ -334,7 +333,7 @@ fn thinned(map: &SignatureMap, spacing_m: f64) -> SignatureMap {
             signatures.extend_from_slice(row);
         }
     }
-    // Of a map of a few positions nothing is left out.
+    // A map with few positions is not thinned.
     if positions_m.len() < FEWEST_POSITIONS {
         return map.clone();
     }

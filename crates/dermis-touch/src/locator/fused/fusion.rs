@@ -1,12 +1,13 @@
-//! The product of both experts: w(p) ~ exp(b L(p)) (1 + d(p)^2 / 4 s^2)^(-3 c), L the forward expert's log-likelihood
-//! at p, d the distance from p to the inverse expert's place and s its local deviation: a Student t with 4 degrees of
-//! freedom, so that neither expert can veto the other. The temperature b and the power c are those with which the
-//! left-out examples are predicted best; b = 0 and c = 0, either expert alone, are among them.
+//! The product of both experts: w(p) ~ exp(b L(p)) (1 + d(p)^2 / 4 s^2)^(-3 c), where L is the forward expert's
+//! log-likelihood at p, d the distance from p to the inverse expert's position and s its local standard deviation.
+//! The second factor is a Student t with 4 degrees of freedom, so that neither expert can veto the other. The
+//! temperature b and the power c are those that predict the left-out examples best; b = 0 and c = 0, either expert
+//! alone, are among them.
 //!
-//! Map positions stand for cells of the map's spacing h, over which a place is spread with variance h^2 / 12. Within a
-//! cell each coordinate leans by v (g + (m - x) c / s^2), v = 1 / (12 / h^2 + k + c / s^2), the mean of a product of
-//! Gaussians: g and k are slope and curvature of b L from the neighbouring positions, m is the inverse expert's place.
-//! So a posterior narrower than a cell is not rounded to the map.
+//! Each map position represents a cell of the map's spacing h, over which a position is spread with variance h^2 /
+//! 12. Within a cell each coordinate is shifted by v (g + (m - x) c / s^2), v = 1 / (12 / h^2 + k + c / s^2), the
+//! mean of a product of Gaussians. Here g and k are the slope and curvature of b L from the neighbouring positions,
+//! and m is the inverse expert's position. A posterior narrower than a cell is therefore not rounded to the map.
 
 use std::collections::HashMap;
 
@@ -17,26 +18,27 @@ use crate::locator::rows::exponentials;
 
 /// Temperatures b tried.
 const TEMPERATURES: [f64; 8] = [0.0, 0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0];
-/// Doublings of the power c from a half: a half, 1, 2, 4.
+/// Exponents e of the powers tried: c = 2^e / 2, that is a half, 1, 2, 4.
 const DOUBLINGS: [u32; 4] = [0, 1, 2, 3];
 
-/// Cells less likely than this part of the likeliest do not lean.
+/// Apply no shift within cells less likely than this share of the peak.
 const LEANING: f64 = 1e-3;
-/// Logarithms of likelihoods below this count for nothing.
+/// Ignore log-likelihoods below this, relative to the largest.
 const NEGLIGIBLE: f64 = -40.0;
-/// No such neighbour.
+/// Marks a missing neighbour.
 const NONE: u32 = u32::MAX;
 
 /// The map's positions as cells.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cells {
-    /// Indices of the positions left, right, below and above of each.
+    /// Indices of the positions left, right, below and above each one.
     neighbours: Vec<[u32; 4]>,
     pub spacing_m: f64,
 }
 
 impl Cells {
-    /// Finds each position's neighbours: the nearest to a spacing away along an axis, if it is within 0.6 spacings.
+    /// Finds each position's neighbours: the position nearest to one spacing away along an axis, if within 0.6
+    /// spacings.
     pub(super) fn new(positions: &[[f64; 2]], spacing_m: f64) -> Self {
         let cell = |p: [f64; 2]| p.map(|v| (v / spacing_m).floor() as i64);
         let mut buckets: HashMap<[i64; 2], Vec<u32>> = HashMap::new();
@@ -62,7 +64,7 @@ impl Cells {
         Self { neighbours, spacing_m }
     }
 
-    /// Slope and curvature (downwards) of `values` along an axis, per metre and square metre; the curvature not
+    /// Slope and downward curvature of `values` along an axis, per metre and per square metre. The curvature is not
     /// negative.
     fn shape(&self, values: &[f64], p: usize, axis: usize) -> (f64, f64) {
         let [low, high] = [self.neighbours[p][2 * axis], self.neighbours[p][2 * axis + 1]];
@@ -79,23 +81,23 @@ impl Cells {
     }
 }
 
-/// How the experts are joined.
+/// How the experts are combined.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Fusion {
     /// b.
     pub temperature: f64,
-    /// c is a half times two to this; none: the inverse expert is not used.
+    /// c is a half times two to the power of this. `None`: the inverse expert is not used.
     pub doublings: Option<u32>,
 }
 
-/// What ways of joining the same likelihood and guess have in common.
+/// Values shared by all combinations of the same likelihood and guess.
 struct Weighing {
     top: f64,
-    /// exp(b (L - top)) of the temperature named.
+    /// exp(b (L - top)) for the temperature b in `of`.
     likely: Vec<f32>,
     of: f64,
-    /// The inverse expert's factor of each position, by doublings; all empty without a guess.
+    /// The inverse expert's factor at each position, by doublings; all empty without a guess.
     factors: [Vec<f64>; DOUBLINGS.len()],
     /// Probabilities.
     weights: Vec<f64>,
@@ -125,7 +127,7 @@ impl Weighing {
         }
     }
 
-    /// Fills the probabilities; returns the most probable position.
+    /// Fills the probabilities. Returns the most probable position.
     fn weigh(&mut self, fusion: &Fusion, log_likelihood: &[f64]) -> usize {
         let b = fusion.temperature;
         if self.of != b {
@@ -166,11 +168,11 @@ pub(super) struct Joined {
 }
 
 impl Fusion {
-    /// For pokes with turned copies that are too few to choose: the forward expert alone, as the inverse one knows
-    /// nothing of copies.
+    /// For pokes with rotated copies that are too few to choose by: the forward expert alone, since the inverse
+    /// expert knows nothing of copies.
     pub(super) const UNTOLD: Self = Self { temperature: 0.5, doublings: None };
 
-    /// Joins a log-likelihood over the map and a guess; `weights` receives the probabilities.
+    /// Combines a log-likelihood over the map with a guess. `weights` receives the probabilities.
     pub(super) fn join(
         &self,
         positions: &[[f64; 2]],
@@ -212,7 +214,7 @@ impl Fusion {
         Joined { log_evidence, ..self.read_out(positions, cells, log_likelihood, inverse, weights, peak) }
     }
 
-    /// [`Fusion::join`] of what `weighing` was begun with, without its evidence.
+    /// Like [`Fusion::join`] for the inputs `weighing` was started with, but without the evidence.
     fn join_weighed(
         &self,
         positions: &[[f64; 2]],
@@ -225,7 +227,7 @@ impl Fusion {
         self.read_out(positions, cells, log_likelihood, guess.zip(self.doublings), &weighing.weights, peak)
     }
 
-    /// Mean and covariance of probabilities whose largest is at `peak`; no evidence.
+    /// Mean and covariance of probabilities that peak at `peak`; no evidence.
     fn read_out(
         &self,
         positions: &[[f64; 2]],
@@ -236,7 +238,7 @@ impl Fusion {
         peak: usize,
     ) -> Joined {
         let cell = cells.spacing_m * cells.spacing_m / 12.0;
-        // Precision of the inverse expert's place within a cell.
+        // Precision of the inverse expert's position within a cell.
         let pull = inverse.map_or(0.0, |(g, doublings)| 0.5 * f64::from(1_u32 << doublings.min(8)) / g.variance_m2);
         let target = inverse.map_or([0.0; 2], |(g, _)| g.mean_m);
         let (origin, least) = (positions[peak], LEANING * weights[peak]);
@@ -273,7 +275,7 @@ impl Fusion {
         }
     }
 
-    /// Every way of joining that is tried, the forward expert alone first.
+    /// All combinations to try, the forward expert alone first.
     fn candidates(with_inverse: bool) -> Vec<Self> {
         let alone = TEMPERATURES[1..].iter().map(|&temperature| Self { temperature, doublings: None });
         let joined =
@@ -281,14 +283,14 @@ impl Fusion {
         alone.chain(joined.filter(|_| with_inverse)).collect()
     }
 
-    /// The way with which left-out examples (log-likelihood, guess, truth) are predicted best.
+    /// The combination that predicts left-out examples (log-likelihood, guess, truth) best.
     pub(super) fn choose(
         positions: &[[f64; 2]],
         cells: &Cells,
         left_out: &[(&[f64], Option<Guess>, [f64; 2])],
     ) -> Self {
         let candidates = Self::candidates(left_out.iter().all(|l| l.1.is_some()));
-        // Errors with the posterior's deviations, x and y of each example, by candidate.
+        // For each candidate, errors and posterior standard deviations, x and y of each example.
         let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::with_capacity(2 * left_out.len()); candidates.len()];
         let mut weighing = Weighing::new(positions.len());
         for (log_likelihood, guess, truth) in left_out {

@@ -1,11 +1,12 @@
-//! The inverse expert: kernel ridge regression from a frame's features to the place, y = m + k(f) a with
-//! (K + r I) a = Y - m and k Matern 5/2 over the features' principal components. Leaving example i out changes its
-//! prediction by a_i / (K + r I)^-1_ii (Rasmussen & Williams 2006, section 5.4.2). Length and ridge are those whose
-//! left-out errors are smallest. With more examples than are solved exactly, the kernel is taken at evenly drawn
-//! landmarks only ([`landmarks`]).
+//! The inverse expert: kernel ridge regression from a frame's features to the position, y = m + k(f) a, where (K + r
+//! I) a = Y - m and k is Matern 5/2 over the features' principal components. Leaving example i out shifts its
+//! prediction by a_i / (K + r I)^-1_ii (Rasmussen & Williams 2006, section 5.4.2). Length and ridge minimise the
+//! left-out errors. With more examples than can be solved exactly, the kernel is evaluated only at evenly drawn
+//! landmarks ([`landmarks`]).
 //!
-//! Its variance at f is local: the mean of left-out squared errors weighted by a sharpened kernel, times the square of
-//! the ratio by which the nearest example is further than is usual, so that a frame unlike all examples says little.
+//! Its variance at f is local: the mean of left-out squared errors weighted by a sharpened kernel. If the nearest
+//! example is further away than usual, the variance is multiplied by the square of that ratio, so that a frame unlike
+//! all examples says little.
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
@@ -21,11 +22,11 @@ use crate::typical::median;
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];
 /// Ridges tried, relative to the kernel's variance.
 const RIDGES: [f64; 7] = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1];
-/// At most so many examples choose length and ridge.
+/// Maximum number of examples that choose length and ridge.
 const CHOOSING: usize = 500;
 /// Squared width of the local variance's weights, relative to the median squared distance between examples.
 const LOCAL_WIDTH: f64 = 0.07;
-/// Examples that the median error counts as in the local variance.
+/// Weight of the median error in the local variance, in examples.
 const LOCAL_PRIOR: f64 = 3.0;
 /// The squared median of a Rayleigh distribution of unit variance.
 const RAYLEIGH_MEDIAN2: f64 = 1.386_294;
@@ -38,9 +39,9 @@ pub(super) struct Regression {
     rank: usize,
     /// Mean of the features.
     centre: Vec<f32>,
-    /// Principal directions: rank rows of features.
+    /// Principal directions: `rank` rows of features.
     basis: Vec<f32>,
-    /// Components of each example or landmark: rows of rank.
+    /// Components of each example or landmark: rows of length `rank`.
     points: Vec<f32>,
     /// Squared lengths of the points' rows.
     squares: Vec<f32>,
@@ -49,23 +50,23 @@ pub(super) struct Regression {
     mean_m: [f64; 2],
     length: f64,
     ridge: f64,
-    /// Squared left-out errors at the points, square metres; those of `mix` once that is known.
+    /// Squared left-out errors at the points, square metres, of the mix once that is known.
     residuals_m2: Vec<f64>,
-    /// Variance of a coordinate that the median left-out error speaks for, square metres.
+    /// Variance of a coordinate that corresponds to the median left-out error, square metres.
     typical_m2: f64,
-    /// Squared distance to the nearest example that nine in ten examples stay below.
+    /// 90 % quantile of the squared distance to the nearest example.
     usual_nearest: f64,
-    /// The kernel to the power of two to this is the weight of the local variance.
+    /// The weight in the local variance is the kernel to the power of two to this.
     sharpening: u32,
 }
 
-/// Left-out predictions for the rows judged.
+/// Left-out predictions for the judged rows.
 #[derive(Debug, Clone)]
 pub(super) struct LeftOutPlaces {
     pub places_m: Vec<[f64; 2]>,
 }
 
-/// A place and the local variance of a coordinate.
+/// A position and the local variance of a coordinate.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Guess {
     pub mean_m: [f64; 2],
@@ -73,8 +74,8 @@ pub(super) struct Guess {
 }
 
 impl Regression {
-    /// Fits to the features, a row for each of `places_m`. `judged` are the rows at which left-out errors are wanted;
-    /// with fewer of them than rows they are the landmarks too.
+    /// Fits to the features, one row for each of `places_m`. Left-out errors are computed at the rows `judged`. If
+    /// those are fewer than all rows, they are the landmarks too.
     pub(super) fn fit(
         features: &[Vec<f64>],
         places_m: &[[f64; 2]],
@@ -109,7 +110,7 @@ impl Regression {
         Ok((fitted, places))
     }
 
-    /// Takes over the left-out errors of what the local variance is to be of.
+    /// Sets the left-out errors that the local variance is computed from.
     pub(super) fn set_residuals(&mut self, left_out_m: &[[f64; 2]], truth_m: &[[f64; 2]]) {
         let square = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
         self.residuals_m2 = left_out_m.iter().zip(truth_m).map(square).collect();
@@ -126,7 +127,7 @@ impl Regression {
         self.basis.chunks_exact(centred.len()).map(|row| dot(row, &centred)).collect()
     }
 
-    /// Length, ridge, sharpening and usual distance from the rows chosen.
+    /// Chooses length and ridge, sharpening and usual distance from the rows `chosen`.
     fn choose(&mut self, rows: &[Vec<f32>], places_m: &[[f64; 2]], chosen: &[usize]) -> Result<(), LocatorError> {
         let n = chosen.len();
         let d2 = Mat::from_fn(n, n, |i, j| if i == j { 0.0 } else { distance2(&rows[chosen[i]], &rows[chosen[j]]) });
@@ -172,7 +173,7 @@ impl Regression {
         Ok(())
     }
 
-    /// The weights a, and left-out predictions of the judged rows.
+    /// Solves for the weights a, and returns left-out predictions of the judged rows.
     fn solve(
         &mut self,
         rows: &[Vec<f32>],
@@ -205,7 +206,7 @@ impl Regression {
         Ok(LeftOutPlaces { places_m: judged.iter().zip(&learnt.left_out).map(place).collect() })
     }
 
-    /// Place of a frame of these features; without point `left_out` in the variance, if any.
+    /// Position for a frame with these features. The variance ignores point `left_out`, if given.
     pub(super) fn guess(&self, features: &[f32], memory: &mut Memory, left_out: Option<usize>) -> Guess {
         memory.centred.clear();
         memory.centred.extend(features.iter().zip(&self.centre).map(|(f, c)| f - c));
@@ -229,7 +230,7 @@ impl Regression {
         Guess { mean_m, variance_m2 }
     }
 
-    /// The local variance of a coordinate from kernel values, which it sharpens.
+    /// The local variance of a coordinate from kernel values, which are sharpened in place.
     fn local_variance(&self, kernel: &mut [f32], nearest: f64, left_out: Option<usize>) -> f64 {
         for _ in 0..self.sharpening {
             kernel.iter_mut().for_each(|k| *k *= *k);
@@ -242,7 +243,7 @@ impl Regression {
         local * (nearest / self.usual_nearest).max(1.0).powi(2)
     }
 
-    /// What feature k of a touch at a place is, as the mean of the points weighted by `shares`.
+    /// Expected feature k of a touch at a position: the mean of the points weighted by `shares`.
     pub(super) fn expected(&self, k: usize, shares: &[(usize, f64)]) -> f64 {
         let width = self.centre.len();
         let component =
@@ -263,7 +264,7 @@ impl Regression {
         Ok(fitted)
     }
 
-    /// Refuses arrays that do not fit together.
+    /// Rejects arrays that do not match.
     pub(super) fn check(&self, features: usize) -> Result<(), LocatorError> {
         let (rank, n) = (self.rank, self.weights.len());
         for (field, got) in [("regression rank", rank), ("regression points", n)] {
@@ -303,12 +304,12 @@ pub(super) struct Memory {
     kernel: Vec<f32>,
 }
 
-/// The least of some squared distances; infinite of none.
+/// The smallest of some squared distances; infinite for none.
 fn least(squared: &[f32]) -> f32 {
     squared.iter().fold(f32::INFINITY, |least, d2| if *d2 < least { *d2 } else { least })
 }
 
-/// Sums of two terms over all values, in eight running sums each: one alone waits for the addition before.
+/// Sums of two terms over all values, in eight running sums each: a single sum would wait for each addition.
 fn sums<T>(kernel: &[f32], values: &[T], terms: impl Fn(f64, &T) -> [f64; 2]) -> [f64; 2] {
     const LANES: usize = 8;
     let mut lanes = [[0.0; 2]; LANES];

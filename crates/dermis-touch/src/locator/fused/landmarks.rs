@@ -1,11 +1,13 @@
-//! The inverse expert's regression on more examples than are solved exactly: y = k(f) a with a on m landmarks among
-//! the n examples. Snelson & Ghahramani (2006), with the notation of Quinonero-Candela & Rasmussen (2005), section 6:
+//! The inverse expert's regression on more examples than can be solved exactly: y = k(f) a with a on m landmarks
+//! among the n examples. Snelson & Ghahramani (2006), with the notation of Quinonero-Candela & Rasmussen (2005),
+//! section 6:
 //!
 //! V = L^-1 K_mn, K_mm = L L', q_i = |V_i|^2, s_i = r + t (1 - q_i), a = L^-T (I + V S^-1 V')^-1 V S^-1 y,
 //!
-//! where 1 - q_i is what the landmarks cannot say of example i. With t = 1 such an example counts for less (FITC), so
-//! that a few examples more than landmarks do no harm; with t = 0 all count alike (subset of regressors). Leaving
-//! example i out changes its residual to that over 1 - h_i, h_i = V_i' (I + V S^-1 V')^-1 V_i / s_i.
+//! where 1 - q_i is the variance of example i that the landmarks cannot explain. With t = 1 such an example has less
+//! weight (FITC), so that slightly more examples than landmarks do no harm. With t = 0 all have equal weight (a
+//! subset of regressors). Leaving example i out divides its residual by 1 - h_i, h_i = V_i' (I + V S^-1 V')^-1 V_i /
+//! s_i.
 //!
 //! Memory is three matrices of m x m and two of m x 1,000; time is 2 n m^2 + 2 m^3 operations.
 
@@ -16,10 +18,10 @@ use faer::{Accum, Mat, Par, Side};
 use crate::locator::error::LocatorError;
 use crate::locator::rows::{dot, matern52};
 
-/// Examples whose correlations are made at a time.
+/// Number of examples whose correlations are computed at a time.
 const BLOCK: usize = 1000;
-/// What is added to the diagonal of the landmarks' correlations, which single precision leaves a little indefinite; ten
-/// times as much where that is not enough, and so on.
+/// Values to try adding to the diagonal of the landmarks' correlations, smallest first. Single precision leaves that
+/// matrix slightly indefinite.
 const JITTERS: [f64; 4] = [1e-6, 1e-5, 1e-4, 1e-3];
 
 /// Kernel and noise of the regression.
@@ -29,20 +31,20 @@ pub(super) struct Kernel {
     pub length: f64,
     /// r: noise variance, relative to the kernel's.
     pub ridge: f64,
-    /// t: how much of what the landmarks cannot say counts as noise.
+    /// t: share of the variance unexplained by the landmarks that counts as noise.
     pub unsaid: f64,
 }
 
-/// What the landmarks have learnt.
+/// Result of the regression on the landmarks.
 #[derive(Debug)]
 pub(super) struct Learnt {
     /// a, for x and y.
     pub weights: Vec<[f64; 2]>,
-    /// Target of each landmark less what is predicted of it without it.
+    /// Target of each landmark minus its prediction without it.
     pub left_out: Vec<[f64; 2]>,
 }
 
-/// Learns `targets` of all `rows`; `landmarks` are indices of rows.
+/// Fits `targets` of all `rows`; `landmarks` are indices of rows.
 pub(super) fn learn(
     rows: &[Vec<f32>],
     targets: &[[f64; 2]],
@@ -87,7 +89,7 @@ pub(super) fn learn(
     }
     let solved = normal.llt(Side::Lower).map_err(|_| singular)?.L().to_owned();
     solve_lower_triangular_in_place(solved.as_ref(), right.as_mut(), Par::Seq);
-    // V of the landmarks, and the residuals with the landmarks and without each.
+    // V of the landmarks, and their residuals with and without each landmark.
     let mut own = factor.transpose().to_owned();
     let scales: Vec<f64> = (0..m)
         .map(|j| {
@@ -109,7 +111,7 @@ pub(super) fn learn(
     Ok(Learnt { weights: (0..m).map(|j| [right[(j, 0)], right[(j, 1)]]).collect(), left_out })
 }
 
-/// What gives correlations with landmarks.
+/// Computes correlations with landmarks.
 struct Correlations {
     /// Components: rank by landmarks.
     landmarks: Mat<f32>,
@@ -126,7 +128,7 @@ impl Correlations {
         }
     }
 
-    /// Of the landmarks (rows) with some examples (columns).
+    /// Correlations of the landmarks (rows) with some examples (columns).
     fn with(&self, rows: &[Vec<f32>], some: &[usize]) -> Mat<f64> {
         let mut single = self.landmarks.transpose() * columns(rows, some);
         for (c, &i) in some.iter().enumerate() {
@@ -159,9 +161,9 @@ mod tests {
         (1.0 + s + s * s / 3.0) * (-s).exp()
     }
 
-    /// Where every example is a landmark this is kernel ridge regression, whatever counts as unsaid: weights
-    /// (K + r I)^-1 y, left-out residuals weight over diagonal of the inverse (Rasmussen & Williams 2006, section
-    /// 5.4.2). Correlations of single precision, which are good to some 1e-6, make the difference.
+    /// If every example is a landmark, this is kernel ridge regression for any t: the weights are (K + r I)^-1 y, and
+    /// a left-out residual is its weight over the diagonal of the inverse (Rasmussen & Williams 2006, section 5.4.2).
+    /// Any difference comes from single-precision correlations, which are accurate to about 1e-6.
     #[test]
     fn landmarks_everywhere_are_the_exact_regression() {
         let n = 40;
@@ -182,7 +184,7 @@ mod tests {
         }
     }
 
-    /// Examples that repeat each other have a kernel without full rank.
+    /// Repeated examples give a kernel without full rank.
     #[test]
     fn landmarks_alike_are_borne() {
         let (mut rows, targets) = made_up(60);

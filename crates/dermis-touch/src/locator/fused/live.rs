@@ -1,4 +1,4 @@
-//! Locating one frame with both experts, without allocating.
+//! Locates one frame with both experts, without allocating.
 
 use super::features::Features;
 use super::inverse::{Guess, Memory};
@@ -9,7 +9,7 @@ use crate::locator::error::{LocatorError, check_length};
 use crate::locator::live::LocatorScratch;
 use crate::locator::posterior::Spread;
 
-/// So many of the nearest pokes stand in for a missing channel.
+/// Number of nearest pokes that stand in for a missing channel.
 const STAND_INS: usize = 8;
 
 /// Working memory of [`FusedLocator::predict_into`], kept by the caller between frames.
@@ -25,7 +25,7 @@ pub struct FusedScratch {
 }
 
 impl FusedScratch {
-    /// Probability of each of the map's positions after the last frame located; sums to 1. Empty before the first.
+    /// Probability of each map position for the last frame located; sums to 1. Empty before the first frame.
     pub fn posterior(&self) -> &[f64] {
         &self.forward.posterior
     }
@@ -37,11 +37,11 @@ impl FusedLocator {
         FusedScratch { forward: self.state.forward.scratch(), ..FusedScratch::default() }
     }
 
-    /// Locates the touch behind `frame`, difference data in the unit of the examples; NaN or infinite channels are
-    /// taken as missing.
+    /// Locates the touch in `frame`, difference data in the unit of the examples. NaN or infinite channels count as
+    /// missing.
     ///
     /// # Errors
-    /// Another number of channels than the examples had, too few usable ones, or a frame that is all zero.
+    /// A different number of channels than in the examples, too few usable ones, or a frame that is all zero.
     pub fn predict_into(&self, frame: &[f64], scratch: &mut FusedScratch) -> Result<Located, LocatorError> {
         let state = &self.state;
         check_length("frame", self.channels(), frame.len())?;
@@ -79,7 +79,7 @@ impl FusedLocator {
         })
     }
 
-    /// [`FusedLocator::predict_into`] with memory of its own.
+    /// Like [`FusedLocator::predict_into`], with its own memory.
     ///
     /// # Errors
     /// As [`FusedLocator::predict_into`].
@@ -87,7 +87,7 @@ impl FusedLocator {
         self.predict_into(frame, &mut self.scratch())
     }
 
-    /// The inverse expert's place. Less of a frame seen makes it less sure.
+    /// The inverse expert's position. Missing channels increase its variance.
     fn guess(&self, scratch: &mut FusedScratch, seen: f64) -> Guess {
         let state = &self.state;
         let mut guess = Guess { mean_m: [0.0; 2], variance_m2: 0.0 };
@@ -115,7 +115,7 @@ impl FusedLocator {
         guess
     }
 
-    /// Puts what the pokes nearest to the forward expert's best place measured where channels are missing.
+    /// Fills missing channels with values of the pokes nearest to the forward expert's best position.
     fn stand_in(&self, scratch: &mut FusedScratch) {
         let state = &self.state;
         let log_likelihood = &scratch.forward.log_likelihood;
@@ -140,7 +140,7 @@ impl FusedLocator {
     }
 }
 
-/// Brings a vector to unit length.
+/// Scales a vector to unit length.
 pub(super) fn unit_length(values: &mut [f32]) {
     let square: f32 = values.iter().map(|v| v * v).sum();
     if square > 0.0 {

@@ -1,18 +1,19 @@
-//! A locator that keeps learning: two experts, joined by what the left-out pokes say of each.
+//! A locator that keeps improving with more pokes: two experts, combined according to their errors on left-out pokes.
 //!
-//! The forward expert is a [`Locator`]: from place to frame, good with few pokes, because it interpolates what is
-//! smooth and may say that several places are likely. With thousands of pokes it stops improving, because what varies
-//! between two touches of one place (what was pressed before, drift) is not the same noise everywhere. The inverse
-//! expert is a kernel regression from frame to place, poor with few pokes and good with many, because it learns which
-//! parts of a frame tell the place. Their product is at least as good as the better one: temperature and power that
-//! switch either expert off are among those tried.
+//! The forward expert is a [`Locator`], which predicts frames from positions. It works well with few pokes, because
+//! it interpolates smooth functions and can report several likely positions. With thousands of pokes it stops
+//! improving, because the differences between two touches of one place (earlier presses, drift) are not the same
+//! noise everywhere. The inverse expert is a kernel regression from frames to positions. It is poor with few pokes
+//! and good with many, because it learns which parts of a frame indicate the position. Their product is at least as
+//! good as the better one: the temperatures and powers tried include those that switch either expert off.
 //!
-//! Nothing need be known of the skin's geometry: positions that cover its outline and a number of channels are enough
-//! ([`SignatureMap::without_physics`]). Where physics is given it is used if it predicts left-out pokes better.
+//! No knowledge of the skin's geometry is needed: positions that cover its outline and a number of channels are
+//! enough ([`SignatureMap::without_physics`]). If physics is given, it is used if it improves the prediction of
+//! left-out pokes.
 //!
-//! A calibration of another skin of the family ([`FusedLocator::fit_with_prior`]) lends its covariance between
-//! channels, as an inverse Wishart prior, and its map as the mean of the new one, each only if left-out pokes are
-//! predicted better.
+//! A calibration of another skin of the family ([`FusedLocator::fit_with_prior`]) provides its covariance between
+//! channels, as an inverse Wishart prior, and its map as the mean of the new one. Each is used only if it improves
+//! the prediction of left-out pokes.
 
 mod drift;
 mod features;

@@ -6,7 +6,7 @@ use super::state::FusedState;
 use crate::locator::data::SuggestedPoke;
 use crate::locator::error::LocatorError;
 
-/// A fitted locator of two experts. Serialisable; reading one back checks its version, lengths and values.
+/// A fitted locator of two experts. Serialisable; deserialising checks version, lengths and values.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "FusedState", into = "FusedState")]
 pub struct FusedLocator {
@@ -15,7 +15,7 @@ pub struct FusedLocator {
 }
 
 impl FusedLocator {
-    /// How good it is, and what it makes use of.
+    /// Its accuracy, and the parts it uses.
     pub fn report(&self) -> &FusedReport {
         &self.state.report
     }
@@ -25,12 +25,13 @@ impl FusedLocator {
         self.state.features.weights.len()
     }
 
-    /// The positions among which touches are looked for, metres.
+    /// The positions at which touches are searched for, metres.
     pub fn positions_m(&self) -> &[[f64; 2]] {
         self.state.forward.positions_m()
     }
 
-    /// Where more pokes would help most; see [`Locator::suggest_pokes`](crate::locator::Locator::suggest_pokes).
+    /// Positions where more pokes would help most; see
+    /// [`Locator::suggest_pokes`](crate::locator::Locator::suggest_pokes).
     ///
     /// # Errors
     /// As there.

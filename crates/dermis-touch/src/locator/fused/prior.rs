@@ -1,5 +1,5 @@
-//! What a calibration of another skin of the family gives: the covariance between channels, the map itself, and what
-//! turning the skin does to its channels.
+//! Prior information from a calibration of another skin of the family: the covariance between channels, the map
+//! itself, and the effect of rotation on the channels.
 
 use faer::linalg::solvers::Solve;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
@@ -11,14 +11,14 @@ use crate::locator::design::nearest;
 use crate::locator::error::LocatorError;
 use crate::locator::turn::Turn;
 
-/// A sister's calibration in the channels' own coordinates.
+/// A sister's calibration in the coordinates of the channels.
 #[derive(Debug, Clone)]
 pub(super) struct Sister {
-    /// Whether its frames were companded: its covariance holds for the same form only.
+    /// True if its frames were companded; its covariance is valid only for the same form.
     pub companded: bool,
     /// Covariance between channels.
     pub covariance: Mat<f64>,
-    /// Under which turns it looks the same, if any.
+    /// Rotations under which it looks the same, if any.
     pub turn: Option<Turn>,
     positions_m: Vec<[f64; 2]>,
     /// Signatures: channels by positions.
@@ -26,7 +26,7 @@ pub(super) struct Sister {
 }
 
 impl Sister {
-    /// Undoes the whitening of a fitted locator; looks for turns only where they are `wanted`.
+    /// Undoes the whitening of a fitted locator. Searches for rotations only if `wanted`.
     pub(super) fn new(other: &FusedLocator, wanted: bool) -> Result<Self, LocatorError> {
         let state = &other.state.forward.state;
         let (rank, channels) = (state.rank, state.weights.len());

@@ -1,74 +1,75 @@
-//! What a fused locator says about itself.
+//! A fused locator's report on itself.
 
 use super::fusion::Fusion;
 use crate::locator::data::LeaveOneOut;
 use crate::locator::posterior::quantile;
 use crate::typical::median;
 
-/// Distances between true and found places of left-out examples.
+/// Distances between true and located positions of left-out examples.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Accuracy {
-    /// Median distance in metres.
+    /// Median distance, metres.
     pub median_m: f64,
-    /// Distance that nine in ten stay below, in metres.
+    /// Distance that nine in ten stay below, metres.
     pub p90_m: f64,
 }
 
 impl Accuracy {
-    /// Of places found against the true ones.
+    /// Accuracy of located positions against the true ones.
     pub(super) fn of(found_m: impl Iterator<Item = [f64; 2]>, truth_m: &[[f64; 2]]) -> Self {
         let errors: Vec<f64> = found_m.zip(truth_m).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).collect();
         Self { median_m: median(&errors), p90_m: quantile(&errors, 0.9) }
     }
 }
 
-/// Whether something given beside the pokes was made use of.
+/// Use of additional prior information.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PriorUse {
-    /// Whether it is part of the locator.
+    /// True if it is part of the locator.
     pub used: bool,
-    /// By how much the left-out examples' mean log predictive density is higher with it than without; below zero it did
-    /// harm and was left out.
+    /// Gain in the left-out examples' mean log predictive density. If it is below zero, the information did harm and
+    /// was not used.
     pub gain: f64,
 }
 
-/// How good a [`FusedLocator`](super::FusedLocator) is, judged on each example by the others, and what it uses.
+/// Accuracy of a [`FusedLocator`](super::FusedLocator), judged on each example by the others, and the parts it uses.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FusedReport {
-    /// Examples as both experts together locate them: all of them, or the landmarks where there are very many.
+    /// Examples as located by both experts together: all of them, or the landmarks if there are very many.
     pub left_out: LeaveOneOut,
-    /// The forward expert alone.
+    /// Accuracy of the forward expert alone.
     pub forward: Accuracy,
-    /// The inverse expert alone.
+    /// Accuracy of the inverse expert alone.
     pub inverse: Accuracy,
-    /// Both together.
+    /// Accuracy of both together.
     pub fused: Accuracy,
-    /// Whether the forward expert takes part.
+    /// True if the forward expert is used.
     pub forward_used: bool,
-    /// Whether the inverse expert takes part.
+    /// True if the inverse expert is used.
     pub inverse_used: bool,
-    /// Whether the forward expert sees companded frames.
+    /// True if the forward expert sees companded frames.
     pub companded: bool,
-    /// What physics brought, where it was given.
+    /// Use of physics, if it was given.
     pub physics: Option<PriorUse>,
-    /// What the map of another skin brought, where one was given.
+    /// Use of another skin's map, if one was given.
     pub sister_map: Option<PriorUse>,
-    /// What the covariance between channels of another skin brought, where one was given.
+    /// Use of another skin's covariance between channels, if one was given.
     pub sister_covariance: Option<PriorUse>,
-    /// What it brought that the skin looks the same when it is turned, where another skin was given that does.
+    /// Use of rotational symmetry, if another skin was given that has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sister_turn: Option<PriorUse>,
-    /// Indices of examples that the others contradict by far: look whether their positions were written down right.
+    /// Indices of examples that the others strongly contradict. Check whether their positions were recorded
+    /// correctly.
     pub doubtful: Vec<usize>,
-    /// Whether the doubtful ones took no part in the fit.
+    /// True if the doubtful examples were excluded from the fit.
     pub doubtful_left_out: bool,
 }
 
 impl FusedReport {
-    /// Which experts a way of joining uses: (forward, inverse).
+    /// Which experts a combination uses: (forward, inverse).
     pub(super) fn experts(fusion: &Fusion) -> (bool, bool) {
         (fusion.temperature > 0.0, fusion.doublings.is_some())
     }

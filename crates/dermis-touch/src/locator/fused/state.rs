@@ -1,4 +1,4 @@
-//! What a fused locator keeps, as plain arrays that can be stored and are checked when read back.
+//! State of a fused locator, as plain arrays that can be stored and are checked when read back.
 
 use super::features::Features;
 use super::fusion::Fusion;
@@ -7,7 +7,7 @@ use super::report::FusedReport;
 use crate::locator::Locator;
 use crate::locator::error::{LocatorError, check_first, check_length, check_positions};
 
-/// Version of the stored form; a fused locator of another version is refused.
+/// Format version; a fused locator with a different version is rejected.
 pub const FUSED_VERSION: u32 = 1;
 
 /// The stored form of a [`FusedLocator`](super::FusedLocator).
@@ -16,20 +16,20 @@ pub const FUSED_VERSION: u32 = 1;
 pub(super) struct FusedState {
     pub version: u32,
     pub features: Features,
-    /// The forward expert, on the frames that [`Features::forward`] makes.
+    /// The forward expert, for the frames made by [`Features::forward`].
     pub forward: Locator,
     /// The inverse expert on unit frames and their roots.
     pub plain: Regression,
-    /// The inverse expert on the forward expert's whitened frames, where there are pokes enough.
+    /// The inverse expert on the forward expert's whitened frames, if there are enough pokes.
     pub whitened: Option<Regression>,
-    /// Share of `plain` in the inverse expert's place.
+    /// Weight of `plain` in the inverse expert's position.
     pub plain_share: f64,
     pub fusion: Fusion,
     /// Factors on the posterior's standard deviations of x and y.
     pub sigma_factors: [f64; 2],
-    /// Sigma, metres, that a wholly unexplained map adds.
+    /// Standard deviation that a wholly unexplained map adds, metres.
     pub extrapolation_m: f64,
-    /// Where the inverse expert's points were poked, metres.
+    /// Positions of the pokes at the inverse expert's points, metres.
     pub places_m: Vec<[f64; 2]>,
     pub report: FusedReport,
 }

@@ -21,7 +21,7 @@ fn pressed(membrane: &mut Membrane, indenters: &[Indenter]) -> Vec<f64> {
     membrane.deflection_m().to_vec()
 }
 
-/// Largest difference from a function of radius and height above the middle, relative to its largest value.
+/// Largest difference from a function of radius and height above the centre, relative to its largest value.
 fn worst(membrane: &Membrane, w: &[f64], exact: impl Fn(f64, f64) -> f64) -> f64 {
     let values: Vec<f64> = membrane.positions_m().iter().map(|p| exact(p[0].hypot(p[1]), p[1])).collect();
     let scale = values.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
@@ -35,7 +35,7 @@ fn a_disc_pressed_in_the_middle_is_the_closed_form() {
     let w = pressed(&mut membrane, &[Indenter::disc([0.0; 2], a, p)]);
     // T (r w')' / r = -p H(a - r) + c, w(R) = 0: outside, w = p a^2 / (2T) ln(R/r) - c (R^2 - r^2) / (4T);
     // inside, w = p (a^2 - r^2) / (4T) + p a^2 / (2T) ln(R/a) - c (R^2 - r^2) / (4T).
-    // Volumes pi p a^2 (2 R^2 - a^2) / (8T) of the press and pi c R^4 / (8T) of the bowl cancel.
+    // The volumes pi p a^2 (2 R^2 - a^2) / (8T) of the press and pi c R^4 / (8T) of the bowl cancel.
     let c = p * a * a * (2.0 * RADIUS * RADIUS - a * a) / RADIUS.powi(4);
     let exact = |r: f64, _: f64| {
         let bowl = c * (RADIUS * RADIUS - r * r) / (4.0 * tension);
@@ -45,7 +45,7 @@ fn a_disc_pressed_in_the_middle_is_the_closed_form() {
     let error = worst(&membrane, &w, exact);
     let pressure_error = membrane.liquid_pressure_pa() / c - 1.0;
     println!("closed form of a pressed disc: {error:e} of its largest deflection, c off by {pressure_error:e}");
-    // Linear elements of 1/8 of the indenter's radius: second order, and 0.1 % of area missing at the polygonal rim.
+    // Linear elements of 1/8 of the indenter's radius: second order; the polygonal rim misses 0.1 % of the area.
     assert!(error < 5e-3, "{error}");
     assert!(pressure_error.abs() < 5e-3, "{pressure_error}");
 }
@@ -74,12 +74,12 @@ fn standing_it_bulges_below_as_the_closed_form_says() {
     let (tension, density, g) = (60.0, 1000.0, 9.81);
     let standing = MembraneSpec { density_kg_per_m3: density, gravity_m_per_s2: [0.0, -g, 0.0], ..weightless(tension) };
     let membrane = Membrane::new(&disc(4e-3), standing).unwrap();
-    // T lap w = -rho g y, w = 0 at R: w = rho g y (R^2 - r^2) / (8T); odd in y, so that c = 0.
+    // T lap w = -rho g y, w = 0 at R: w = rho g y (R^2 - r^2) / (8T). It is odd in y, so c = 0.
     let exact = |r: f64, y: f64| density * g * y * (RADIUS * RADIUS - r * r) / (8.0 * tension);
     let error = worst(&membrane, membrane.deflection_m(), exact);
     println!("closed form of a standing skin: {error:e} of the largest bulge");
     assert!(error < 1e-2, "{error}");
-    // Positive w is into the liquid: the lower half bulges out, by 5 mm at this tension.
+    // Positive w points into the liquid: the lower half bulges out, by 5 mm at this tension.
     let lowest = membrane.deflection_m().iter().copied().fold(0.0, f64::min);
     assert!((lowest + 5.18e-3).abs() < 0.1e-3, "{lowest}");
 }
@@ -93,7 +93,7 @@ fn weight_of_the_liquid_stiffens_a_skin_that_lies_and_slack_ones_burst_when_hung
     };
     let hanging = MembraneSpec { gravity_m_per_s2: [0.0, 0.0, 9.81], ..lying };
     assert!(deepest(lying) < deepest(weightless(30.0)) && deepest(weightless(30.0)) < deepest(hanging));
-    // The first mode holds as long as T (2.405/R)^2 > rho g: 12.8 N/m.
+    // The first mode is stable as long as T (2.405/R)^2 > rho g: 12.8 N/m.
     let slack = |tension| Membrane::new(&disc(4e-3), MembraneSpec { tension_n_per_m: tension, ..hanging });
     assert!(slack(13.5).is_ok());
     assert!(matches!(slack(12.0), Err(dermis_tomo::sparse::SparseError::NotPositiveDefinite { .. })));
@@ -106,7 +106,8 @@ fn loads_carry_their_force_and_superpose() {
     let other = Indenter::weight([-0.05, 0.01], 0.01, 13.0);
     let mut load = vec![0.0; membrane.positions_m().len()];
     membrane.add_load(&one, Cover { smoothing_m: 0.5e-3 }, &mut load);
-    // Nine points a triangle of 4 mm, an edge smoothed over half a millimetre: errors average out along the edge.
+    // Nine points per triangle of 4 mm, with an edge smoothed over half a millimetre: errors average out along the
+    // edge.
     assert!((load.iter().sum::<f64>() / one.force_n() - 1.0).abs() < 2e-3);
     let (a, b) = (pressed(&mut membrane, &[one]), pressed(&mut membrane, &[other]));
     let both = pressed(&mut membrane, &[one, other]);
@@ -128,7 +129,7 @@ fn an_open_tank_gives_way_by_the_pressure_and_keeps_its_liquid() {
     let mut tank = Membrane::new(&disc(4e-3), open).unwrap();
     let (radius_m, pressure_pa) = (0.03, 20.0);
     let w = pressed(&mut tank, &[Indenter::disc([0.0; 2], radius_m, pressure_pa)]);
-    // p = rho g w + c: down by 2.04 mm less the rise of all of it, which is the share of the area.
+    // p = rho g w + c: down by 2.04 mm, minus the rise of the whole surface, which is the share of the area.
     let share = (radius_m / RADIUS).powi(2);
     for (position, w) in tank.positions_m().iter().zip(&w) {
         let distance = position[0].hypot(position[1]);
@@ -139,7 +140,7 @@ fn an_open_tank_gives_way_by_the_pressure_and_keeps_its_liquid() {
         }
     }
     assert!(tank.volume_m3().abs() < 1e-15);
-    // A tilted tank: the surface stays level.
+    // In a tilted tank the surface stays level.
     let tilted = MembraneSpec { gravity_m_per_s2: [1.0, 0.0, -9.75], ..open };
     let tank = Membrane::new(&disc(4e-3), tilted).unwrap();
     for (position, w) in tank.positions_m().iter().zip(tank.deflection_m()) {

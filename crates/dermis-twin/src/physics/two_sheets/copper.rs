@@ -1,4 +1,4 @@
-//! The shortcut's own resistance: a factored sheet of copper, and what it adds to the impedances.
+//! The shortcut's own resistance: a factored sheet of copper and its contribution to the impedances.
 
 use dermis_tomo::sparse::{Ordering, SparseError, SpdStructure};
 use faer::Mat;
@@ -7,7 +7,8 @@ use super::super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
 use super::{Copper, Shortcut, TwoSheets};
 
 impl TwoSheets {
-    /// Adds the first-order effect of the shortcut's own resistance, `r' K_v^-1 r`, r the current from u into v.
+    /// Adds the first-order effect of the shortcut's own resistance, `r' K_v^-1 r`, where r is the current from u
+    /// into v.
     pub(super) fn add_copper_loss(&mut self, contact_s_per_m2: &[f64], potentials: &[f64]) {
         let Some(copper) = &self.copper else { return };
         let electrodes = potentials.len();
@@ -29,7 +30,7 @@ impl TwoSheets {
         for &node in &self.touching {
             self.exchange.extend(self.spread.as_ref().col(node as usize).iter());
         }
-        // The first node is grounded; as no net current enters, this only sets the sheet's level.
+        // The first node is grounded. Since no net current enters, this only sets the sheet's level.
         self.spread.as_mut().col_mut(0).fill(0.0);
         copper.structure.solve_in_place(&copper.factor, self.spread.as_mut().transpose_mut());
         for (&node, current) in self.touching.iter().zip(self.exchange.chunks_exact(electrodes)) {

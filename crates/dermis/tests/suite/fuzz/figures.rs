@@ -1,10 +1,10 @@
-//! What all sequences of a run did together.
+//! Totals over all sequences of a run.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What all sequences of this process did together.
+/// Totals over all sequences of this process.
 pub struct Figures {
     pub sequences: AtomicU64,
     pub commands: AtomicU64,
@@ -14,7 +14,7 @@ pub struct Figures {
     pub states: Mutex<BTreeSet<State>>,
 }
 
-/// A state of the running system, as coarse as a test of it would name it.
+/// A coarse state of the running system, as a test would name it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct State {
     pub skin: &'static str,
@@ -54,7 +54,7 @@ impl Figures {
     }
 }
 
-/// Few, some, many.
+/// The count in a word: few, some, many.
 pub fn some(count: usize) -> &'static str {
     match count {
         0 => "none",

@@ -1,4 +1,4 @@
-//! What can happen to the running system, and how likely it is drawn.
+//! The events that can happen to the running system, and their probabilities.
 
 use dermis::lab::twin_commands::TwinCommand;
 use dermis::twin::instrument::Fault;
@@ -7,14 +7,14 @@ use dermis::twin::{Heating, Treatment};
 use proptest::prelude::*;
 use serde_json::json;
 
-/// One thing that happens.
+/// An event.
 #[derive(Debug, Clone)]
 pub enum Step {
-    /// Frames go by.
+    /// Frames pass.
     Frames(u32),
-    /// Someone commands the twin, so many times the same.
+    /// The same command is sent to the twin this many times.
     Command(TwinCommand, u32),
-    /// The next frames are spoilt on their way, so many of them.
+    /// The next frames are corrupted on the way; the number is the count of frames.
     Spoil(Spoilt, u32),
     Tare {
         force: bool,
@@ -22,41 +22,41 @@ pub enum Step {
     Hyperparameter(f64),
     RecordStart,
     RecordStop,
-    /// A page says something.
+    /// A page sends a message.
     Page(String),
-    /// No frame comes for so many milliseconds; the source has a word for it, or not.
+    /// No frame arrives for this many milliseconds; the flag says if the source reports a problem.
     Silence(u32, bool),
     /// The process is told to end while it is stuck; here it goes on.
     Signal,
 }
 
-/// What becomes of a frame on its way.
+/// Corruption of a frame on the way.
 #[derive(Debug, Clone, Copy)]
 pub enum Spoilt {
-    /// Every reading is this.
+    /// Every reading has this value.
     All(f64),
-    /// One in so many readings is this.
+    /// One in this many readings has this value.
     Some(usize, f64),
-    /// Every reading is so many times what it is: another unit, another sign, a tenth of a volt less.
+    /// Every reading is multiplied by this: another unit, a reversed sign, a slightly lower voltage.
     Scaled(f64),
-    /// The instrument stands still: the frame before once more, under a new number.
+    /// The instrument hangs: it repeats the previous frame under a new number.
     Frozen,
-    /// Readings are missing, or too many.
+    /// Readings are missing, or there are too many.
     Length(usize),
-    /// It never comes.
+    /// The frame is lost.
     Lost,
-    /// It comes twice.
+    /// The frame arrives twice.
     Twice,
-    /// The device's clock is set by so many seconds.
+    /// The device's clock jumps by this many seconds.
     Clock(i64),
-    /// The host's wall clock is set by so many seconds.
+    /// The host's wall clock jumps by this many seconds.
     WallClock(i64),
-    /// The device counts anew.
+    /// The device restarts its numbering.
     Reset,
 }
 
 fn place() -> impl Strategy<Value = [f64; 2]> {
-    // On the skin, beside it, and nowhere.
+    // On the skin, off the skin, and not a place at all.
     let near = (-0.06..0.06, -0.06..0.06).prop_map(|(x, y)| [x, y]);
     prop_oneof![8 => near, 1 => Just([50.0, 0.0]), 1 => Just([f64::NAN, 0.0])]
 }
@@ -70,7 +70,7 @@ fn command() -> impl Strategy<Value = TwinCommand> {
             pressure_pa,
         },
     );
-    // A few lines only, so that equal cuts, cuts that cross and cuts through pads all come.
+    // Only a few lines, so that identical cuts, crossing cuts and cuts through pads all occur.
     let line = prop_oneof![
         Just([[0.0, 0.0], [0.02, 0.0]]),
         Just([[0.02, 0.0], [0.0, 0.0]]),
@@ -137,7 +137,7 @@ pub fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// What a page says: requests that make sense, requests with numbers that make none, and anything else.
+/// A message from a page: valid requests, requests with invalid numbers, and arbitrary text.
 fn page() -> impl Strategy<Value = String> {
     let number = prop_oneof![
         4 => (-60.0..60.0).prop_map(|x: f64| json!(x)),

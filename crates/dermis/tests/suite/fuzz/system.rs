@@ -1,4 +1,4 @@
-//! The running system, one step at a time, with what must hold after each.
+//! Runs the system one step at a time, and checks the invariants after each.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -26,20 +26,21 @@ use dermis_touch::TouchEvent;
 use super::figures::{FIGURES, State, some};
 use super::steps::{Spoilt, Step};
 
-/// A recording that is told to end has ended within so long, also on a machine that does much else.
+/// Time in which a recording must end once told to, even on a busy machine.
 const ENDED_WITHIN: Duration = Duration::from_secs(60);
-/// The budget is that of a start; queues, recording and page of a running system, bytes.
+/// Memory allowed beyond the budget, which only covers the start, for queues, recording and page of a running system,
+/// bytes.
 const BESIDES: f64 = 100e6;
-/// A second operator may be in the making beside the one in use, and an allocator that keeps a heap for each thread
-/// may hold some of what was freed.
+/// Factor on the budget: a second operator may be in preparation while one is in use, and an allocator with a heap
+/// per thread may keep freed memory.
 const KEPT: f64 = 2.0;
-/// Image messages: header before the values, bytes.
+/// Header before the values of an image message, bytes.
 const IMAGE_HEADER: usize = 32;
 
-/// What came of the frames, to be compared with a replay.
+/// Results of the frames, for comparison with a replay.
 pub type Images = Vec<(u64, Vec<u32>, usize)>;
 
-/// The running system and what is known of it.
+/// The running system and the facts known about it.
 pub struct System<'a> {
     skin: &'static str,
     source: TwinSource,
@@ -53,25 +54,25 @@ pub struct System<'a> {
     folder: &'a Path,
     pub recording: Option<(LiveRecording, Images)>,
     recordings: u32,
-    /// Nothing ends the recording before the system ends.
+    /// If true, nothing ends the recording before the system ends.
     records_all: bool,
     /// The recording was told to end from elsewhere.
     is_told: bool,
-    /// Added to the device's clock, nanoseconds.
+    /// Offset of the device's clock, nanoseconds.
     clock_ns: i64,
-    /// Added to the host's wall clock, nanoseconds.
+    /// Offset of the host's wall clock, nanoseconds.
     wall_ns: i64,
-    /// Added to all clocks: the time without frames, nanoseconds.
+    /// Offset of all clocks, from time without frames, nanoseconds.
     silence_ns: u64,
     now_ns: u64,
     follows_silence: bool,
-    /// In memory before this system, bytes; where that is not to be told, none.
+    /// Memory in use before this system started, bytes; `None` if it cannot be measured.
     memory_before: Option<f64>,
-    /// Taken from the device's numbers.
+    /// Offset subtracted from the device's frame numbers.
     counted_from: u64,
     begun: BTreeSet<u64>,
     ended: BTreeSet<u64>,
-    /// What the last frame read.
+    /// Readings of the last frame.
     last_values: Vec<f64>,
     given: u64,
     pub processed: u64,
@@ -122,7 +123,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Records from here to the end, whoever wants otherwise.
+    /// Records from here to the end, whatever other steps request.
     pub fn record_all(&mut self) {
         self.take(&Step::RecordStart);
         self.records_all = true;
@@ -176,7 +177,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// What a page says, and what the run does of it.
+    /// Handles a message from a page.
     fn hear(&mut self, text: &str) {
         FIGURES.messages.fetch_add(1, Ordering::Relaxed);
         let command = match parse(text) {
@@ -208,10 +209,10 @@ impl<'a> System<'a> {
         }
     }
 
-    /// No frames for a while: the page must not call the last one fresh.
+    /// Time without frames: the page must not call the last frame fresh.
     fn silence(&mut self, milliseconds: u32, has_word: bool) {
         let problem = has_word.then(|| "no connection".to_owned());
-        // The pipeline looks ten times a second.
+        // The pipeline checks ten times a second.
         for _ in 0..=milliseconds / 100 {
             self.feed.wait(problem.clone(), self.now_ns);
             self.now_ns += 100_000_000;
@@ -225,7 +226,7 @@ impl<'a> System<'a> {
         self.follows_silence = true;
     }
 
-    /// The next frame of the twin, and what becomes of it.
+    /// Takes the next frame of the twin, possibly corrupted.
     fn frame(&mut self, spoilt: Option<Spoilt>) {
         let mut frame = Frame::default();
         match self.source.next_frame(&mut frame, Duration::ZERO).expect("the twin goes on") {
@@ -280,7 +281,7 @@ impl<'a> System<'a> {
         let output = match self.pipeline.process(frame, frame.host_monotonic_ns) {
             Ok(output) => output,
             Err(error) => {
-                // Nothing but its length makes a frame unfit.
+                // Only a wrong length makes a frame unfit.
                 assert!(!whole, "a frame of the right length was refused: {error}");
                 self.refused += 1;
                 return;
@@ -334,7 +335,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// What the page is told after a frame.
+    /// Checks what the page is told after a frame.
     fn shown(&self) {
         let update = self.feed.update();
         assert_eq!(update.state.source, SourceState::Running);
@@ -352,7 +353,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Ends the recording, and reads it.
+    /// Ends the recording and reads it.
     pub fn stop(&mut self) {
         let Some((recording, images)) = self.recording.take() else { return };
         let is_told = std::mem::take(&mut self.is_told);
@@ -371,7 +372,7 @@ impl<'a> System<'a> {
         assert_eq!(numbers, images.iter().map(|image| image.0).collect::<Vec<_>>());
     }
 
-    /// What must hold at the end of it all.
+    /// Checks the invariants at the end.
     pub fn end(&mut self) {
         self.stop();
         assert_eq!(self.given, self.processed + self.refused + self.lost);
@@ -384,12 +385,12 @@ impl<'a> System<'a> {
     }
 }
 
-/// What was in memory at most is counted from now on, where the system can do that.
+/// Resets the peak memory counter, if the operating system supports it.
 fn forget_peak() -> Option<()> {
     std::fs::write("/proc/self/clear_refs", "5").ok()
 }
 
-/// Most bytes that this process has had in memory since, where it runs one test alone.
+/// Peak memory of this process since then, bytes, if it runs a single test.
 pub fn peak_bytes() -> Option<f64> {
     std::env::var_os("NEXTEST")?;
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -398,7 +399,7 @@ pub fn peak_bytes() -> Option<f64> {
     Some(kilobytes * 1024.0)
 }
 
-/// Every touch begins once and ends once, and is only seen between the two.
+/// Every touch begins once and ends once, and is seen only in between.
 fn identities(output: &Output<'_>, begun: &mut BTreeSet<u64>, ended: &mut BTreeSet<u64>) {
     for event in output.events {
         match event {
@@ -416,7 +417,7 @@ fn identities(output: &Output<'_>, begun: &mut BTreeSet<u64>, ended: &mut BTreeS
     }
 }
 
-/// A recording from the first frame on, replayed: the same bits.
+/// Replays a recording made from the first frame on and compares it bit for bit.
 pub fn replayed(path: &Path, images: &Images) {
     let mut recording = Recording::open(path).unwrap();
     let skin = Skin::parse(recording.skin_toml(), "replay").unwrap();

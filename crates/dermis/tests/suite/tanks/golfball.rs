@@ -1,10 +1,10 @@
-//! Golf balls in a tank of 30 cm: positions as measured with a ruler.
+//! Golf balls in a 30 cm tank, at positions measured with a ruler.
 
 use dermis::lab::evidence::golfball::{SETUPS, error_mm, setup};
 
 use super::measured;
 
-// Measured: 3.9 mm at the centre, 8.3 mm at (0, 70) mm; of the pair 8.5 and 13.8 mm.
+// Measured: 3.9 mm at the centre, 8.3 mm at (0, 70) mm; for the pair 8.5 and 13.8 mm.
 #[test]
 fn balls_are_found_where_they_hang() {
     let Some(file) = measured("golfball", "phantom_A.csv") else { return };

@@ -1,4 +1,4 @@
-//! The Kuopio tank: images against the photographed truth, with all electrodes and without some.
+//! The Kuopio tank: images compared with the photographed ground truth, with all electrodes and with some missing.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use super::{chosen, measured, run_with, write_frames};
 
 const FRAMES: &str = "train1,train2,train3,train4";
 
-/// Correlation of every image with its truth over the pixels of the truth inside the tank.
+/// Correlation of every image with its ground truth, over the truth's pixels inside the tank.
 fn correlations(directory: &Path, outcome: &Imaged) -> Vec<f64> {
     (0..PHANTOMS).map(|frame| correlation(&outcome.images, frame, &truth(directory, frame + 1).unwrap())).collect()
 }
@@ -52,7 +52,7 @@ fn linear_images_are_good_enough_too() {
     assert!(mean(&found) >= 0.80, "{found:.3?}");
 }
 
-/// As the challenge does it: every channel that drives or reads a lost electrode (numbered from 1) is missing.
+/// As in the challenge, every channel that drives or reads a lost electrode (numbered from 1) is missing.
 fn without_electrodes(directory: &Path, lost: &[u32], refined: bool) -> (Vec<f64>, usize) {
     let mut skin = Skin::open("ktc-tank").unwrap();
     if !refined {

@@ -1,4 +1,4 @@
-//! Baselines in a wrong order or of the wrong sign are noticed, and what would fit is named.
+//! Baselines in a wrong order or with the wrong sign are detected, and the change that would fit is named.
 
 use dermis::live::prepare::Prepared;
 use dermis::skin::{ReadingOrder, Skin};
@@ -6,14 +6,14 @@ use dermis_tomo::eit::OrderReport;
 
 use super::{chosen, measured, run_with, write_frames};
 
-/// A measured baseline and the skin that it belongs to.
+/// A measured baseline and its skin.
 struct Case {
     skin: Skin,
     /// Channels in the protocol's order, as the skin reads them.
     frame: Vec<f64>,
 }
 
-/// The baseline of a tank: its skin, the set of measured data, and the file and the frame in it.
+/// The baseline of a tank: its skin, the set of measured data, and the file and frame in it.
 fn case([name, set, path, select]: [&str; 4]) -> Option<Case> {
     let file = measured(set, path)?;
     let skin = Skin::open(name).unwrap();
@@ -34,7 +34,7 @@ fn report(skin: &Skin, frame: Vec<f64>) -> OrderReport {
     run_with(skin, chosen(&file, ""), chosen(&file, "")).report.order
 }
 
-/// The hint must name the change, fit as the right order does, and stand out from the stated order.
+/// The hint must name the change, fit as well as the right order, and clearly better than the stated order.
 fn assert_hint(report: &OrderReport, says: &str) {
     let better = report.better.as_ref().unwrap_or_else(|| panic!("no hint at {}", report.correlation));
     println!("order {says:?}: {:.4}, {:?} {:.4}", report.correlation, better.description, better.correlation);
@@ -48,18 +48,18 @@ const PYEIDORS: [&str; 4] =
 const SCIOSPEC: [&str; 4] = ["sciospec-tank", "sciospec", "run1/setup", "0"];
 const KTC: [&str; 4] = ["ktc-tank", "ktc", "voltages.csv", "ref"];
 
-/// A sign that is the wrong way round is named.
+/// A reversed sign is named.
 fn check_reversed_sign(Case { skin, frame }: Case) {
     let negative: Vec<f64> = frame.iter().map(|v| -v).collect();
     assert_hint(&Prepared::new(skin).unwrap().diagnose(&negative), "sign reversed");
 }
 
-/// Lists of drives and of measurements that begin elsewhere are named.
+/// Lists of drives and measurements that start elsewhere are named.
 fn check_rotated_lists(Case { skin, frame }: Case) {
     let per_drive = frame.len() / skin.protocol().unwrap().stimulations().len();
     let mut late = frame.clone();
     late.rotate_left(per_drive);
-    // In rotating order around a round tank every drive's list is the same: there is nothing to notice.
+    // In rotating order around a round tank every drive has the same list, so nothing can be noticed.
     if skin.backend.order == ReadingOrder::Absolute {
         assert_hint(&report(&skin, late), "drive list rotated by 1");
     }
@@ -70,12 +70,12 @@ fn check_rotated_lists(Case { skin, frame }: Case) {
     assert_hint(&report(&skin, shifted), "measurement list rotated by 1");
 }
 
-/// The order that the skin does not have is named.
+/// The order that differs from the skin's is named.
 fn check_other_order(Case { skin, frame }: Case, says: &str) {
     assert_hint(&report(&skin, resorted(&skin, &frame)), says);
 }
 
-// A test for each tank, so that one whose data are missing leaves the others as they are.
+// A separate test for each tank, so that missing data of one don't affect the others.
 #[test]
 fn the_reversed_sign_of_pyeidors_is_named() {
     let Some(case) = case(PYEIDORS) else { return };
@@ -130,7 +130,7 @@ fn absolute_for_rotating_order_is_named() {
     check_other_order(case, "absolute");
 }
 
-/// The channels of each drive in the order that the skin does not have: absolute for rotating and the other way round.
+/// The channels of each drive in the other order: absolute instead of rotating, or the other way round.
 fn resorted(skin: &Skin, frame: &[f64]) -> Vec<f64> {
     let mut other = skin.clone();
     other.backend.order = match skin.backend.order {

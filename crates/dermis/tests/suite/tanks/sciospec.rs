@@ -1,4 +1,4 @@
-//! A cup lowered into a tank, moved once around it by hand and taken out again.
+//! A cup is lowered into a tank, moved once around it by hand and taken out again.
 
 use dermis::lab::evidence::sciospec::{largest_step_mm, run};
 
@@ -22,17 +22,18 @@ fn the_cup_is_followed_from_the_frame_it_enters() {
         last.frame,
         touches.len()
     );
-    // Measured: correlation 0.9968, frames 59 to 225, largest step 5.9 mm. Frames are counted from 0; the cup is said
-    // to enter at frame 60 +- 2.
+    // Measured: correlation 0.9968, frames 59 to 225, largest step 5.9 mm. Frames count from 0; the cup is said to
+    // enter at frame 60 +- 2.
     assert!((58..=62).contains(&first.frame), "{first:?}");
-    // It is out of the water from frame 226 on.
+    // The cup is out of the water from frame 226 on.
     assert!((220..=230).contains(&last.frame), "{last:?}");
     assert!(touches.iter().all(|touch| touch.id == first.id), "one cup, one identity");
     assert_eq!(touches.len(), last.frame - first.frame + 1, "seen in every frame");
-    // The cup insulates: what it takes away is all the conductivity, 1 in relative terms, give or take the resolution.
+    // The cup insulates, so it removes all of the conductivity: 1 in relative terms, within the resolution.
     let deepest = touches.iter().map(|touch| touch.amplitude).fold(0.0, f64::max);
     assert!((0.8..2.0).contains(&deepest), "{deepest}");
-    // 50 ms apart in a tank of which the disc of 200 mm is a picture: a hand moves it by a few percent of the radius.
+    // Frames are 50 ms apart, and the tank is shown as a 200 mm disc: a hand moves the cup by a few per cent of the
+    // radius.
     assert!(largest < 12.0, "{largest}");
     // Once around: the angle passes through all quadrants.
     let quadrants: std::collections::BTreeSet<(bool, bool)> =

@@ -1,12 +1,12 @@
-//! The Kuopio tank, segmented: labels against the photographed truth by the challenge's own score, with as many
-//! electrodes lost as at the challenge's hardest level.
+//! Segmentation of the Kuopio tank: labels compared with the photographed ground truth by the challenge's own score,
+//! with as many electrodes missing as at its hardest level.
 
 use dermis::lab::evidence::ktc::scores;
 use dermis::live::network::built_in;
 
 use super::measured;
 
-// Measured: 0.661, 0.772, 0.882, 0.832; all levels are in the chapter on learning.
+// Measured: 0.661, 0.772, 0.882, 0.832; the chapter on learning has all levels.
 #[test]
 fn thresholds_segment_the_phantoms_without_twelve_electrodes() {
     let Some(directory) = measured("ktc", "") else { return };
@@ -17,7 +17,7 @@ fn thresholds_segment_the_phantoms_without_twelve_electrodes() {
 }
 
 // Measured: 0.963, 0.946, 0.976, 0.840 with all electrodes, 0.849, 0.908, 0.948, 0.831 without twelve. The networks
-// were trained on simulations alone.
+// were trained on simulations only.
 #[test]
 fn the_networks_segment_the_phantoms_with_all_electrodes_and_without_twelve() {
     let Some(directory) = measured("ktc", "") else { return };
