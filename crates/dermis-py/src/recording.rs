@@ -277,8 +277,8 @@ struct FileFrames {
     understood: String,
 }
 
-/// Frames of any file that ``dermis reconstruct`` reads: tables as text, NumPy, recordings, ROS bags, Sciospec ``.eit`` and
-/// the others.
+/// Frames of any file that ``dermis reconstruct`` reads: tables as text, NumPy, MATLAB, Excel, Parquet, recordings, ROS bags,
+/// Sciospec ``.eit`` and the others.
 ///
 /// Parameters
 /// ----------
@@ -294,7 +294,7 @@ struct FileFrames {
 /// skip_rows : int
 ///     Lines at the beginning of a text that are passed over.
 /// array, topic : str, optional
-///     Array of an archive, or topic of a bag.
+///     Array of an archive or MATLAB file, sheet of a workbook, column of lists of a Parquet file, or topic of a bag.
 /// transpose : bool
 ///     Frames stand in columns.
 ///

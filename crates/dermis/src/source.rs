@@ -3,11 +3,11 @@
 use crossbeam_channel::Receiver;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
-    FileSpec, FrameSelect, Instrument, Pacing, Playback, ReadOptions, Repeat, Source, SourceSelector,
+    FileSpec, FrameSelect, Instrument, Pacing, Playback, ReadOptions, Repeat, Source, SourceSelector, open_sciospec,
     open_stream_greeted, open_wire,
 };
 use dermis_lab::Error;
-use dermis_lab::measured_list::setup_of;
+use dermis_lab::measured_list::{sciospec_setup_of, setup_of};
 use dermis_lab::twin_source::{TwinCommands, TwinSource};
 use dermis_record::{Recording, Replay, check_skin, is_recording, read_frames_of};
 use dermis_skin::Skin;
@@ -123,15 +123,20 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
     Ok(OpenedSource { source, twin: None, is_file: true, waits: true })
 }
 
-/// Opens an instrument. One on the wire is set to what the skin says, as far as it can be, unless it shall stay as set.
+/// Opens an instrument. One on the wire is set to what the skin says, as far as it can be, unless it shall stay as set. One
+/// of Sciospec is always told, as its channels are known by its injections alone.
 fn instrument(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<StreamSource, Error> {
-    let on_the_wire = matches!(
-        selector,
-        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
-            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
-    );
-    if on_the_wire && !options.as_set {
-        return Ok(open_wire(selector, StreamOptions::default(), setup_of(skin)?, true)?.0);
+    let (SourceSelector::Tcp { instrument, .. } | SourceSelector::Serial { instrument, .. }) = selector else {
+        return Ok(open_stream_greeted(selector, StreamOptions::default(), "")?);
+    };
+    match instrument {
+        Instrument::Wire if !options.as_set => {
+            return Ok(open_wire(selector, StreamOptions::default(), setup_of(skin)?, true)?.0);
+        }
+        Instrument::Sciospec => {
+            return Ok(open_sciospec(selector, StreamOptions::default(), sciospec_setup_of(skin)?)?);
+        }
+        _ => {}
     }
     let greeting = skin.backend.send.as_deref().unwrap_or_default();
     Ok(open_stream_greeted(selector, StreamOptions::default(), greeting)?)

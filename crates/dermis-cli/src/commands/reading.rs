@@ -5,8 +5,8 @@ use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
 /// How files of frames are read.
 #[derive(clap::Args)]
 pub(super) struct ReadArguments {
-    /// Format of files of frames (csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors); recognised where left
-    /// out.
+    /// Format of files of frames (csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, pyeidors);
+    /// recognised where left out.
     #[arg(long)]
     format: Option<Format>,
     /// Columns of tables that hold readings: names, indices from 0, ranges such as 1..209; the others are times, or left
@@ -16,7 +16,7 @@ pub(super) struct ReadArguments {
     /// Lines at the beginning of text files that are passed over.
     #[arg(long, value_name = "N", default_value_t = 0)]
     skip_rows: usize,
-    /// Array of an archive (npz) with the frames.
+    /// Array (npz, MATLAB), sheet (Excel) or column of lists (Parquet) with the frames.
     #[arg(long, value_name = "NAME")]
     array: Option<String>,
     /// Topic of a ROS bag, or of an MCAP file of another program, with the frames.
