@@ -197,6 +197,32 @@ impl DeviceError {
         Self::Io { file: file.to_owned(), action, source }
     }
 
+    /// The same of a part of its file, `book.xlsx, sheet Frames`.
+    pub(crate) fn in_part(mut self, part: &str) -> Self {
+        if let Self::Foreign { file, .. }
+        | Self::Length { file, .. }
+        | Self::Ragged { file, .. }
+        | Self::Wide { file, .. }
+        | Self::Cell { file, .. }
+        | Self::Field { file, .. }
+        | Self::Count { file, .. }
+        | Self::Infinite { file, .. }
+        | Self::Transposed { file, .. }
+        | Self::Empty { file } = &mut self
+        {
+            file.as_mut_os_string().push(format!(", {part}"));
+        }
+        self
+    }
+
+    /// The same of a table that stands so many columns to the right.
+    pub(crate) fn behind_columns(mut self, columns: usize) -> Self {
+        if let Self::Cell { column, .. } = &mut self {
+            *column += columns;
+        }
+        self
+    }
+
     /// A malformed selector text.
     pub(crate) fn selector(text: &str, expected: impl Into<String>) -> Self {
         Self::Selector { text: shorten(text), expected: expected.into() }

@@ -58,7 +58,7 @@ pub use error::DeviceError;
 pub use frame::{Frame, HostStamp};
 pub use instruments::mend_times;
 pub use instruments::{Format, decode, decode_with, open_regular, read};
-pub use open::{open_stream, open_stream_greeted, open_wire};
+pub use open::{open_sciospec, open_stream, open_stream_greeted, open_wire};
 pub use place::{Place, partial_name, remember, rename_new};
 pub use playback::{Pacing, Playback, Repeat};
 pub use read_options::{Frequencies, ReadOptions};

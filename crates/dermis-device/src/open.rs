@@ -2,6 +2,7 @@
 
 use crate::instruments::floats::Floats;
 use crate::instruments::lines::Lines;
+use crate::instruments::sciospec::live::{LiveSetup, SciospecHost};
 use crate::instruments::wire::{Order, WireControl, WireHost};
 use crate::selector::{Instrument, SourceSelector};
 use crate::stream::{Connect, Dialogue, StreamOptions, StreamSource, TcpConnect};
@@ -11,7 +12,8 @@ use crate::{DeviceError, SerialName};
 ///
 /// # Errors
 /// [`DeviceError::SourceFailed`] where nothing answers in time; [`DeviceError::Selector`] for selectors of files and
-/// twins, and for serial ports where they were left out when dermis was built.
+/// twins, for instruments that must be told a setup ([`open_sciospec`]), and for serial ports where they were left out
+/// when dermis was built.
 pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<StreamSource, DeviceError> {
     open_stream_greeted(selector, options, "")
 }
@@ -26,13 +28,34 @@ pub fn open_stream_greeted(
     greeting: &str,
 ) -> Result<StreamSource, DeviceError> {
     let name = selector.to_string();
+    let (connect, instrument) = connect(selector)?;
+    StreamSource::open(connect, dialogue(&name, instrument, greeting)?, options)
+}
+
+/// Opens a Sciospec EIT instrument, which is told the setup with every connection.
+///
+/// # Errors
+/// As [`open_stream`], [`DeviceError::Refused`] for a setup that no such instrument takes, and [`DeviceError::Selector`]
+/// where the selector names another kind of instrument.
+pub fn open_sciospec(
+    selector: &SourceSelector,
+    options: StreamOptions,
+    setup: LiveSetup,
+) -> Result<StreamSource, DeviceError> {
+    match connect(selector)? {
+        (connect, Instrument::Sciospec) => StreamSource::open(connect, Box::new(SciospecHost::new(setup)?), options),
+        _ => Err(DeviceError::selector(&selector.to_string(), "a Sciospec instrument: serial:PORT#sciospec")),
+    }
+}
+
+/// What connects to a live instrument, and what speaks there.
+fn connect(selector: &SourceSelector) -> Result<(Box<dyn Connect>, Instrument), DeviceError> {
+    let name = selector.to_string();
     match selector {
         SourceSelector::Tcp { host, port, instrument } => {
-            StreamSource::open(Box::new(TcpConnect::new(name, host, *port)), dialogue(*instrument, greeting), options)
+            Ok((Box::new(TcpConnect::new(name, host, *port)), *instrument))
         }
-        SourceSelector::Serial { port, baud, instrument } => {
-            StreamSource::open(serial(name, port, *baud)?, dialogue(*instrument, greeting), options)
-        }
+        SourceSelector::Serial { port, baud, instrument } => Ok((serial(name, port, *baud)?, *instrument)),
         _ => Err(DeviceError::selector(&name, "a live instrument: tcp:HOST:PORT or serial:PORT")),
     }
 }
@@ -49,23 +72,22 @@ pub fn open_wire(
     start: bool,
 ) -> Result<(StreamSource, WireControl), DeviceError> {
     let name = selector.to_string();
-    let connect: Box<dyn Connect> = match selector {
-        SourceSelector::Tcp { host, port, instrument: Instrument::Wire } => {
-            Box::new(TcpConnect::new(name, host, *port))
-        }
-        SourceSelector::Serial { port, baud, instrument: Instrument::Wire } => serial(name, port, *baud)?,
-        _ => return Err(DeviceError::selector(&name, "an instrument on the wire: tcp:HOST:PORT or serial:PORT")),
+    let (connect, Instrument::Wire) = connect(selector)? else {
+        return Err(DeviceError::selector(&name, "an instrument on the wire: tcp:HOST:PORT or serial:PORT"));
     };
     let (host, control) = WireHost::with_control(setup, start);
     Ok((StreamSource::open(connect, Box::new(host), options)?, control))
 }
 
-fn dialogue(instrument: Instrument, greeting: &str) -> Box<dyn Dialogue> {
-    match instrument {
+fn dialogue(name: &str, instrument: Instrument, greeting: &str) -> Result<Box<dyn Dialogue>, DeviceError> {
+    Ok(match instrument {
         Instrument::Wire => Box::new(WireHost::new()),
         Instrument::Lines { channels } => Box::new(Lines::new(channels).with_greeting(greeting)),
         Instrument::Floats { channels } => Box::new(Floats::new(channels)),
-    }
+        Instrument::Sciospec => {
+            return Err(DeviceError::selector(name, "a skin for it, whose injections the instrument is told"));
+        }
+    })
 }
 
 #[cfg(feature = "serial")]

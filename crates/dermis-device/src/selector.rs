@@ -116,6 +116,8 @@ pub enum Instrument {
         /// Readings in a frame.
         channels: usize,
     },
+    /// A Sciospec EIT instrument, `sciospec`.
+    Sciospec,
 }
 
 /// Most channels that a user can state.
@@ -125,7 +127,7 @@ impl FromStr for Instrument {
     type Err = DeviceError;
 
     fn from_str(text: &str) -> Result<Self, DeviceError> {
-        let error = || DeviceError::selector(text, "wire, lines, lines:CHANNELS or floats:CHANNELS");
+        let error = || DeviceError::selector(text, "wire, lines, lines:CHANNELS, floats:CHANNELS or sciospec");
         let (name, channels) = text.split_once(':').map_or((text, None), |(name, rest)| (name, Some(rest)));
         let channels: Option<usize> = channels.map(|text| text.parse().map_err(|_| error())).transpose()?;
         if channels.is_some_and(|count| count == 0 || count > MOST_CHANNELS) {
@@ -135,6 +137,7 @@ impl FromStr for Instrument {
             ("wire", None) => Ok(Self::Wire),
             ("lines", channels) => Ok(Self::Lines { channels }),
             ("floats", Some(channels)) => Ok(Self::Floats { channels }),
+            ("sciospec", None) => Ok(Self::Sciospec),
             _ => Err(error()),
         }
     }
@@ -147,6 +150,7 @@ impl fmt::Display for Instrument {
             Self::Lines { channels: None } => write!(out, "lines"),
             Self::Lines { channels: Some(channels) } => write!(out, "lines:{channels}"),
             Self::Floats { channels } => write!(out, "floats:{channels}"),
+            Self::Sciospec => write!(out, "sciospec"),
         }
     }
 }
@@ -283,6 +287,7 @@ mod tests {
             "tcp:skin.local:5025",
             "tcp:10.0.0.2:80#floats:208",
             "serial:COM3#lines:16",
+            "serial:/dev/ttyACM0#sciospec",
             "tcp:[fe80::1]:80",
         ] {
             let selector: SourceSelector = text.parse().unwrap();

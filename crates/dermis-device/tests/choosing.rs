@@ -1,5 +1,8 @@
 //! Recognition of formats and choice of frames through [`read`], on files made here.
 
+#[path = "choosing/foreign.rs"]
+mod foreign;
+
 use std::path::{Path, PathBuf};
 
 use dermis_device::instruments::npy;

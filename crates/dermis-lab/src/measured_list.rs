@@ -1,6 +1,7 @@
 //! A skin's protocol in the form that goes over the wire to an instrument: for each channel four electrodes, two for
 //! the current and two for the voltage.
 
+use dermis_device::instruments::sciospec::live::LiveSetup;
 use dermis_device::instruments::wire::Order;
 use dermis_skin::Skin;
 use dermis_tomo::eit::{Pattern, Protocol};
@@ -26,6 +27,37 @@ pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     let amplitude = Order::AmplitudeA((skin.backend.current_ma * 1e-3) as f32);
     let frequency = skin.backend.frequency_khz.map(|khz| Order::FrequencyHz((khz * 1e3) as f32));
     Ok(protocol.into_iter().chain([amplitude]).chain(frequency).collect())
+}
+
+/// What makes a Sciospec instrument inject as a skin file says: every pair of electrodes once, in the protocol's order. It
+/// reads every electrode against ground, and the skin's channels are worked out from that.
+///
+/// # Errors
+/// A skin whose protocol does not work out, or drives more than two electrodes at once.
+pub fn sciospec_setup_of(skin: &Skin) -> Result<LiveSetup, Error> {
+    let protocol = skin.protocol()?;
+    let mut injections: Vec<(usize, usize)> = Vec::new();
+    for channel in 0..protocol.channel_count() {
+        let pair = ends(protocol.stimulation_of(channel)).filter(|[_, sink]| *sink != NO_ELECTRODE);
+        let Some([source, sink]) = pair else {
+            return Err(Error::Frames {
+                what: format!("protocol of {}, which a Sciospec instrument is told", skin.name),
+                expected: "a current between two electrodes".into(),
+                got: format!("another for channel {channel}"),
+            });
+        };
+        let pair = (source.into(), sink.into());
+        if injections.last() != Some(&pair) && !injections.contains(&pair) {
+            injections.push(pair);
+        }
+    }
+    Ok(LiveSetup {
+        electrodes: protocol.electrode_count(),
+        injections,
+        amplitude_a: skin.backend.current_ma * 1e-3,
+        frequency_hz: skin.backend.frequency_khz.map(|khz| khz * 1e3),
+        frames_per_s: skin.backend.frames_per_s,
+    })
 }
 
 /// The channels of a protocol in order. Each has the electrode where the current enters, the one where it leaves, the

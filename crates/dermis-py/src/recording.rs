@@ -276,8 +276,8 @@ struct FileFrames {
     understood: String,
 }
 
-/// Reads frames from any file that ``dermis reconstruct`` reads: text tables, NumPy, recordings, ROS bags, Sciospec
-/// ``.eit`` and others.
+/// Reads frames from any file that ``dermis reconstruct`` reads: text tables, NumPy, MATLAB, Excel, Parquet, recordings,
+/// ROS bags, Sciospec ``.eit`` and others.
 ///
 /// Parameters
 /// ----------
@@ -293,7 +293,7 @@ struct FileFrames {
 /// skip_rows : int
 ///     Lines to skip at the start of a text file.
 /// array, topic : str, optional
-///     Array in an archive, or topic in a bag.
+///     Array of an archive or MATLAB file, sheet of a workbook, column of lists of a Parquet file, or topic of a bag.
 /// transpose : bool
 ///     Frames are stored as columns.
 ///

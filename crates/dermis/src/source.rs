@@ -3,11 +3,11 @@
 use crossbeam_channel::Receiver;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
-    FileSpec, FrameSelect, Instrument, Pacing, Playback, ReadOptions, Repeat, Source, SourceSelector,
+    FileSpec, FrameSelect, Instrument, Pacing, Playback, ReadOptions, Repeat, Source, SourceSelector, open_sciospec,
     open_stream_greeted, open_wire,
 };
 use dermis_lab::Error;
-use dermis_lab::measured_list::setup_of;
+use dermis_lab::measured_list::{sciospec_setup_of, setup_of};
 use dermis_lab::twin_source::{TwinCommands, TwinSource};
 use dermis_record::{Recording, Replay, check_skin, is_recording, read_frames_of};
 use dermis_skin::Skin;
@@ -127,15 +127,19 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
 }
 
 /// Opens an instrument. One on the wire is set up for the skin as far as possible, unless it should stay as it is
-/// set.
+/// set. A Sciospec instrument is always told its injections, because its channels follow from them alone.
 fn instrument(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<StreamSource, Error> {
-    let on_the_wire = matches!(
-        selector,
-        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
-            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
-    );
-    if on_the_wire && !options.as_set {
-        return Ok(open_wire(selector, StreamOptions::default(), setup_of(skin)?, true)?.0);
+    let (SourceSelector::Tcp { instrument, .. } | SourceSelector::Serial { instrument, .. }) = selector else {
+        return Ok(open_stream_greeted(selector, StreamOptions::default(), "")?);
+    };
+    match instrument {
+        Instrument::Wire if !options.as_set => {
+            return Ok(open_wire(selector, StreamOptions::default(), setup_of(skin)?, true)?.0);
+        }
+        Instrument::Sciospec => {
+            return Ok(open_sciospec(selector, StreamOptions::default(), sciospec_setup_of(skin)?)?);
+        }
+        _ => {}
     }
     let greeting = skin.backend.send.as_deref().unwrap_or_default();
     Ok(open_stream_greeted(selector, StreamOptions::default(), greeting)?)

@@ -4,12 +4,14 @@ use std::io::Write;
 use std::time::Duration;
 
 use dermis::lab::doctor::{Answer, Check, FEWEST_FRAMES, examine};
+use dermis::lab::measured_list::sciospec_setup_of;
 use dermis::lab::twin_source::TwinSource;
 use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis_device::instruments::wire::Order;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
-    DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream_greeted, open_wire,
+    DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_sciospec, open_stream_greeted,
+    open_wire,
 };
 
 use super::reading::ReadArguments;
@@ -84,7 +86,7 @@ impl Arguments {
             }
             live => {
                 let options = StreamOptions { patience, ..StreamOptions::default() };
-                match open_live(&live, options, skin.backend.send.as_deref().unwrap_or_default()) {
+                match open_live(&live, options, skin)? {
                     Ok((source, contacts_ohm)) => {
                         let identity = source.identity().unwrap_or_else(|| "it does not say what it is".into());
                         checks.push(Check::good("connection", self.source.as_str()));
@@ -125,21 +127,31 @@ impl Arguments {
 /// A source and the contact impedances of its electrodes, ohms, if it can measure them.
 type Examined = (Box<dyn Source>, Option<Vec<f32>>);
 
+/// A running instrument and the contact impedances of its electrodes, ohms, if it can measure them.
+type OpenedLive = (StreamSource, Option<Vec<f32>>);
+
 /// Opens an instrument with its current settings. An instrument on the wire is first asked for its contact
-/// impedances, because it cannot measure them while frames flow.
+/// impedances, because it cannot measure them while frames flow; one of Sciospec is told the skin's injections. The inner
+/// error is the instrument's own objection.
 fn open_live(
     selector: &SourceSelector,
     options: StreamOptions,
-    greeting: &str,
-) -> Result<(StreamSource, Option<Vec<f32>>), DeviceError> {
-    let on_the_wire = matches!(
-        selector,
-        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
-            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
-    );
-    if !on_the_wire {
-        return Ok((open_stream_greeted(selector, options, greeting)?, None));
-    }
+    skin: &Skin,
+) -> Result<Result<OpenedLive, DeviceError>, dermis::Error> {
+    let instrument = match selector {
+        SourceSelector::Tcp { instrument, .. } | SourceSelector::Serial { instrument, .. } => *instrument,
+        _ => Instrument::Wire,
+    };
+    let greeting = skin.backend.send.as_deref().unwrap_or_default();
+    Ok(match instrument {
+        Instrument::Wire => open_wired(selector, options),
+        Instrument::Sciospec => open_sciospec(selector, options, sciospec_setup_of(skin)?).map(|source| (source, None)),
+        _ => open_stream_greeted(selector, options, greeting).map(|source| (source, None)),
+    })
+}
+
+/// An instrument on the wire is asked for its contacts first, which it cannot measure while frames flow.
+fn open_wired(selector: &SourceSelector, options: StreamOptions) -> Result<OpenedLive, DeviceError> {
     let (source, control) = open_wire(selector, options, Vec::new(), false)?;
     let measures = control.description().is_some_and(|known| known.obeys(&Order::ElectrodeImpedance));
     let contacts_ohm = if measures { Some(control.call(Order::ElectrodeImpedance)?) } else { None };

@@ -18,8 +18,8 @@ Examples:
   dermis new forearm --outline rectangle:180x90 --electrodes 20 --layer foam --instrument serial:/dev/ttyACM0#lines
 
 Without options it asks. An outline is disc:DIAMETER, square:SIDE, rectangle:WIDTHxHEIGHT (millimetres) or polygon:FILE.csv
-with columns x_mm, y_mm. Layers: gel (salted gelatin, hydrogel), foam (carbon-filled, conducts better when pressed), sandwich
-(a sheet under a metal layer that touches it where pressed), patches (a sheet under separate patches), liquid (in a tray under
+with columns x_mm, y_mm (or x_m, y_m). Layers: gel (salted gelatin, hydrogel), foam (carbon-filled, conducts better when
+pressed), sandwich (a sheet under a metal layer that touches it where pressed), patches (a sheet under separate patches), liquid (in a tray under
 a membrane). NAME.toml says what every line means; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
 
 /// Layers available for a new skin.
@@ -182,7 +182,7 @@ impl Outline {
             }
             "polygon" => {
                 let unreadable = |error: dermis_device::DeviceError| UsageError(format!("outline: {error}"));
-                let table = read_numbers(Path::new(size)).map_err(unreadable)?;
+                let table = read_numbers(Path::new(size)).map_err(unreadable)?.in_millimetres();
                 let corners: Vec<[f64; 2]> =
                     (0..table.rows()).filter_map(|row| table.row(row)?.try_into().ok()).collect();
                 if corners.len() != table.rows() || corners.len() < 3 {

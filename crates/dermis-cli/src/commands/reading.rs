@@ -5,8 +5,8 @@ use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
 /// Options for reading files of frames.
 #[derive(clap::Args)]
 pub(super) struct ReadArguments {
-    /// Format of files of frames (csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors); default:
-    /// recognised from the file.
+    /// Format of files of frames (csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, pyeidors);
+    /// default: recognised from the file.
     #[arg(long)]
     format: Option<Format>,
     /// Columns of tables that hold readings: names, indices from 0, ranges such as 1..209; other columns are times or
@@ -16,7 +16,7 @@ pub(super) struct ReadArguments {
     /// Lines to skip at the start of text files.
     #[arg(long, value_name = "N", default_value_t = 0)]
     skip_rows: usize,
-    /// Name of the array in an npz archive that holds the frames.
+    /// Array (npz, MATLAB), sheet (Excel) or column of lists (Parquet) that holds the frames.
     #[arg(long, value_name = "NAME")]
     array: Option<String>,
     /// Topic with the frames in a ROS bag or in another program's MCAP file.

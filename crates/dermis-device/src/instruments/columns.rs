@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::csv::{self, Shape};
+use super::csv::{self, NumberTable, Shape};
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
 /// Frames in columns, in whatever channel order the file has.
@@ -31,7 +31,15 @@ pub(super) fn decode_as(
     options: &ReadOptions,
     layout: impl FnOnce(usize) -> Layout,
 ) -> Result<FrameTable, DeviceError> {
-    let table = csv::parse_with(content, file, options)?;
+    of_table(csv::parse_with(content, file, options)?, file, layout)
+}
+
+/// Frames in the columns of a table with the layout that belongs to a number of rows.
+pub(super) fn of_table(
+    table: NumberTable,
+    file: &Path,
+    layout: impl FnOnce(usize) -> Layout,
+) -> Result<FrameTable, DeviceError> {
     let layout = layout(table.rows());
     if layout.channels() != table.rows() {
         let expected = layout.channels();

@@ -12,6 +12,9 @@ pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 /// First bytes of a ZIP archive.
 pub(super) const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 
+/// First and last bytes of every Parquet file.
+pub(super) const PARQUET_MAGIC: &[u8] = b"PAR1";
+
 /// Most bytes of one file that are read into memory.
 pub const MOST_BYTES: u64 = 1 << 30;
 
@@ -52,16 +55,18 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, DeviceError> {
 
 /// What content looks like, for messages about foreign files.
 pub(crate) fn describe(content: &[u8]) -> &'static str {
-    const SIGNATURES: [(&[u8], &str); 16] = [
+    const SIGNATURES: [(&[u8], &str); 18] = [
         (NPY_MAGIC, "a NumPy array (npy)"),
-        (ZIP_MAGIC, "a ZIP archive that is no npz (xlsx? save the sheet as CSV)"),
-        (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or MATLAB 7.3)"),
+        (ZIP_MAGIC, "a ZIP archive that is neither npz nor xlsx (save sheets as xlsx or CSV)"),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
         (b"MATLAB 5.0", "a MATLAB 5 file"),
+        (b"MATLAB 7.3", "a MATLAB 7.3 file (HDF5); save it with -v7"),
+        (b"\xd0\xcf\x11\xe0", "an old Office file (xls?); save it as xlsx"),
         (b"\x89MCAP0\r\n", "an MCAP recording"),
         (b"\x89PNG", "a PNG image"),
         (b"\xff\xd8\xff", "a JPEG image"),
         (b"%PDF", "a PDF document"),
-        (b"PAR1", "a Parquet file"),
+        (PARQUET_MAGIC, "a Parquet file"),
         (b"\x1f\x8b", "gzip-compressed data"),
         (b"\x28\xb5\x2f\xfd", "zstd-compressed data"),
         (b"\xff\xfe", "UTF-16 text"),

@@ -20,8 +20,9 @@ mod sketch;
 use std::path::Path;
 
 use self::roles::{Part, Role, called};
-use self::scan::{EXPECTED, Refusal, Table};
-use self::sketch::Kind;
+use self::scan::{EXPECTED, Refusal};
+pub(super) use self::scan::{Table, WALL_NS};
+pub(super) use self::sketch::Kind;
 use super::text::Text;
 use super::times;
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
@@ -53,23 +54,27 @@ impl NumberTable {
         self.header.as_ref()?.iter().position(|other| other == name)
     }
 
-    /// The same with columns of millimetres, by their names (`x_mm`), as columns of metres (`x_m`).
+    /// The same with columns of millimetres, by their names (`x_mm`, `x (mm)`), as columns of metres (`x_m`).
     #[must_use]
     pub fn in_metres(self) -> Self {
-        self.renamed("_mm", "_m", 1e-3)
+        self.renamed("mm", "m", 1e-3)
     }
 
-    /// The same with columns of metres, by their names, as columns of millimetres.
+    /// The same with columns of metres, by their names, as columns of millimetres (`x_mm`).
     #[must_use]
     pub fn in_millimetres(self) -> Self {
-        self.renamed("_m", "_mm", 1e3)
+        self.renamed("m", "mm", 1e3)
     }
 
     fn renamed(mut self, from: &str, to: &str, factor: f64) -> Self {
         for (column, name) in self.header.iter_mut().flatten().enumerate() {
-            let Some(base) = name.strip_suffix(from) else { continue };
-            *name = format!("{base}{to}");
-            self.values.iter_mut().skip(column).step_by(self.columns).for_each(|value| *value *= factor);
+            let Some((base, unit)) = length_unit(name) else { continue };
+            if unit == from {
+                self.values.iter_mut().skip(column).step_by(self.columns).for_each(|value| *value *= factor);
+            }
+            if unit == from || unit == to {
+                *name = format!("{base}_{to}");
+            }
         }
         self
     }
@@ -78,6 +83,15 @@ impl NumberTable {
     pub fn column(&self, index: usize) -> impl Iterator<Item = f64> {
         self.values.chunks_exact(self.columns).filter_map(move |row| row.get(index).copied())
     }
+}
+
+/// A column's name and its unit: `x` and `mm` of `x_mm`, `x (mm)` and `X [mm]`.
+fn length_unit(name: &str) -> Option<(String, &str)> {
+    let name = name.trim();
+    let bracketed = |open: char, close: char| name.strip_suffix(close)?.rsplit_once(open);
+    let (base, unit) = bracketed('(', ')').or_else(|| bracketed('[', ']')).or_else(|| name.rsplit_once('_'))?;
+    let unit = unit.trim();
+    matches!(unit, "m" | "mm").then(|| (base.trim().to_lowercase(), unit))
 }
 
 /// Reads a text table of numbers from a file.
@@ -148,14 +162,22 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
 pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let text = Text::of(content, file, EXPECTED)?;
     match scan::scan(&text, file, options) {
-        Ok(table) => frames_of(table, file, options),
+        Ok(table) => {
+            let notes = described(&table);
+            frames_of(table, notes, file, options)
+        }
         Err(Refusal::OtherLines) => super::log::decode_text(&text.text, text.encoding, file, options),
         Err(Refusal::Error(error)) => Err(error),
     }
 }
 
-fn frames_of(mut table: Table, file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
-    let mut notes = described(&table);
+/// Frames of a table of columns, whatever file it is from; `notes` is what was understood before.
+pub(super) fn frames_of(
+    mut table: Table,
+    mut notes: Vec<String>,
+    file: &Path,
+    options: &ReadOptions,
+) -> Result<FrameTable, DeviceError> {
     let chosen = roles::chosen(&table, &options.columns, file)?;
     let roles = roles::roles(&table, chosen.as_deref(), &options.channels, &mut notes);
     let readings: Vec<usize> = match &chosen {
@@ -403,6 +425,16 @@ fn moments_ns(stamps: &[&(usize, Vec<Option<times::Stamp>>)]) -> Option<(Vec<i64
         }
     }
     Some((moments, has_date))
+}
+
+/// What makes volts (or ohms) of the unit that a name states; 1 where it states none.
+pub(super) fn unit_scale(name: &str) -> f64 {
+    roles::split_unit(name).1.and_then(roles::scale_of).unwrap_or(1.0)
+}
+
+/// True of names of times, counts and clocks.
+pub(super) fn is_clock_or_count(name: &str) -> bool {
+    roles::is_clock_or_count(name)
 }
 
 /// Unit in seconds, if the name is that of times; the inner option is empty if it states no unit.

@@ -2,6 +2,7 @@
 //! name or by looking at the content; of live instruments, one module each ([`wire`], [`lines`], [`floats`]) makes
 //! frames of a stream of bytes.
 
+mod arrays;
 pub mod columns;
 mod content;
 pub mod csv;
@@ -10,24 +11,32 @@ pub mod golfball;
 pub mod ktc;
 pub mod lines;
 pub mod log;
+pub mod mat;
 pub mod npy;
 pub mod npz;
 mod number_line;
+#[cfg(feature = "parquet")]
+pub mod parquet;
 pub mod pyeidors;
 pub mod sciospec;
 mod text;
 mod times;
 pub mod wire;
+#[cfg(feature = "excel")]
+pub mod xlsx;
 
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-use self::content::{NPY_MAGIC, ZIP_MAGIC};
+use self::content::{NPY_MAGIC, PARQUET_MAGIC, ZIP_MAGIC};
 use crate::{DeviceError, FileSpec, FrameTable, ReadOptions};
 pub use content::{MOST_BYTES, open_regular, read_bytes};
 pub(crate) use content::{foreign, text_of};
 pub use times::mend as mend_times;
+
+/// The entry by which a ZIP archive is known for a workbook of Excel.
+const WORKBOOK: &str = "xl/workbook.xml";
 
 /// A file format of frames.
 ///
@@ -36,7 +45,8 @@ pub use times::mend as mend_times;
 ///
 /// assert_eq!("sciospec".parse::<Format>()?, Format::Sciospec);
 /// let message = "toml".parse::<Format>().unwrap_err().to_string();
-/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors");
+/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, \
+///     pyeidors");
 /// # Ok::<(), dermis_device::DeviceError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,6 +61,12 @@ pub enum Format {
     Npy,
     /// Archive of NumPy arrays, of which one holds the frames: [`npz`].
     Npz,
+    /// MATLAB file of arrays, of which one holds the frames: [`mat`].
+    Mat,
+    /// Excel workbook, of which one sheet holds the frames; with the feature `excel`.
+    Xlsx,
+    /// Parquet file, one frame a row; with the feature `parquet`.
+    Parquet,
     /// Sciospec `.eit`, one frame a file: [`sciospec`].
     Sciospec,
     /// Columns of the Kuopio Tomography Challenge's 2356 readings: [`ktc`].
@@ -63,12 +79,15 @@ pub enum Format {
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 12] = [
         Self::Csv,
         Self::Lines,
         Self::Columns,
         Self::Npy,
         Self::Npz,
+        Self::Mat,
+        Self::Xlsx,
+        Self::Parquet,
         Self::Sciospec,
         Self::Ktc,
         Self::Golfball,
@@ -83,6 +102,9 @@ impl Format {
             Self::Columns => "columns",
             Self::Npy => "npy",
             Self::Npz => "npz",
+            Self::Mat => "mat",
+            Self::Xlsx => "xlsx",
+            Self::Parquet => "parquet",
             Self::Sciospec => "sciospec",
             Self::Ktc => "ktc",
             Self::Golfball => "golfball",
@@ -112,6 +134,15 @@ impl Format {
         }
         if content.starts_with(ZIP_MAGIC) && npz::looks_like(content) {
             return Ok(Self::Npz);
+        }
+        if content.starts_with(ZIP_MAGIC) && npz::holds(content, WORKBOOK) {
+            return Ok(Self::Xlsx);
+        }
+        if mat::looks_like(content) {
+            return Ok(Self::Mat);
+        }
+        if content.starts_with(PARQUET_MAGIC) {
+            return Ok(Self::Parquet);
         }
         let Some(shape) = csv::Shape::with(content, path, options)? else { return Ok(Self::Lines) };
         let is_frame = options.channels.contains(&shape.columns);
@@ -171,6 +202,13 @@ pub fn read(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTab
     if matches!(options.format, None | Some(Format::Npy)) && npy::is_npy(path) {
         return npy::read_frames(path, &options)?.select(&spec.select);
     }
+    if matches!(options.format, None | Some(Format::Mat)) && mat::is_mat(path) {
+        return mat::read_frames(path, &options)?.select(&spec.select);
+    }
+    #[cfg(feature = "parquet")]
+    if matches!(options.format, None | Some(Format::Parquet)) && parquet::is_parquet(path) {
+        return parquet::read_frames(path, &options)?.select(&spec.select);
+    }
     let content = read_bytes(path)?;
     let format = match options.format {
         Some(format) => format,
@@ -207,6 +245,15 @@ pub fn decode_with(
         Format::Columns => columns::decode_with(content, file, options),
         Format::Npy => npy::decode(content, file)?.into_frames_with(file, options),
         Format::Npz => npz::decode_with(content, file, options),
+        Format::Mat => mat::decode_with(content, file, options),
+        #[cfg(feature = "excel")]
+        Format::Xlsx => xlsx::decode_with(content, file, options),
+        #[cfg(not(feature = "excel"))]
+        Format::Xlsx => Err(foreign(file, "another format: this dermis was built without Excel", content)),
+        #[cfg(feature = "parquet")]
+        Format::Parquet => parquet::decode_with(content, file, options),
+        #[cfg(not(feature = "parquet"))]
+        Format::Parquet => Err(foreign(file, "another format: this dermis was built without Parquet", content)),
         Format::Sciospec => sciospec::decode_with(content, file, options),
         Format::Ktc => ktc::decode(content, file),
         Format::Golfball => golfball::decode(content, file),

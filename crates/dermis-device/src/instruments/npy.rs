@@ -10,15 +10,17 @@ pub use super::content::NPY_MAGIC as MAGIC;
 use super::content::{MOST_BYTES, describe, open_regular};
 use crate::{DeviceError, FrameTable, ReadOptions, write_atomic};
 
+mod arranged;
 mod element;
 mod frames;
 
-use element::Element;
+pub(super) use arranged::Arranged;
+pub(super) use element::{Element, half};
 
 const EXPECTED: &str = "a NumPy array (npy, version 1 to 3)";
-const MOST_DIMENSIONS: usize = 16;
+pub(super) const MOST_DIMENSIONS: usize = 16;
 /// Most elements of an array: 2 GiB of them in memory.
-const MOST_ELEMENTS: u64 = MOST_BYTES / 4;
+pub(super) const MOST_ELEMENTS: u64 = MOST_BYTES / 4;
 /// Longest header that is read: names of fields, for those who store records.
 const MOST_HEADER: usize = 1 << 20;
 
@@ -96,19 +98,20 @@ pub(super) fn read_from(input: &mut dyn Read, length: u64, file: &Path) -> Resul
         let (limit, found) = (8 * MOST_ELEMENTS, count.map_or(u64::MAX, |count| count.saturating_mul(8)));
         return Err(DeviceError::TooLarge { file: file.to_owned(), limit, found });
     }
-    let (mut values, mut imaginary) = (Vec::with_capacity(count.unwrap_or(0) as usize), Vec::new());
+    let count = count.unwrap_or(0) as usize;
+    let mut values = Arranged::new(&header.shape, count, header.fortran);
+    let mut imaginary = header.element.is_complex().then(|| Arranged::new(&header.shape, count, header.fortran));
     // As many whole elements of any size as fit.
     let mut buffer = vec![0; 1 << 16];
     let mut left = found;
     while left > 0 {
         let part = &mut buffer[..left.min(1 << 16) as usize];
         input.read_exact(part).map_err(|error| DeviceError::io(file, "read", error))?;
-        header.element.decode(part, &mut values, &mut imaginary);
+        values.take(header.element, part, imaginary.as_mut());
         left -= part.len() as u64;
     }
-    let arranged = |values| if header.fortran { to_row_major(values, &header.shape) } else { values };
-    let imaginary = header.element.is_complex().then(|| arranged(imaginary));
-    Ok(Array { values: arranged(values), imaginary, shape: header.shape })
+    let imaginary = imaginary.map(Arranged::into_values);
+    Ok(Array { values: values.into_values(), imaginary, shape: header.shape })
 }
 
 pub(super) struct Header {
@@ -208,29 +211,6 @@ fn parse_shape(text: &str) -> Option<Vec<usize>> {
     let shape: Vec<usize> =
         lengths.take(MOST_DIMENSIONS + 1).map(|length| length.trim().parse().ok()).collect::<Option<_>>()?;
     (shape.len() <= MOST_DIMENSIONS).then_some(shape)
-}
-
-/// Elements stored with the first index fastest, rearranged so that the last one is.
-fn to_row_major(stored: Vec<f64>, shape: &[usize]) -> Vec<f64> {
-    let mut index = vec![0; shape.len()];
-    let mut strides = Vec::with_capacity(shape.len());
-    let mut stride = 1;
-    for &length in shape {
-        strides.push(stride);
-        stride *= length;
-    }
-    let mut values = Vec::with_capacity(stored.len());
-    for _ in 0..stored.len() {
-        values.push(stored[index.iter().zip(&strides).map(|(index, stride)| index * stride).sum::<usize>()]);
-        for axis in (0..shape.len()).rev() {
-            index[axis] += 1;
-            if index[axis] < shape[axis] {
-                break;
-            }
-            index[axis] = 0;
-        }
-    }
-    values
 }
 
 /// Numbers that can be written.

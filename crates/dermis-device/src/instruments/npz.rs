@@ -5,15 +5,9 @@ use std::path::Path;
 
 use zip::ZipArchive;
 
+use super::arrays::{self, MOST_ARRAYS, Named};
 use super::npy::{self, Header};
-use super::{csv, times};
-use crate::error::shorten;
 use crate::{DeviceError, FrameTable, ReadOptions};
-
-/// Most arrays that an archive may hold.
-const MOST_ARRAYS: usize = 1000;
-/// Names of the array with the frames, where several would do.
-const USUAL: [&str; 8] = ["frames", "voltages", "readings", "data", "v", "V", "measurements", "arr_0"];
 
 /// Frames of the only array that can hold them.
 ///
@@ -31,19 +25,9 @@ pub(super) fn looks_like(content: &[u8]) -> bool {
     ZipArchive::new(Cursor::new(content)).is_ok_and(|archive| archive.file_names().any(is_array))
 }
 
-/// An array of the archive.
-struct Entry {
-    index: usize,
-    name: String,
-    shape: Vec<usize>,
-}
-
-impl Entry {
-    /// `frames (40, 208)`.
-    fn described(&self) -> String {
-        let lengths: Vec<String> = self.shape.iter().map(usize::to_string).collect();
-        format!("{} ({})", shorten(&self.name), lengths.join(", "))
-    }
+/// Whether a ZIP archive has an entry of this name.
+pub(super) fn holds(content: &[u8], name: &str) -> bool {
+    ZipArchive::new(Cursor::new(content)).is_ok_and(|archive| archive.index_for_name(name).is_some())
 }
 
 pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
@@ -56,7 +40,7 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     if archive.len() > MOST_ARRAYS {
         return Err(broken(format!("{} entries", archive.len())));
     }
-    let mut entries = Vec::new();
+    let (mut entries, mut indices) = (Vec::new(), Vec::new());
     let mut unreadable = Vec::new();
     for index in 0..archive.len() {
         let mut entry = archive.by_index(index).map_err(|error| broken(error.to_string()))?;
@@ -64,7 +48,10 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
         let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else { continue };
         let length = entry.size();
         match Header::read(&mut entry, length, file) {
-            Ok((header, _)) => entries.push(Entry { index, name, shape: header.shape }),
+            Ok((header, _)) => {
+                entries.push(Named { name, shape: header.shape });
+                indices.push(index);
+            }
             // Text and objects are no frames.
             Err(error) => unreadable.push((name, error)),
         }
@@ -74,56 +61,16 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     {
         return Err(unreadable.remove(at).1);
     }
-    let chosen = choose(&entries, file, options)?;
-    let mut read = |entry: &Entry| {
-        let input = archive.by_index(entry.index).map_err(|error| broken(error.to_string()))?;
+    let chosen = arrays::choose(&entries, file, options)?;
+    let mut read = |which: usize| {
+        let input = archive.by_index(indices[which]).map_err(|error| broken(error.to_string()))?;
         let length = input.size();
         npy::read_from(&mut input.take(length), length, file)
     };
-    let frames = read(chosen)?.into_frames_with(file, options)?;
-    let mut notes = vec![format!("array `{}`", shorten(&chosen.name))];
-    if entries.len() > 1 {
-        let others: Vec<String> =
-            entries.iter().filter(|entry| entry.index != chosen.index).take(6).map(Entry::described).collect();
-        notes.push(format!("others: {}", others.join(", ")));
-    }
-    let has_times = |entry: &&Entry| entry.shape == [frames.frames()] && csv::is_time(&entry.name).is_some();
-    let Some(clock) = entries.iter().filter(|entry| entry.index != chosen.index).find(has_times) else {
-        return Ok(frames.with_notes(notes));
-    };
-    let name = format!("array `{}`", shorten(&clock.name));
-    notes.push(format!("times from {name}"));
-    let values = read(clock)?.values;
-    let mut times_s = times::seconds(&values, csv::is_time(&clock.name).flatten(), &name, &mut notes);
-    times::mend(&mut times_s, &mut notes);
-    Ok(frames.with_times_s(times_s)?.with_notes(notes))
-}
-
-/// The array that was asked for, the only one of frames, or one by its usual name.
-fn choose<'a>(entries: &'a [Entry], file: &Path, options: &ReadOptions) -> Result<&'a Entry, DeviceError> {
-    let listed = || entries.iter().take(12).map(Entry::described).collect::<Vec<_>>().join(", ");
-    let refuse = |found: &str| DeviceError::field(file, 1, "--array", found, format!("one of {}", listed()));
-    if let Some(wanted) = &options.array {
-        return entries.iter().find(|entry| entry.name == *wanted).ok_or_else(|| refuse(wanted));
-    }
-    let is_of_skin = |entry: &&Entry| {
-        let product = |lengths: &[usize]| lengths.iter().product::<usize>();
-        let shape = &entry.shape;
-        options.channels.iter().any(|&channels| {
-            shape.last() == Some(&channels)
-                || (shape.len() > 1 && (product(&shape[1..]) == channels || shape[0] == channels))
-        })
-    };
-    let is_of_many = |entry: &&Entry| entry.shape.len() > 1 && csv::is_time(&entry.name).is_none();
-    let of_skin: Vec<&Entry> = entries.iter().filter(is_of_skin).collect();
-    let candidates = if of_skin.is_empty() { entries.iter().filter(is_of_many).collect() } else { of_skin };
-    match candidates[..] {
-        [only] => Ok(only),
-        [] if entries.len() == 1 => Ok(&entries[0]),
-        _ => USUAL
-            .iter()
-            .find_map(|usual| candidates.iter().find(|entry| entry.name == *usual).copied())
-            .ok_or_else(|| refuse("no array chosen")),
+    let frames = arrays::with_notes(read(chosen)?.into_frames_with(file, options)?, &entries, chosen);
+    match arrays::clock(&entries, chosen, frames.frames()) {
+        Some(clock) => arrays::with_times(frames, &entries[clock], &read(clock)?.values),
+        None => Ok(frames),
     }
 }
 

@@ -7,6 +7,8 @@
 //! frequencies, of which one is read, or the difference of two. Version 1 has nine lines of header, no version and no list
 //! of channels.
 
+pub mod live;
+
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -122,7 +122,7 @@ fn time_unit_s(unit: &str) -> Option<f64> {
 }
 
 /// What makes volts of the unit, or ohms.
-fn scale_of(unit: &str) -> Option<f64> {
+pub(super) fn scale_of(unit: &str) -> Option<f64> {
     Some(match unit {
         "V" | "v" | "volt" | "volts" | "Volt" | "Volts" | "Ohm" | "ohm" | "ohms" | "Ohms" | "\u{3a9}" | "\u{2126}" => {
             1.0
@@ -273,6 +273,13 @@ fn role_by_name(table: &Table, column: usize, numeric: usize) -> Role {
         return Role::LeftOut;
     }
     Role::Reading { scale: unit.and_then(scale_of).unwrap_or(1.0) }
+}
+
+/// True of names of times, counts and clocks.
+pub(super) fn is_clock_or_count(name: &str) -> bool {
+    let (base, _) = split_unit(name);
+    let is_count = COUNTS.contains(&base.as_str()) || name == "sequence" || CLOCKS.contains(&name);
+    is_count || time_unit(name, None).is_some()
 }
 
 /// Whether a name speaks of times, and their unit in seconds, where the name or `unit` states it.

@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use super::NumberTable;
 use super::cell::{Decimal, complex, leading_number, number};
 use super::separator::Separator;
-use super::sketch::{Kind, Line, NoTable, Sketch};
+use super::sketch::{Kind, Line, NoTable, Sketch, looks_like_thousands};
 use crate::error::shorten;
 use crate::instruments::text::Text;
 use crate::instruments::times::{Stamp, stamp};
@@ -16,24 +17,42 @@ pub(super) const MOST_COLUMNS: usize = 1 << 21;
 /// Most bytes of a line for each of its columns: numbers written out in full with blanks around.
 const MOST_CELL_BYTES: usize = 1100;
 /// A column of integers that no double holds.
-const WALL_NS: &str = "host_wall_ns";
+pub(in crate::instruments) const WALL_NS: &str = "host_wall_ns";
 
-/// A text table, read.
+/// A table, read.
 #[derive(Debug)]
-pub(super) struct Table {
-    pub sketch: Sketch,
+pub(in crate::instruments) struct Table {
+    pub(super) sketch: Sketch,
     /// Rows x columns, row-major; NaN where a cell is empty or no number.
-    pub values: Vec<f64>,
+    pub(super) values: Vec<f64>,
     /// Imaginary part of every cell up to the last complex one; empty without any.
-    pub imaginary: Vec<f64>,
+    pub(super) imaginary: Vec<f64>,
     /// Dates, times of day and `host_wall_ns`: column, and one for each row.
-    pub stamps: Vec<(usize, Vec<Option<Stamp>>)>,
+    pub(super) stamps: Vec<(usize, Vec<Option<Stamp>>)>,
     /// Rows between blank lines, where they are equally many everywhere.
-    pub rows_in_group: Option<usize>,
-    pub encoding: Option<&'static str>,
+    pub(super) rows_in_group: Option<usize>,
+    pub(super) encoding: Option<&'static str>,
 }
 
 impl Table {
+    /// Of columns with names, as binary files hold them: values row-major, NaN where a column holds no numbers; moments
+    /// by their column.
+    pub(in crate::instruments) fn of_columns(
+        names: Vec<String>,
+        kinds: Vec<Kind>,
+        values: Vec<f64>,
+        stamps: Vec<(usize, Vec<Option<Stamp>>)>,
+    ) -> Self {
+        let sketch = Sketch::of_columns(names, kinds);
+        Self { sketch, values, imaginary: Vec::new(), stamps, rows_in_group: None, encoding: None }
+    }
+
+    /// The same as numbers alone.
+    pub(in crate::instruments) fn into_numbers(self) -> NumberTable {
+        let Self { sketch, values, .. } = self;
+        NumberTable { columns: sketch.columns, header: sketch.header.map(|(_, names)| names), values }
+    }
+
     pub(super) fn rows(&self) -> usize {
         self.values.len() / self.sketch.columns
     }
@@ -103,6 +122,11 @@ pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<S
         NoTable::Row { line, cells, usual } => {
             DeviceError::Ragged { file: file.to_owned(), line, expected: usual, found: cells }.into()
         }
+        NoTable::Thousands { line, cell } => {
+            let expected = "numbers without marks between thousands: in this column some have a mark and three digits behind \
+                            it, and others are whole";
+            DeviceError::field(file, line, "numbers", &cell, expected).into()
+        }
         NoTable::CommaBetweenCommas { line, cell } => {
             let expected = "decimal points, or another separator than the comma: these look like decimal commas between \
                             commas, which nobody can tell apart";
@@ -114,7 +138,10 @@ pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<S
 /// Reads a whole text.
 pub(super) fn scan(text: &Text, file: &Path, options: &ReadOptions) -> Result<Table, Refusal> {
     let sketch = sketch(&text.text, file, options)?;
-    let has_comma = |error: &DeviceError| matches!(error, DeviceError::Cell { found, .. } if found.contains(','));
+    let has_comma = |error: &DeviceError| {
+        // A count that has grown to 1,000 is no fraction.
+        matches!(error, DeviceError::Cell { found, .. } if found.contains(',') && !looks_like_thousands(found, Decimal::Comma))
+    };
     let can_have_comma = sketch.decimal == Decimal::Point && sketch.separator != Separator::Mark(b',');
     match rows(text, sketch.clone(), file, options) {
         // The first rows held whole numbers alone.

@@ -18,7 +18,7 @@ const LIKELY_COUNT: usize = 3;
 
 /// What a column holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(in crate::instruments) enum Kind {
     /// Numbers, missing or complex readings.
     Number,
     /// Dates or times of day.
@@ -100,6 +100,8 @@ pub(super) enum NoTable {
     Row { line: usize, cells: usize, usual: usize },
     /// Decimal commas between commas: the line, and a cell.
     CommaBetweenCommas { line: usize, cell: String },
+    /// Marks between thousands: the line, and a cell.
+    Thousands { line: usize, cell: String },
 }
 
 struct Candidate {
@@ -133,6 +135,21 @@ fn is_row(cells: &[Look]) -> bool {
 }
 
 impl Sketch {
+    /// Of columns whose names and kinds are known.
+    pub(super) fn of_columns(names: Vec<String>, kinds: Vec<Kind>) -> Self {
+        Self {
+            separator: Separator::Mark(b'\t'),
+            decimal: Decimal::Point,
+            columns: kinds.len(),
+            kinds,
+            header: Some((1, names)),
+            units: None,
+            first_line: 1,
+            passed_over: 0,
+            has_trailing: false,
+        }
+    }
+
     /// Looks at the first `lines` with cells; `comment` is the last comment before them, `wanted` says how many
     /// readings a frame has, where that is known.
     pub(super) fn of<'a>(
@@ -216,6 +233,9 @@ impl Sketch {
         };
         if let Some(cell) = comma_between_commas(&sketch, body.iter().map(|&row| lines[row].1)) {
             return Err(NoTable::CommaBetweenCommas { line: lines[first].0, cell });
+        }
+        if let Some((row, cell)) = thousands(&sketch, &body.iter().map(|&row| lines[row].1).collect::<Vec<_>>()) {
+            return Err(NoTable::Thousands { line: lines[body[row]].0, cell });
         }
         if let Some((above, mut names)) = head {
             let is_names = numeric_header.is_some() || is_names(&looks[above]);
@@ -353,4 +373,50 @@ fn comma_between_commas<'a>(sketch: &Sketch, rows: impl Iterator<Item = &'a str>
     let is_fraction =
         length >= 3 && seconds().all(|cell| cell.len() == length) && firsts().all(|cell| cell.len() < length);
     (is_fraction && sketch.columns >= 4).then(|| seconds().next().map_or_else(String::new, |cell| (*cell).to_owned()))
+}
+
+/// Fewest cells that show marks between thousands.
+const SURE_THOUSANDS: usize = 3;
+
+/// A row and a cell that show marks between thousands: in one column, whole numbers below 1000 without the mark, and others
+/// that all have three digits behind it. Fractions would have it everywhere, or other counts of digits.
+fn thousands(sketch: &Sketch, rows: &[&str]) -> Option<(usize, String)> {
+    #[derive(Default)]
+    struct Column {
+        whole: usize,
+        marked: usize,
+        others: usize,
+        first: Option<(usize, String)>,
+    }
+    let mut columns: Vec<Column> = (0..sketch.columns).map(|_| Column::default()).collect();
+    for (row, line) in rows.iter().enumerate() {
+        for (cell, column) in sketch.separator.cells(line).zip(&mut columns) {
+            let bare = cell.trim_start_matches('-');
+            let is_whole = bare.len() <= 3 && !bare.is_empty() && bare.bytes().all(|byte| byte.is_ascii_digit());
+            if is_whole {
+                column.whole += 1;
+            } else if looks_like_thousands(cell, sketch.decimal) {
+                column.marked += 1;
+                column.first.get_or_insert_with(|| (row, cell.to_owned()));
+            } else if !number(cell, sketch.decimal).is_ok_and(f64::is_nan) {
+                column.others += 1;
+            }
+        }
+    }
+    let shows = |column: &Column| column.whole > 0 && column.marked > 0 && column.others == 0;
+    let marked: usize = columns.iter().filter(|column| shows(column)).map(|column| column.marked).sum();
+    let found = columns.into_iter().find(shows)?;
+    found.first.filter(|_| marked >= SURE_THOUSANDS)
+}
+
+/// One to three digits, the mark, and three digits: `1,234`, but not `0,234`.
+pub(super) fn looks_like_thousands(cell: &str, decimal: Decimal) -> bool {
+    let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    cell.trim_start_matches('-').split_once(decimal.mark() as char).is_some_and(|(before, behind)| {
+        (1..=3).contains(&before.len())
+            && !before.starts_with('0')
+            && digits(before)
+            && behind.len() == 3
+            && digits(behind)
+    })
 }

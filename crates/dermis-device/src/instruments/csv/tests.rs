@@ -53,6 +53,11 @@ fn columns_of_millimetres_become_metres_by_their_names() {
     let table = parsed("x_mm,y_m,force_n\n12.5,0.02,3\n").unwrap().in_metres();
     assert_eq!(table.header.unwrap(), ["x_m", "y_m", "force_n"]);
     assert_eq!(table.values, [0.0125, 0.02, 3.0]);
+    let table = parsed("X (mm);Y [m];force_n\n12,5;0,02;3\n").unwrap();
+    assert_eq!(table.clone().in_metres().header.unwrap(), ["x_m", "y_m", "force_n"]);
+    assert_eq!(table.clone().in_metres().values, [0.0125, 0.02, 3.0]);
+    assert_eq!(table.clone().in_millimetres().header.unwrap(), ["x_mm", "y_mm", "force_n"]);
+    assert_eq!(table.in_millimetres().values, [12.5, 20.0, 3.0]);
 }
 
 #[test]
@@ -166,6 +171,27 @@ fn decimal_commas_between_commas_are_refused_with_what_to_do() {
         assert!(message.contains("decimal commas") && message.contains("another separator"), "{message}");
     }
     assert_eq!(read_for("100,12345,2,0\n7,8,9,10\n", &[]).unwrap().channels(), 4);
+}
+
+#[test]
+fn marks_between_thousands_are_refused_with_their_place() {
+    for text in ["987;1,234\n1,001;1,120\n998;998\n1,003;1,140\n", "987\t1.234\n1.001\t1.120\n998\t998\n1.003\t1.140\n"]
+    {
+        let message = read_for(text, &[]).unwrap_err();
+        assert!(
+            message.starts_with("made.csv:2: numbers: expected numbers without marks between thousands"),
+            "{message}"
+        );
+    }
+    // Counts that grow later.
+    let late: String = (0..300).map(|row| if row < 250 { "5;7\n" } else { "1,001;1,120\n" }).collect();
+    assert!(read_for(&late, &[]).unwrap_err().starts_with("made.csv:251: column 1: expected a number"));
+    // Fractions have as many digits everywhere, or as many as they need.
+    for text in
+        ["0;1,234\n1;2,345\n2;3,456\n", "1;1,234\n2,5;2,345\n2;3,456\n1,25;4,567\n", "5;0,125\n7;1,250\n0,1;3\n"]
+    {
+        assert!(read_for(text, &[]).is_ok(), "{text}");
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ pub(super) const EXPECTED: &str = "'<' or '>' with f2, f4, f8, c8, c16, i1 to i8
 
 /// A kind of number, and its byte order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Element {
+pub(in crate::instruments) struct Element {
     kind: Kind,
     is_big_endian: bool,
 }
@@ -29,7 +29,7 @@ enum Kind {
 
 impl Element {
     /// Of NumPy's name, `<f8`.
-    pub(super) fn parse(name: &str) -> Option<Self> {
+    pub(in crate::instruments) fn parse(name: &str) -> Option<Self> {
         let (order, kind) = name.split_at_checked(1)?;
         let kind = match kind {
             "f8" => Kind::F8,
@@ -56,7 +56,7 @@ impl Element {
     }
 
     /// Bytes of an element.
-    pub(super) fn size(self) -> usize {
+    pub(in crate::instruments) fn size(self) -> usize {
         match self.kind {
             Kind::C16 => 16,
             Kind::F8 | Kind::I8 | Kind::U8 | Kind::C8 => 8,
@@ -66,12 +66,12 @@ impl Element {
         }
     }
 
-    pub(super) fn is_complex(self) -> bool {
+    pub(in crate::instruments) fn is_complex(self) -> bool {
         matches!(self.kind, Kind::C16 | Kind::C8)
     }
 
     /// Appends the elements of `bytes`, which holds whole ones.
-    pub(super) fn decode(self, bytes: &[u8], values: &mut Vec<f64>, imaginary: &mut Vec<f64>) {
+    pub(in crate::instruments) fn decode(self, bytes: &[u8], values: &mut Vec<f64>, imaginary: &mut Vec<f64>) {
         macro_rules! numbers {
             ($number:ty, $size:literal) => {{
                 let (raw, _) = bytes.as_chunks::<$size>();
@@ -118,7 +118,7 @@ impl Element {
 }
 
 /// IEEE 754 binary16: a sign, five bits of exponent, ten of fraction.
-fn half(bits: u16) -> f64 {
+pub(in crate::instruments) fn half(bits: u16) -> f64 {
     let (exponent, fraction) = (i32::from(bits >> 10 & 0x1f), f64::from(bits & 0x3ff));
     let size = match exponent {
         0 => fraction * 2_f64.powi(-24),
