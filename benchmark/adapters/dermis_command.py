@@ -4,6 +4,7 @@ Told more than the plain methods where `TOLD` says so: the outline of the skin, 
 """
 
 import csv
+import json
 import os
 import shutil
 import subprocess
@@ -17,7 +18,7 @@ PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
 # Longest that one call of the command may take.
 LIMIT_S = 600
 HANDLES_SESSIONS = True
-TOLD = "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships"
+TOLD = "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press"
 
 
 def missing():
@@ -60,7 +61,9 @@ class Skin:
     def __init__(self, told, kind):
         self.kind, self.folder = kind, tempfile.TemporaryDirectory()
         self.path = Path(self.folder.name)
-        self.skin, start = told.skin or "skin.toml", []
+        self.skin, self.rest, start = told.skin or "skin.toml", getattr(told, "rest", None), []
+        self.wants_rest = self.rest is not None
+        self.untouched = ["--differences"] if self.rest is None else ["--baseline", "rest.csv"]
         old = told.session == 0 if told.session.any() else np.zeros(len(told.frames), bool)
         if old.any():
             self.calibrate(told, old, "old.json", [])
@@ -70,7 +73,9 @@ class Skin:
 
     def calibrate(self, told, rows, name, more):
         places = told.targets if self.kind == "place" else np.hstack([told.places, told.targets])
-        write(self.path / "frames.csv", told.frames[rows])
+        write(self.path / "frames.csv", told.frames[rows] + (0 if self.rest is None else self.rest[rows]))
+        if self.rest is not None:
+            write(self.path / "rest.csv", self.rest[rows])
         write(self.path / "positions.csv", places[rows], "x_m,y_m" if self.kind == "place" else "x_m,y_m,depth_m")
         if told.skin:
             skin = [told.skin]
@@ -78,26 +83,30 @@ class Skin:
             skin = ["skin.toml"]
         else:
             skin = ["--outline-mm", told.outline_mm, "--channels", told.frames.shape[1], "--write-skin", "skin.toml"]
-        call(
-            "calibrate", *skin, "--differences", "--frames", "frames.csv", "--positions", "positions.csv", "--out", name, *more,
+        done = call(
+            "calibrate", *skin, *self.untouched, "--frames", "frames.csv", "--positions", "positions.csv", "--out", name, *more,
             folder=self.path,
         )  # fmt: skip
+        self.reads_depth = "depth or force of the pokes: not read" not in done.stdout
 
-    def reconstruct(self, frames):
-        write(self.path / "judged.csv", frames)
+    def reconstruct(self, frames, rest):
+        write(self.path / "judged.csv", frames + (0 if self.rest is None else rest))
+        if self.rest is not None:
+            write(self.path / "rest.csv", rest)
         begun = time.perf_counter()
         call(
-            "reconstruct", self.skin, "--differences", "--calibration", "calibration.json", "--frames", "judged.csv",
+            "reconstruct", self.skin, *self.untouched, "--calibration", "calibration.json", "--frames", "judged.csv",
             "--touches", "touches.csv", folder=self.path,
         )  # fmt: skip
         return time.perf_counter() - begun
 
-    def __call__(self, frames):
+    def __call__(self, frames, rest=None):
         if self.calls_per_s is None:  # The rate without the start of the program: what further frames take.
-            short, whole = self.reconstruct(frames[:2]), self.reconstruct(frames)
+            short = self.reconstruct(frames[:2], None if rest is None else rest[:2])
+            whole = self.reconstruct(frames, rest)
             self.calls_per_s = (len(frames) - 2) / max(whole - short, 1e-3)
         else:
-            self.reconstruct(frames)
+            self.reconstruct(frames, rest)
         found, extra = touches(self.path / "touches.csv", len(frames))
         if self.kind == "depth":
             sigma = np.where(np.isfinite(found["sigma_depth_mm"]), found["sigma_depth_mm"], found["depth_sigma_mm"])
@@ -109,7 +118,9 @@ class Skin:
 def regress(told):
     if told.kind not in ("place", "depth") or told.targets.shape[1] == (1 if told.kind == "place" else 2):
         return None  # Points and presses along a line have no known place.
-    return Skin(told, told.kind)
+    skin = Skin(told, told.kind)
+    # dermis says so where its frames do not grow with the depth, and reads none.
+    return skin if told.kind == "place" or skin.reads_depth else None
 
 
 def unlabelled(told):
@@ -143,3 +154,17 @@ def segment(told):
             return np.load(Path(folder) / "labels.npy")
 
     return answer
+
+
+def watch(told):
+    """The frame of the damage that `dermis evidence` tells: the live pipeline with `watch = true`, frame by frame.
+
+    The skin file's watch was made with this recording at hand. A disturbance whose levels return is no damage to it.
+    """
+    done = call("evidence", "--data", told.folder.parent, "--only", told.folder.name, "--json")
+    figures = {figure["name"]: figure["value"] for figure in json.loads(done.stdout)["sets"][0]["findings"][0]["here"]}
+    if figures["damages told"] > 1:
+        raise RuntimeError(f"dermis evidence tells {figures['damages told']:.0f} damages, and the frame of the first alone")
+    at = int(figures["the first in frame"]) - len(told.frames) if figures["damages told"] else -1
+    count = iter(range(1 << 62))
+    return lambda frame: next(count) == at

@@ -24,7 +24,8 @@ TOLD = {
     "levels 1 to 7 (none to twelve of 32 electrodes lost), by its own score: 1 is perfect, nothing labelled scores 0.264. These are "
     "not the challenge's 21 evaluation frames.",
     "watch": "Told: 64 frames of the untouched skin, eight seconds apart, then every frame in turn. Judged: alarms. When something "
-    "happened is not published; the frames were read off the recording: 490 to 505, and 655 to 670. Alarms up to 30 frames after an event "
+    "happened is not published; the frames were read off the recording, by steps above three times the median: 490 to 505, after which the "
+    "levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after an event "
     "belong to it; what follows the second is not judged. A false alarm is a run of frames.",
     "speed": "One frame at a time on one core, at the largest number of pokes. Preparing is what happens between labels and the first frame.",
 }

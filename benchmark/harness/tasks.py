@@ -22,9 +22,10 @@ RUNS = {
     "damaged": ["cut1", "cut2", "cut3", "doublecut1", "doublecut2"],
     "healed": ["heal1", "heal2", "doubleheal1", "doubleheal2"],
 }
-# The watch: frames at rest that are told, and from which to which frame something happens (from 0, both included).
+# The watch: frames at rest that are told, and from which to which frame something happens (from 0, both included): where
+# frames differ from the one before by more than three times the median of such steps.
 REST = 64
-EVENTS = [(490, 505), (655, 670)]
+EVENTS = [(490, 505), (663, 665)]
 LEVELS = range(1, 8)
 
 
@@ -43,6 +44,7 @@ class Case:
     truth: np.ndarray = None
     unit: str = "mm"
     is_frozen: bool = True
+    rest: np.ndarray = None  # Frames just before each judged press, where they are published.
     extra: dict = field(default_factory=dict)
 
     @property
@@ -68,13 +70,16 @@ def place(data, depth=False):
         if depth and positions[:, 2].std() < 0.3e-3:
             continue  # One depth: nothing to tell apart.
         targets = positions[:, 2:] if depth else positions[:, :2]
+        rest = sets.hydrogel(Path(data) / name)[0] if name == "hydrogel" else None
         for part, rows in parts.items():
             if part == "test" or (depth and not part.startswith("400.")):
                 continue
             yield Case(
                 "depth" if depth else "place", name, part.split(".")[0], part, "depth" if depth else "place",
-                told("depth" if depth else "place", frames[rows], targets[rows], places=positions[rows, :2], **outline(name)),
+                told("depth" if depth else "place", frames[rows], targets[rows], places=positions[rows, :2], **outline(name),
+                     rest=None if rest is None else rest[rows]),
                 frames[parts["test"]], parts["test"], targets[parts["test"]] * MM, is_frozen=is_frozen,
+                rest=None if rest is None else rest[parts["test"]],
             )  # fmt: skip
 
 
@@ -161,7 +166,8 @@ def unlabelled(data):
         radius_m=0.0855, electrodes_m=0.0855 * np.column_stack([np.sin(angles), -np.cos(angles)]), rest=rest, skin="hydrogel-disc",
         drives=identity[board[:, 0]] - identity[board[:, 1]], reads=identity[board[:, 2]] - identity[board[:, 3]],
     )  # fmt: skip
-    yield Case("unlabelled", "hydrogel", "0", "all", "unlabelled", case, pressed, np.arange(len(pressed)), positions[:, :2] * MM)
+    every = np.arange(len(pressed))
+    yield Case("unlabelled", "hydrogel", "0", "all", "unlabelled", case, pressed, every, positions[:, :2] * MM, rest=rest)
 
 
 def segmentation(data):
@@ -242,7 +248,7 @@ def predict(method, case, folder):
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path.with_suffix(".npz"), labels=labels)
         return trained, len(labels) / (time.perf_counter() - begun)
-    more = (case.told.rest,) if case.kind == "unlabelled" else ()
+    more = (case.rest,) if case.rest is not None and getattr(answer, "wants_rest", case.kind == "unlabelled") else ()
     found, sigma, *extra = answer(case.frames, *more)
     if case.kind == "points":
         rows = [[int(frame), int(point) + 1] for frame, point in np.argwhere(np.asarray(found) > 0.5)]
