@@ -25,12 +25,10 @@ pub mod wire;
 #[cfg(feature = "excel")]
 pub mod xlsx;
 
-use std::fmt;
 use std::path::Path;
-use std::str::FromStr;
 
 use self::content::{NPY_MAGIC, PARQUET_MAGIC, ZIP_MAGIC};
-use crate::{DeviceError, FileSpec, FrameTable, ReadOptions};
+use crate::{DeviceError, FileSpec, Format, FrameTable, ReadOptions};
 pub use content::{MOST_BYTES, open_regular, read_bytes};
 pub(crate) use content::{foreign, text_of};
 pub use times::mend as mend_times;
@@ -38,80 +36,7 @@ pub use times::mend as mend_times;
 /// The entry by which a ZIP archive is known for a workbook of Excel.
 const WORKBOOK: &str = "xl/workbook.xml";
 
-/// A file format of frames.
-///
-/// ```
-/// use dermis_device::Format;
-///
-/// assert_eq!("sciospec".parse::<Format>()?, Format::Sciospec);
-/// let message = "toml".parse::<Format>().unwrap_err().to_string();
-/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, \
-///     pyeidors");
-/// # Ok::<(), dermis_device::DeviceError>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// Text, one frame a row: [`csv`].
-    Csv,
-    /// Text whose lines hold the numbers of a frame among labels, times and brackets: [`log`].
-    Lines,
-    /// Text, one frame a column under a row of names: [`columns`].
-    Columns,
-    /// NumPy array, one frame a row: [`npy`].
-    Npy,
-    /// Archive of NumPy arrays, of which one holds the frames: [`npz`].
-    Npz,
-    /// MATLAB file of arrays, of which one holds the frames: [`mat`].
-    Mat,
-    /// Excel workbook, of which one sheet holds the frames; with the feature `excel`.
-    Xlsx,
-    /// Parquet file, one frame a row; with the feature `parquet`.
-    Parquet,
-    /// Sciospec `.eit`, one frame a file: [`sciospec`].
-    Sciospec,
-    /// Columns of the Kuopio Tomography Challenge's 2356 readings: [`ktc`].
-    Ktc,
-    /// Columns of 16 x 16 magnitudes: [`golfball`].
-    Golfball,
-    /// A reference and a target frame as four columns of complex parts: [`pyeidors`].
-    Pyeidors,
-}
-
 impl Format {
-    /// Every format.
-    pub const ALL: [Self; 12] = [
-        Self::Csv,
-        Self::Lines,
-        Self::Columns,
-        Self::Npy,
-        Self::Npz,
-        Self::Mat,
-        Self::Xlsx,
-        Self::Parquet,
-        Self::Sciospec,
-        Self::Ktc,
-        Self::Golfball,
-        Self::Pyeidors,
-    ];
-
-    /// The name by which users choose it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Csv => "csv",
-            Self::Lines => "lines",
-            Self::Columns => "columns",
-            Self::Npy => "npy",
-            Self::Npz => "npz",
-            Self::Mat => "mat",
-            Self::Xlsx => "xlsx",
-            Self::Parquet => "parquet",
-            Self::Sciospec => "sciospec",
-            Self::Ktc => "ktc",
-            Self::Golfball => "golfball",
-            Self::Pyeidors => "pyeidors",
-        }
-    }
-
     /// Recognises a format by a file's whole content; a directory is recognised with empty content.
     ///
     /// Text with numbers is told apart by its shape: a header that starts with `ref`, `reference` or `baseline` is
@@ -161,23 +86,6 @@ impl Format {
         } else {
             Ok(Self::Csv)
         }
-    }
-}
-
-impl FromStr for Format {
-    type Err = DeviceError;
-
-    fn from_str(text: &str) -> Result<Self, DeviceError> {
-        Self::ALL
-            .into_iter()
-            .find(|format| format.name() == text)
-            .ok_or_else(|| DeviceError::selector(text, format!("one of {}", Self::ALL.map(Self::name).join(", "))))
-    }
-}
-
-impl fmt::Display for Format {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.name())
     }
 }
 

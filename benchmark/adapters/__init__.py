@@ -1,0 +1,1 @@
+"""Programs that enter the benchmark through their command."""

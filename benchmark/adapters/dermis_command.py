@@ -1,0 +1,170 @@
+"""dermis, through its command: `dermis calibrate`, `reconstruct`, `segment`. The variable DERMIS names the program.
+
+Told more than the plain methods where `TOLD` says so: the outline of the skin, or the skin file that ships.
+"""
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
+# Longest that one call of the command may take.
+LIMIT_S = 600
+HANDLES_SESSIONS = True
+TOLD = "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press"
+
+
+def missing():
+    """Why the method cannot run here; None if it can."""
+    return None if PROGRAM else "the command dermis is not found (install it, or let the variable DERMIS name it)"
+
+
+def call(*arguments, folder=None):
+    """Runs the command; RuntimeError with its last words where it fails."""
+    done = subprocess.run([PROGRAM, *map(str, arguments)], cwd=folder, capture_output=True, text=True, timeout=LIMIT_S)
+    if done.returncode:
+        raise RuntimeError(f"dermis {arguments[0]}: status {done.returncode}: {' '.join(done.stderr.split())[-300:]}")
+    return done
+
+
+def write(path, values, head=None):
+    np.savetxt(path, values, delimiter=",", fmt="%.9g", header=head or "", comments="")
+
+
+def touches(path, count):
+    """First touch of each frame in order of amplitude, its sigma and depth, and the number of further touches."""
+    rows = {}
+    with open(path, encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            rows.setdefault(int(row["frame"]), []).append(row)
+    names = ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm", "depth_mm", "sigma_depth_mm", "depth_sigma_mm")
+    found, extra = {name: np.full(count, np.nan) for name in names}, np.zeros(count, int)
+    for frame, several in rows.items():
+        best = max(several, key=lambda row: abs(float(row["amplitude"])))
+        extra[frame] = len(several) - 1
+        for name in names:
+            if best.get(name):
+                found[name][frame] = float(best[name])
+    return found, extra
+
+
+class Skin:
+    """A calibrated skin in a folder of its own; answers frames by `dermis reconstruct`."""
+
+    def __init__(self, told, kind):
+        self.kind, self.folder = kind, tempfile.TemporaryDirectory()
+        self.path = Path(self.folder.name)
+        self.skin, self.rest, start = told.skin or "skin.toml", getattr(told, "rest", None), []
+        self.wants_rest = self.rest is not None
+        self.untouched = ["--differences"] if self.rest is None else ["--baseline", "rest.csv"]
+        old = told.session == 0 if told.session.any() else np.zeros(len(told.frames), bool)
+        if old.any():
+            self.calibrate(told, old, "old.json", [])
+            start = ["--start", "old.json"]
+        self.calibrate(told, ~old, "calibration.json", start)
+        self.calls_per_s = None
+
+    def calibrate(self, told, rows, name, more):
+        places = told.targets if self.kind == "place" else np.hstack([told.places, told.targets])
+        write(self.path / "frames.csv", told.frames[rows] + (0 if self.rest is None else self.rest[rows]))
+        if self.rest is not None:
+            write(self.path / "rest.csv", self.rest[rows])
+        write(self.path / "positions.csv", places[rows], "x_m,y_m" if self.kind == "place" else "x_m,y_m,depth_m")
+        if told.skin:
+            skin = [told.skin]
+        elif (self.path / "skin.toml").exists():
+            skin = ["skin.toml"]
+        else:
+            skin = ["--outline-mm", told.outline_mm, "--channels", told.frames.shape[1], "--write-skin", "skin.toml"]
+        done = call(
+            "calibrate", *skin, *self.untouched, "--frames", "frames.csv", "--positions", "positions.csv", "--out", name, *more,
+            folder=self.path,
+        )  # fmt: skip
+        self.reads_depth = "depth or force of the pokes: not read" not in done.stdout
+
+    def reconstruct(self, frames, rest):
+        write(self.path / "judged.csv", frames + (0 if self.rest is None else rest))
+        if self.rest is not None:
+            write(self.path / "rest.csv", rest)
+        begun = time.perf_counter()
+        call(
+            "reconstruct", self.skin, *self.untouched, "--calibration", "calibration.json", "--frames", "judged.csv",
+            "--touches", "touches.csv", folder=self.path,
+        )  # fmt: skip
+        return time.perf_counter() - begun
+
+    def __call__(self, frames, rest=None):
+        if self.calls_per_s is None:  # The rate without the start of the program: what further frames take.
+            short = self.reconstruct(frames[:2], None if rest is None else rest[:2])
+            whole = self.reconstruct(frames, rest)
+            self.calls_per_s = (len(frames) - 2) / max(whole - short, 1e-3)
+        else:
+            self.reconstruct(frames, rest)
+        found, extra = touches(self.path / "touches.csv", len(frames))
+        if self.kind == "depth":
+            sigma = np.where(np.isfinite(found["sigma_depth_mm"]), found["sigma_depth_mm"], found["depth_sigma_mm"])
+            return found["depth_mm"][:, None] / 1e3, sigma[:, None] / 1e3, extra
+        values = np.column_stack([found["x_mm"], found["y_mm"]])
+        return values / 1e3, np.column_stack([found["sigma_x_mm"], found["sigma_y_mm"]]) / 1e3, extra
+
+
+def regress(told):
+    if told.kind not in ("place", "depth") or told.targets.shape[1] == (1 if told.kind == "place" else 2):
+        return None  # Points and presses along a line have no known place.
+    skin = Skin(told, told.kind)
+    # dermis says so where its frames do not grow with the depth, and reads none.
+    return skin if told.kind == "place" or skin.reads_depth else None
+
+
+def unlabelled(told):
+    """The gel disc by its skin file: electrodes, protocol and the board's circuit."""
+
+    def answer(frames, rest):
+        with tempfile.TemporaryDirectory() as folder:
+            write(Path(folder) / "frames.csv", frames)
+            write(Path(folder) / "rest.csv", rest)
+            begun = time.perf_counter()
+            call("reconstruct", told.skin, "--baseline", "rest.csv", "--frames", "frames.csv", "--touches", "t.csv", folder=folder)
+            answer.calls_per_s = len(frames) / (time.perf_counter() - begun)
+            found, extra = touches(Path(folder) / "t.csv", len(frames))
+        sigma = np.column_stack([found["sigma_x_mm"], found["sigma_y_mm"]]) / 1e3
+        return np.column_stack([found["x_mm"], found["y_mm"]]) / 1e3, sigma, extra
+
+    return answer
+
+
+def segment(told):
+    """The tank by its skin file and the network that ships; channels of lost electrodes are empty cells."""
+
+    def answer(frames):
+        columns = np.full((len(told.kept), 1 + len(frames)), np.nan)
+        columns[told.kept] = np.column_stack([told.reference, frames.T])
+        with tempfile.TemporaryDirectory() as folder:
+            for name, rows in (("rest", columns[:, :1].T), ("frames", columns[:, 1:].T)):
+                lines = [",".join("" if np.isnan(value) else f"{value:.9g}" for value in row) for row in rows]
+                (Path(folder) / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            call("segment", told.skin, "--baseline", "rest.csv", "--frames", "frames.csv", "--out", "labels.npy", folder=folder)
+            return np.load(Path(folder) / "labels.npy")
+
+    return answer
+
+
+def watch(told):
+    """The frame of the damage that `dermis evidence` tells: the live pipeline with `watch = true`, frame by frame.
+
+    The skin file's watch was made with this recording at hand. A disturbance whose levels return is no damage to it.
+    """
+    done = call("evidence", "--data", told.folder.parent, "--only", told.folder.name, "--json")
+    figures = {figure["name"]: figure["value"] for figure in json.loads(done.stdout)["sets"][0]["findings"][0]["here"]}
+    if figures["damages told"] > 1:
+        raise RuntimeError(f"dermis evidence tells {figures['damages told']:.0f} damages, and the frame of the first alone")
+    at = int(figures["the first in frame"]) - len(told.frames) if figures["damages told"] else -1
+    count = iter(range(1 << 62))
+    return lambda frame: next(count) == at

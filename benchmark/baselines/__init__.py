@@ -1,0 +1,1 @@
+"""Plain methods to compare with. Each is one file of NumPy."""

@@ -1,0 +1,191 @@
+"""Tables of scores as Markdown: one a task, with what a method was told and what the columns mean."""
+
+import math
+from pathlib import Path
+
+MARKS = ("<!-- benchmark:begin -->", "<!-- benchmark:end -->")
+TOLD = {
+    "place": "Told: the labelled pokes of the skin, as differences from the untouched skin; no outline, no electrode, no protocol. "
+    "Judged: single presses of the same session. Errors in mm.",
+    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of `hydrogel-damage` was pressed "
+    "15 times along a line whose length is not published: places and errors are numbers of presses.",
+    "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and so many of the damaged one. *unchanged*: the old pokes alone; "
+    "*alone*: the new ones alone; *pooled*: both, without a mark which is which; *own*: both, marked, what to do with them left to the "
+    "method. Judged: other presses of the damaged skin. Errors in mm.",
+    "lines": "Told: the 15 presses of the uncut membrane. Judged: the same line after cuts, and healed. Errors in numbers of presses, mean "
+    "over the runs.",
+    "several": "Told: presses of a gel disc with which of six points were touched; *singles*: one point at a time, of another batch; "
+    "*all*: every pattern, of another batch; *within*: every pattern, half of the judged batch. Judged: all 63 patterns, and 100 "
+    "untouched frames (differences of neighbouring frames before presses). False touches count in both, and are listed apart.",
+    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no pressed frame. Errors in mm.",
+    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two or three depths. "
+    "Errors in mm.",
+    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training phantoms at the challenge's "
+    "levels 1 to 7 (none to twelve of 32 electrodes lost), by its own score: 1 is perfect, nothing labelled scores 0.264. These are "
+    "not the challenge's 21 evaluation frames.",
+    "watch": "Told: 64 frames of the untouched skin, eight seconds apart, then every frame in turn. Judged: alarms. When something "
+    "happened is not published; the frames were read off the recording, by steps above three times the median: 490 to 505, after which the "
+    "levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after an event "
+    "belong to it; what follows the second is not judged. A false alarm is a run of frames.",
+    "speed": "One frame at a time on one core, at the largest number of pokes. Preparing is what happens between labels and the first frame.",
+}
+TITLES = {
+    "place": "Place", "session": "New session", "damaged": "Damaged", "lines": "Cut and healed", "several": "Several touches",
+    "unlabelled": "Unlabelled", "depth": "Depth", "segmentation": "Segmentation", "watch": "Drift and damage watch", "speed": "Speed",
+}  # fmt: skip
+VALUES = ("median", "p90", "inside_1", "inside_2.5", "nll", "misses", "false")
+
+
+def number(value, digits=3):
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if isinstance(value, float) and math.isinf(value):
+        return "none"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}" if value else "0"
+
+
+def percent(value):
+    return "-" if value is None or math.isnan(value) else f"{100 * value:.0f} %"
+
+
+def mean(values):
+    return math.fsum(values) / len(values) if values else math.nan
+
+
+def gathered(rows, *keys):
+    """Rows in groups of equal keys, in the order of their first."""
+    groups = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
+def averaged(rows):
+    """Mean of scores over draws; misses and touches too many add up."""
+    found = {key: mean([row[key] for row in rows]) for key in ("median", "p90", "rms", "inside_1", "inside_2.5", "nll")}
+    return found | {key: sum(row[key] for row in rows) for key in ("misses", "false", "frames")}
+
+
+def table(head, rows):
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
+
+
+HEAD = ["median", "90th percentile", "inside 1 sigma", "inside 2.5 sigma", "negative log likelihood", "misses", "too many"]
+
+
+def cells(score):
+    return [
+        number(score["median"]), number(score["p90"]), percent(score["inside_1"]), percent(score["inside_2.5"]),
+        number(score["nll"]), f"{score['misses']} of {score['frames']:,}", number(score["false"]),
+    ]  # fmt: skip
+
+
+def place_summary(rows, times):
+    """Over the skins: geometric means of the errors, range of the shares, mean of the likelihoods."""
+    lines = []
+    for (size, method), group in gathered(sorted(rows, key=lambda row: int(row["size"])), "size", "method").items():
+        skins = [averaged(draws) for draws in gathered(group, "set").values()]
+        geometric = {
+            key: math.exp(mean([math.log(skin[key]) for skin in skins])) if all(0 < skin[key] < math.inf for skin in skins) else math.inf
+            for key in ("median", "p90")
+        }
+        inside = [skin["inside_1"] for skin in skins]
+        spread = "-" if math.isnan(mean(inside)) else f"{percent(mean(inside))} ({100 * min(inside):.0f} to {100 * max(inside):.0f})"
+        speed = [times[key][1] for key in times if key[:2] == (method, "place") and key[3].split(".")[0] == size]
+        lines.append([
+            f"{int(size):,}", method, str(len(skins)), number(geometric["median"]), number(geometric["p90"]), spread,
+            percent(mean([skin["inside_2.5"] for skin in skins])), number(mean([skin["nll"] for skin in skins])),
+            f"{sum(skin['misses'] for skin in skins)} of {sum(skin['frames'] for skin in skins):,}",
+            number(sum(skin["false"] for skin in skins)), number(mean(speed), 2),
+        ])  # fmt: skip
+    head = ["pokes", "method", "skins", *HEAD, "calls per second"]
+    return table(head, lines)
+
+
+def depths(rows):
+    """Most presses of a set have one depth, so a median says little: the root mean square comes first."""
+    lines = [[*key, number(score["rms"]), *cells(score)] for key, score in ((key, averaged(group)) for key, group in gathered(rows, "set", "method").items())]
+    return table(["set", "method", "root mean square", *HEAD], lines)
+
+
+def by_set(rows, keys=("set", "size", "method")):
+    lines = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in key] + cells(averaged(group)) for key, group in gathered(rows, *keys).items()]
+    return table([{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD, lines)
+
+
+def points(rows):
+    lines = [
+        [row["part"], row["size"], row["method"], percent(row["patterns"]), percent(row["doubles"]), percent(row["points"]), percent(row["count"]),
+         number(row["misses"]), number(row["false"]), number(row["quiet_false"])]
+        for row in rows
+    ]  # fmt: skip
+    head = ["told", "presses", "method", "patterns right", "doubles right", "points right", "number right", "misses", "false touches",
+            "false touches on 100 untouched frames"]  # fmt: skip
+    return table(head, lines)
+
+
+def levels(rows):
+    lines = []
+    for (method,), group in gathered(rows, "method").items():
+        scores = {row["size"]: row["score"] for row in group}
+        lines.append([method, *(number(scores.get(str(level), math.nan)) for level in range(1, 8)), number(mean(list(scores.values())))])
+    return table(["method", *(f"level {level}" for level in range(1, 8)), "mean"], lines)
+
+
+def alarms(rows):
+    lines = [
+        [row["method"], number(row["false"]), number(row["false_frames"]), *("not found" if math.isnan(late) else f"{late:.0f}" for late in row["delays"])]
+        for row in rows
+    ]
+    return table(["method", "false alarms", "frames of them", "first event found after, frames", "second"], lines)
+
+
+def speeds(times):
+    """Speed at the largest training size of each method."""
+    lines = []
+    for method in dict.fromkeys(key[0] for key in times):
+        found = [(int(key[3].split(".")[0]), value) for key, value in times.items() if key[:2] == (method, "place")]
+        if found:
+            most = max(size for size, _ in found)
+            chosen = [value for size, value in found if size == most]
+            lines.append([method, f"{most:,}", number(mean([value[0] for value in chosen]), 2), number(mean([value[1] for value in chosen]), 2)])
+    return table(["method", "pokes", "prepared in, s", "calls per second"], lines)
+
+
+def section(name, body):
+    return f"### {TITLES[name]}\n\n{TOLD[name]}\n\n{body}"
+
+
+def tables(rows, times, is_full=True):
+    """All tables. Without `is_full`, place over the skins only, for the page."""
+    of = lambda *names: [row for row in rows if row["task"] in names]  # noqa: E731
+    parts = []
+    if of("place"):
+        body = "Over the skins: errors are geometric means, shares means with the smallest and the largest skin.\n\n" + place_summary(of("place"), times)
+        parts.append(section("place", body + ("\nEach skin, mean over the draws:\n\n" + by_set(of("place")) if is_full else "")))
+    if of("session"):
+        parts.append(section("session", by_set(of("session"))))
+    pairs = [row for row in of("damaged") if row["strategy"]]
+    if pairs:
+        parts.append(section("damaged", by_set(sorted(pairs, key=lambda row: int(row["size"])), ("size", "strategy", "method"))))
+    runs = [row for row in of("damaged", "healed") if not row["strategy"]]
+    if runs:
+        parts.append(section("lines", by_set(runs, ("task", "method"))))
+    for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
+        if of(name):
+            parts.append(section(name, body(of(name))))
+    if times:
+        parts.append(section("speed", speeds(times)))
+    return "\n".join(parts)
+
+
+def between_marks(page, text):
+    """Replaces what stands between the marks of a page. Raises ValueError if it has none."""
+    content = Path(page).read_text(encoding="utf-8")
+    begin, end = content.find(MARKS[0]), content.find(MARKS[1])
+    if begin < 0 or end < begin:
+        raise ValueError(f"{page}: no lines {MARKS[0]} and {MARKS[1]}")
+    Path(page).write_text(content[: begin + len(MARKS[0])] + "\n\n" + text + "\n" + content[end:], encoding="utf-8")
