@@ -29,11 +29,17 @@ pub mod page;
 mod terminal;
 
 use std::ffi::{OsStr, OsString};
+use std::fmt;
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 
 use clap::Parser;
+use dermis::record::UNDERSTOOD;
+use tracing::{Event, Subscriber};
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::FmtContext;
+use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
+use tracing_subscriber::registry::LookupSpan;
 
 use commands::Command;
 pub use commands::{LivePage, sources};
@@ -124,6 +130,26 @@ fn named_files(word: &OsStr) -> impl Iterator<Item = PathBuf> {
     [Some(PathBuf::from(word)), behind].into_iter().flatten()
 }
 
+/// Log lines with time and level, except for what was understood of a file, which stands alone.
+struct Plain<F> {
+    format: F,
+}
+
+impl<S, N, F> FormatEvent<S, N> for Plain<F>
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+    F: FormatEvent<S, N>,
+{
+    fn format_event(&self, context: &FmtContext<'_, S, N>, mut out: Writer<'_>, event: &Event<'_>) -> fmt::Result {
+        if event.metadata().target() != UNDERSTOOD {
+            return self.format.format_event(context, out, event);
+        }
+        context.format_fields(out.by_ref(), event)?;
+        writeln!(out)
+    }
+}
+
 /// Sends log lines to stderr, so that stdout holds only results.
 fn start_logging(verbose: u8) {
     let level = match verbose {
@@ -136,7 +162,8 @@ fn start_logging(verbose: u8) {
         .with_env_filter(filter)
         .with_writer(io::stderr)
         .with_target(false)
-        .with_ansi(io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty()));
+        .with_ansi(io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty()))
+        .map_event_format(|format| Plain { format });
     // Fails for a second command in the same process, which then logs as the first did.
     let _ = logging.try_init();
 }

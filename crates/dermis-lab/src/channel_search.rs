@@ -54,8 +54,10 @@ pub struct OrderCandidate {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<ListedChannel>>,
     /// As in a skin file; `Listed` if `channels` is given.
+    #[serde(skip_serializing_if = "DrivePattern::is_listed")]
     pub drive: DrivePattern,
     /// As in a skin file; `Listed` if `channels` is given.
+    #[serde(skip_serializing_if = "MeasurePattern::is_listed")]
     pub measure: MeasurePattern,
     /// As in a skin file.
     pub order: ReadingOrder,

@@ -148,7 +148,8 @@ impl DrivePattern {
         Self::Listed
     }
 
-    fn is_listed(&self) -> bool {
+    /// True if the skin file lists its channels instead.
+    pub fn is_listed(&self) -> bool {
         *self == Self::Listed
     }
 }
@@ -181,7 +182,8 @@ impl MeasurePattern {
         Self::Listed
     }
 
-    fn is_listed(&self) -> bool {
+    /// True if the skin file lists its channels instead.
+    pub fn is_listed(&self) -> bool {
         *self == Self::Listed
     }
 }

@@ -111,6 +111,24 @@ const SKINS: &[(&str, &[(&str, &str)])] = &[
         ],
     ),
     ("piezo-square", &[]),
+    (
+        "healing-square",
+        &[
+            ("mount", "{ link = \"palm\", xyz_mm = [1.0, 2.0, 3.0], rpy_deg = [10.0, 20.0, 30.0] }"),
+            (
+                "frontend.electrodes",
+                "{ rim-places = { places_mm = [[-50.0, 0.0], [0.0, 50.0], [50.0, 0.0], [0.0, -50.0]], width_mm = 5.0 } }",
+            ),
+            ("backend.channels", "[[1, 2, 3, 4], [2, 3, 4, 1]]"),
+            (
+                "tolerances",
+                "{ electrode_place_mm = 1.0, electrode_width_percent = 5.0, contact_impedance_factor = 1.5, \
+                 conductivity_percent = 5.0, conductivity_length_share = 0.3, thickness_percent = 5.0, \
+                 contact_law_percent = 5.0, gain_percent = 0.5, noise_percent = 10.0, coil_place_mm = 0.2, \
+                 element_height_mm = 0.2, stiffness_percent = 5.0 }",
+            ),
+        ],
+    ),
     ("ionic-disc", &[("frontend.layer.gravity_m_per_s2", "[0.0, 0.0, -9.8]")]),
     (
         "em-8",

@@ -12,10 +12,11 @@ use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis body demo arm
   dermis body check arm/arm.toml
   dermis body draw arm/arm.toml --out arm.svg --joint elbow=0.7
-  dermis run arm/arm.toml --headless --frames 50";
+  dermis run arm/arm.toml --headless --frames 50
+
+`dermis body demo FOLDER` writes such an arm.";
 
 const CHECK_EXAMPLE: &str = "\
 Example:
@@ -64,7 +65,7 @@ enum Action {
         width_px: u32,
     },
     /// Write a demonstration: an arm with four skins, each played by its twin.
-    #[command(after_help = "Example:\n  dermis body demo arm\n  dermis run arm/arm.toml --headless --frames 50")]
+    #[command(after_help = "Example:\n  dermis body demo my-arm\n  dermis run my-arm/arm.toml --headless --frames 50")]
     Demo {
         /// Output folder, created if needed.
         #[arg(value_name = "FOLDER")]

@@ -87,7 +87,8 @@ impl Arguments {
             sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));
         }
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
-        let mut lines = sinks.is_empty().then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
+        let mut lines =
+            sinks.is_empty().then(|| JsonLines::new(Vec::new(), "standard output", lines_for).of_recording());
         let options = RerunOptions { speed: self.speed, follow_hyperparameter: self.hyperparameter.is_none() };
         let stop = interrupt::begin();
         let mut health = HealthWatch::new(&pipeline.prepared().skin);

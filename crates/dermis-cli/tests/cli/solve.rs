@@ -161,7 +161,7 @@ fn files_that_are_no_cases_are_refused() {
         ("case.json", "broken", "sigma_broken[1]: is 0; expected a positive conductivity"),
         ("case.json", "none", "sigma_none: is neither in the case (it has broken, hom, incl) nor is there a file"),
         ("case.json", "short.csv", "short.csv: conductivity: has shape [2, 1]; expected 4 conductivities"),
-        ("case.json", "case.json", "case.json:1: column 1: expected a number"),
+        ("case.json", "case.json", "case.json: expected a text table of numbers, found JSON text"),
     ];
     for (case, sigma, expected) in table {
         let message = desk.refused(&["solve", case, "--sigma", sigma, "--voltages", "v.npy"], 2);

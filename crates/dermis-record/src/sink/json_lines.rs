@@ -78,12 +78,22 @@ pub struct JsonLines<W> {
     lines_for: LinesFor,
     line: String,
     summary: Summary,
+    /// Frames are a recording's: their monotonic times are of another process.
+    of_recording: bool,
 }
 
 impl<W: Write + Send> JsonLines<W> {
     /// Writes to `out`, which is called `name` in messages.
     pub fn new(out: W, name: impl Into<PathBuf>, lines_for: LinesFor) -> Self {
-        Self { out, name: name.into(), lines_for, line: String::with_capacity(1024), summary: Summary::default() }
+        let (line, summary) = (String::with_capacity(1024), Summary::default());
+        Self { out, name: name.into(), lines_for, line, summary, of_recording: false }
+    }
+
+    /// For the frames of a recording, whose `monotonic_ns` is null: the process that took it had another origin.
+    #[must_use]
+    pub fn of_recording(mut self) -> Self {
+        self.of_recording = true;
+        self
     }
 }
 
@@ -111,7 +121,7 @@ impl<W: Write + Send> JsonLines<W> {
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
         damage::push_damage(&mut self.line, &output.damage);
-        push_clocks(&mut self.line, output);
+        push_clocks(&mut self.line, output, self.of_recording);
         extras.line(&mut self.line);
         self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
@@ -159,9 +169,13 @@ fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
 }
 
 /// The frame's time on every clock.
-fn push_clocks(text: &mut String, output: &Output<'_>) {
-    let (wall_ns, monotonic_ns) = (output.wall_ns, HostStamp::on_system_clock(output.time_ns));
-    let _ = write!(text, ",\"clocks\":{{\"wall_ns\":{wall_ns},\"monotonic_ns\":{monotonic_ns},\"device_ns\":");
+fn push_clocks(text: &mut String, output: &Output<'_>, of_recording: bool) {
+    let _ = write!(text, ",\"clocks\":{{\"wall_ns\":{},\"monotonic_ns\":", output.wall_ns);
+    let _ = match of_recording {
+        true => write!(text, "null"),
+        false => write!(text, "{}", HostStamp::on_system_clock(output.time_ns)),
+    };
+    text.push_str(",\"device_ns\":");
     let _ = match output.device_time_ns {
         Some(device_ns) => write!(text, "{device_ns}}}"),
         None => write!(text, "null}}"),
@@ -296,7 +310,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(found[1]["clocks"]["device_ns"], Value::Null);
+        assert!(found[1]["clocks"]["wall_ns"].is_u64() && found[1]["clocks"]["monotonic_ns"].is_u64());
         let rest: Vec<_> = found[1].as_object().unwrap().iter().filter(|(key, _)| *key != "clocks").collect();
         assert_eq!(json!(rest), json!([["sequence", 8], ["time_s", 12.000000353], ["touches", []]]));
     }

@@ -167,7 +167,9 @@ fn a_twin_of_listed_channels_is_read_through_the_pipeline() {
     std::fs::write(&file, skin.to_toml()).unwrap();
     let skin = Skin::open(file.to_str().unwrap()).unwrap();
     let presses = random_presses(&skin.outline(), &press_range(&skin), 6, 7).unwrap();
-    let [rest, pressed] = sample_tables(&skin, &presses, Some(3), |_, _| {}).unwrap();
+    // Two frames of each press: touches begin with the second.
+    let held: Vec<_> = presses.iter().flat_map(|press| [press.clone(), press.clone()]).collect();
+    let [rest, pressed] = sample_tables(&skin, &held, Some(3), |_, _| {}).unwrap();
     let write = |name: &str, table: &FrameTable| {
         let text: Vec<String> = table
             .rows()
@@ -180,9 +182,9 @@ fn a_twin_of_listed_channels_is_read_through_the_pipeline() {
     let (rest, pressed) = (write("rest.csv", &rest), write("press.csv", &pressed));
     let options = SessionOptions { baseline: Some(rest.parse().unwrap()), ..SessionOptions::default() };
     let frames: Vec<_> = Session::open_with(&pressed, skin, &options).unwrap().map(Result::unwrap).collect();
-    assert_eq!(frames.len(), 6);
+    assert_eq!(frames.len(), 12);
     let mut near = 0;
-    for (frame, press) in frames.iter().zip(&presses) {
+    for (frame, press) in frames.iter().skip(1).step_by(2).zip(&presses) {
         let placed = frame.touches.iter().any(|touch| {
             let [x, y] = touch.position_m;
             (x - press[0].centre_m[0]).hypot(y - press[0].centre_m[1]) < 5e-3

@@ -42,7 +42,7 @@ pub struct InputArguments {
     #[arg(long)]
     as_skin: bool,
     /// Speed of a file or twin: 1 in real time, 0 as fast as possible.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
     speed: f64,
     /// A calibration made by `dermis calibrate`.
     #[arg(long, value_name = "FILE")]
