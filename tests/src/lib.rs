@@ -40,26 +40,6 @@ pub fn oracle_text(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// A file that an earlier version of dermis wrote, e.g. `"em-8.mcap"`.
-///
-/// # Panics
-/// If it is not there: the repository holds them all.
-pub fn earlier(name: &str) -> PathBuf {
-    let path = here().join("data/earlier").join(name);
-    assert!(path.exists(), "{} is missing; the repository holds it", path.display());
-    path
-}
-
-/// The bytes of a file of [`earlier`] that is stored compressed, as `name` with `.zst` behind it.
-///
-/// # Panics
-/// If it is missing or broken.
-pub fn earlier_unpacked(name: &str) -> Vec<u8> {
-    let path = earlier(&format!("{name}.zst"));
-    let compressed = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-    unpacked(&compressed).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
-
 /// What Zstandard compressed.
 fn unpacked(compressed: &[u8]) -> Result<Vec<u8>, String> {
     let mut decoder = ruzstd::decoding::StreamingDecoder::new(compressed).map_err(|error| error.to_string())?;

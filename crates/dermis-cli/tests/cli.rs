@@ -1,8 +1,6 @@
 //! The command as a user's script sees it: exit codes, messages, files. Reference values are worked out by hand, or
 //! come from EIDORS (`tests/data/oracle/eit`).
 
-#[path = "cli/earlier.rs"]
-mod earlier;
 #[path = "cli/evidence.rs"]
 mod evidence;
 #[path = "cli/newcomer.rs"]
@@ -241,8 +239,7 @@ fn a_replay_leaves_table_figures_data_and_report() {
 #[test]
 fn the_examples_of_every_help_run() {
     let frames: String = (0..6).map(|k| format!("{},{}\n", 100 + k % 2, 50 - k % 3)).collect();
-    let earlier = SKIN.replace("kind = \"sheet\"", "kind = \"gel\"");
-    let desk = Desk::with(&[("case.json", SQUARE), ("frames.csv", &frames), ("my-skin.toml", &earlier)]);
+    let desk = Desk::with(&[("case.json", SQUARE), ("frames.csv", &frames), ("my-skin.toml", SKIN)]);
     measured_files(&desk);
     desk.done(&["body", "demo", "arm"]);
     evidence::synthetic_sets(&desk);

@@ -84,7 +84,7 @@ impl PyRecording {
         run(py, || {
             let recording = Recording::open(&path)?;
             let head = recording.head();
-            let skin = Skin::parse_any_version(&head.skin_toml, &path.display().to_string())?;
+            let skin = Skin::parse(&head.skin_toml, &path.display().to_string())?;
             let (source, labels) = (head.source.clone(), head.labels.clone());
             let written = recording.frames_written();
             Ok(Self { path, skin, source, written, labels })

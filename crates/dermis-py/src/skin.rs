@@ -38,7 +38,7 @@ impl PySkin {
     ///     TOML text, with all parts in it.
     #[staticmethod]
     fn from_toml(text: &str) -> PyResult<Self> {
-        Ok(Self { skin: Skin::parse_any_version(text, "skin").map_err(Fault::from)? })
+        Ok(Self { skin: Skin::parse(text, "skin").map_err(Fault::from)? })
     }
 
     /// The skin as TOML text, with all parts in it.

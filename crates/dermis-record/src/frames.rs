@@ -39,7 +39,7 @@ pub fn check_skin(spec: &FileSpec, skin: &Skin) -> Result<(), Error> {
         return Ok(());
     }
     let name = spec.path.display().to_string();
-    let recorded = Skin::parse_any_version(&Recording::open(&spec.path)?.head().skin_toml, &name)?;
+    let recorded = Skin::parse(&Recording::open(&spec.path)?.head().skin_toml, &name)?;
     Ok(check_frames(&name, &recorded, skin)?)
 }
 

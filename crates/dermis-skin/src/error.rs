@@ -16,14 +16,6 @@ pub enum Error {
         /// The problem, with line and column.
         message: String,
     },
-    /// A skin file in an earlier version of the format.
-    #[error("{file}: written for an earlier version of dermis: {}; `dermis skins upgrade {file}` rewrites it", moved.join("; "))]
-    OldFormat {
-        /// The file.
-        file: String,
-        /// The keys that have moved, and where to.
-        moved: Vec<String>,
-    },
     /// A field of a skin file holds a value that is out of range or inconsistent.
     #[error("{file}: {field} = {value}: expected {expected}")]
     SkinField {

@@ -42,7 +42,6 @@ mod skin;
 mod tolerances;
 mod touch;
 mod twin;
-mod upgrade;
 
 pub use backend::{
     Backend, Circuit, CircuitChoice, DrivePattern, DrivenChannels, LearnCircuit, MeasurePattern, ReadingOrder, Reads,
@@ -72,4 +71,3 @@ pub use twin::{
     Demonstration, Healing, NoisyChannel, PressSettings, StuckChannel, TwinAction, TwinFaults, TwinSettings,
     TwinTreatment,
 };
-pub use upgrade::{Upgraded, upgrade};

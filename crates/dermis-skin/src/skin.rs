@@ -19,7 +19,6 @@ use crate::parts::{Part, read_skin_text};
 use crate::tolerances::Tolerances;
 use crate::touch::TouchSettings;
 use crate::twin::{Parts, TwinSettings};
-use crate::upgrade::upgrade;
 
 /// A whole skin file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -102,7 +101,7 @@ impl Skin {
         }
         let path = Path::new(name_or_path);
         match read_skin_text(path) {
-            Ok(text) => Self::parse_in(&text, name_or_path, Some(path.parent().unwrap_or(Path::new("")))),
+            Ok(text) => Self::read(&text, name_or_path, Some(path.parent().unwrap_or(Path::new("")))),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 Err(Error::UnknownSkin { name: name_or_path.to_string(), known: BUILTIN_NAMES.join(", ") })
             }
@@ -116,7 +115,7 @@ impl Skin {
     /// # Errors
     /// TOML errors, unknown or missing keys, invalid values; each with its place.
     pub fn parse(text: &str, file: &str) -> Result<Self, Error> {
-        Self::parse_in(text, file, None)
+        Self::read(text, file, None)
     }
 
     /// As [`Skin::parse`], for the text of a file that may or may not exist yet. Its parts may be next to it.
@@ -125,30 +124,7 @@ impl Skin {
     /// As [`Skin::parse`].
     pub fn parse_beside(text: &str, file: &Path) -> Result<Self, Error> {
         let folder = file.parent().unwrap_or(Path::new(""));
-        Self::parse_in(text, &file.display().to_string(), Some(folder))
-    }
-
-    fn parse_in(text: &str, file: &str, folder: Option<&Path>) -> Result<Self, Error> {
-        match Self::read(text, file, folder) {
-            Ok(skin) => Ok(skin),
-            // Report an old format first. Other problems show up once the file is upgraded.
-            Err(error) => match upgrade(text) {
-                Some(upgraded) => Err(Error::OldFormat { file: file.to_string(), moved: upgraded.moved }),
-                None => Err(error),
-            },
-        }
-    }
-
-    /// As [`Skin::parse`], for text that may be in an earlier version of the format, as in recordings and
-    /// calibrations.
-    ///
-    /// # Errors
-    /// As [`Skin::parse`].
-    pub fn parse_any_version(text: &str, file: &str) -> Result<Self, Error> {
-        match upgrade(text) {
-            Some(upgraded) => Self::read(&upgraded.text, file, None),
-            None => Self::read(text, file, None),
-        }
+        Self::read(text, &file.display().to_string(), Some(folder))
     }
 
     fn read(text: &str, file: &str, folder: Option<&Path>) -> Result<Self, Error> {

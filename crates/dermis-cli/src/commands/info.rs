@@ -98,8 +98,7 @@ impl Findings {
 
 fn skin_name(recording: &Recording) -> String {
     let file = recording.path().display().to_string();
-    Skin::parse_any_version(recording.skin_toml(), &file)
-        .map_or_else(|_| "of another version".to_owned(), |skin| skin.name)
+    Skin::parse(recording.skin_toml(), &file).map_or_else(|_| "of another version".to_owned(), |skin| skin.name)
 }
 
 fn lost_frames(damage: &Damage) -> String {

@@ -64,7 +64,7 @@ impl Arguments {
         let head = recording.head().clone();
         let mut skin = match &self.skin {
             Some(name) => Skin::open(name)?,
-            None => Skin::parse_any_version(&head.skin_toml, &self.file.display().to_string())?,
+            None => Skin::parse(&head.skin_toml, &self.file.display().to_string())?,
         };
         if let Some(prior) = &self.prior {
             skin.imaging.prior = prior.clone();

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use dermis::skin::budget::Budget;
-use dermis::skin::{BUILTIN_NAMES, Skin, SkinBody, upgrade};
+use dermis::skin::{BUILTIN_NAMES, Skin, SkinBody};
 use dermis_device::write_atomic;
 
 use crate::draw::{self, Picture, SkinDrawing};
@@ -21,12 +21,6 @@ Example:
   dermis skins show hydrogel-disc
 
 The output is a whole skin file, defaults included: a start for a skin of your own.";
-
-const UPGRADE_EXAMPLE: &str = "\
-Example:
-  dermis skins upgrade my-skin.toml --out my-skin-new.toml
-
-What has moved is listed. Nothing is written where the result would not be a valid skin.";
 
 const DRAW_EXAMPLE: &str = "\
 Examples:
@@ -60,16 +54,6 @@ enum Action {
     /// Print the format of skin files as a JSON Schema, for editors.
     #[command(after_help = "Example:\n  dermis skins schema")]
     Schema,
-    /// Rewrite a skin file of an earlier version in the present format, keeping its comments.
-    #[command(after_help = UPGRADE_EXAMPLE)]
-    Upgrade {
-        /// The skin file.
-        #[arg(value_name = "FILE")]
-        file: PathBuf,
-        /// Output file; default: the file itself, whose old text is kept next to it as FILE.old.
-        #[arg(long, value_name = "FILE")]
-        out: Option<PathBuf>,
-    },
     /// Draw a skin to scale: mesh, outline, numbered electrodes.
     #[command(after_help = DRAW_EXAMPLE)]
     Draw {
@@ -98,7 +82,6 @@ impl Arguments {
                 writeln!(out, "{}", serde_json::to_string_pretty(&dermis::skin::json_schema())?)?;
                 Ok(Outcome::Done)
             }
-            Action::Upgrade { file, out: to } => upgrade_file(file, to.as_deref(), out),
             Action::Draw { skin, out: path, width_px, no_mesh } => draw_skin(skin, path, *width_px, !*no_mesh, out),
         }
     }
@@ -149,41 +132,6 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         }
     }
     write!(out, "{}", skin.to_toml())?;
-    Ok(Outcome::Done)
-}
-
-/// Writes nothing unless the result is a valid skin.
-fn upgrade_file(file: &Path, to: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-    let bytes = dermis_device::instruments::read_bytes(file)?;
-    let name = file.display().to_string();
-    let text =
-        String::from_utf8(bytes).map_err(|_| UsageError(format!("{name}: expected a skin file (TOML, UTF-8)")))?;
-    let Some(upgraded) = upgrade(&text) else {
-        Skin::open(&name)?;
-        writeln!(out, "{name}: of the present format already")?;
-        return Ok(Outcome::Done);
-    };
-    Skin::parse_beside(&upgraded.text, file)?;
-    let to = match to {
-        Some(to) => to.to_path_buf(),
-        None => {
-            let old = PathBuf::from(format!("{name}.old"));
-            if old.exists() {
-                return Err(UsageError(format!(
-                    "{}: is there already; expected no such file, or --out",
-                    old.display()
-                ))
-                .into());
-            }
-            write_atomic(&old, |kept| kept.write_all(text.as_bytes()))?;
-            file.to_path_buf()
-        }
-    };
-    write_atomic(&to, |new| new.write_all(upgraded.text.as_bytes()))?;
-    for moved in &upgraded.moved {
-        writeln!(out, "{moved}")?;
-    }
-    writeln!(out, "written to {}", to.display())?;
     Ok(Outcome::Done)
 }
 

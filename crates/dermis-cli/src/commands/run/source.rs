@@ -217,7 +217,7 @@ pub fn open_of(
         SourceSelector::Twin { name } => find(name.as_deref())?,
         SourceSelector::File(spec) if named.is_none() && is_recording(&spec.path) => {
             let recording = Recording::open(&spec.path)?;
-            Skin::parse_any_version(&recording.head().skin_toml, &spec.path.display().to_string())?
+            Skin::parse(&recording.head().skin_toml, &spec.path.display().to_string())?
         }
         _ => find(None)?,
     };
