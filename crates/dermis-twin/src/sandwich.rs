@@ -74,6 +74,10 @@ struct Slits {
     cut_of_edge: Vec<usize>,
 }
 
+/// Time between renewals of the conductances of a sheet that heals or warms, seconds. Heating takes minutes; solving a
+/// sheet under many pads takes longer than a frame.
+const RENEWAL_S: f64 = 0.1;
+
 /// The sandwich; see the module. The sheet is slit where it is cut, and rejoined across the slit as it heals. A cut
 /// that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it crosses.
 #[derive(Debug)]
@@ -88,6 +92,9 @@ pub struct Sandwich {
     /// Cuts set by the caller.
     cuts: Vec<Cut>,
     /// Cuts and heat from treatments.
+    /// Time since the conductances were last renewed, and whether the sheet has healed since.
+    waiting_s: f64,
+    has_healed: bool,
     wear: Wear,
     slits: Slits,
     gap: Gap,
@@ -119,6 +126,8 @@ impl Sandwich {
             conductance: options.conductance,
             cuts: Vec::new(),
             wear: Wear::new(options.healing),
+            waiting_s: 0.0,
+            has_healed: false,
             slits: Slits::default(),
             spec,
             contact_impedances,
@@ -404,7 +413,10 @@ impl Frontend for Sandwich {
     }
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
-        if self.wear.advance(dt_s) {
+        self.has_healed |= self.wear.advance(dt_s);
+        self.waiting_s += dt_s;
+        if self.has_healed && self.waiting_s >= RENEWAL_S {
+            (self.has_healed, self.waiting_s) = (false, 0.0);
             self.renew_sheet()?;
         }
         if self.gap.press(indenters, self.sheets.positions_m(), dt_s) {
