@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis::lab::design::{Maps, Noise, spread_width};
-use dermis::lab::tolerances::{Extent, Tolerances, run as run_tolerances};
+use dermis::lab::tolerances::{Extent, run as run_tolerances};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 
@@ -168,7 +168,7 @@ pub fn tolerance_rows(
     let rows = run_interruptibly(py, "tolerances", move || {
         let pokes = pokes.unwrap_or_else(|| vec![20, 50, 200]);
         let extent = Extent { samples, presses, pokes, seed };
-        let report = run_tolerances(&skin, &Tolerances::default(), &extent, &|_, _| told.load(Ordering::Relaxed))?;
+        let report = run_tolerances(&skin, &skin.tolerances, &extent, &|_, _| told.load(Ordering::Relaxed))?;
         let rows =
             std::iter::once(report.nominal).chain(report.causes).chain([report.together]).chain(report.calibrated);
         Ok(rows

@@ -181,7 +181,7 @@ impl Arguments {
     }
 
     fn try_tolerances(&self, file: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let tolerances = file.map_or_else(|| Ok(Tolerances::default()), Tolerances::read)?;
+        let given = file.map(Tolerances::read).transpose()?;
         let extent = Extent {
             samples: self.samples as usize,
             presses: self.presses as usize,
@@ -191,7 +191,8 @@ impl Arguments {
         for name in &self.skins {
             let skin = Skin::open(name)?;
             let bar = super::progress_bar("samples");
-            let report = run(&skin, &tolerances, &extent, &|done, all| {
+            let tolerances = given.as_ref().unwrap_or(&skin.tolerances);
+            let report = run(&skin, tolerances, &extent, &|done, all| {
                 bar.set_length(all as u64);
                 bar.set_position(done as u64);
                 true
@@ -200,7 +201,7 @@ impl Arguments {
             let report = report?;
             tolerance_page::write_table(out, &report)?;
             if let Some(folder) = &self.out {
-                tolerance_page::write_files(folder, &report, &tolerances)?;
+                tolerance_page::write_files(folder, &report, tolerances)?;
                 writeln!(out, "{}", folder.display())?;
             }
         }
