@@ -20,7 +20,7 @@ pub struct SpotFit {
 
 impl SpotFit {
     /// A fit with this model, on the pixels of a grid (row by row) that are on the skin. `error_share` is the share
-    /// of a frame's energy that the model leaves unexplained with typical presses.
+    /// of the energy that the model leaves unexplained in a frame with typical presses.
     pub fn new(model: SpotModel, grid: PixelGrid, inside: Vec<bool>, error_share: f64) -> Self {
         let is_inside = |place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]);
         let filter = model.filter(is_inside);

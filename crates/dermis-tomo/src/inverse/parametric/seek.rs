@@ -2,8 +2,8 @@
 //!
 //! With the whitened residual `r` and the whitened response `g(p, radius)` of a spot, orthogonal to the uniform
 //! change, the least-squares amplitude is `g'r / g'g`, and it lowers the cost by `(g'r)^2 / g'g` (Kay, Fundamentals
-//! of Statistical Signal Processing II, 1998, section 4.3). The filter is evaluated at every second position of the
-//! table, for a few radii.
+//! of Statistical Signal Processing II, 1998, section 4.3). The filter covers every second position of the table, at
+//! a few radii.
 
 use super::fit::{FitOutcome, FitScratch, OF_SPOT, State, UNIFORM_DEVIATION};
 use super::{Spot, SpotModel};
