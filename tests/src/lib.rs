@@ -1,7 +1,7 @@
 //! Finds reference values and measured data for the tests of dermis, and reports data that are missing.
 //!
-//! Reference values are part of the repository (`tests/data/oracle`): a test that cannot read them fails. Measurements by
-//! others are not part of it. [`set`] looks for them in the folder that `DERMIS_DATA` names, or else in
+//! Reference values are part of the repository (`tests/data/oracle`): a test that cannot read them fails. Measurements
+//! by others are not part of it. [`set`] looks for them in the folder that `DERMIS_DATA` names, or else in
 //! `tests/data/measured` and `../shared/data`. A test without its data calls [`skip`] (as [`set`] does) and returns;
 //! `scripts/test` counts it as skipped:
 //!

@@ -36,9 +36,9 @@ pub struct Tolerances {
     pub conductivity_length_share: f64,
     /// Thickness of the whole sheet, or depth of the liquid, relative.
     pub thickness_percent: f64,
-    /// The layer's response to pressure, relative. For a sandwich or patches: threshold, reference and saturation of the contact
-    /// law, each independently. For a bare sheet: modulus and pressure coefficient. For a liquid: the membrane's
-    /// tension.
+    /// The layer's response to pressure, relative. For a sandwich or patches: threshold, reference and saturation of
+    /// the contact law, each independently. For a bare sheet: modulus and pressure coefficient. For a liquid: the
+    /// membrane's tension.
     pub contact_law_percent: f64,
     /// Gain of each channel, relative.
     pub gain_percent: f64,
