@@ -1,9 +1,9 @@
-//! Where the tests of dermis find reference values and measured data, and how they say that these are missing.
+//! Finds reference values and measured data for the tests of dermis, and reports data that are missing.
 //!
-//! Reference values are part of the repository (`tests/data/oracle`): a test that cannot read them fails. Measured data
-//! of others are not; [`set`] finds those that are here, in the folder that `DERMIS_DATA` names or else in
-//! `tests/data/measured` and `../shared/data`. A test without its data calls [`skip`] (as [`set`] does), returns, and
-//! is counted as skipped by `scripts/test`:
+//! Reference values are part of the repository (`tests/data/oracle`): a test that cannot read them fails. Measurements
+//! by others are not part of it. [`set`] looks for them in the folder that `DERMIS_DATA` names, or else in
+//! `tests/data/measured` and `../shared/data`. A test without its data calls [`skip`] (as [`set`] does) and returns;
+//! `scripts/test` counts it as skipped:
 //!
 //! ```ignore
 //! let Some(folder) = dermis_testdata::set("hydrogel") else { return };
@@ -24,7 +24,7 @@ fn here() -> &'static Path {
 /// A file or folder of reference values, e.g. `"mit/spirals.json"`.
 ///
 /// # Panics
-/// If it is not there: the repository holds them all.
+/// If it doesn't exist: the repository contains them all.
 pub fn oracle(path: &str) -> PathBuf {
     let path = here().join("data/oracle").join(path);
     assert!(path.exists(), "{} is missing; the repository holds it", path.display());
@@ -40,7 +40,7 @@ pub fn oracle_text(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// What Zstandard compressed.
+/// Decompresses Zstandard data.
 fn unpacked(compressed: &[u8]) -> Result<Vec<u8>, String> {
     let mut decoder = ruzstd::decoding::StreamingDecoder::new(compressed).map_err(|error| error.to_string())?;
     let mut bytes = Vec::new();
@@ -48,10 +48,10 @@ fn unpacked(compressed: &[u8]) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// The folders of all EIDORS cases, by name.
+/// The folders of all EIDORS cases, sorted by name.
 ///
 /// # Panics
-/// If there is none.
+/// If there are no cases.
 pub fn eit_cases() -> Vec<PathBuf> {
     let root = oracle("eit");
     let entries = std::fs::read_dir(&root).unwrap_or_else(|error| panic!("{}: {error}", root.display()));
@@ -61,8 +61,8 @@ pub fn eit_cases() -> Vec<PathBuf> {
     cases
 }
 
-/// The stored Jacobian of a case of [`eit_cases`] for the conductivity `name` ("hom" or "wave"): row-major, a row for
-/// each measurement, a column for each element.
+/// The stored Jacobian of a case of [`eit_cases`] for the conductivity `name` ("hom" or "wave"): row-major, with a
+/// row per measurement and a column per element.
 ///
 /// # Panics
 /// If the file is missing or broken.
@@ -72,8 +72,8 @@ pub fn stored_jacobian(case: &Path, name: &str) -> Vec<f64> {
     from_planes(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Numbers whose bytes are stored in eight planes, that of the most significant bytes first, and compressed by
-/// Zstandard. Signs and exponents of neighbours are alike, so that planes are smaller than numbers.
+/// Reads numbers that are stored as eight planes of bytes, the most significant first, and compressed with Zstandard.
+/// Neighbouring numbers have similar signs and exponents, so planes compress better than whole numbers.
 fn from_planes(compressed: &[u8]) -> Result<Vec<f64>, String> {
     let planes = unpacked(compressed)?;
     if planes.is_empty() || !planes.len().is_multiple_of(8) {
@@ -83,11 +83,11 @@ fn from_planes(compressed: &[u8]) -> Result<Vec<f64>, String> {
     Ok((0..count).map(|k| f64::from_be_bytes(std::array::from_fn(|plane| planes[plane * count + k]))).collect())
 }
 
-/// The folder of a set of measured data ("golfball", "hydrogel", "ktc", "pyeidors-tank", "sciospec", "team7"), if every
-/// file that `tests/data/measured.tsv` lists for it is there with its size. Otherwise it calls [`skip`].
+/// The folder of a set of measured data ("golfball", "hydrogel", "ktc", "pyeidors-tank", "sciospec", "team7"), if
+/// every file that `tests/data/measured.tsv` lists for it exists with the listed size. Otherwise calls [`skip`].
 ///
 /// # Panics
-/// For a name that `tests/data/measured.tsv` does not have.
+/// For a name that is not in `tests/data/measured.tsv`.
 pub fn set(name: &str) -> Option<PathBuf> {
     match find(name, &roots(std::env::var_os("DERMIS_DATA").map(PathBuf::from))) {
         Ok(folder) => Some(folder),
@@ -98,7 +98,7 @@ pub fn set(name: &str) -> Option<PathBuf> {
     }
 }
 
-/// Where measured data may lie: the folder that the user names, or else the two usual ones.
+/// Folders to search for measured data: the one the user names, or else the two usual ones.
 fn roots(named: Option<PathBuf>) -> Vec<PathBuf> {
     match named {
         Some(folder) => vec![folder],
@@ -106,7 +106,7 @@ fn roots(named: Option<PathBuf>) -> Vec<PathBuf> {
     }
 }
 
-/// The first of these folders that holds the whole set; otherwise what the last one lacks.
+/// The first of these folders that has the complete set; otherwise the reason why the last one hasn't.
 fn find(name: &str, roots: &[PathBuf]) -> Result<PathBuf, String> {
     let rows = MEASURED.lines().filter(|line| !line.starts_with('#')).map(|line| line.split('\t').collect::<Vec<_>>());
     let files: Vec<(&str, u64)> =
@@ -127,17 +127,17 @@ fn find(name: &str, roots: &[PathBuf]) -> Result<PathBuf, String> {
     Err(format!("no measured data {name}: {reason} (scripts/fetch-data {name})"))
 }
 
-/// Says that the running test checks nothing, and why: a line `skipped: TEST: REASON` on standard output and, where
-/// `DERMIS_SKIPPED` names a file, at its end. `scripts/test` counts these tests as skipped. A test that has called this
-/// returns at once.
+/// Reports that the running test checks nothing, and why: prints a line `skipped: TEST: REASON` to standard output
+/// and, if `DERMIS_SKIPPED` names a file, appends it there. `scripts/test` counts these tests as skipped. After this
+/// call, a test must return at once.
 ///
 /// # Panics
-/// If the file that `DERMIS_SKIPPED` names cannot be written: the test would count as passed.
+/// If the file named by `DERMIS_SKIPPED` cannot be written: the test would count as passed.
 pub fn skip(reason: &str) {
     let line = line_of(&test_name(), reason);
     print!("{line}");
     if let Some(path) = std::env::var_os("DERMIS_SKIPPED") {
-        // One write at the end of the file: lines of tests that run side by side stay whole.
+        // Append in a single write, so that lines of concurrent tests stay whole.
         let file = OpenOptions::new().create(true).append(true).open(&path);
         let written = file.and_then(|mut file| file.write_all(line.as_bytes()));
         written.unwrap_or_else(|error| panic!("DERMIS_SKIPPED={}: {error}", path.display()));
@@ -148,7 +148,7 @@ fn line_of(test: &str, reason: &str) -> String {
     format!("skipped: {test}: {}\n", reason.replace(['\n', '\r'], " "))
 }
 
-/// The test as nextest names it, or the name of its thread.
+/// The test's name in nextest, or else the name of its thread.
 fn test_name() -> String {
     match (std::env::var("NEXTEST_BINARY_ID"), std::env::var("NEXTEST_TEST_NAME")) {
         (Ok(binary), Ok(test)) => format!("{binary} {test}"),
@@ -189,7 +189,7 @@ mod tests {
         std::fs::write(folder.path().join("golfball/phantom_A.csv"), "ref\n1\n").unwrap();
         let short = find("golfball", &roots).unwrap_err();
         assert!(short.contains("has 6 bytes, expected 11612"), "{short}");
-        // What is missing of one set is nothing to another.
+        // A file missing from one set doesn't affect another.
         std::fs::write(folder.path().join("golfball/phantom_A.csv"), vec![b'0'; 11612]).unwrap();
         assert_eq!(find("golfball", &roots).unwrap(), folder.path().join("golfball"));
         assert!(find("team7", &roots).is_err());
@@ -210,7 +210,7 @@ mod tests {
         assert_eq!(line_of("crate::a test", "no data\nat all"), "skipped: crate::a test: no data at all\n");
     }
 
-    /// Tests find data by this crate alone, so that none is passed over in silence.
+    /// Tests look for data only through this crate, so that none is skipped silently.
     #[test]
     fn no_test_looks_for_data_by_itself() {
         fn visit(folder: &Path, found: &mut Vec<PathBuf>) {

@@ -1,20 +1,20 @@
-//! A press that stays where it is: what was known of its place and radius before the baseline aged.
+//! A press that stays where it is: the position and radius it had before the baseline aged.
 //!
-//! A fit of a place, a radius and a load to a frame that has drifted trades one for the other. While the frame is
-//! consistent with the place and radius that the press had when the baseline was fresh, these are kept and the load is
-//! what remains: the posterior of the load given them, `l + C_la C_aa^-1 (a - x_a)`.
+//! A fit of position, radius and load to a frame that has drifted can trade one for the other. As long as the frame
+//! is consistent with the position and radius from when the baseline was fresh, these are kept, and only the load is
+//! estimated: its posterior given them, `l + C_la C_aa^-1 (a - x_a)`.
 
 use crate::press::Press;
 
-/// Largest squared Mahalanobis distance of an anchor that a press still has: 99 % of chi-squared with three degrees of
-/// freedom.
+/// Largest squared Mahalanobis distance between an anchor and its press: the 99 % quantile of chi-squared with three
+/// degrees of freedom.
 const SAME: f64 = 11.3;
-/// Frames that an anchor is the mean of, at most.
+/// Largest number of frames averaged in an anchor.
 const MOST_FRAMES: f64 = 50.0;
-/// A press that moves by more than this share of its radius begins another anchor.
+/// A press that moves by more than this share of its radius gets a new anchor.
 const MOVED_RADII: f64 = 0.3;
 
-/// Place and radius of a press while its baseline was fresh.
+/// Position and radius of a press while its baseline was fresh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anchor {
     position_m: [f64; 2],
@@ -23,18 +23,18 @@ pub struct Anchor {
 }
 
 impl Anchor {
-    /// At a press.
+    /// A new anchor at a press.
     pub fn at(press: &Press) -> Self {
         Self { position_m: press.position_m, log_radius: press.radius_m.ln(), frames: 1.0 }
     }
 
-    /// Whether a press may be this one.
+    /// True if a press could be this one.
     pub fn is_near(&self, press: &Press) -> bool {
         let [x, y] = press.position_m;
         (x - self.position_m[0]).hypot(y - self.position_m[1]) <= press.radius_m.max(self.log_radius.exp())
     }
 
-    /// Takes in a press of a frame with a fresh baseline.
+    /// Updates the anchor with a press from a frame with a fresh baseline.
     pub fn learn(&mut self, press: &Press) {
         let [x, y] = press.position_m;
         if (x - self.position_m[0]).hypot(y - self.position_m[1]) > MOVED_RADII * press.radius_m {
@@ -47,7 +47,7 @@ impl Anchor {
         self.log_radius += share * (press.radius_m.ln() - self.log_radius);
     }
 
-    /// The press given its anchor, where the frame allows that.
+    /// The press given its anchor, if the frame is consistent with it.
     pub fn hold(&self, press: &Press) -> Option<Press> {
         let c = &press.covariance;
         // x, y and the logarithm of the radius.
@@ -72,7 +72,7 @@ impl Anchor {
     }
 }
 
-/// `A^-1 b` of a symmetric matrix by cofactors; none where it is singular.
+/// `A^-1 b` for a symmetric matrix, by cofactors; `None` if it is singular.
 fn solve(a: [[f64; 3]; 3], b: [f64; 3]) -> Option<[f64; 3]> {
     let minor = |r: usize, c: usize| {
         let (r1, r2, c1, c2) = ((r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3);
@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn a_wide_and_weak_press_is_the_narrow_and_strong_one_that_it_was() {
         let fresh = Press { position_m: [0.01, 0.0], radius_m: 0.01, load: 1.0, ..Press::default() };
-        // Load and radius trade: twenty per cent wider is forty per cent weaker.
+        // Load and radius trade off: twenty per cent wider is forty per cent weaker.
         let mut covariance = [[0.0; 4]; 4];
         (0..2).for_each(|axis| covariance[axis][axis] = 1e-8);
         (covariance[3][3], covariance[2][3], covariance[3][2], covariance[2][2]) = (0.04, -0.08, -0.08, 0.161);

@@ -1,48 +1,49 @@
-//! How many presses explain a frame.
+//! Decides how many presses explain a frame.
 
 use std::f64::consts::PI;
 
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press, PressFit};
 
-/// Presses cannot overlap: nearer than this share of the sum of their radii they are one.
+/// Presses cannot overlap: two that are nearer than this share of the sum of their radii are one.
 const LEAST_APART: f64 = 1.0;
-/// A press whose own significance exceeds its threshold by this factor need not be left out to know that it is there.
+/// A press whose own significance exceeds the threshold by this factor is kept without a refit that leaves it out.
 const CLEARLY: f64 = 2.0;
-/// Largest load. An inclusion answers at most like 2 (it insulates, or conducts without limit); twice that leaves room
-/// for gains that the file does not know.
+/// Largest load. An inclusion that insulates or conducts perfectly responds like at most 2; twice that leaves room
+/// for gains that the file doesn't know.
 const MOST_LOAD: f64 = 4.0;
-/// Least significance of the strength of one press among several, by the fit's own covariance.
+/// Least significance of the strength of one press among several, from the fit's own covariance.
 const LEAST_SIGNIFICANT: f64 = 2.0;
-/// The first press is looked for where the matched filter promises this share of its threshold, squared.
+/// The first press is looked for only if the gain of the matched filter reaches this share of the squared threshold.
 const PROMISING: f64 = 0.6;
-/// Presses that are added in a row before the evidence of all of them is judged.
+/// Number of presses added in a row before the evidence for all of them is judged.
 const LOOKAHEAD: usize = 3;
-/// Radius of the halves of a split press, in its radii.
+/// Initial radius of the halves of a split press, in its radii.
 const HALF_RADIUS: f64 = 0.7;
-/// Directions in which one press is split into two, and how far apart its halves start, in radii.
+/// Number of directions in which a press is split, and initial distance of each half from its centre, in its radii.
 const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
-/// Presses that are split, the strongest.
+/// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// After further presses were tried in vain, so many frames pass before they are tried again, unless the residual grows.
+/// After a failed search for further presses, wait this many frames before the next, unless the residual grows by
+/// this factor.
 const WAIT_FRAMES: u32 = 8;
 const GROWN: f64 = 1.5;
 
-/// What explains a frame.
+/// The explanation of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Estimate {
-    /// The presses, the strongest first.
+    /// The presses, strongest first.
     pub presses: Vec<Press>,
-    /// How sure each press is there, in standard deviations.
+    /// Evidence for each press, in standard deviations.
     pub evidence: Vec<f64>,
-    /// Share of the frame's energy beyond the noise that the presses and nuisances leave, 0 to 1.
+    /// Share of the frame's energy above the noise that presses and nuisances leave unexplained, 0 to 1.
     pub unexplained: f64,
-    /// The frame is noise and a uniform change, as far as its energy tells.
+    /// True if the frame's energy is consistent with noise and a uniform change.
     pub is_at_rest: bool,
 }
 
-/// Explains one frame after the other by presses.
+/// Explains frames one after the other by presses.
 #[derive(Clone, Debug)]
 pub struct Estimator<F> {
     fit: F,
@@ -54,7 +55,7 @@ pub struct Estimator<F> {
     is_unhurried: bool,
 }
 
-/// A set of presses and what its fit leaves.
+/// A set of presses and the cost of its fit.
 #[derive(Clone, Debug)]
 struct Explanation {
     presses: Vec<Press>,
@@ -62,29 +63,30 @@ struct Explanation {
 }
 
 impl<F: PressFit> Estimator<F> {
-    /// With this fit and these thresholds. `negative`: presses may lower what they usually raise.
+    /// An estimator with this fit and these thresholds. With `negative`, presses may also lower what they usually
+    /// raise.
     pub fn new(fit: F, evidence: Evidence, negative: bool) -> Self {
         Self { fit, evidence, negative, last: Vec::new(), wait: 0, in_vain_at: f64::INFINITY, is_unhurried: false }
     }
 
-    /// What fits the presses.
+    /// The fit of presses.
     pub fn fit_mut(&mut self) -> &mut F {
         &mut self.fit
     }
 
-    /// The next frame has nothing to do with the last.
+    /// Forgets the last frame: the next is unrelated to it.
     pub fn forget(&mut self) {
         self.last.clear();
         (self.wait, self.in_vain_at) = (0, f64::INFINITY);
     }
 
-    /// From now on every frame is looked at for as long as it takes.
+    /// From now on, spends as much time on each frame as it needs.
     pub fn take_time(&mut self) {
         self.is_unhurried = true;
     }
 
-    /// Explains a frame (volts of the model); `None` where it cannot be fitted. `hints` are presses to try first where
-    /// nothing is known from the last frame.
+    /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
+    /// frame had none.
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
         let null = self.fit.take_frame(frame)?;
         let mut best = Explanation { presses: Vec::new(), cost: null };
@@ -112,7 +114,7 @@ impl<F: PressFit> Estimator<F> {
         Estimate { evidence, unexplained: best.cost.unexplained(), is_at_rest: null.is_noise(), presses: best.presses }
     }
 
-    /// An explanation with as many presses more as the frame asks for.
+    /// Adds as many presses to an explanation as the frame supports.
     fn grown(&mut self, mut best: Explanation, null: &Cost, hints: &[Press]) -> Explanation {
         while best.presses.len() < self.fit.most_presses() {
             let Some(more) = self.with_more(&best, null, hints) else { break };
@@ -121,8 +123,8 @@ impl<F: PressFit> Estimator<F> {
         best
     }
 
-    /// Explains the frame of the last [`Estimator::explain`] by presses of which some may have a negative load: those that
-    /// the baseline holds and that have gone. Nothing is remembered for the next frame.
+    /// Explains the frame of the last [`Estimator::explain`] again, also allowing presses with a negative load:
+    /// presses that are part of the baseline and have ended. Keeps nothing for the next frame.
     pub fn explain_with_gone(&mut self) -> Option<Estimate> {
         let negative = std::mem::replace(&mut self.negative, true);
         let estimate = self.explain_from_nothing();
@@ -148,14 +150,14 @@ impl<F: PressFit> Estimator<F> {
         is_possible && self.fit.is_inside(press.position_m)
     }
 
-    /// Whether the place of a press among so many is known at all: one whose place is not makes up for what others do not
-    /// explain, or for drift.
+    /// True if the position of one press among `count` is determined at all. A press without a definite position
+    /// compensates for drift, or for what the other presses leave unexplained.
     fn is_placed(&self, press: &Press, count: usize) -> bool {
         press.place_sigma_m() <= self.fit.most_sigma_m() && (count == 1 || press.significance() >= LEAST_SIGNIFICANT)
     }
 
-    /// Standard deviations by which a press of an explanation is there; of one beside others, from the fit's own
-    /// covariance.
+    /// Significance of a press in an explanation, in standard deviations. For one press among several it comes from
+    /// the fit's own covariance.
     fn sureness(&self, press: &Press, of: &Explanation, null: &Cost) -> f64 {
         match of.presses.len() {
             1 => Evidence::of(null, &of.cost, true),
@@ -163,7 +165,7 @@ impl<F: PressFit> Estimator<F> {
         }
     }
 
-    /// An explanation without the presses that it does not need.
+    /// Removes the presses that an explanation doesn't need.
     fn without_superfluous(&mut self, mut of: Explanation, null: &Cost) -> Explanation {
         while !of.presses.is_empty() {
             let is_sound = |press: &Press| self.may_be(press) && self.is_placed(press, of.presses.len());
@@ -207,14 +209,14 @@ impl<F: PressFit> Estimator<F> {
         None
     }
 
-    /// An explanation with more presses, if the frame asks for them.
+    /// An explanation with more presses, if the frame supports them.
     fn with_more(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let is_first = best.presses.is_empty();
         if !is_first && self.wait > 0 && best.cost.residual < GROWN * self.in_vain_at {
             self.wait -= 1;
             return None;
         }
-        // Even presses that leave nothing but noise could not be told from chance.
+        // If even a perfect fit with more presses would be within chance, don't search.
         let perfect = Cost { residual: best.cost.freedom, ..best.cost };
         let is_chance = Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin
             || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
@@ -225,8 +227,9 @@ impl<F: PressFit> Estimator<F> {
         found
     }
 
-    /// The best-supported explanation that grows out of this one: with a press where the residual asks for it, up to
-    /// [`LOOKAHEAD`] in a row, since two may be needed where one explains nothing; with a press split; with the hints.
+    /// The best-supported explanation that extends this one: with a press where the residual suggests it, up to
+    /// [`LOOKAHEAD`] in a row, since two may be needed where one explains nothing; with one press split in two; or
+    /// with the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let room = self.fit.most_presses() - best.presses.len();
         let mut found: Vec<Explanation> = Vec::new();
@@ -279,13 +282,13 @@ impl<F: PressFit> Estimator<F> {
         most
     }
 
-    /// Whether all presses may be where they are, and do not overlap.
+    /// True if all presses are possible where they are and none overlap.
     fn is_possible(&self, of: &Explanation) -> bool {
         let is_sound = |press| self.may_be(press) && self.is_placed(press, of.presses.len());
         of.presses.iter().all(is_sound) && self.overlapping(&of.presses).is_none()
     }
 
-    /// Whether each press more is worth its threshold.
+    /// True if the evidence for the added presses exceeds their threshold.
     fn is_supported(&self, more: &Explanation, best: &Explanation) -> bool {
         let Some(added) = more.presses.len().checked_sub(best.presses.len()).filter(|added| *added > 0) else {
             return false;
@@ -294,7 +297,8 @@ impl<F: PressFit> Estimator<F> {
         support >= self.evidence.begin * (added as f64).sqrt()
     }
 
-    /// One press where the matched filter has it, where no fit stays on the skin but something is there.
+    /// A single press at the maximum of the matched filter, for frames that clearly contain something but whose fits
+    /// all leave the skin.
     fn roughly(&mut self, null: &Cost) -> Option<Explanation> {
         self.fit.fit_nothing()?;
         let peak = self.fit.seek(self.negative).first()?.press;
@@ -307,7 +311,7 @@ impl<F: PressFit> Estimator<F> {
         is_there.then_some(of)
     }
 
-    /// Where the residual of an explanation asks for one more press.
+    /// Presses suggested by the residual of an explanation.
     fn peaks(&mut self, best: &Explanation) -> Vec<Press> {
         if !best.presses.is_empty() && self.fit.fit(&best.presses, Effort::Quick).is_none() {
             return Vec::new();
@@ -318,7 +322,7 @@ impl<F: PressFit> Estimator<F> {
         self.fit.seek(self.negative).into_iter().map(|found| found.press).collect()
     }
 
-    /// One press split in a direction; none where a half would lie off the skin.
+    /// Splits one press in a direction; `None` if a half would be off the skin.
     fn split(&self, presses: &[Press], k: usize, direction: usize) -> Option<Vec<Press>> {
         let press = presses[k];
         let angle = PI * direction as f64 / DIRECTIONS as f64;

@@ -1,9 +1,9 @@
-//! What explains a frame: presses, how many there are, where each is and how sure that is.
+//! Explains a frame by presses: how many there are, where each is, and how certain that is.
 //!
-//! A frame is the change of a skin's channels since its baseline. A [`PressFit`] knows one kind of skin: it fits a given
-//! number of presses to a frame together with the nuisances (a uniform change of the skin), and proposes where one more
-//! would help. The [`Estimator`] knows no kind of skin: it decides by evidence how many presses there are, starts from
-//! those of the last frame, and lets presses be born, split and die by the same rule.
+//! A frame is the change of a skin's channels since its baseline. A [`PressFit`] knows one kind of skin: it fits a
+//! given number of presses to a frame, together with the nuisances (a uniform change of the skin), and proposes where
+//! one more would help. The [`Estimator`] is independent of the kind of skin: it decides by evidence how many presses
+//! there are and starts from those of the last frame. One rule decides when presses begin, split and end.
 //!
 //! The crate opens no files, reads no clock and knows no image format.
 

@@ -1,26 +1,26 @@
-//! A press, and what fits presses to frames.
+//! A press, and the interface for fitting presses to frames.
 
 /// A press with its posterior.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Press {
-    /// Its middle in the skin's frame, metres.
+    /// Centre in the skin's frame, metres.
     pub position_m: [f64; 2],
-    /// Its radius, metres; what a radius is of depends on the response.
+    /// Radius, metres; its exact meaning depends on the response.
     pub radius_m: f64,
-    /// How much it changes the skin at its middle, in the response's unit; negative for a press that the baseline holds
-    /// and that has gone.
+    /// Change of the skin at the centre, in the response's unit. Negative for a press that is part of the baseline
+    /// and has ended.
     pub load: f64,
-    /// Covariance of x, y (metres), load and logarithm of the radius.
+    /// Covariance of x, y (metres), load and the logarithm of the radius.
     pub covariance: [[f64; 4]; 4],
 }
 
 impl Press {
-    /// Load times the square of the radius, which frames determine far better than either.
+    /// Load times the square of the radius. Frames determine it far better than either factor.
     pub fn strength(&self) -> f64 {
         self.load * self.radius_m * self.radius_m
     }
 
-    /// Standard deviation of the place, both coordinates together, metres.
+    /// Standard deviation of the position, both coordinates combined, metres.
     pub fn place_sigma_m(&self) -> f64 {
         (self.covariance[0][0] + self.covariance[1][1]).sqrt()
     }
@@ -30,7 +30,7 @@ impl Press {
         (self.position_m[0] - other.position_m[0]).hypot(self.position_m[1] - other.position_m[1])
     }
 
-    /// The strength over its standard deviation.
+    /// Ratio of the strength to its standard deviation.
     pub fn significance(&self) -> f64 {
         let c = &self.covariance;
         // ln |strength| = ln |load| + 2 ln radius.
@@ -41,33 +41,33 @@ impl Press {
     }
 }
 
-/// What a fit leaves of a frame.
+/// Residual of a fit, and the numbers to judge it by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
-    /// Sum of squares of the whitened residual, with the priors.
+    /// Sum of squares of the whitened residual, including the priors.
     pub residual: f64,
-    /// The same of the whole frame.
+    /// Sum of squares of the whole whitened frame.
     pub energy: f64,
     /// Degrees of freedom: independent whitened readings.
     pub freedom: f64,
-    /// What the model of the presses is known to leave of such a frame beyond the noise; 0 without presses.
+    /// Energy beyond the noise that the model of presses is known to leave in such a frame; 0 without presses.
     pub model_error: f64,
 }
 
-/// Mean square of what noise alone leaves, at most: it is known to a third from 32 frames at rest.
+/// Largest mean square of a residual that counts as noise. The noise level, from 32 frames at rest, is only known to
+/// a third.
 const MOST_NOISE: f64 = 1.5;
 
-/// Mean square from which what is left of a weak frame is more than noise.
+/// Mean square above which the residual of a weak frame counts as more than noise.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
 
 impl Cost {
-    /// Whether noise explains what is left.
+    /// True if the residual is consistent with noise.
     pub fn is_noise(&self) -> bool {
         self.residual <= MOST_NOISE * self.freedom
     }
 
-    /// Share of the frame's energy beyond the noise that is left beyond the noise, 0 to 1; 0 where what is left may be
-    /// noise.
+    /// Share of the frame's energy above the noise that is left unexplained, 0 to 1; 0 if the residual may be noise.
     pub fn unexplained(&self) -> f64 {
         if self.residual <= UNEXPLAINED_BY_NOISE * self.freedom {
             return 0.0;
@@ -80,58 +80,58 @@ impl Cost {
     }
 }
 
-/// Where one more press would help.
+/// A press that would improve the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Proposal {
-    /// A start for its fit.
+    /// Start for its fit.
     pub press: Press,
-    /// By how much it lowers the residual while the others stay as they are.
+    /// Drop in the residual if the others stay as they are.
     pub gain: f64,
 }
 
-/// How exactly presses are fitted.
+/// How thoroughly presses are fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
-    /// As if channels changed in proportion to loads: while explanations are compared with each other.
+    /// With a linear response, for comparing explanations.
     Quick,
-    /// By the whole model.
+    /// With the full model.
     Full,
 }
 
-/// Fits presses to the frames of one skin, in memory of its own.
+/// Fits presses to the frames of one skin, with its own working memory.
 pub trait PressFit {
-    /// Takes up a frame (volts of the model, all finite), and fits the nuisances alone. `None` where the frame cannot be
-    /// fitted: another length, or values that are not finite.
+    /// Takes a frame (model volts, all finite) and fits only the nuisances. `None` if the frame cannot be fitted: the
+    /// wrong length, or values that are not finite.
     fn take_frame(&mut self, frame: &[f64]) -> Option<Cost>;
 
-    /// Fits presses from these starts to the frame taken up last. `None` where they cannot be fitted.
+    /// Fits presses from these starts to the last frame taken. `None` if they cannot be fitted.
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost>;
 
-    /// Fits the loads of presses that stay where they are, each with its radius.
+    /// Fits only the loads of presses, at fixed positions and radii.
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost>;
 
-    /// Whether [`Effort::Quick`] and [`Effort::Full`] differ.
+    /// True if [`Effort::Quick`] and [`Effort::Full`] differ.
     fn has_quick_fit(&self) -> bool;
 
-    /// The presses of the last fit, in the order of its starts.
+    /// The presses of the last fit, in the order of their starts.
     fn presses(&self) -> Vec<Press>;
 
-    /// Goes back to the frame as it was taken up, without presses.
+    /// Returns to the frame as taken, without presses.
     fn fit_nothing(&mut self) -> Option<Cost>;
 
-    /// Places where one more press explains most of what the last fit has left, the best first; of either sign where
-    /// `negative` is set.
+    /// Presses that would explain most of the last fit's residual, the best first; of either sign if `negative` is
+    /// set.
     fn seek(&self, negative: bool) -> Vec<Proposal>;
 
-    /// By how much the best of these lowers the residual, without making a list of them.
+    /// Gain of the best of these proposals, without listing them.
     fn most_gain(&self, negative: bool) -> f64;
 
-    /// Whether a place is on the skin.
+    /// True if a position is on the skin.
     fn is_inside(&self, position_m: [f64; 2]) -> bool;
 
-    /// Largest standard deviation of the place of a press, metres.
+    /// Largest acceptable standard deviation of the position of a press, metres.
     fn most_sigma_m(&self) -> f64;
 
-    /// Most presses that can be fitted together.
+    /// Largest number of presses that can be fitted together.
     fn most_presses(&self) -> usize;
 }

@@ -1,4 +1,4 @@
-//! Presses on sheets, separate patches and under membranes: smooth spots of changed conductance.
+//! Presses on sheets, separate patches and under membranes, as smooth spots of changed conductance.
 
 use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotProposal};
 use dermis_tomo::mesh::PixelGrid;
@@ -19,8 +19,8 @@ pub struct SpotFit {
 }
 
 impl SpotFit {
-    /// Of a model, on the pixels of a grid (row by row) that lie on the skin. `error_share` is the share of a frame's
-    /// energy that the model leaves of usual presses.
+    /// A fit with this model, on the pixels of a grid (row by row) that are on the skin. `error_share` is the share
+    /// of the energy that the model leaves unexplained in a frame with typical presses.
     pub fn new(model: SpotModel, grid: PixelGrid, inside: Vec<bool>, error_share: f64) -> Self {
         let is_inside = |place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]);
         let filter = model.filter(is_inside);
@@ -28,7 +28,7 @@ impl SpotFit {
         Self { model, filter, scratch, starts: Vec::new(), uniform: 0.0, error_share, grid, inside }
     }
 
-    /// Goes on with another weighting of the same responses.
+    /// Continues with differently weighted responses.
     pub fn set_model(&mut self, model: SpotModel, error_share: f64) {
         self.error_share = error_share;
         let (grid, inside) = (&self.grid, &self.inside);
@@ -37,7 +37,7 @@ impl SpotFit {
         self.model = model;
     }
 
-    /// What these presses change the channels by, volts.
+    /// Change of the channels by these presses, volts.
     pub fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
         self.starts.clear();
         self.starts.extend(presses.iter().map(spot));
@@ -118,7 +118,7 @@ impl PressFit for SpotFit {
     }
 
     fn most_sigma_m(&self) -> f64 {
-        // An eighth of half the shorter side.
+        // About an eighth of half the shorter side.
         self.model.options().typical_radius_m
     }
 

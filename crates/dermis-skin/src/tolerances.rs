@@ -1,7 +1,7 @@
-//! Errors of a workshop: how far skins as built are from their files.
+//! Tolerances of a workshop: how far a skin as built may be from its file.
 //!
-//! The defaults are assumptions of what care with hand tools, laser cutters and printers leaves. A skin file states its
-//! own in `[tolerances]`.
+//! The defaults are assumptions about careful work with hand tools, laser cutters and printers. A skin file can state
+//! its own in `[tolerances]`.
 
 mod dice;
 mod electrodes;
@@ -18,40 +18,42 @@ use crate::check::Checker;
 use crate::error::Error;
 use crate::parts::read_skin_text;
 
-/// How much a workshop gets wrong. All are standard deviations unless they say otherwise.
+/// Manufacturing tolerances. All are standard deviations unless noted otherwise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tolerances {
-    /// Place of each electrode, along the rim, or along x and y for pads under the sheet. Electrodes stay on the sheet
-    /// and apart.
+    /// Position of each electrode along the rim, or along x and y for pads under the sheet. Electrodes stay on the
+    /// sheet and apart.
     pub electrode_place_mm: f64,
     /// Width of each electrode, relative.
     pub electrode_width_percent: f64,
-    /// Contact impedance of each electrode: two in three lie within this factor of the file's, up or down (log-normal).
+    /// Contact impedance of each electrode (log-normal): two in three are within this factor of the file's, up or
+    /// down.
     pub contact_impedance_factor: f64,
-    /// Conductivity from place to place (log-normal), a random field with Gaussian correlation.
+    /// Local conductivity (log-normal): a random field with Gaussian correlation.
     pub conductivity_percent: f64,
-    /// Correlation length of that field, as a share of the skin's shorter side: the distance L of
-    /// `exp(-d^2 / (2 L^2))`.
+    /// Correlation length of that field, as a share of the skin's shorter side: the L of `exp(-d^2 / (2 L^2))`.
     pub conductivity_length_share: f64,
     /// Thickness of the whole sheet, or depth of the liquid, relative.
     pub thickness_percent: f64,
-    /// How the layer answers pressure, relative: threshold, reference and saturation of the contact law, each on its
-    /// own; of a bare sheet modulus and pressure coefficient; of a liquid the membrane's tension.
+    /// The layer's response to pressure, relative. For a sandwich or patches: threshold, reference and saturation of
+    /// the contact law, each independently. For a bare sheet: modulus and pressure coefficient. For a liquid: the
+    /// membrane's tension.
     pub contact_law_percent: f64,
     /// Gain of each channel, relative.
     pub gain_percent: f64,
-    /// Noise of the whole instrument (log-normal), about that of the skin file's electronics.
+    /// Noise of the whole instrument (log-normal), relative to the electronics in the skin file.
     pub noise_percent: f64,
-    /// One electrode or coil, taken at random, has no contact. Its channels are left out, as a running skin does once
-    /// it has found it.
+    /// One random electrode or coil has no contact. Its channels are left out, as in a running skin that has detected
+    /// the fault.
     pub bad_electrode: bool,
-    /// Place of each coil along x and y. Coils stay clear of each other.
+    /// Position of each coil along x and y. Coils stay clear of each other.
     pub coil_place_mm: f64,
-    /// Height of each element at rest. Left out: 0.3 mm and the skin file's own `height_tolerance_mm`, squares added.
+    /// Height of each element at rest. Default: 0.3 mm and the skin file's own `height_tolerance_mm`, added in
+    /// quadrature.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element_height_mm: Option<f64>,
-    /// Stiffness of the elements' springs, all alike, relative.
+    /// Stiffness of the elements' springs, the same error for all, relative.
     pub stiffness_percent: f64,
 }
 
@@ -76,7 +78,7 @@ impl Default for Tolerances {
 }
 
 impl Tolerances {
-    /// Nothing goes wrong.
+    /// Zero tolerances: a skin built exactly as drawn.
     pub fn none() -> Self {
         Self {
             electrode_place_mm: 0.0,
@@ -95,7 +97,7 @@ impl Tolerances {
         }
     }
 
-    /// Reads a TOML file of tolerances. Keys that it leaves out have their defaults.
+    /// Reads a TOML file of tolerances. Missing keys have their defaults.
     ///
     /// # Errors
     /// No such file; unknown keys; values out of range, with key and value.
@@ -104,7 +106,7 @@ impl Tolerances {
         Self::parse(&text, path)
     }
 
-    /// As [`Tolerances::read`], of a text; `path` is for messages.
+    /// Like [`Tolerances::read`], from a string; `path` is for messages.
     ///
     /// # Errors
     /// As [`Tolerances::read`].
@@ -118,7 +120,7 @@ impl Tolerances {
         Ok(read)
     }
 
-    /// Checks the ranges; `table` stands before the keys in errors.
+    /// Checks the ranges; `table` is the prefix of the keys in errors.
     pub(crate) fn check(&self, table: &str, checker: &Checker<'_>) -> Result<(), Error> {
         let ranges = [
             ("electrode_place_mm", self.electrode_place_mm, [0.0, 50.0]),
@@ -139,12 +141,12 @@ impl Tolerances {
             .try_for_each(|(key, value, [least, most])| checker.within(&format!("{table}{key}"), value, least, most))
     }
 
-    /// Whether they are the usual ones, which files need not state.
+    /// True for the defaults, which files need not state.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }
 
-    /// As a file that [`Tolerances::read`] takes.
+    /// A file that [`Tolerances::read`] accepts.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_default()
     }

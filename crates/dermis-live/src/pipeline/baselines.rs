@@ -1,4 +1,4 @@
-//! The pipeline's baselines: learnt from frames, given, or taken up again, and what follows from a new one.
+//! The pipeline's baselines: learnt from frames, given by the user, or reused, and the consequences of a new one.
 
 use dermis_device::FrameTable;
 use dermis_touch::{BaselineState, ReferenceOrigin, ReferenceRecord, TareGuard};
@@ -12,34 +12,34 @@ use crate::reference::{MeasuredNoise, Reference};
 use crate::stages::gone::Gone;
 use crate::stages::health::HealthStage;
 
-/// Frames that make the baseline after a press has gone from it.
+/// Number of frames averaged for the new baseline after a press in the old one has ended.
 const GONE_FRAMES: usize = 8;
 
 impl Pipeline {
-    /// Takes the mean of the next frames as the new baseline.
+    /// Starts to take the mean of the next frames as the new baseline. Returns their number.
     ///
     /// # Errors
-    /// While touched, unless forced.
+    /// If the skin is touched, unless forced.
     pub fn tare(&mut self, force: bool, reason: &str) -> Result<usize, Error> {
         let guard = if force { TareGuard::Force } else { TareGuard::RefuseUnderLoad };
         self.baseline.tare(TARE_FRAMES, guard, reason)?;
         Ok(TARE_FRAMES)
     }
 
-    /// Takes up a baseline that was in use before, by its place in [`Pipeline::baseline_records`].
+    /// Reuses an earlier baseline, given by its index in [`Pipeline::baseline_records`].
     ///
     /// # Errors
-    /// A number without a baseline whose values are kept.
+    /// An index without a baseline whose values are kept.
     pub fn reuse_baseline(&mut self, record: usize, reason: &str) -> Result<(), Error> {
         self.baseline.reuse(self.timing.clock.time_ns(), record, reason)?;
         self.use_baseline((0, self.timing.frames))
     }
 
-    /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the
-    /// channels at rest, in place of learning one from the first frames.
+    /// Continues from an earlier baseline instead of learning one from the first frames: one value per channel of the
+    /// protocol, with the noise of the channels at rest.
     ///
     /// # Errors
-    /// Another number of channels than the skin's, or a baseline that does not fit its model.
+    /// The wrong number of channels for the skin, or a baseline that does not fit its model.
     pub fn restore_baseline(
         &mut self,
         record: ReferenceRecord,
@@ -50,12 +50,12 @@ impl Pipeline {
         self.use_baseline((0, self.timing.frames))
     }
 
-    /// Goes on from frames of the untouched skin, in place of learning the baseline from the first frames that come.
-    /// Their mean is the baseline, and from 8 frames on their scatter is the noise, which is else the one that the skin
-    /// file assumes.
+    /// Starts from frames of the untouched skin instead of learning the baseline from the first live frames. Their
+    /// mean is the baseline. The scatter of 8 frames or more gives the noise; with fewer, it is the value that the
+    /// skin file assumes.
     ///
     /// # Errors
-    /// A table that does not hold the skin's channels, or one without readings.
+    /// A table without the skin's channels, or one without readings.
     pub fn set_baseline(&mut self, table: &FrameTable) -> Result<(), Error> {
         let file = table.source().display().to_string();
         let reads = self.prepared.skin.backend.reads;
@@ -69,14 +69,14 @@ impl Pipeline {
         self.restore_baseline(record, &baseline, &as_measured)
     }
 
-    /// Corrects the baseline by presses that it holds and that have gone.
+    /// Removes presses from the baseline that have ended.
     pub(super) fn correct_baseline(&mut self) -> Result<(), Error> {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         let Running { reference, reconstructor } = &mut **running;
         let as_measured = |volts: &[f64]| -> Vec<f64> {
             volts.iter().zip(&reference.scale).map(|(volts, scale)| volts / scale).collect()
         };
-        // A watch for damage judges negative changes by itself.
+        // With a watch for damage, the watch judges negative changes itself.
         if self.damage.is_some() || self.levels.is_some() {
             return Ok(());
         }
@@ -84,7 +84,7 @@ impl Pipeline {
         match reconstructor.refinement.gone() {
             None => {}
             Some(Gone::BesideOthers(volts)) => self.baseline.shift(as_measured(volts).into_iter()),
-            // A search for touches under way would stop a tare that heeds the load.
+            // A search for touches in progress would block a tare that refuses under load, hence the force.
             Some(Gone::Alone) if self.baseline.state() == BaselineState::Ready && !is_touched => {
                 self.baseline.tare(GONE_FRAMES, TareGuard::Force, "a press that the baseline held has gone")?;
             }
@@ -93,8 +93,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before, and the first
-    /// one to that of later frames.
+    /// Uses the baseline just learnt. If a tare gave an unusable one, the baseline before it is used again; if the
+    /// first one is unusable, a new one is learnt from later frames.
     pub(super) fn use_new_baseline(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
         let Err(error) = self.use_baseline(at) else { return Ok(()) };
         let Some(before) = self.baseline.records().len().checked_sub(2).filter(|_| self.is_running()) else {
@@ -104,20 +104,20 @@ impl Pipeline {
         tracing::warn!("{reason}");
         self.baseline.reuse(time_ns, before, &reason)?;
         match self.use_baseline(at) {
-            // Not even with the baseline of before, since all channels are left out: its reference stays.
+            // Even the earlier baseline is unusable, since all channels are left out: keep its reference.
             Err(Error::Frames { .. }) => Ok(()),
             used => used,
         }
     }
 
-    /// Frames that give no baseline, such as those of an instrument whose electrodes are not connected yet, are
-    /// waited out; what no frames can mend is an error.
+    /// Waits for better frames if the first ones give no baseline, for example because the electrodes are not
+    /// connected yet. An error that no frames can fix is returned.
     fn start_over(&mut self, error: Error) -> Result<(), Error> {
         if !matches!(error, Error::Frames { .. }) {
             return Err(error);
         }
         let times = self.useless_starts.0 + 1;
-        // Said at once, and then more and more seldom.
+        // Warn at once, and then less and less often.
         if times.is_power_of_two() {
             tracing::warn!(times, "the first frames gave no baseline, waiting for others: {error}");
         }
@@ -129,12 +129,12 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Why there is no baseline yet, where frames came from which none could be made; told once.
+    /// The reason why there is no baseline yet, if frames came but gave none; reported once.
     pub fn take_start_problem(&mut self) -> Option<Error> {
         self.useless_starts.1.take().filter(|_| !self.is_running())
     }
 
-    /// A new baseline stands: it is matched to the model, and the watches for damage are told.
+    /// Puts a new baseline into use: matches it to the model and informs the watches for damage.
     pub(super) fn use_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
         self.match_baseline(at)?;
         let State::Running(running) = &mut self.state else { return Ok(()) };
@@ -144,7 +144,7 @@ impl Pipeline {
         }
         if let Some(damage) = &mut self.damage {
             damage.set_baseline(&self.baseline, running.reconstructor.imager.noise_image());
-            // Touches are fitted to the sheet with the cuts that the baseline includes.
+            // Fit touches to the sheet with the cuts that the baseline includes.
             running.reconstructor.refinement.set_cuts(self.timing.clock.time_ns(), &damage.cuts());
         }
         Ok(())

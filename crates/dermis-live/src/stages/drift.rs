@@ -1,39 +1,41 @@
-//! Drift since the baseline was last brought up to date, as a covariance that grows with time.
+//! Drift since the last update of the baseline, as a covariance that grows with time.
 //!
-//! While something touches a skin its baseline stands still, and instrument, temperature and contacts go on drifting.
-//! What they do to a frame is no press; how large it may be is known. A frame's covariance is the noise plus this, and
-//! the presses are fitted under it: what drift explains as well as a press does not move the press.
+//! While something touches a skin its baseline is frozen, but instrument, temperature and contacts go on drifting.
+//! The effect of drift on a frame is no press, and its possible size is known. The covariance of a frame is the noise
+//! plus the drift, and presses are fitted under it: a change that drift explains as well as a press does not move the
+//! press.
 
 use dermis_tomo::mesh::{Contact, Electrode, ElectrodedMesh};
 
 use crate::prepare::Prepared;
 
-/// Gain of each channel by itself, share of its voltage a second: 0.3 % in ten minutes.
+/// Independent gain drift of each channel, as a share of its voltage per second: 0.3 % in ten minutes.
 const CHANNEL_PER_S: f64 = 5e-6;
-/// Conductance at each electrode, share a second: 1 % in ten minutes.
+/// Drift of the conductance at each electrode, share per second: 1 % in ten minutes.
 const ELECTRODE_PER_S: f64 = 1.7e-5;
-/// Conductance near an electrode counts as its contact within this many of its own sizes.
+/// Conductance up to this distance from an electrode, in electrode sizes, counts as that of its contact.
 const ELECTRODE_REACH: f64 = 1.0;
-/// Weights are made again when the time has doubled; below this, seconds, drift is none.
+/// The weights are updated each time the age doubles. Below this age, in seconds, there is no drift.
 const LEAST_S: f64 = 8.0;
-/// After a touch has gone the baseline catches up within this, seconds.
+/// Time for the baseline to catch up after a touch ends, seconds.
 const CAUGHT_UP_S: f64 = 5.0;
 
-/// Largest uniform drift, share of the voltages.
+/// Largest uniform drift, as a share of the voltages.
 const MOST_UNIFORM: f64 = 0.05;
-/// Mean square over the deviations that drift and noise leave at most: noise is known to a third from 32 frames.
+/// Largest mean square, in squared deviations, of a residual that drift and noise explain. The noise level, from 32
+/// frames, is only known to a third.
 const MOST_LEFT: f64 = 1.5;
 
-/// What drift may do to one skin.
+/// Effects of drift on one skin.
 #[derive(Debug)]
 pub(crate) struct Drift {
     /// Voltage of each channel at rest, model volts.
     voltages: Vec<f64>,
-    /// What a relative change of the conductance at each electrode does to the channels, model volts.
+    /// Change of the channels per relative change of the conductance at each electrode, model volts.
     electrodes: Vec<Vec<f64>>,
     touched_ns: Option<u64>,
     released_ns: Option<u64>,
-    /// Seconds that the weights in use are made for.
+    /// Age in seconds for which the current weights were made.
     pub age_s: f64,
 }
 
@@ -54,7 +56,7 @@ impl Drift {
         Self { voltages: prepared.voltages.clone(), electrodes, touched_ns: None, released_ns: None, age_s: 0.0 }
     }
 
-    /// Takes note whether presses are followed; true where the weights are to be made again, for `age_s`.
+    /// Records whether presses are being followed. True if the weights must be updated, for the new `age_s`.
     pub fn observe(&mut self, time_ns: u64, is_touched: bool) -> bool {
         let since_s = |ns: u64| time_ns.saturating_sub(ns) as f64 * 1e-9;
         if is_touched {
@@ -73,19 +75,19 @@ impl Drift {
         is_new
     }
 
-    /// Starts again from a baseline that is up to date.
+    /// Restarts with an up-to-date baseline.
     pub fn forget(&mut self) {
         (self.touched_ns, self.released_ns) = (None, None);
     }
 
-    /// Standard deviations of the channels: their noise (model volts) and their own drift.
+    /// Standard deviations of the channels: their noise (model volts) combined with their own drift.
     pub fn deviations(&self, noise: &[f64]) -> Vec<f64> {
         let own = CHANNEL_PER_S * self.age_s;
         noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect()
     }
 
-    /// Whether noise (model volts), a uniform change and the channels' own drift explain a frame; channels without a value
-    /// have no say.
+    /// True if noise (model volts), a uniform change and the channels' own drift explain a frame. Channels without a
+    /// value are ignored.
     pub fn explains(&self, difference: impl Iterator<Item = f64> + Clone, noise: &[f64]) -> bool {
         let deviations = self.deviations(noise);
         let frame =
@@ -101,7 +103,7 @@ impl Drift {
         left <= MOST_LEFT * count.max(1.0)
     }
 
-    /// What drift does to all channels together, one entry for each cause: volts for a standard deviation.
+    /// Correlated effects of drift on the channels, one entry per cause: volts for one standard deviation.
     pub fn nuisances(&self) -> Vec<Vec<f64>> {
         let share = ELECTRODE_PER_S * self.age_s;
         if share == 0.0 {
@@ -111,7 +113,7 @@ impl Drift {
     }
 }
 
-/// Middle and size of each electrode, metres; on a bent skin, where the flat one has it.
+/// Centre and size of each electrode, metres. On a bent skin, positions are those on the flat one.
 fn electrode_places(prepared: &Prepared) -> Vec<([f64; 2], f64)> {
     let ElectrodedMesh { mesh, electrodes } = &prepared.body.mesh;
     let of = |electrode: &Electrode| {

@@ -1,10 +1,10 @@
-//! The force of a press from what it changes, by the law of the skin's layer in its file.
+//! The force of a press from the change it causes, by the law of the layer in the skin's file.
 //!
-//! A spot changes the conductance by `u exp(-d^2 / (2 r^2))`. Channels answer a large change like a dipole
-//! `2 u / (2 + u)` (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane), which gives u from the fitted
-//! amplitude. On a sheet `ln (1 + du) = k p` with `k = c - G / E`; integrated over the spot the force is
-//! `F = 2 pi r^2 / k int_0^1 ln (1 + u t) / t dt`. Under a membrane the dent is proportional to the pressure:
-//! `F = 2 pi r^2 p`, p being the pressure of a Gaussian that makes a dent of that depth.
+//! A spot changes the conductance by `u exp(-d^2 / (2 r^2))`. Channels respond to a large change like a dipole `2 u /
+//! (2 + u)` (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane), which gives u from the fitted
+//! amplitude. On a sheet, `ln (1 + du) = k p` with `k = c - G / E`; integrated over the spot, the force is `F = 2 pi
+//! r^2 / k int_0^1 ln (1 + u t) / t dt`. Under a membrane, the dent is proportional to the pressure: `F = 2 pi r^2
+//! p`, where p is the pressure of a Gaussian load that makes a dent of that depth.
 
 use std::f64::consts::PI;
 
@@ -13,26 +13,27 @@ use dermis_skin::Layer;
 
 use crate::prepare::Prepared;
 
-/// What the law is wrong by, share of the force, on twins pressed by discs: on ten gels and foams, and on four liquids, whose
-/// dents are not quite proportional to what presses.
+/// Error of the law as a share of the force, on twins pressed by discs: ten gels and foams, and four liquids, whose
+/// dents are not quite proportional to the load.
 const SHEET_SHARE: f64 = 0.02;
 const MEMBRANE_SHARE: f64 = 0.08;
-/// Steps of the integral over a spot; by Simpson's rule good to 1e-6 for changes of up to 95 %.
+/// Number of steps of the integral over a spot. Simpson's rule is then accurate to 1e-6 for changes of up to 95 %.
 const STEPS: usize = 64;
-/// A change counts as no lower than this share.
+/// Lowest relative change used.
 const LOWEST: f64 = -0.95;
 
-/// From presses to forces on one skin.
+/// Converts presses to forces on one skin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum ForceLaw {
-    /// Logarithm of the conductance by pressure, 1/Pa.
+    /// Change of the logarithm of the conductance per pressure, 1/Pa.
     Sheet { per_pa: f64 },
     /// Pressure of a load of amplitude 1, pascal.
     Membrane { pressure_pa: f64 },
 }
 
 impl ForceLaw {
-    /// Of a skin whose layer states one. `membrane_pa` is the pressure of a load of amplitude 1 on a membrane.
+    /// The law of a skin whose layer states one. `membrane_pa` is the pressure of a load of amplitude 1 on a
+    /// membrane.
     pub fn of(prepared: &Prepared, membrane_pa: Option<f64>) -> Option<Self> {
         match &prepared.skin.frontend.layer {
             Layer::Sheet(layer) => {
@@ -44,7 +45,8 @@ impl ForceLaw {
         }
     }
 
-    /// Force and its standard deviation, newtons; none where the press changes what the law does not.
+    /// Force and its standard deviation, newtons; `None` if the press changes the skin in a way that the law
+    /// excludes.
     pub fn read(&self, press: &Press, polarity: f64) -> Option<(f64, f64)> {
         let area = PI * press.radius_m * press.radius_m;
         let undone = |answered: f64| {
@@ -59,7 +61,7 @@ impl ForceLaw {
     }
 }
 
-/// `int_0^1 ln (1 + u t) / t dt`, the negative dilogarithm of -u.
+/// `int_0^1 ln (1 + u t) / t dt`, which is minus the dilogarithm of -u.
 fn logarithms(u: f64) -> f64 {
     let at = |t: f64| if t == 0.0 { u } else { (u * t).ln_1p() / t };
     let step = 1.0 / STEPS as f64;

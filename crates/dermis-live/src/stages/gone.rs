@@ -1,10 +1,10 @@
-//! What fits say of presses that the baseline holds.
+//! Result of fits about presses that are part of the baseline but have ended.
 
-/// Presses that the baseline holds and that have gone.
+/// Presses that are part of the baseline but have ended.
 #[derive(Debug)]
 pub(crate) enum Gone<'a> {
-    /// Nothing else touches the skin: the frames that come are its new baseline.
+    /// Nothing else touches the skin: the next frames are its new baseline.
     Alone,
-    /// Others touch it; these change the channels by so much, model volts.
+    /// Other presses touch the skin. The ended ones account for this change of the channels, model volts.
     BesideOthers(&'a [f64]),
 }

@@ -1,5 +1,5 @@
-//! What positions of touches are off by beside noise. A share of it is that of any skin of a layer, as its twins show;
-//! what a fit of spots leaves of its own frame says the rest.
+//! Model error in the positions of touches, which adds to noise. Part of it is the same for every skin with the same
+//! kind of layer, and was measured on twins; a fit of spots estimates the rest from its residual.
 
 use dermis_estimate::Press;
 use dermis_skin::Layer;
@@ -8,76 +8,77 @@ use dermis_touch::Contact;
 
 use crate::prepare::Prepared;
 
-/// Where the skin file does not say, touches that the image alone places are wrong by this share of half the shorter
-/// side (one sigma of each coordinate), and so are those of a frame that their fit does not explain.
+/// Error of touches that only the image places, and of touches in frames that their fit doesn't explain: a share of
+/// half the shorter side, as one sigma per coordinate. The skin file can override it.
 const BY_IMAGE: f64 = 0.015;
-/// Presses on elements over coils, in cells: beside what the centroid of their forces misses, and of those that a fit
-/// has placed.
+/// Error of presses on elements over coils, in cells: first for touches placed at the centroid of their forces, then
+/// for touches that a fit has placed.
 const ELEMENTS_CELLS: f64 = 0.07;
 const REFINED_ELEMENTS_CELLS: f64 = 0.01;
 
-/// What touches that a fit has placed are wrong by, one sigma of each coordinate.
+/// Position error of touches that a fit has placed, one sigma per coordinate.
 #[derive(Clone, Copy, Debug)]
 struct Refined {
     everywhere: f64,
-    /// Near the rim, beside that: up to so far from it, and by a factor e less with each of `fades` beyond.
+    /// Additional error near the rim: constant up to a distance of `within`, then falling by a factor of e with each
+    /// `fades`.
     at_rim: f64,
     within: f64,
     fades: f64,
 }
 
-/// In shares of half the shorter side: liquids under a membrane, which spreads what presses,
+/// Liquids under a membrane, which spreads the load; in shares of half the shorter side.
 const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0037, within: 0.21, fades: 0.08 };
-/// and sandwiches.
+/// Sandwiches, in shares of half the shorter side.
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
-/// In pitches of patches, which conduct as a whole, and which the rim cuts.
+/// Patches, in pitches. A patch conducts as a whole, and the rim cuts some of them.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
-/// On a sheet, in shares of half the shorter side and, near the rim, in radii of the touch: fields are steep there, and
-/// a spot is not shaped like what presses.
+/// Sheets, in shares of half the shorter side, and near the rim in radii of the touch: fields are steep there, and a
+/// spot differs in shape from the indenter.
 const SHEET_EVERYWHERE: f64 = 0.001;
 const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.1, fades: 0.63 };
-/// The same in an open tank: the surface takes the shape of what presses, whose edge and that of a spot part at the
-/// wall.
+/// Open tanks, in the same units: the surface takes the shape of the indenter, whose edge differs from a spot's near
+/// the wall.
 const TANK_EVERYWHERE: f64 = 0.0005;
 const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
 
-/// A touch that is no spot: what a fit leaves of the frame's energy, as an amplitude, moves it by this share of its
-/// radius.
+/// Position error of a touch that isn't shaped like a spot, in its radii, per square root of the share of the frame's
+/// energy that the fit leaves unexplained.
 const OF_SHAPE: f64 = 1.0;
-/// Where a place is uncertain by this share of half the shorter side, it is uncertain by as much again, because a step
-/// so long is not linear.
+/// A position uncertain by this share of half the shorter side gets as much uncertainty again, because a step of that
+/// length is not linear.
 const CURVED: f64 = 0.03;
 
 impl Refined {
-    /// In other units, `unit` of which are one of these.
+    /// Multiplies all lengths by the size of the unit that they are given in.
     fn times(self, unit: f64) -> Self {
         let Self { everywhere, at_rim, within, fades } = self;
         Self { everywhere: unit * everywhere, at_rim: unit * at_rim, within: unit * within, fades: unit * fades }
     }
 
-    /// Variance so far from the rim.
+    /// Variance at a distance from the rim.
     fn variance(self, from_rim: f64) -> f64 {
         let beyond = (from_rim - self.within).max(0.0);
         self.everywhere.powi(2) + (self.at_rim * (-beyond / self.fades).exp()).powi(2)
     }
 }
 
-/// Variance of each coordinate of a touch by what the model has wrong, square metres.
+/// Variance of each coordinate of a touch due to model error, square metres.
 #[derive(Debug)]
 pub(super) struct ModelError {
-    /// Of touches that the image alone places.
+    /// For touches that only the image places.
     by_image_m2: f64,
     refined: OfRefined,
 }
 
-/// Of touches that a fit has placed.
+/// For touches that a fit has placed.
 #[derive(Debug)]
 enum OfRefined {
-    /// The same, m^2.
+    /// The same for all, m^2.
     Alike(f64),
-    /// By their place, in metres.
+    /// Depends on the position; lengths in metres.
     ByPlace(Outline, Refined),
-    /// By their place and radius, in radii, beside the variance in m^2 that all have.
+    /// Depends on position and radius, with lengths in radii, plus a variance in m^2 common to all.
     ByRadius(Outline, Refined, f64),
 }
 
@@ -111,7 +112,7 @@ impl ModelError {
         Self { refined, ..by_image }
     }
 
-    /// Beside what a fit has found out about its own frame. Only fits know a radius.
+    /// Variance in addition to the fit's estimate of its own error, m^2. Only fitted touches have a radius.
     pub fn variance_m2(&self, contact: &Contact) -> f64 {
         let Some(radius_m) = contact.radius_m else { return self.by_image_m2 };
         match &self.refined {
@@ -124,21 +125,21 @@ impl ModelError {
     }
 }
 
-/// What a fit of smooth spots says of its own error.
+/// The error that a fit of smooth spots estimates for itself.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SpotError {
     half_width_m: f64,
 }
 
 impl SpotError {
-    /// `None` where touches are no smooth spots.
+    /// `None` if touches are not smooth spots.
     pub fn of(prepared: &Prepared) -> Option<Self> {
         let are_smooth = matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_));
         are_smooth.then(|| Self { half_width_m: prepared.half_width_m() })
     }
 
-    /// Variance of each coordinate of a press beyond its covariance, m^2. `unexplained` is the share of the frame's
-    /// energy that its fit leaves beyond the noise.
+    /// Variance of each coordinate of a press in addition to its covariance, m^2. `unexplained` is the share of the
+    /// frame's energy above the noise that the fit leaves.
     pub fn variance_m2(self, press: &Press, unexplained: f64) -> f64 {
         let uncertain_m2 = 0.5 * (press.covariance[0][0] + press.covariance[1][1]);
         let curved_m2 = (uncertain_m2 / (CURVED * self.half_width_m)).powi(2);
@@ -164,11 +165,11 @@ mod tests {
             sigma_mm(&ModelError::of(&prepared), x_mm, radius_mm)
         };
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
-        // Half the shorter side is 87 mm, and 4 mm from the rim is near.
+        // Half the shorter side is 87 mm. 4 mm from the rim is near it.
         near(of("ionic-disc", 0.0, Some(4.0)), 0.0609);
         near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 0.7_f64.hypot(3.7));
         near(of("ionic-disc", 0.0, None), 1.305);
-        // A tank of 200 mm: beside its wall by the touch's radius.
+        // A tank of 200 mm: near its wall, the error is proportional to the touch's radius.
         near(of("pyeidors-tank", 0.0, Some(5.0)), 0.05);
         near(of("pyeidors-tank", 95.0, Some(5.0)), 0.05_f64.hypot(1.0));
         // A pitch of 10 mm.
@@ -177,7 +178,7 @@ mod tests {
         // A cell of 35 mm.
         near(of("em-16-square", 0.0, None), 0.07 * 35.0);
         near(of("em-16-square", 0.0, Some(9.0)), 0.01 * 35.0);
-        // The file's word stands everywhere.
+        // An error stated in the file applies everywhere.
         let mut skin = Skin::open("ionic-disc").unwrap();
         skin.touch.model_error_mm = Some(2.0);
         let told = ModelError::of(&Prepared::new(skin).unwrap());

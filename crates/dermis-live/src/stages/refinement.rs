@@ -1,5 +1,5 @@
-//! Contacts of the image placed better by the forward model: as patches of contact on a sandwich, as spots of
-//! conductivity elsewhere, or not at all.
+//! Improves the contacts of the image with the forward model: as patches of contact on a sandwich, as spots of
+//! conductivity on other layers, or not at all.
 
 use dermis_tomo::inverse::SpotModel;
 use dermis_touch::Contact;
@@ -13,7 +13,7 @@ use crate::stages::gone::Gone;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
 use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, membrane_pressure_pa, spot_model};
 
-/// What refines the contacts of one skin.
+/// Refines the contacts of one skin.
 #[derive(Debug)]
 pub struct Refinement {
     by: By,
@@ -22,18 +22,18 @@ pub struct Refinement {
 
 #[derive(Debug)]
 enum By {
-    /// Contacts stay as the image has them.
+    /// Contacts stay as found in the image.
     Nothing,
     Spots {
         /// Responses with all channels.
         whole: Box<SpotModel>,
-        /// With the channels and the noise in use, once the noise is known.
+        /// Fits with the channels and noise in use; `None` until the noise is known.
         stage: Option<Box<SpotStage>>,
-        /// Noise of the channels, model volts, and those left out.
+        /// Noise of the channels in model volts, and the channels left out.
         noise: Vec<f64>,
         left_out: Vec<u32>,
         drift: Box<Drift>,
-        /// Pressure of a load of amplitude 1, where presses act through a membrane.
+        /// Pressure of a load of amplitude 1, if presses act through a membrane.
         membrane_pa: Option<f64>,
     },
     Patches(Box<PatchStage>),
@@ -44,28 +44,29 @@ impl Refinement {
         Self { by, takes_time: false }
     }
 
-    /// Leaves contacts as the image has them.
+    /// Leaves contacts as found in the image.
     pub fn none() -> Self {
         Self::by(By::Nothing)
     }
 
-    /// Whether touches of a skin are refined: [`dermis_skin::Skin::fits_touches`], and no calibration places them.
+    /// True if touches of a skin are refined: [`dermis_skin::Skin::fits_touches`] holds and no calibration places
+    /// them.
     pub fn is_wanted(prepared: &Prepared, calibration: Option<&Calibration>) -> bool {
         let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
         prepared.skin.fits_touches() && !by_pokes
     }
 
-    /// Whether contacts are refined at all.
+    /// True if contacts are refined at all.
     pub fn refines(&self) -> bool {
         !matches!(self.by, By::Nothing)
     }
 
-    /// Whether contacts are spots, whose amplitudes are the image's.
+    /// True if contacts are fitted as spots, with amplitudes from the image.
     pub(crate) fn fits_spots(&self) -> bool {
         matches!(self.by, By::Spots { .. })
     }
 
-    /// At this noise of the channels (model volts).
+    /// A refinement for this noise of the channels (model volts).
     ///
     /// # Errors
     /// See [`spot_model`]; a mesh that cannot be made.
@@ -80,7 +81,8 @@ impl Refinement {
         Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift, membrane_pa }))
     }
 
-    /// Before any noise is known: refines nothing until [`Refinement::leave_out`] says what it is.
+    /// A refinement before any noise is known: refines nothing until [`Refinement::leave_out`] is called with the
+    /// noise.
     pub(crate) fn without_noise(prepared: &Prepared) -> Result<Self, Error> {
         if is_sandwich(prepared) {
             return Self::new(prepared, &vec![0.0; prepared.channels()]);
@@ -90,8 +92,8 @@ impl Refinement {
         Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift, membrane_pa }))
     }
 
-    /// From now on each frame waits for as much work as finding its touches takes: for frames at a desk, where those
-    /// before may be of other presses.
+    /// From now on, finishes the search for touches in each frame, however long it takes: for offline frames, where
+    /// neighbouring frames may show different presses.
     #[must_use]
     pub fn taking_time(mut self) -> Self {
         self.takes_time = true;
@@ -107,17 +109,18 @@ impl Refinement {
         }
     }
 
-    /// Replaces the noise of the channels (model volts) that patches are judged by.
+    /// Replaces the noise of the channels (model volts) for fits of patches.
     pub(crate) fn set_noise(&mut self, noise: &[f64]) {
         if let By::Patches(patches) = &mut self.by {
             patches.set_noise(noise);
         }
     }
 
-    /// Goes on without these channels, at this noise of the others (model volts); with an empty list with all channels.
+    /// Continues without these channels, with this noise of the others (model volts). An empty list restores all
+    /// channels.
     ///
     /// # Errors
-    /// Another number of channels, or none left: see [`SpotModel::without`].
+    /// The wrong number of channels, or none left: see [`SpotModel::without`].
     pub fn leave_out(&mut self, prepared: &Prepared, channels: &[u32], noise: &[f64]) -> Result<(), Error> {
         match &mut self.by {
             By::Nothing => {}
@@ -134,8 +137,8 @@ impl Refinement {
         Ok(())
     }
 
-    /// As new at this noise of the channels (model volts), for another skin of the same kind: all channels count, and
-    /// nothing that was seen is remembered.
+    /// Resets to the initial state with this noise of the channels (model volts), for another skin of the same kind:
+    /// all channels count, and nothing is remembered.
     ///
     /// # Errors
     /// As [`Refinement::leave_out`].
@@ -147,7 +150,7 @@ impl Refinement {
         self.leave_out(prepared, &[], noise)
     }
 
-    /// Places the contacts of an image by the frame that the imager made it of.
+    /// Refines the contacts of an image, using the frame from which the imager made it.
     ///
     /// # Errors
     /// A sheet with new cuts that cannot be meshed or solved.
@@ -175,7 +178,7 @@ impl Refinement {
         Ok(())
     }
 
-    /// What has gone from the baseline, once that is sure.
+    /// Presses that are part of the baseline but have ended, once that is certain.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
         match &mut self.by {
             By::Spots { stage: Some(spots), .. } => spots.gone(),
@@ -184,22 +187,23 @@ impl Refinement {
         }
     }
 
-    /// What fitted contacts of a sandwich explain of the last frame (model volts); `None` where none are believed.
+    /// The part of the last frame explained by the fitted contacts of a sandwich (model volts); `None` if no fit is
+    /// accepted.
     pub(crate) fn explained(&self) -> Option<&[f64]> {
         self.patches().and_then(PatchStage::explained)
     }
 
-    /// Frames that have waited for what touches are fitted on.
+    /// Number of frames that had to wait for the sheets that touches are fitted on.
     pub(crate) fn waits(&self) -> u64 {
         self.patches().map_or(0, PatchStage::waits)
     }
 
-    /// True while it is being worked out what touches the skin.
+    /// True while a search for touches is in progress.
     pub(crate) fn is_seeking(&self) -> bool {
         matches!(&self.by, By::Patches(patches) if patches.is_seeking())
     }
 
-    /// Frames are missing before the next: what touches the skin is sought anew, and the baseline is as old as it was.
+    /// Frames are missing before the next: restart the search for touches, but keep the age of the baseline.
     pub(crate) fn interrupt(&mut self) {
         match &mut self.by {
             By::Patches(patches) => patches.let_go(),
@@ -207,7 +211,7 @@ impl Refinement {
         }
     }
 
-    /// The next frame has nothing to do with the last.
+    /// Forgets the last frame: the next is unrelated to it.
     pub(crate) fn forget(&mut self) {
         match &mut self.by {
             By::Patches(patches) => patches.forget(),
@@ -216,14 +220,14 @@ impl Refinement {
         }
     }
 
-    /// Fits touches to the sheet with these cuts, where they are fitted to one.
+    /// Fits touches to the sheet with these cuts, if they are fitted to a sheet that can be cut.
     pub(crate) fn set_cuts(&mut self, time_ns: u64, cuts: &[SheetCut]) {
         if let By::Patches(patches) = &mut self.by {
             patches.set_cuts(time_ns, cuts);
         }
     }
 
-    /// What fits patches, where that refines.
+    /// The fit of patches, if it is in use.
     pub(crate) fn patches(&self) -> Option<&PatchStage> {
         match &self.by {
             By::Patches(patches) => Some(patches),
@@ -232,7 +236,7 @@ impl Refinement {
     }
 }
 
-/// Responses at the noise of the channels (model volts) and the drift so far, without these channels.
+/// Responses weighted by the current noise (model volts) and drift of the channels, without the channels left out.
 fn weighted(whole: &SpotModel, noise: &[f64], left_out: &[u32], drift: &Drift) -> Result<SpotModel, Error> {
     let deviations = drift.deviations(noise);
     Ok(match left_out {

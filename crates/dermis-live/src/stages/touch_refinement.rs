@@ -1,4 +1,4 @@
-//! Touches on sheets, separate patches and liquids: the presses that explain a frame, as contacts.
+//! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
 use std::sync::Arc;
 
@@ -19,49 +19,52 @@ use crate::stages::force_law::ForceLaw;
 use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
 
-/// Most presses fitted to one frame.
+/// Largest number of presses fitted to one frame.
 const MOST_SPOTS: usize = 8;
 /// Largest radius of a spot, relative to half the shorter side.
 const LARGEST_RADIUS: f64 = 0.6;
-/// Typical radius.
+/// Typical radius, relative to half the shorter side.
 const TYPICAL_RADIUS: f64 = 0.12;
-/// Smallest radius.
+/// Smallest radius, relative to half the shorter side.
 const SMALLEST_RADIUS: f64 = 0.05;
-/// A frame of which presses leave less than this share of the energy holds nothing that has gone from the baseline.
+/// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
+/// ended but are still part of the baseline.
 const CLEARLY_EXPLAINED: f64 = 0.005;
-/// What has gone explains a frame where it leaves less than this share of the energy: real gels and wrong geometries
-/// leave up to a third of a press. And less than this share of what other presses leave, unless it is fewer presses.
+/// Presses that have ended are accepted as the explanation of a frame if they leave less than this share of its
+/// energy (with real gels and wrong geometries, a press leaves up to a third), and less than this share of the
+/// residual of present presses. The second condition becomes "less than the residual" if the explanation needs fewer
+/// presses.
 const GONE_UNEXPLAINED: f64 = 0.3;
 const BETTER: f64 = 0.5;
-/// Presses have gone from the baseline once this many frames in a row say so; after looking in vain, at most this many
-/// frames pass before the next look.
+/// Number of frames in a row that must show that presses have ended before the baseline is corrected, and the maximum
+/// number of frames between searches that fail.
 const GONE_FRAMES: u32 = 3;
 const MOST_GONE_WAIT: u32 = 64;
-/// A press that leaves more than this share of its frame and lies farther from the image's contact than this share of half
-/// the shorter side is not believed: the contact stays where the image has it. On patches, where the model does not know
-/// where they end, that is half a pitch.
+/// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
+/// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
+/// the distance is half a pitch.
 const EXPLAINED: f64 = 0.05;
 const FAR: f64 = 0.2;
 const PATCHES_EXPLAINED: f64 = 0.01;
 const FAR_PITCHES: f64 = 0.5;
-/// In a tank, a press below this share of the strongest is a lobe of it.
+/// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
-/// Less than this share of a press's own greatest amplitude is no press but what it leaves behind: layers creep, and set
-/// by a few per cent. The peak is remembered for this long, nanoseconds.
+/// A press below this share of its own peak amplitude is only a remnant: layers creep, and take a set of a few per
+/// cent. The peak is remembered for this long, nanoseconds.
 const REMNANT_SHARE: f64 = 0.1;
 const REMEMBERED_NS: u64 = 5_000_000_000;
-/// Share of a frame's energy that the model of a press leaves, on twins: of gels, foams and liquids up to 0.002; in
-/// proportion, where dents are deep; in open tanks, whose surface takes the shape of what presses, 0.002 to 0.006; on
-/// separate patches, which conduct as a whole, 0.007 to 0.07.
+/// Share of a frame's energy that the model of a press leaves unexplained, on twins. Up to 0.002 on gels, foams and
+/// liquids; more for deep dents with the linear model; 0.002 to 0.006 in open tanks, whose surface takes the shape of
+/// the indenter; 0.007 to 0.07 on separate patches, each of which conducts as a whole.
 const SPOTS_ERROR: f64 = 0.001;
 const IN_PROPORTION_ERROR: f64 = 0.005;
 const TANK_ERROR: f64 = 0.005;
 const PATCHES_ERROR: f64 = 0.04;
-/// Beyond proportion spots are fitted where frames are no more frequent: a fit takes 2 ms with 16 electrodes, 13 with
-/// 32 and three touches.
+/// Highest frame rate at which fits correct for large changes. A fit takes 2 ms with 16 electrodes, and 13 ms with 32
+/// electrodes and three touches.
 const MOST_FRAMES_PER_S: f64 = 60.0;
 
-/// The strongest that a press has been.
+/// The highest amplitude that a press has reached.
 #[derive(Clone, Copy, Debug)]
 struct Peak {
     position_m: [f64; 2],
@@ -70,42 +73,42 @@ struct Peak {
     seen_ns: u64,
 }
 
-/// Explains one frame after the other by presses, in memory of its own.
+/// Explains frames one after the other by presses, with its own working memory.
 #[derive(Debug)]
 pub(crate) struct SpotStage {
     estimator: Estimator<SpotFit>,
-    /// What a fit says of its own error; a patch that conducts as a whole is no smooth spot.
+    /// The fit's estimate of its own error. `None` on patches: a patch that conducts as a whole is no smooth spot.
     error: Option<SpotError>,
-    /// The largest share of a frame that a fit may leave beyond the noise.
+    /// The largest share of a frame that a fit may leave unexplained above the noise.
     most_unexplained: f64,
     both_signs: bool,
-    /// From presses to forces, where the file states how the layer answers.
+    /// Converts presses to forces, if the file states the layer's response.
     law: Option<ForceLaw>,
     polarity: f64,
     grid: PixelGrid,
-    /// Number of each pixel among the image's unknowns; none outside.
+    /// Index of each pixel among the image's unknowns; `None` outside.
     unknowns: Vec<Option<u32>>,
     typical_radius_m: f64,
     error_share: f64,
     explained: f64,
     far_m: f64,
     hints: Vec<Press>,
-    /// Contacts as the image has them.
+    /// Contacts as found in the image.
     of_image: Vec<Contact>,
-    /// The presses that are shown.
+    /// The presses reported.
     shown: Vec<Press>,
-    /// Places and radii of presses while the baseline was fresh.
+    /// Positions and radii of presses from when the baseline was fresh.
     anchors: Vec<Anchor>,
     is_aged: bool,
-    /// The strongest that each press has been, for what remains of it.
+    /// Peak amplitude of each press, to recognise its remnant.
     peaks: Vec<Peak>,
-    /// What remains of presses that have gone, to be taken into the baseline.
+    /// Remnants of past presses, to be added to the baseline.
     remnants: Vec<Press>,
-    /// Presses that the baseline holds and that have gone, in so many frames in a row.
+    /// Presses that are part of the baseline but have ended, and the number of frames in a row that showed them.
     gone: Vec<Press>,
     gone_alone: bool,
     gone_frames: u32,
-    /// Frames before they are looked for again.
+    /// Frames until the next search for them.
     wait: u32,
     waited: u32,
     is_unhurried: bool,
@@ -113,8 +116,8 @@ pub(crate) struct SpotStage {
 }
 
 impl SpotStage {
-    /// With responses of the prepared skin.
-    /// `membrane_pa`: the pressure of a load of amplitude 1, where presses act through a membrane.
+    /// A stage with responses of the prepared skin. `membrane_pa` is the pressure of a load of amplitude 1, if
+    /// presses act through a membrane.
     pub(crate) fn new(prepared: &Prepared, model: SpotModel, membrane_pa: Option<f64>) -> Self {
         let touch = &prepared.skin.touch;
         let grid = *prepared.map.grid();
@@ -159,24 +162,24 @@ impl SpotStage {
         }
     }
 
-    /// From now on every frame is looked at for as long as it takes.
+    /// From now on, spends as much time on each frame as it needs.
     pub(crate) fn take_time(&mut self) {
         self.is_unhurried = true;
         self.estimator.take_time();
     }
 
-    /// Goes on with another weighting of the same responses: of a fresh baseline, or of one that has aged.
+    /// Continues with differently weighted responses, for a fresh or an aged baseline.
     pub(crate) fn set_model(&mut self, model: SpotModel, is_aged: bool) {
         self.is_aged = is_aged;
         self.estimator.fit_mut().set_model(model, self.error_share);
     }
 
-    /// Whether presses are followed.
+    /// True if presses are being followed.
     pub(crate) fn is_touched(&self) -> bool {
         !self.shown.is_empty()
     }
 
-    /// The next frame has nothing to do with the last.
+    /// Forgets the last frame: the next is unrelated to it.
     pub(crate) fn forget(&mut self) {
         self.estimator.forget();
         (self.gone_frames, self.wait) = (0, 0);
@@ -185,8 +188,8 @@ impl SpotStage {
         self.remnants.clear();
     }
 
-    /// Looks for presses of negative load where others do not explain the frame: they were in the baseline. What is left
-    /// of the estimate where they are found.
+    /// If present presses do not explain the frame, searches for presses of negative load, which are part of the
+    /// baseline but have ended. If there are any, returns the estimate without them.
     fn look_for_gone(&mut self, estimate: &Estimate) -> Option<Estimate> {
         if estimate.is_at_rest || estimate.unexplained < CLEARLY_EXPLAINED || self.both_signs {
             (self.gone_frames, self.wait, self.waited) = (0, 0, 0);
@@ -203,7 +206,7 @@ impl SpotStage {
             has_gone && found.unexplained < most.min(GONE_UNEXPLAINED)
         });
         let Some(mut found) = found else {
-            // Frames that nothing explains go on: looks become rare.
+            // Frames that nothing explains keep coming: search less and less often.
             self.waited = (2 * self.waited).clamp(1, MOST_GONE_WAIT);
             (self.gone_frames, self.wait) = (0, if self.is_unhurried { 0 } else { self.waited });
             return None;
@@ -217,7 +220,7 @@ impl SpotStage {
         Some(found)
     }
 
-    /// Keeps presses where they were when the baseline was fresh, as long as the frame allows that.
+    /// Keeps presses at the position and radius from when the baseline was fresh, as long as the frame allows it.
     fn hold(&mut self, presses: &mut [Press]) {
         self.anchors.retain(|anchor| presses.iter().any(|press| anchor.is_near(press)));
         for press in presses {
@@ -232,7 +235,8 @@ impl SpotStage {
         }
     }
 
-    /// Whether a press is what remains of one that has been far stronger: a layer's set, which the baseline takes in.
+    /// True if a press is only the remnant of one that was much stronger: a set of the layer, which belongs in the
+    /// baseline.
     fn is_remnant(&mut self, time_ns: u64, press: &Press, amplitude: f64) -> bool {
         let is_there = |peak: &&mut Peak| {
             let reach_m = peak.radius_m.max(press.radius_m) + 2.0 * press.place_sigma_m();
@@ -250,7 +254,7 @@ impl SpotStage {
         false
     }
 
-    /// Presses that have gone from the baseline, once they have been missing for some frames.
+    /// Presses that are part of the baseline but have ended, once they have been missing for several frames.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
         if !self.remnants.is_empty() {
             self.estimator.fit_mut().channels_of(&self.remnants, &mut self.volts);
@@ -268,8 +272,8 @@ impl SpotStage {
         Some(Gone::BesideOthers(&self.volts))
     }
 
-    /// Replaces the contacts of an image by the presses that explain its frame (model volts). They stay as the image has
-    /// them where the frame cannot be fitted, or presses leave more of it than `touch.most_unexplained`.
+    /// Replaces the contacts of an image by the presses that explain its frame (model volts). The image's contacts
+    /// stay if the frame cannot be fitted, or if presses leave more of it unexplained than `touch.most_unexplained`.
     pub(crate) fn refine(&mut self, time_ns: u64, difference: &[f64], imager: &Imager, contacts: &mut Vec<Contact>) {
         self.shown.clear();
         self.peaks.retain(|peak| time_ns.saturating_sub(peak.seen_ns) < REMEMBERED_NS);
@@ -291,7 +295,7 @@ impl SpotStage {
         }
         self.of_image.clear();
         self.of_image.append(contacts);
-        // In a tank all that explains dents may be lobes of a strong one.
+        // In a tank, weak presses may be side lobes of a strong one.
         let strongest = estimate.presses.first().map_or(0.0, Press::strength);
         for (press, sigma) in estimate.presses.iter().zip(&estimate.evidence) {
             if self.most_unexplained < 1.0 && press.strength() / strongest < LOBE {
@@ -331,7 +335,7 @@ impl SpotStage {
         contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
     }
 
-    /// The image's peak by a press alone, whose response is in `volts`.
+    /// Peak of the image of one press alone, whose response is in `volts`.
     fn image_value(&mut self, imager: &Imager, position_m: [f64; 2]) -> f64 {
         imager.fill_in_left_out(&mut self.volts);
         let reach = (self.typical_radius_m / self.grid.pixel_m).ceil().max(1.0) as isize;
@@ -356,7 +360,7 @@ impl SpotStage {
     }
 }
 
-/// What the model of presses is known to leave of a frame.
+/// Share of a frame's energy that the model of presses is known to leave unexplained.
 fn error_share(prepared: &Prepared, model: &SpotModel) -> f64 {
     let layer = &prepared.skin.frontend.layer;
     match layer {
@@ -375,10 +379,10 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// The tabulated responses to spots at these channel deviations (volts).
+/// The tabulated responses to spots for these channel deviations (volts).
 ///
 /// # Errors
-/// Deviations none of which is positive; a membrane that cannot be solved.
+/// No positive deviation; a membrane that cannot be solved.
 pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, Error> {
     let polarity = prepared.skin.imaging.polarity.sign();
     let jacobian = prepared.jacobian.as_mat();
@@ -399,7 +403,7 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     };
     let response = response.as_ref().unwrap_or(&pressed);
     let model = SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?;
-    // Usual presses take a third of a layer away and more.
+    // Usual presses remove a third of the layer or more, so a linear model isn't enough.
     let layer = &prepared.skin.frontend.layer;
     let is_continuous = matches!(layer, Layer::Liquid(_) | Layer::Sheet(_)) && !layer.is_open_tank();
     if is_continuous && may_look_beyond(prepared) {
@@ -410,13 +414,13 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     Ok(model)
 }
 
-/// Whether there is time to look beyond proportion, and a model of the channels as they are.
+/// True if there is time to correct for large changes, and no readout circuit between model and channels.
 fn may_look_beyond(prepared: &Prepared) -> bool {
     let backend = &prepared.skin.backend;
     backend.circuit.is_none() && backend.frame_rate_hz() <= MOST_FRAMES_PER_S
 }
 
-/// What the model's own voltages change by where the conductance of each pixel changes by these shares.
+/// The change of the model's voltages when the conductance of each pixel changes by the given shares.
 fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
     let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
     let (map, conductance_s) = (prepared.map.clone(), prepared.skin.sheet_conductance_s());
@@ -435,7 +439,7 @@ pub(crate) fn membrane_spread(prepared: &Prepared, layer: &LiquidLayer) -> Resul
     Ok(membrane(prepared, layer)?.0)
 }
 
-/// The pressure of a load of amplitude 1 on the skin's membrane, pascal; none without one.
+/// The pressure of a load of amplitude 1 on the skin's membrane, pascal; `None` without a membrane.
 ///
 /// # Errors
 /// A membrane that cannot be solved.
@@ -446,26 +450,26 @@ pub(crate) fn membrane_pressure_pa(prepared: &Prepared) -> Result<Option<f64>, E
     }
 }
 
-/// As [`spot_model`], before any noise was measured.
+/// Like [`spot_model`], before any noise has been measured.
 pub(crate) fn assumed_spot_model(prepared: &Prepared) -> Result<SpotModel, Error> {
     let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
     spot_model(prepared, &vec![prepared.skin.touch.assumed_noise_share * largest; prepared.channels()])
 }
 
-/// What a load on one pixel (columns) does to the depth of a liquid under a closed membrane in all (rows), in units in
-/// which a typical spot in the middle makes 1 there: `T lap w = -p + c - rho gz w`, `w = 0` at the rim, no volume lost.
-/// The liquid's weight narrows a dent beyond `sqrt(T / rho |gz|)`, 78 mm of water under 60 N/m; the depth only scales
-/// it.
-/// The pressure of a load of amplitude 1 (pascal) beside it.
+/// Response of the depth of a liquid under a closed membrane at all pixels (rows) to a load on one (columns): `T lap
+/// w = -p + c - rho gz w`, with `w = 0` at the rim and constant volume. The unit is chosen so that a typical spot in
+/// the middle makes 1 there. The liquid's weight narrows dents that are wider than `sqrt(T / rho |gz|)`, 78 mm for
+/// water under 60 N/m; the depth is only a scale factor. Also returns the pressure of a load of amplitude 1, pascal.
 fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<(Mat<f64>, f64), Error> {
     let mesh = &prepared.body.mesh.mesh;
-    // Gravity along the skin changes how it rests, not how it answers.
+    // Gravity along the skin changes the rest shape, not the response.
     let spec = MembraneSpec {
         tension_n_per_m: layer.tension_n_per_m,
         density_kg_per_m3: layer.density_kg_per_m3,
         gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
     };
-    // One that would be too slack for what hangs beneath it holds it somehow: only its shape is asked for.
+    // A membrane too slack to hold the liquid beneath it must be held in some other way; ignore the weight, as only
+    // the shape of the response is needed.
     let weightless = MembraneSpec { density_kg_per_m3: 0.0, ..spec };
     let mut membrane = Membrane::new(mesh, spec).or_else(|_| Membrane::new(mesh, weightless))?;
     let pixels = prepared.map.inside_count();

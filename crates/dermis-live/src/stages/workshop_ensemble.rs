@@ -1,14 +1,15 @@
 //! Errors of touches on a skin that isn't built exactly as its file says.
 //!
-//! The prior is an ensemble of skins with the errors that the file's `[tolerances]` allow: electrodes moved, widths,
-//! contact impedances, conductivity, thickness and gains drawn. Each member's response to a spot differs from the
-//! nominal one by `d`. A fit by the nominal model takes `d` for a change of the spot's parameters, `(A^T A)^-1 A^T d`
-//! with the nominal derivatives `A`, so the ensemble gives a covariance of place and load at every place (the
-//! approximation-error approach: Kaipio and Somersalo, Statistical and Computational Inverse Problems, 2005, section
-//! 5.8). Both `d` and `A` are proportional to the load, so the covariance doesn't depend on it.
+//! The prior is an ensemble of skins with random errors within the `[tolerances]` of the file: contact impedances,
+//! conductivity, thickness, gains, and the positions and widths of electrodes. Each member's response to a spot
+//! differs from the nominal one by `d`. A fit with the nominal model mistakes `d` for a change of the spot's
+//! parameters, `(A^T A)^-1 A^T d` with the nominal derivatives `A`, so the ensemble gives a covariance of position
+//! and load at every position (the approximation-error approach: Kaipio and Somersalo, Statistical and Computational
+//! Inverse Problems, 2005, section 5.8). Both `d` and `A` are proportional to the load, so the covariance doesn't
+//! depend on it.
 //!
-//! The size of the errors comes from the skin itself: the misfit of its baseline against the model, squared, over the
-//! ensemble's mean squared misfit scales the covariance.
+//! The size of the errors comes from the skin itself: the covariance is scaled by the squared misfit of its baseline
+//! against the model, over the ensemble's mean squared misfit.
 
 use std::sync::Arc;
 
@@ -25,19 +26,19 @@ use crate::reference::{misfit, scale_to_model};
 use crate::stages::touch_refinement::membrane_spread;
 use crate::stages::workshop_error::{BuiltError, WorkshopError};
 
-/// Skins in the ensemble. Their mean square is known to `1 / sqrt(2 * 24)` = 14 % of the sigma.
+/// Number of skins in the ensemble. Their root mean square has a relative error of `1 / sqrt(2 * 24)` = 14 %.
 const MEMBERS: u64 = 24;
-/// Largest number of elements of their meshes. Members are compared with a nominal skin on a mesh as coarse.
+/// Largest number of elements of their meshes. Members are compared with a nominal skin on an equally coarse mesh.
 const ELEMENTS: usize = 2500;
-/// Places where the covariance is tabulated, about.
+/// Approximate number of positions at which the covariance is tabulated.
 const PLACES: f64 = 120.0;
-/// Radius of the spot that stands for a touch, relative to half the shorter side.
+/// Radius of the spot that represents a touch, relative to half the shorter side.
 const SPOT_RADIUS: f64 = 0.12;
 /// Prior standard deviation of the logarithm of the radius.
 const RADIUS_UNKNOWN: f64 = 0.5;
-/// Cosines that make up a random conductivity.
+/// Number of cosines in a random conductivity.
 const COSINES: usize = 64;
-/// Baselines that fit the model this well, relative, are of a twin as drawn: meshes alone differ by up to that.
+/// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much.
 const AS_DRAWN: f64 = 0.004;
 
 /// A skin with errors: voltages at rest, and volts per relative change of each inside pixel.
@@ -46,8 +47,8 @@ struct Member {
     jacobian: Mat<f64>,
 }
 
-/// Errors of touches on a skin whose baseline misfits by this, relative; NaN where there is no baseline to compare.
-/// `None` where the skin is as drawn, or touches aren't fitted to its model.
+/// Errors of touches on a skin whose baseline has this relative misfit; NaN if there is no baseline to compare.
+/// `None` if the skin is as drawn, or if touches aren't fitted to its model.
 pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError> {
     if misfit < AS_DRAWN || !prepared.skin.fits_touches() || !prepared.skin.backend.wiring.is_known() {
         return None;
@@ -77,7 +78,7 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     let drawn: Vec<_> = (1..=MEMBERS)
         .into_par_iter()
         .filter_map(|number| {
-            // Errors that make no skin are not built.
+            // Skip combinations of errors that cannot be built.
             let member = member(prepared, tolerances, number).ok()?;
             let against = Against::of(prepared, &member.voltages).ok()?;
             let fit: Vec<[f64; 4]> = member_errors(&member, &against, &at_rest, &spots, &responses, &uniform);
@@ -101,7 +102,7 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     Ok(WorkshopError { places_m, spacing_m, squares, misfit_2, law })
 }
 
-/// A baseline brought to the model's volts.
+/// A baseline with the factors that convert it to the model's volts.
 struct Against {
     baseline: Vec<f64>,
     scale: Vec<f64>,
@@ -117,7 +118,7 @@ impl Against {
     }
 }
 
-/// Apparent changes of x, y (m), load and logarithm of the radius of a spot of load 1 at each place.
+/// Apparent changes of x, y (m), load and the logarithm of the radius for a spot of load 1 at each position.
 fn member_errors(
     member: &Member,
     against: &Against,
@@ -128,7 +129,7 @@ fn member_errors(
 ) -> Vec<[f64; 4]> {
     let places = spots.ncols() / PARAMETERS;
     let channels = member.voltages.len();
-    // Every PARAMETERS-th column is the spot itself.
+    // One of every PARAMETERS columns is the spot itself; the others are its derivatives.
     let alone = Mat::from_fn(spots.nrows(), places, |pixel, place| spots[(pixel, PARAMETERS * place + LOAD)]);
     let built = &member.jacobian * &alone;
     (0..places)
@@ -144,7 +145,7 @@ fn member_errors(
             let mut normal = derivatives.transpose() * &derivatives;
             normal[(RADIUS, RADIUS)] += variance / (RADIUS_UNKNOWN * RADIUS_UNKNOWN);
             let right = derivatives.transpose() * &error;
-            // Columns of very different units.
+            // Scale the columns, whose units differ widely.
             let units: Vec<f64> = (0..=PARAMETERS).map(|k| normal[(k, k)].sqrt().max(f64::MIN_POSITIVE)).collect();
             let scaled = Mat::from_fn(PARAMETERS + 1, PARAMETERS + 1, |a, b| normal[(a, b)] / (units[a] * units[b]));
             let right = Mat::from_fn(PARAMETERS + 1, 1, |a, _| right[(a, 0)] / units[a]);
@@ -214,8 +215,9 @@ fn member(prepared: &Prepared, tolerances: &Tolerances, number: u64) -> Result<M
     Ok(Member { voltages, jacobian })
 }
 
-/// A random factor on the conductivity, log-normal with a Gaussian correlation: a sum of cosines whose wave vectors are
-/// drawn from the correlation's spectrum (Rahimi and Recht, Random features for large-scale kernel machines, 2007).
+/// A random factor on the conductivity, log-normal with Gaussian correlation: the exponential of a sum of cosines
+/// whose wave vectors are drawn from the correlation's spectrum (Rahimi and Recht, Random features for large-scale
+/// kernel machines, 2007).
 struct Field {
     deviation: f64,
     waves: Vec<[f64; 3]>,
@@ -237,7 +239,7 @@ impl Field {
     }
 }
 
-/// A grid of places inside the outline, and their spacing.
+/// A grid of positions inside the outline, and their spacing.
 fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
     let (low, high) = outline.bounds_m();
     let spacing_m = (outline.area_m2() / PLACES).sqrt();
@@ -249,7 +251,8 @@ fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
     (places, spacing_m)
 }
 
-/// Relative changes of the inside pixels by a Gaussian spot at each place and its derivatives, PARAMETERS columns each.
+/// Relative changes of the inside pixels by a Gaussian spot at each position, and its derivatives: PARAMETERS columns
+/// each.
 fn spots(prepared: &Prepared, places_m: &[[f64; 2]]) -> Result<Mat<f64>, Error> {
     let radius_m = SPOT_RADIUS * prepared.half_width_m();
     let centres = &prepared.basis.positions;

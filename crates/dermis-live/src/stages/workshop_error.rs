@@ -1,24 +1,25 @@
-//! Covariance of touches on a skin that isn't built exactly as its file says; see the ensemble that it comes from.
+//! Covariance of touches on a skin that isn't built exactly as its file says, from an ensemble of skins.
 
 use std::sync::Arc;
 
-/// Largest ratio of a baseline's misfit to the ensemble's. Beyond it the model is of another skin.
+/// Largest ratio of a baseline's misfit to the ensemble's. A larger misfit means that the model is of a different
+/// skin.
 const MOST_MISFIT: f64 = 5.0;
 
-/// Covariances of an ensemble of skins.
+/// Covariances from an ensemble of skins.
 #[derive(Debug)]
 pub struct WorkshopError {
     pub(super) places_m: Vec<[f64; 2]>,
     pub(super) spacing_m: f64,
-    /// Mean square of x, x times y, y (m^2), and of the relative load.
+    /// Means of x^2, x y and y^2 (m^2), and of the squared relative load.
     pub(super) squares: Vec<[f64; 4]>,
     /// Mean squared misfit of the members' baselines.
     pub(super) misfit_2: f64,
-    /// Variance of the relative load through the contact law.
+    /// Variance of the relative load due to the contact law.
     pub(super) law: f64,
 }
 
-/// Errors of touches on one skin, by the misfit of its baseline.
+/// Errors of touches on one skin, scaled by the misfit of its baseline.
 #[derive(Clone, Debug)]
 pub struct BuiltError {
     ensemble: Arc<WorkshopError>,
@@ -26,14 +27,14 @@ pub struct BuiltError {
 }
 
 impl BuiltError {
-    /// Of an ensemble, for a skin whose baseline misfits by this, relative; NaN where there is no baseline to compare.
+    /// Scales an ensemble to a skin whose baseline has this relative misfit; NaN if there is no baseline to compare.
     pub(crate) fn new(ensemble: Arc<WorkshopError>, misfit: f64) -> Self {
         let ratio = (misfit / ensemble.misfit_2.sqrt()).min(MOST_MISFIT);
         let scale = if ratio.is_finite() { ratio * ratio } else { 1.0 };
         Self { ensemble, scale }
     }
 
-    /// Covariance of a place, square metres.
+    /// Covariance of a position, square metres.
     pub fn covariance_m2(&self, place_m: [f64; 2]) -> [[f64; 2]; 2] {
         let [xx, xy, yy, _] = self.ensemble.at(place_m).map(|value| self.scale * value);
         [[xx, xy], [xy, yy]]
@@ -46,12 +47,12 @@ impl BuiltError {
 }
 
 impl WorkshopError {
-    /// Mean squares at a place, smoothed over its neighbours.
+    /// Mean squares at a position, smoothed over its neighbours.
     fn at(&self, place_m: [f64; 2]) -> [f64; 4] {
         let (mut sums, mut weights) = ([0.0; 4], 0.0);
         for (at, squares) in self.places_m.iter().zip(&self.squares) {
             let distance = ((at[0] - place_m[0]).powi(2) + (at[1] - place_m[1]).powi(2)) / self.spacing_m.powi(2);
-            // Far off all places the nearest ones count.
+            // Far from all tabulated positions, the nearest ones count.
             let weight = (-0.5 * distance).exp() + 1e-12 / (1.0 + distance * distance);
             sums.iter_mut().zip(squares).for_each(|(sum, square)| *sum += weight * square);
             weights += weight;

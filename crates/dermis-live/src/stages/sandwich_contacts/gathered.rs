@@ -1,6 +1,6 @@
-//! Frames that come faster than fits are made.
+//! Collects frames that arrive faster than they can be fitted.
 
-/// Frames that came since the last fit.
+/// The frames since the last fit.
 #[derive(Debug, Default)]
 pub(super) struct Gathered {
     sum: Vec<f64>,
@@ -20,7 +20,7 @@ impl Gathered {
         self.count += 1;
     }
 
-    /// Their mean, in place; the next frame begins anew.
+    /// The mean of these frames, computed in place. The next frame starts a new mean.
     pub fn mean(&mut self) -> &[f64] {
         let count = f64::from(self.count.max(1));
         self.sum.iter_mut().for_each(|sum| *sum /= count);

@@ -1,6 +1,6 @@
-//! Patches looked for anew, a bounded amount of work a frame: the best set of one patch is fitted, then of two, and so
-//! on, until one more explains little. All of it takes some 10 ms, which frames at a kilohertz must not wait for; slow
-//! frames have the answer at once.
+//! A search for patches with a bounded amount of work per frame. It fits the best set of one patch, then of two, and
+//! so on until one more patch explains little. In all this takes some 10 ms, too long for frames at a kilohertz to
+//! wait for; slow frames get the answer at once.
 
 use dermis_tomo::eit::contacts::{
     ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, Looked, PatchFit, PatchSearch, PatchSets,
@@ -8,67 +8,68 @@ use dermis_tomo::eit::contacts::{
 
 use super::plausible::{BELIEVED, are_large, plausible};
 
-/// Radii that a search starts from, relative to the typical one: radius and conductance trade with each other, and a
-/// fit may settle beside the best pair.
+/// Radii from which the final fits start, relative to those of the best set. Radius and conductance trade off, and a
+/// fit may end in a local optimum.
 const RADII: [f64; 2] = [1.0, 0.75];
-/// One more patch must lower the cost of a fit (squared standard deviations) by this and to this share.
+/// One more patch must lower the cost of a fit (squared standard deviations) by at least the first value, and to less
+/// than the second as a share of the cost before.
 const WORTH: (f64, f64) = (20.0, 0.5);
-/// Misfit at which no further patch is looked for.
+/// Misfit below which no further patch is looked for.
 const GOOD: f64 = 0.2;
-/// Steps of a fit at most.
+/// Largest number of steps of a fit.
 const STEPS: usize = 15;
-/// Steps at a time where a frame's share of the work is bounded: patches that grow make a step dear, up to two hundred
-/// times what the first one cost.
+/// Steps per call if the work per frame is bounded: growing patches make a step expensive, up to two hundred times
+/// the first one.
 const STEPS_AT_ONCE: usize = 1;
-/// A fit whose patches are larger than touches after so many portions of its work in a row is given up.
+/// A fit is given up if a patch is larger than a touch after more than this many consecutive calls.
 const MOST_LARGE: usize = 2;
-/// Sets that are judged at a time, at most: what is paid for, though there may be fewer.
+/// Largest number of sets judged at a time. The full number is charged, even if there are fewer.
 const PORTION: f64 = 2000.0;
-/// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit
-/// of n patches n squared times that, n being the typical patches that would cover as much where that is more. Rough
-/// figures, by which work is shared out among frames.
+/// Approximate costs by which work is divided among frames, in nanoseconds of one core: judging a set of patches, and
+/// a step of a fit of one patch. A step of a fit of n patches takes n squared times as long, where n is at least the
+/// number of typical patches that would cover the same area.
 const SET_NS: f64 = 600.0;
 const STEP_NS: f64 = 0.15e6;
 
-/// A search under way, in one frame.
+/// A search in progress, in one frame.
 #[derive(Debug)]
 pub(super) struct Seek {
     change: Vec<f64>,
     deviation: Vec<f64>,
     sets: PatchSets,
     work: Work,
-    /// The best set so far, where its fit began and what it reached.
+    /// The best set until now: the start of its fit and the result.
     best: Option<(Vec<ContactPatch>, FitSummary)>,
     /// The best fit from the best set.
     found: Option<(Vec<ContactFit>, FitSummary)>,
     left: Vec<f64>,
 }
 
-/// What comes next.
+/// The next piece of work.
 #[derive(Debug)]
 enum Work {
-    /// The best set of one patch more.
+    /// Find the best set with one more patch.
     Sets,
-    /// A fit of a set.
+    /// Fit a set.
     Fit(Fit),
-    /// A fit of the best set from this one of [`RADII`].
+    /// Fit the best set, starting from this factor of [`RADII`].
     Scaled(usize, Fit),
 }
 
-/// A fit under way.
+/// A fit in progress.
 #[derive(Debug)]
 struct Fit {
     start: Vec<ContactPatch>,
-    /// The patches found so far.
+    /// The current patches.
     patches: Vec<ContactPatch>,
     /// `None` before the first step.
     at: Option<PatchFit>,
     steps: usize,
-    /// Portions of work in a row after which a patch was larger than a touch.
+    /// Number of consecutive calls after which a patch was larger than a touch.
     large: usize,
 }
 
-/// What the search works with.
+/// Models and settings for a search.
 pub(super) struct Tools<'a> {
     pub(super) sheet: &'a ContactSheet,
     pub(super) search: &'a PatchSearch,
@@ -76,25 +77,25 @@ pub(super) struct Tools<'a> {
     pub(super) half_width_m: f64,
 }
 
-/// What a frame's share of the work came to.
+/// Result of the work done in one frame.
 pub(super) enum Outcome {
-    /// There is more to do.
+    /// The search isn't finished.
     UnderWay,
-    /// Nothing explains the frame.
+    /// No patches explain the frame.
     Nothing,
-    /// These do, with this misfit.
+    /// These patches explain the frame, with this misfit.
     Found(Vec<ContactFit>, f64),
 }
 
 impl Seek {
-    /// Begins; `None` where lengths disagree.
+    /// Starts a search; `None` if lengths disagree.
     pub(super) fn new(tools: &Tools<'_>, change: &[f64], deviation: &[f64]) -> Option<Self> {
         let sets = tools.search.begin(tools.sheet, change, deviation).ok()?;
         let (change, deviation) = (change.to_vec(), deviation.to_vec());
         Some(Self { change, deviation, sets, work: Work::Sets, best: None, found: None, left: Vec::new() })
     }
 
-    /// Goes on for about so long.
+    /// Continues for about this long.
     pub(super) fn advance(&mut self, tools: &Tools<'_>, mut nanoseconds: f64) -> Outcome {
         while nanoseconds > 0.0 {
             let work = std::mem::replace(&mut self.work, Work::Sets);
@@ -133,7 +134,8 @@ impl Seek {
         Outcome::UnderWay
     }
 
-    /// A step of a fit, or what the fit came to if that was the last; an error is nothing.
+    /// Takes one or more steps of a fit. `None` if it isn't finished, otherwise its result, or `Some(None)` if it
+    /// failed.
     fn fit(
         &mut self,
         tools: &Tools<'_>,
@@ -158,8 +160,8 @@ impl Seek {
         let step_ns = STEP_NS * fit.typical_patches(tools.options).powi(2);
         *nanoseconds -= step_ns * summary.steps.max(1) as f64;
         fit.steps += summary.steps;
-        // Patches that stay grown over the whole skin would take the time of many frames, and are not believed in the
-        // end. At a desk they may shrink again.
+        // Patches that stay as large as the whole skin would take the time of many frames and be rejected in the end.
+        // Without a time limit they may shrink again.
         fit.large = if are_large(&fits, tools.half_width_m) { fit.large + 1 } else { 0 };
         if nanoseconds.is_finite() && fit.large > MOST_LARGE {
             return Some(None);
@@ -168,7 +170,7 @@ impl Seek {
         ended.then_some(Some((fits, summary)))
     }
 
-    /// After the fit of a set: whether it is the best, and whether a larger one is worth looking for.
+    /// Judges the fit of a set: keeps it if it is the best, and decides whether to look for a larger one.
     fn judge(
         &mut self,
         tools: &Tools<'_>,
@@ -186,14 +188,15 @@ impl Seek {
                 self.best = Some((start, better));
                 better.misfit < GOOD
             }
-            // What explains a frame is not improved by one more: two more would not improve it either.
+            // The best set explains the frame and one more patch doesn't improve it; two more would not either.
             (None, Some(before)) => before.misfit < BELIEVED,
             (None, None) => false,
         };
         if ends { self.scaled(0) } else { Some(Work::Sets) }
     }
 
-    /// The best set from this one of the radii; `None` after the last, or where there is no set.
+    /// The best set with its radii scaled by this factor of [`RADII`]; `None` after the last factor, or without a
+    /// set.
     fn scaled(&self, index: usize) -> Option<Work> {
         let ((best, _), share) = (self.best.as_ref()?, *RADII.get(index)?);
         let scale = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
@@ -215,7 +218,7 @@ impl Fit {
         Self { patches: start.clone(), start, at: None, steps: 0, large: 0 }
     }
 
-    /// How many patches of the typical size would cover as much as these, at least as many as these are.
+    /// Number of typical patches that would cover the same area, but at least the number of patches.
     fn typical_patches(&self, options: &FitOptions) -> f64 {
         let covered: f64 = self.patches.iter().map(|patch| (patch.radius_m / options.radius_m).powi(2)).sum();
         covered.max(self.patches.len() as f64)

@@ -1,5 +1,5 @@
-//! The sheet that contacts are fitted on and the one that they are looked for on, slit where the skin is cut. New ones
-//! take the better part of a second and are worked out beside the stream ([`crate::beside`]).
+//! The sheets for fitting contacts and for searching them, slit where the skin is cut. New ones take up to a second
+//! and are computed in the background ([`crate::beside`]).
 
 use std::sync::Arc;
 
@@ -12,36 +12,37 @@ use crate::beside::{Beside, Wanted};
 use crate::prepare::Prepared;
 use dermis_skin::Skin;
 
-/// Elements of the mesh that contacts are fitted on, about 2.5 mm on a skin of 100 mm, and of the one that they are
-/// looked for on, where a fit takes a fifth of the time and sizes are a tenth off.
+/// Number of elements of the mesh for fits, about 2.5 mm on a skin of 100 mm, and of the mesh for searches, on which
+/// a fit takes a fifth of the time and sizes are 10 % off.
 const ELEMENTS: usize = 4000;
 const COARSE_ELEMENTS: usize = 2000;
-/// Edges of patches are blurred over so many of the finer elements: 7 mm on a skin of 100 mm. Of widths from 3 to 7 mm
-/// this one placed and sized indenters of 20 and 25 mm best on the twin.
+/// Width over which the edges of patches are blurred, in elements of the finer mesh: 7 mm on a skin of 100 mm. Of
+/// widths from 3 to 7 mm, this one gave the best positions and sizes for indenters of 20 and 25 mm on the twin.
 const EDGE: f64 = 4.25;
-/// Places that are searched, along the shorter side.
+/// Number of positions searched along the shorter side.
 const PLACES: usize = 10;
-/// What is left of the conductance of an element that a cut crosses which no slit can follow: it blocks the current,
-/// and no matrix becomes singular.
+/// Share of the conductance left in an element that is crossed by a cut which no slit can follow. It blocks the
+/// current but keeps the matrices regular.
 const LEFT_BY_A_CUT: f64 = 1e-4;
-/// Sheets that are ordered take effect so much later, nanoseconds: several times what they take on one slow core.
+/// Delay after which ordered sheets take effect, nanoseconds: several times the time to compute them on one slow
+/// core.
 const READY_NS: u64 = 3_000_000_000;
 
-/// Both ends, metres.
+/// Both ends of a segment, metres.
 type Ends = [[f64; 2]; 2];
 
-/// A sheet's mesh with its slits, and of each cut whether it is one of them.
+/// A sheet's mesh with its slits, and for each cut whether it is one of them.
 type Meshed = (SlitMesh, Vec<bool>);
 
-/// A cut that a sheet has, or the scar of one.
+/// A cut in a sheet, or its scar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SheetCut {
     pub ends_m: Ends,
-    /// Conductance across it per length, over the sheet's conductance: 0 where it is open. 1/m.
+    /// Conductance across the cut per length, over the sheet's conductance, 1/m; 0 if it is open.
     pub joined_per_m: f64,
 }
 
-/// The sheets with their cuts, ready for contacts.
+/// The sheets with their cuts, ready for fits of contacts.
 #[derive(Debug)]
 pub(super) struct Sheets {
     pub fine: ContactSheet,
@@ -49,7 +50,7 @@ pub(super) struct Sheets {
     pub search: PatchSearch,
 }
 
-/// What sheets are made of.
+/// The ingredients of sheets, without cuts.
 #[derive(Debug)]
 struct Bare {
     skin: Skin,
@@ -60,7 +61,7 @@ struct Bare {
 }
 
 impl Bare {
-    /// With these cuts; `None` where they are wanted no longer.
+    /// The sheets with these cuts; `None` if they are no longer wanted.
     fn with(&self, cuts: &[SheetCut], wanted: &Wanted) -> Option<Result<Sheets, Error>> {
         let lines: Vec<Ends> = cuts.iter().map(|cut| cut.ends_m).collect();
         let mesh = |elements: usize| self.skin.slit_mesh(elements, &lines).map_err(Error::from);
@@ -68,7 +69,7 @@ impl Bare {
         meshed.map_or_else(|error| Some(Err(error)), |(fine, coarse)| self.on(fine, coarse, cuts, wanted).transpose())
     }
 
-    /// On these meshes with the cuts, which say of each whether it is slit; `None` where they are wanted no longer.
+    /// The sheets on these meshes, which tell for each cut whether it is slit; `None` if they are no longer wanted.
     fn on(&self, fine: Meshed, coarse: Meshed, cuts: &[SheetCut], wanted: &Wanted) -> Result<Option<Sheets>, Error> {
         let coarse = self.sheet(coarse, cuts)?;
         let Some(()) = wanted.go_on() else { return Ok(None) };
@@ -89,8 +90,8 @@ impl Bare {
         let model = ForwardModel::with_joints(mesh, self.protocol.clone(), &joints)?;
         let mesh = &model.body().mesh;
         let corner = |node: u32| [mesh.nodes()[node as usize][0], mesh.nodes()[node as usize][1]];
-        // Blocked whole, a cut is longer by about half an element at each end.
-        // A scar that nothing can follow is left out.
+        // Blocking whole elements makes a cut longer by about half an element at each end. A scar that no slit can
+        // follow is left out.
         let blocking = cuts.iter().zip(&is_slit).filter(|(cut, is_slit)| !**is_slit && cut.joined_per_m == 0.0);
         let blocking: Vec<Ends> = blocking.map(|(cut, _)| shortened(cut.ends_m, 0.5 * mesh.element_size_m())).collect();
         let conductance: Vec<f64> = mesh
@@ -105,18 +106,18 @@ impl Bare {
     }
 }
 
-/// The sheets in use, and those to come.
+/// The sheets in use and the ones in preparation.
 #[derive(Debug)]
 pub(super) struct CutSheets {
     bare: Arc<Bare>,
-    /// The cuts of the sheets that were ordered last.
+    /// The cuts of the sheets ordered last.
     cuts: Vec<SheetCut>,
     pub now: Sheets,
     coming: Beside<Result<Sheets, Error>>,
 }
 
 impl CutSheets {
-    /// Without cuts, for touches of a typical kind.
+    /// Sheets without cuts, for touches like `typical`.
     pub fn new(prepared: &Prepared, typical: ContactPatch) -> Result<Self, Error> {
         let (low, high) = prepared.body.outline.bounds_m();
         let step = (high[0] - low[0]).min(high[1] - low[1]) / PLACES as f64;
@@ -144,8 +145,8 @@ impl CutSheets {
         Ok(Self { bare, cuts: Vec::new(), now, coming: Beside::new() })
     }
 
-    /// Orders sheets with these cuts, in place of any that were ordered before. Does nothing where the last ones have
-    /// them.
+    /// Orders sheets with these cuts, replacing any earlier order. Does nothing if the last ones ordered have the
+    /// same cuts.
     pub fn order(&mut self, time_ns: u64, cuts: &[SheetCut]) {
         if self.cuts == cuts {
             return;
@@ -155,12 +156,12 @@ impl CutSheets {
         self.coming.begin(time_ns.saturating_add(READY_NS), move |wanted| bare.with(&cuts, wanted));
     }
 
-    /// Frames that have waited for sheets.
+    /// Number of frames that had to wait for sheets.
     pub fn waits(&self) -> u64 {
         self.coming.waits()
     }
 
-    /// Takes up what was ordered, if its time has come; true where it was. Waits for it if need be.
+    /// Puts the ordered sheets into use when they are due, waiting for them if necessary. True if it did.
     pub fn take_up(&mut self, time_ns: u64) -> Result<bool, Error> {
         let Some(sheets) = self.coming.take(time_ns) else { return Ok(false) };
         self.now = sheets?;
@@ -168,7 +169,7 @@ impl CutSheets {
     }
 }
 
-/// A segment without so much at either end; its middle where little is left.
+/// A segment shortened by this length at each end, or what is left of it around its middle.
 fn shortened([a, b]: Ends, by_m: f64) -> Ends {
     let length = (b[0] - a[0]).hypot(b[1] - a[1]);
     let share = (by_m / length.max(f64::MIN_POSITIVE)).min(0.499);
@@ -176,7 +177,7 @@ fn shortened([a, b]: Ends, by_m: f64) -> Ends {
     [at(share), at(1.0 - share)]
 }
 
-/// Whether a segment meets a triangle.
+/// True if a segment meets a triangle.
 fn crosses(corners: [[f64; 2]; 3], [a, b]: Ends) -> bool {
     let side = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
     let meets = |p: [f64; 2], q: [f64; 2]| side(p, q, a) * side(p, q, b) <= 0.0 && side(a, b, p) * side(a, b, q) <= 0.0;

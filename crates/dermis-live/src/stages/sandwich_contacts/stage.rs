@@ -1,4 +1,4 @@
-//! Patches fitted to one frame after the other.
+//! Fits patches to frames, one after the other.
 
 use std::f64::consts::PI;
 
@@ -15,32 +15,35 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
 
-/// A fit that goes on from the frame before is believed up to so many times the misfit before, too.
+/// A fit that continues from the last frame is also accepted up to this factor of the last misfit.
 const WORSENED: f64 = 1.5;
-/// After a search in vain so much time passes before the next, twice as much after each further one, up to the most;
-/// nanoseconds.
+/// Pause after a failed search, nanoseconds: initial and maximum. It doubles with each further failure.
 const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
-/// Standard deviations of the logarithms of radius and conductance before anything is measured.
+/// Prior standard deviations of the logarithms of radius and conductance.
 const LOG_DEVIATIONS: [f64; 2] = [0.5, 0.5];
-/// A peak so many times as high as the image is low stands out by itself.
+/// A peak this many times as high as the image's lowest value is deep counts as a touch by itself.
 const OUTSTANDING: f64 = 2.0;
-/// Least time between two fits, nanoseconds: what is pressed by hand or robot moves less than the uncertainty of its
-/// place meanwhile.
+/// Least time between two fits, nanoseconds. In that time, presses by hand or robot move less than the uncertainty of
+/// their position.
 const INTERVAL_NS: u64 = 5_000_000;
-/// Frames that come faster than this may still take half of it, nanoseconds.
+/// Shortest time between frames for which a search gets its full share, nanoseconds. With faster frames it gets the
+/// share of this time.
 const LEAST_NS: f64 = 500_000.0;
-/// A step of a fit of one patch to a frame, nanoseconds of a core; one of n patches takes n squared times that.
+/// Cost of a step of a fit of one patch, nanoseconds of one core. A step of a fit of n patches takes n squared times
+/// as long.
 const STEP_NS: f64 = 0.4e6;
-/// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since
-/// by the second: 2 % in ten minutes.
+/// The baseline is frozen while something touches the skin. In that time all voltages may drift together by this
+/// share per second: 2 % in ten minutes.
 const DRIFT_PER_S: f64 = 0.02 / 600.0;
-/// Steps of a fit: from the frame before, and at most from what a search found, where a frame's share allows it.
+/// Steps of a fit that continues from the last frame, and the largest number for a fit that starts from the result of
+/// a search, if the frame's time budget allows.
 const STEPS: [usize; 2] = [4, 15];
 /// Share of the time between frames that a search may take.
 const SEARCH_SHARE: f64 = 0.5;
 
-/// A press has gone from the baseline where its opposite explains this share of a frame whose mean square over the
-/// deviations exceeds this. After a look in vain, this many frames pass.
+/// A press that is part of the baseline has ended if a press of opposite sign explains this share of a frame, and the
+/// frame's mean square in squared deviations exceeds the second value. After a failed look, wait the third, in
+/// frames.
 const GONE_SHARE: f64 = 0.8;
 const GONE_ENERGY: f64 = 4.0;
 const GONE_WAIT: u32 = 8;
@@ -49,20 +52,21 @@ const GONE_WAIT: u32 = 8;
 #[derive(Debug)]
 struct Followed {
     fits: Vec<ContactFit>,
-    /// Where their fit stands.
+    /// State of their fit.
     standing: Option<PatchFit>,
     misfit: f64,
     /// Contacts of the last fit.
     shown: Vec<Contact>,
-    /// What patches make of the frames since the last fit, while these patches are believed: model volts.
+    /// Change of the channels due to these patches, model volts. It applies to the frames since the last fit, while
+    /// the patches are accepted.
     explained: Vec<f64>,
 }
 
-/// The search under way, and the pause before the next.
+/// The search in progress, and the pause before the next.
 #[derive(Debug)]
 struct Search {
     seek: Option<Seek>,
-    /// No search before this time, and how long the next pause is.
+    /// Earliest time of the next search, and length of the next pause.
     pause_until_ns: u64,
     next_pause_ns: u64,
 }
@@ -78,13 +82,13 @@ impl Search {
         Self { seek: None, pause_until_ns: 0, next_pause_ns: PAUSE_NS[0] }
     }
 
-    /// The next search need not wait.
+    /// Allows the next search at once.
     fn restart(&mut self) {
         (self.pause_until_ns, self.next_pause_ns) = (0, PAUSE_NS[0]);
     }
 }
 
-/// Fits the patches of one frame after the other.
+/// Fits patches to frames, one after the other.
 #[derive(Debug)]
 pub(crate) struct PatchStage {
     sheets: CutSheets,
@@ -101,48 +105,48 @@ pub(crate) struct PatchStage {
     seen_ns: Option<u64>,
     /// Time between the last two frames, nanoseconds.
     interval_ns: f64,
-    /// Whether frames wait for the whole of a search, and no search for a later frame.
+    /// True if each frame waits for its whole search, instead of leaving the rest to later frames.
     is_unhurried: bool,
-    /// Since when something has been on the skin.
+    /// Time at which the skin was first touched, while it still is.
     touched_ns: Option<u64>,
-    /// How much of a search this frame may take, nanoseconds of a core.
+    /// Time that a search may take in this frame, nanoseconds of one core.
     share_ns: f64,
-    /// Sheets that were in use so far.
+    /// Number of sheets that have been in use.
     sheets_used: u64,
 }
 
-/// Whether presses have gone that the baseline holds.
+/// Detection of presses that are part of the baseline but have ended.
 #[derive(Debug, Default)]
 struct GoneLook {
     look: Option<ReleaseLook>,
     is_sure: bool,
-    /// Frames before the next look.
+    /// Frames until the next look.
     wait: u32,
 }
 
-/// A look at whether a change is that of touches that have gone, under way.
+/// A test in progress of whether a change comes from touches that have ended.
 #[derive(Debug)]
 pub(crate) struct ReleaseLook {
     seek: Seek,
-    /// Mean square of the change over its noise.
+    /// Mean square of the change, in squared deviations.
     energy: f64,
-    /// The sheets that it is made on.
+    /// Number of the sheets used for this test.
     sheets_used: u64,
 }
 
-/// What a look at a release came to in a frame.
+/// Result of such a test in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Released {
-    /// There is more to do.
+    /// The test isn't finished.
     UnderWay,
-    /// Nothing can be said.
+    /// The test gave no result.
     Unknown,
     /// Touches of the opposite sign explain this share of the change's weighted energy.
     Share(f64),
 }
 
 impl PatchStage {
-    /// What fits patches, at this noise of the channels (model volts).
+    /// A stage for this noise of the channels (model volts).
     pub(crate) fn new(prepared: &Prepared, noise: &[f64]) -> Result<Self, Error> {
         let touch = &prepared.skin.touch;
         let typical = ContactPatch {
@@ -179,12 +183,12 @@ impl PatchStage {
         })
     }
 
-    /// Frames that have waited for sheets with new cuts.
+    /// Number of frames that had to wait for sheets with new cuts.
     pub(crate) fn waits(&self) -> u64 {
         self.sheets.waits()
     }
 
-    /// As new at this noise of the channels (model volts), on the sheet as it is.
+    /// Resets to the initial state with this noise of the channels (model volts), keeping the sheet.
     pub(crate) fn renew(&mut self, noise: &[f64]) {
         self.channels = Channels::new(noise);
         self.whitened = Whitened::default();
@@ -197,7 +201,7 @@ impl PatchStage {
         (self.seen_ns, self.touched_ns, self.interval_ns) = (None, None, f64::INFINITY);
     }
 
-    /// From now on each frame waits for as much of a search as it takes.
+    /// From now on, finishes the search in each frame, however long it takes.
     pub(crate) fn take_time(&mut self) {
         self.is_unhurried = true;
     }
@@ -207,29 +211,29 @@ impl PatchStage {
         self.channels.set_noise(noise);
     }
 
-    /// Takes the sheet to have these cuts, from three seconds of the frames' time on: its Green's function has to be
-    /// worked out anew. Does nothing where they are those that it has.
+    /// Sets the cuts of the sheet. They take effect after three seconds of frame time, as the Green's function must
+    /// be recomputed. Does nothing if the sheet has the same cuts already.
     pub(crate) fn set_cuts(&mut self, time_ns: u64, cuts: &[SheetCut]) {
         self.sheets.order(time_ns, cuts);
     }
 
-    /// Whether it is being worked out what touches the skin.
+    /// True while a search for touches is in progress.
     pub(crate) fn is_seeking(&self) -> bool {
         self.search.seek.is_some()
     }
 
-    /// Goes on without these channels.
+    /// Leaves out these channels from now on.
     pub(crate) fn leave_out(&mut self, channels: &[u32]) {
         self.channels.leave_out(channels);
     }
 
-    /// The next frame has nothing to do with the last.
+    /// Forgets the last frame: the next is unrelated to it.
     pub(crate) fn forget(&mut self) {
         self.let_go();
         self.touched_ns = None;
     }
 
-    /// Nothing is followed any more, and the next search need not wait.
+    /// Stops following patches and allows the next search at once.
     pub(crate) fn let_go(&mut self) {
         self.followed.fits.clear();
         self.followed.shown.clear();
@@ -238,9 +242,9 @@ impl PatchStage {
         self.search.restart();
     }
 
-    /// Replaces the contacts of an image by the patches of its frame (model volts), or by those of the last fit where
-    /// that is only a moment ago. Those of a frame that patches do not explain stay as the image has them; they begin
-    /// no touch, unless one stands far out of the image, of which `lowest` is the lowest value.
+    /// Replaces the contacts of an image by patches fitted to its frame (model volts), or by those of the last fit if
+    /// that was only a moment ago. If patches don't explain the frame, the image's contacts stay, but they start no
+    /// touch unless one stands out clearly. `lowest` is the lowest value of the image.
     ///
     /// # Errors
     /// A sheet with new cuts that cannot be meshed or solved.
@@ -266,14 +270,14 @@ impl PatchStage {
         Ok(())
     }
 
-    /// Whether noise and drift explain a frame.
+    /// True if noise and drift explain a frame.
     fn is_drift(&self, difference: &[f64]) -> bool {
         let absent = self.channels.absent();
         let present = difference.iter().zip(absent).map(|(value, absent)| if *absent { f64::NAN } else { *value });
         self.drift.explains(present, self.channels.noise())
     }
 
-    /// Looks whether a frame that patches do not explain is that of a press which the baseline holds and which has gone.
+    /// Tests whether a frame that patches don't explain comes from the end of a press that is part of the baseline.
     fn look_for_gone(&mut self, difference: &[f64]) {
         if !self.followed.shown.is_empty() || self.search.seek.is_some() {
             self.gone.look = None;
@@ -295,14 +299,14 @@ impl PatchStage {
         }
     }
 
-    /// Whether a press that the baseline holds has gone; said once.
+    /// True if a press that is part of the baseline has ended; reported once.
     pub(crate) fn take_gone(&mut self) -> bool {
         std::mem::take(&mut self.gone.is_sure)
     }
 
     fn refine_contacts(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
-        // How long a search may take in this frame: as slow as frames come. A single gap is none: the frames behind it
-        // wait in line. The first frame waits for nothing.
+        // The time budget of a search follows the frame interval. A single long gap doesn't count, since the frames
+        // behind it are already queued. The first frame has no limit.
         let since_ns = self.seen_ns.replace(time_ns).map_or(f64::INFINITY, |seen| time_ns.saturating_sub(seen) as f64);
         let usual_ns = since_ns.min(self.interval_ns);
         self.interval_ns = since_ns;
@@ -337,9 +341,9 @@ impl PatchStage {
         self.refine_now(time_ns, lowest, contacts);
     }
 
-    /// As [`PatchStage::refine`], of the frame in `left`.
+    /// Like [`PatchStage::refine`], for the frame in `left`.
     fn refine_now(&mut self, time_ns: u64, lowest: f64, contacts: &mut Vec<Contact>) {
-        // Too weak to begin a touch, and none there that it could be.
+        // Too weak to start a touch, and no touch is being followed that it could belong to.
         let Contact { significance, strength, .. } = contacts[0];
         if self.followed.fits.is_empty() && self.followed.shown.is_empty() && strength != ContactStrength::Strong {
             return;
@@ -348,16 +352,17 @@ impl PatchStage {
         if !self.follow(STEPS[0]) && !self.search(time_ns) {
             self.followed.fits.clear();
             if self.search.seek.is_some() && !self.followed.shown.is_empty() {
-                // Until it is known what changed, a few frames at most, what was there stays where it was.
+                // While a search finds out what changed, for a few frames at most, keep the previous contacts.
                 contacts.clone_from(&self.followed.shown);
                 return;
             }
             self.followed.shown.clear();
             if self.search.seek.is_none() && contacts[0].amplitude > OUTSTANDING * -lowest {
-                // A press on a cut looks like this: the image knows one touch.
+                // A press on a cut looks like this: the image can show only one touch.
                 contacts.truncate(1);
             } else {
-                // Lobes of damage, and touches that are only beginning: nothing begins, what is there may stay.
+                // These are side lobes of damage, or touches that are only just starting. Nothing starts, but
+                // existing touches may stay.
                 contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
             }
             return;
@@ -388,12 +393,13 @@ impl PatchStage {
         self.followed.explained.extend(self.whitened.change.iter().zip(&self.left).map(|(change, left)| change - left));
     }
 
-    /// What the contacts that are shown explain of the last frame (model volts); `None` where none are.
+    /// The change of the channels due to the reported contacts in the last frame (model volts); `None` without
+    /// contacts.
     pub(crate) fn explained(&self) -> Option<&[f64]> {
         (!self.followed.shown.is_empty()).then_some(&self.followed.explained[..])
     }
 
-    /// Goes on from the patches of the frame before; false where these do not explain this one.
+    /// Continues from the patches of the last frame. False if they don't explain this one.
     fn follow(&mut self, most_steps: usize) -> bool {
         if self.followed.fits.is_empty() {
             self.followed.standing = None;
@@ -426,14 +432,14 @@ impl PatchStage {
         believed && self.followed.fits.iter().all(|fit| self.rule.is_touch(fit, strongest))
     }
 
-    /// What a search works with.
+    /// Models and settings for a search.
     fn tools(&self) -> Tools<'_> {
         let Sheets { coarse, search, .. } = &self.sheets.now;
         Tools { sheet: coarse, search, options: &self.options, half_width_m: self.rule.half_width_m }
     }
 
-    /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were
-    /// found that explain this frame too.
+    /// Continues the search in progress, or starts one unless the pause after a failed one isn't over. True if it
+    /// found patches that also explain this frame.
     fn search(&mut self, time_ns: u64) -> bool {
         let under_way = self.search.seek.take();
         let tools = self.tools();
@@ -447,7 +453,7 @@ impl PatchStage {
             }
             Outcome::Nothing => false,
             Outcome::Found(fits, misfit) => {
-                // What a frame leaves to be done, the next ones do.
+                // Steps that don't fit into this frame are done in the next ones.
                 let step_ns = STEP_NS * (fits.len() * fits.len()).max(1) as f64;
                 let steps = (self.share_ns / step_ns).clamp(STEPS[0] as f64, STEPS[1] as f64) as usize;
                 (self.followed.fits, self.followed.misfit, self.followed.standing) = (fits, misfit, None);
@@ -463,16 +469,16 @@ impl PatchStage {
         found
     }
 
-    /// Begins to look whether a change of the free skin (model volts, NaN where missing) is that of touches that have
-    /// gone, which the reference holds: whether patches of the opposite sign explain it. None where that cannot be
-    /// said.
+    /// Starts to test whether a change of the untouched skin (model volts, NaN where missing) is the end of touches
+    /// that are part of the reference, so that patches of the opposite sign explain it. `None` if that cannot be
+    /// tested.
     pub(crate) fn look_for_release(&self, change: &[f64]) -> Option<ReleaseLook> {
         let absent = self.channels.absent();
         let missing = |(value, absent): (&f64, &bool)| !value.is_finite() && !absent;
         if change.len() != absent.len() || change.iter().zip(absent).any(missing) {
             return None;
         }
-        // Channels that are left out have no part in what follows.
+        // Channels that are left out are ignored below.
         let opposite: Vec<f64> = change.iter().map(|value| if value.is_finite() { -value } else { 0.0 }).collect();
         let mut whitened = Whitened::default();
         self.channels.weigh(&opposite, &mut whitened);
@@ -484,7 +490,7 @@ impl PatchStage {
         Some(ReleaseLook { seek, energy, sheets_used: self.sheets_used })
     }
 
-    /// Goes on with such a look for as long as a frame may take of it.
+    /// Continues such a test within the time budget of this frame.
     pub(crate) fn go_on_looking(&self, look: &mut ReleaseLook) -> Released {
         if look.sheets_used != self.sheets_used {
             return Released::Unknown;

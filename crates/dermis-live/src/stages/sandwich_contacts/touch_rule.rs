@@ -1,16 +1,16 @@
-//! Which fitted patches are touches, and how strong.
+//! Decides which fitted patches are touches, and how strong they are.
 
 use dermis_tomo::eit::contacts::{ContactFit, ContactPatch};
 use dermis_tomo::mesh::PixelGrid;
 
 use crate::prepare::Prepared;
 
-/// Patches of less than this share of the strongest one's effect, or less certain of their place than this, relative to
-/// half the shorter side, are not touches.
+/// A touch has at least this share of the strongest one's effect, and a position uncertainty of at most this share of
+/// half the shorter side.
 const LEAST_SHARE: f64 = 0.05;
 const LEAST_CERTAIN: f64 = 0.1;
 
-/// Tells touches from other patches of one skin.
+/// Distinguishes touches from other patches on one skin.
 #[derive(Debug)]
 pub(super) struct TouchRule {
     sheet_s: f64,
@@ -36,16 +36,16 @@ impl TouchRule {
         fits.iter().map(|fit| self.effect_m2(&fit.patch)).fold(f64::MIN_POSITIVE, f64::max)
     }
 
-    /// What a patch does to a uniform current, as the square of the radius of a short circuit that does the same:
-    /// `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`, from `lap v = k^2 v` within the patch, whose layer is
-    /// at the mean potential of its rim by symmetry.
+    /// Effect of a patch on a uniform current, expressed as the squared radius of a short circuit with the same
+    /// effect: `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`. This follows from `lap v = k^2 v` within the
+    /// patch; by symmetry, the layer above is at the mean potential of the patch's rim.
     pub fn effect_m2(&self, patch: &ContactPatch) -> f64 {
         let x = (patch.conductance_s_per_m2 / self.sheet_s).sqrt() * patch.radius_m;
         let [zeroth, second] = bessel_i0_i2(x);
         patch.radius_m * patch.radius_m * second / zeroth
     }
 
-    /// Whether a patch is a touch beside the strongest one.
+    /// True if a patch is a touch, given the strongest effect in the frame.
     pub fn is_touch(&self, fit: &ContactFit, strongest: f64) -> bool {
         let variance = fit.covariance[0][0] + fit.covariance[1][1];
         self.effect_m2(&fit.patch) >= LEAST_SHARE * strongest
@@ -54,7 +54,8 @@ impl TouchRule {
     }
 }
 
-/// Modified Bessel functions I0 and I2, both over I0's leading growth where that is large: the ratio is what matters.
+/// Modified Bessel functions I0 and I2, both divided by the leading growth of I0 for large arguments: only their
+/// ratio matters.
 fn bessel_i0_i2(x: f64) -> [f64; 2] {
     if x > 50.0 {
         // Hankel's expansion (Abramowitz and Stegun 9.7.1), to the second order.
@@ -86,7 +87,7 @@ mod tests {
         assert!((zeroth - 2.279_585_302_336_067).abs() < 1e-12 && (second - 0.688_948_447_698_738_2).abs() < 1e-12);
         let [zeroth, second] = bessel_i0_i2(5.0);
         assert!((zeroth - 27.239_871_823_604_44).abs() < 1e-10 && (second - 17.505_614_966_624_236).abs() < 1e-10);
-        // Both ways agree where they meet.
+        // Series and expansion agree where they meet.
         let ratio = |x: f64| bessel_i0_i2(x)[1] / bessel_i0_i2(x)[0];
         assert!((ratio(49.999) - ratio(50.001)).abs() < 1e-5, "{} {}", ratio(49.999), ratio(50.001));
         assert!(bessel_i0_i2(0.0)[1] == 0.0);

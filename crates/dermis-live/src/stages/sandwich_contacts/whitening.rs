@@ -1,10 +1,10 @@
-//! Frames with the deviations that fits of patches judge them by.
+//! Frames with the standard deviations that fits of patches use.
 
-/// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
+/// Model error assumed for each channel: a share of its own change, plus a share of the frame's root mean square.
 const SHARE: f64 = 0.02;
 const FLOOR: f64 = 0.005;
-/// The usual square of the model's error over that: touches of one to three presses at random on twins of sandwiches
-/// are off by so much.
+/// Typical ratio of the squared model error to the assumed one, from twins of sandwiches with one to three presses at
+/// random.
 const USUAL_MODEL_SHARE: f64 = 0.1;
 
 /// The change of the channels in one frame, with its deviations.
@@ -14,24 +14,24 @@ pub(super) struct Whitened {
     pub change: Vec<f64>,
     /// Standard deviations, model volts.
     pub deviation: Vec<f64>,
-    /// The share of the noise in their squares, on average.
+    /// Mean share of the noise in the variances.
     pub noise_share: f64,
 }
 
 impl Whitened {
-    /// What a fit's covariance is multiplied by, where the fit leaves this misfit (the mean square over the
-    /// deviations). The deviations hold a model error that is not to be trusted below it, so that fits are not refused;
-    /// on a sound skin it is smaller, and what the fit leaves says where it is not.
+    /// Factor on the covariance of a fit with this misfit (mean squared residual over variance). The deviations
+    /// include a generous model error, so that good fits are not rejected. On a sound skin the real error is smaller;
+    /// the misfit shows if it is not.
     pub fn covariance_factor(&self, misfit: f64) -> f64 {
         misfit.max(self.noise_share + USUAL_MODEL_SHARE * (1.0 - self.noise_share))
     }
 }
 
-/// What frames are weighed by.
+/// Noise and drift of the channels, which weight the frames.
 #[derive(Debug)]
 pub(super) struct Channels {
     noise: Vec<f64>,
-    /// Drift of each channel by itself since the baseline was up to date, model volts.
+    /// Independent drift of each channel since the last update of the baseline, model volts.
     drift: Vec<f64>,
     absent: Vec<bool>,
 }
@@ -57,18 +57,18 @@ impl Channels {
         &self.noise
     }
 
-    /// Goes on without these channels.
+    /// Leaves out these channels from now on.
     pub fn leave_out(&mut self, channels: &[u32]) {
         self.absent.fill(false);
         channels.iter().for_each(|&channel| self.absent[channel as usize] = true);
     }
 
-    /// Which channels are left out.
+    /// True for each channel that is left out.
     pub fn absent(&self) -> &[bool] {
         &self.absent
     }
 
-    /// The change of the channels and its deviations, for difference data that are all finite.
+    /// Sets the change of the channels and its deviations from difference data, which must be finite.
     pub fn weigh(&self, difference: &[f64], whitened: &mut Whitened) {
         let Whitened { change, deviation, noise_share } = whitened;
         let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;

@@ -1,4 +1,4 @@
-//! The fit of spots to a frame, in memory that is kept.
+//! The fit of spots to a frame, in reusable memory.
 
 use super::SpotModel;
 use super::large::LargeScratch;
@@ -12,7 +12,7 @@ use crate::least_squares::{
 /// A fitted spot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spot {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub position_m: [f64; 2],
     /// Height: relative change of conductivity.
     pub amplitude: f64,
@@ -22,37 +22,36 @@ pub struct Spot {
     pub covariance: [[f64; 4]; 4],
 }
 
-/// How a fit went.
+/// Summary of a fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FitOutcome {
     /// Whitened energy of the frame, per combination of channels.
     pub energy: f64,
-    /// Whitened energy of what is left, per combination less the parameters: 1 where noise alone is left.
+    /// Whitened energy of the residual, per degree of freedom (combinations less parameters): 1 for pure noise.
     pub residual: f64,
-    /// The same, had the spots answered in proportion.
+    /// The same for the linear fit, before any correction for large changes.
     pub in_proportion: f64,
-    /// The uniform change of the whole skin that was fitted beside the spots.
+    /// Uniform change of the whole skin, fitted together with the spots.
     pub uniform: f64,
     /// Steps taken.
     pub steps: usize,
 }
 
-/// Parameters of a spot.
+/// Number of parameters of a spot.
 pub(super) const OF_SPOT: usize = 4;
-/// Steps at most.
+/// Largest number of steps.
 const MOST_STEPS: usize = 12;
-/// A fit has converged when no place moves by more than this share of its radius, and no logarithm of a radius by ten
-/// times that.
+/// A fit has converged when no spot moves by more than this share of its radius, and the logarithm of no radius
+/// changes by more than ten times this.
 const CONVERGED: f64 = 2e-3;
-/// Standard deviation of the logarithm of the radius before anything is measured.
+/// Prior standard deviation of the logarithm of the radius.
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
-/// The noise's own energy, which is 1, is known to so much: from 32 frames at rest, and as far as it is even. What
-/// exceeds 1 by less is no error of the model.
+/// Uncertainty of the noise's own energy, which is nominally 1: noise is estimated from 32 frames at rest, and is
+/// only roughly the same in all of them. An excess over 1 smaller than this isn't counted as model error.
 const NOISE_UNKNOWN: f64 = 0.3;
-/// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide
-/// spots.
+/// Prior standard deviation of the uniform change. Without a prior it would be confounded with wide spots.
 pub(super) const UNIFORM_DEVIATION: f64 = 0.2;
-/// Rules of the fit, beside when it has converged.
+/// Rules of the fit. Convergence is decided by `CONVERGED`.
 const PARAMS: Params = Params {
     control: Control::Damping(Damping {
         start: 1e-4,
@@ -70,21 +69,21 @@ const PARAMS: Params = Params {
     most_rejections: usize::MAX,
 };
 
-/// Memory of a fit.
+/// Working memory of a fit.
 #[derive(Clone, Debug, Default)]
 pub struct FitScratch {
     pub(super) data: Vec<f32>,
-    /// Memory for what spots do beyond proportion, and whether the fit looks at that yet.
+    /// Memory for the nonlinear part of the response to spots, and whether the fit takes it into account yet.
     pub(super) large: LargeScratch,
     pub(super) looks_beyond: bool,
-    /// A response in the combinations of the table.
+    /// A response, in the combinations of the table.
     pub(super) tabulated: Vec<f32>,
-    /// Response and derivatives of every spot.
+    /// Response and derivatives of each spot.
     pub(super) rows: Vec<f32>,
     pub(super) trial_rows: Vec<f32>,
     pub(super) residual: Vec<f32>,
     trial_residual: Vec<f32>,
-    /// Weighted derivative columns, one a parameter.
+    /// Weighted derivative columns, one per parameter.
     pub(super) columns: Vec<f32>,
     solver: Scratch,
     pub(super) state: Vec<State>,
@@ -100,7 +99,7 @@ pub(super) struct State {
 }
 
 impl State {
-    /// Place, radius in metres, amplitude.
+    /// Position, radius (metres) and amplitude.
     fn spot(&self) -> ([f64; 2], f64, f64) {
         (self.position_m, self.log_radius.exp(), self.amplitude)
     }
@@ -114,7 +113,7 @@ impl FitScratch {
 }
 
 impl SpotModel {
-    /// Memory for fits of this model, allocated now.
+    /// Memory for fits with this model, allocated now.
     pub fn scratch(&self) -> FitScratch {
         let (length, most) = (self.combinations(), self.options().most_spots);
         let parameters = OF_SPOT * most + 1;
@@ -135,12 +134,12 @@ impl SpotModel {
         }
     }
 
-    /// Fits one spot from each start (metres) to difference data (volts); the spots are then in `scratch`. Allocates
-    /// nothing, unless changes are large and the model knows of that.
+    /// Fits one spot from each start (metres) to difference data (volts). The spots are then in `scratch`. Allocates
+    /// nothing, unless the changes are large and the model corrects for that.
     ///
     /// # Errors
-    /// A frame of another length or with values that are not finite; no starts, more than the model was made for, or
-    /// one outside the skin.
+    /// A frame of the wrong length or with values that are not finite; no starts, more starts than the model was made
+    /// for, or a start outside the skin.
     pub fn fit(
         &self,
         difference: &[f64],
@@ -151,8 +150,9 @@ impl SpotModel {
         self.go_beyond_proportion(outcome, scratch)
     }
 
-    /// Goes on from a fit in proportion, which has just ended, to that of [`SpotModel::fit`]; where changes are small or
-    /// nothing is known of large ones, that is the same. Slopes stay those in proportion.
+    /// Continues from the linear fit that has just ended to the result of [`SpotModel::fit`]. Changes nothing if the
+    /// changes are small or the model has no correction for large ones. The derivatives stay those of the linear
+    /// model.
     ///
     /// # Errors
     /// As [`SpotModel::fit`].
@@ -169,8 +169,8 @@ impl SpotModel {
         Ok(outcome)
     }
 
-    /// As [`SpotModel::fit`], as if channels answered all changes in proportion: what large ones do besides is left in
-    /// the residual. Allocates nothing.
+    /// Like [`SpotModel::fit`], but treats the channels as linear in all changes; the nonlinear part of large ones
+    /// stays in the residual. Allocates nothing.
     ///
     /// # Errors
     /// As [`SpotModel::fit`].
@@ -193,14 +193,14 @@ impl SpotModel {
         Ok(FitOutcome { energy, residual, in_proportion: residual, uniform, steps })
     }
 
-    /// Whitened energy of what is left, per combination less the parameters.
+    /// Whitened energy of the residual, per degree of freedom.
     pub(super) fn mean_square(&self, scratch: &FitScratch) -> f64 {
         let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
         let parameters = OF_SPOT * scratch.state.len() + 1;
         left / self.combinations().saturating_sub(parameters).max(1) as f64
     }
 
-    /// Goes on from the state at hand, whose residual is known; how many steps that took.
+    /// Continues from the current state, whose residual is known. Returns the number of steps taken.
     pub(super) fn improve(&self, uniform: &mut f64, scratch: &mut FitScratch) -> Result<usize, InverseError> {
         let mut solver = std::mem::take(&mut scratch.solver);
         let mut way = FitUnderWay { model: self, scratch: &mut *scratch, uniform: *uniform, tried_uniform: *uniform };
@@ -210,8 +210,8 @@ impl SpotModel {
         Ok(info?.trials)
     }
 
-    /// Begins to look beyond proportion. `None` where nothing is known of that, changes are small, or the forward model
-    /// has no answer: the spots then stay what they are.
+    /// Starts to account for large changes. `None` if the model has no correction for them, the changes are small, or
+    /// the forward model fails; the spots then stay as they are.
     fn look_beyond(&self, scratch: &mut FitScratch) -> Option<()> {
         let model = self.large.as_ref()?;
         let FitScratch { state, residual, trial_residual, large, looks_beyond, .. } = scratch;
@@ -225,11 +225,11 @@ impl SpotModel {
         Some(())
     }
 
-    /// The covariance that no unbiased estimate of a spot falls below (x, y in metres, amplitude, log radius): the
-    /// inverse of the Fisher matrix of the spot and the uniform change, with the priors of [`SpotModel::fit`].
+    /// The Cramer-Rao bound on the covariance of a spot (x and y in metres, amplitude, log radius): the inverse of
+    /// the Fisher matrix of the spot and the uniform change, with the priors of [`SpotModel::fit`].
     ///
     /// # Errors
-    /// A place or radius outside the table; channels that do not tell the parameters apart.
+    /// A position or radius outside the table; channels that cannot tell the parameters apart.
     pub fn bound(&self, position_m: [f64; 2], amplitude: f64, radius_m: f64) -> Result<[[f64; 4]; 4], InverseError> {
         let (mut scratch, log_radius) = (self.scratch(), radius_m.ln());
         let rows = &mut scratch.rows[..OF_SPOT * self.combinations()];
@@ -273,7 +273,7 @@ impl SpotModel {
         }
     }
 
-    /// Starts at the radius, the same for all spots, at which amplitudes alone explain most.
+    /// Starts all spots at one radius: the one at which amplitudes alone explain most of the frame.
     fn begin(&self, starts_m: &[[f64; 2]], scratch: &mut FitScratch) -> Result<f64, InverseError> {
         let [least, most] = self.responses.log_radii();
         let typical = self.options().typical_radius_m.ln().clamp(least, most);
@@ -287,7 +287,7 @@ impl SpotModel {
         Ok(self.linear(starts_m, best.1, scratch).1)
     }
 
-    /// Amplitudes at fixed places and one radius: their cost, and the uniform change.
+    /// Fits amplitudes at fixed positions and one radius. Returns the cost and the uniform change.
     fn linear(&self, starts_m: &[[f64; 2]], log_radius: f64, scratch: &mut FitScratch) -> (f64, f64) {
         let length = self.combinations();
         scratch.state.clear();
@@ -309,7 +309,8 @@ impl SpotModel {
         }
     }
 
-    /// Amplitudes of the spots whose responses stand in the first columns, and the uniform change, which is returned.
+    /// Solves for the amplitudes of the spots whose responses are in the first columns, and for the uniform change,
+    /// which it returns.
     pub(super) fn solve_amplitudes(&self, count: usize, scratch: &mut FitScratch) -> Option<f64> {
         let length = self.combinations();
         scratch.columns[(count - 1) * length..count * length].copy_from_slice(&self.uniform);
@@ -332,7 +333,7 @@ impl SpotModel {
         Some(uniform)
     }
 
-    /// Data less model.
+    /// Data minus model.
     pub(super) fn residual(&self, state: &[State], rows: &[f32], data: &[f32], uniform: f64, residual: &mut [f32]) {
         let length = data.len();
         residual.copy_from_slice(data);
@@ -354,9 +355,9 @@ impl SpotModel {
         energy + radii + (uniform / UNIFORM_DEVIATION).powi(2)
     }
 
-    /// `G'G` with the priors and `G'r` at the state. Columns in the order x, y, amplitude, log r of every spot, then
-    /// the uniform change. The radius is varied at constant `a r^2`: wide and weak looks like narrow and strong, and a
-    /// step along that valley would otherwise be cut short.
+    /// `G'G` with the priors, and `G'r`, at the current state. The columns are x, y, amplitude and log r of each
+    /// spot, then the uniform change. The radius is varied at constant `a r^2`: wide and weak looks like narrow and
+    /// strong, and steps along that valley would otherwise be cut short.
     fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch, equations: &mut NormalEquations) {
         let length = self.combinations();
         let FitScratch { rows, columns, residual, state, .. } = scratch;
@@ -364,7 +365,7 @@ impl SpotModel {
         let parameters = OF_SPOT * state.len() + 1;
         for (k, state) in state.iter().enumerate() {
             let amplitude = state.amplitude as f32;
-            // Responses are stored as value, by x, by y, by log r.
+            // Responses are stored as value, then the derivatives by x, y and log r.
             let column = |of: usize| (OF_SPOT * k + of) * length..(OF_SPOT * k + of + 1) * length;
             for (place, source, factor) in [(0, 1, amplitude), (1, 2, amplitude), (2, 0, 1.0)] {
                 columns[column(place)].iter_mut().zip(&rows[column(source)]).for_each(|(c, v)| *c = factor * v);
@@ -384,8 +385,8 @@ impl SpotModel {
         right[parameters - 1] -= UNIFORM_DEVIATION.powi(-2) * uniform;
     }
 
-    /// The trial state at the end of a step: the largest move (see [`CONVERGED`]), the uniform change and the cost
-    /// there. `None` where the step leaves the table.
+    /// The trial state at the end of a step. Returns the largest move (see [`CONVERGED`]), the uniform change and the
+    /// cost there. `None` if the step leaves the table.
     fn try_step(&self, step: &[f64], uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
         let FitScratch { state, trial, trial_rows, trial_residual, data, tabulated, large, looks_beyond, .. } = scratch;
@@ -395,7 +396,7 @@ impl SpotModel {
         for (k, state) in state.iter().enumerate() {
             let change = &step[OF_SPOT * k..OF_SPOT * (k + 1)];
             let radius = state.log_radius.exp();
-            // No step is longer than half a radius: beyond that the model is not linear in the place.
+            // Limit steps to half a radius: beyond that the model is not linear in the position.
             let distance = change[0].hypot(change[1]);
             let share = if distance > 0.5 * radius { 0.5 * radius / distance } else { 1.0 };
             let position_m = [state.position_m[0] + share * change[0], state.position_m[1] + share * change[1]];
@@ -416,8 +417,8 @@ impl SpotModel {
         cost.is_finite().then_some((moved, uniform, cost))
     }
 
-    /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise by more
-    /// than that is known to.
+    /// Fills in the spots with their covariances: the inverse of the normal matrix, times the residual if it exceeds
+    /// the noise by more than the noise's own uncertainty.
     pub(super) fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
         let parameters = OF_SPOT * scratch.state.len() + 1;
         let mut solver = std::mem::take(&mut scratch.solver);
@@ -438,7 +439,7 @@ impl SpotModel {
                     (0..OF_SPOT).for_each(|row| covariance[row][column] = right[OF_SPOT * k + row]);
                 }
             }
-            // From a r^2 back to a.
+            // Convert from a r^2 back to a.
             let slope = -2.0 * state.amplitude;
             (0..OF_SPOT).for_each(|k| covariance[2][k] += slope * covariance[3][k]);
             (0..OF_SPOT).for_each(|k| covariance[k][2] += slope * covariance[k][3]);
@@ -449,7 +450,7 @@ impl SpotModel {
     }
 }
 
-/// A fit while it goes on.
+/// A fit in progress.
 struct FitUnderWay<'a> {
     model: &'a SpotModel,
     scratch: &'a mut FitScratch,

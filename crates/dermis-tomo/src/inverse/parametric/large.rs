@@ -1,8 +1,9 @@
-//! Changes of conductivity that channels do not follow in proportion: a forward model says what they do.
+//! Changes of conductivity too large for a linear model. A forward model computes the response of the channels.
 //!
-//! A disc whose conductivity changes by the share u answers a field like a dipole `2 u / (2 + u)` (Jackson, Classical
-//! Electrodynamics, 1999, section 4.4, in the plane). Amplitudes are what channels answer, so that a fit's slopes stay
-//! those of the table; the largest change of a spot is the u that answers so.
+//! A disc whose conductivity changes by the share u responds to a field like a dipole of strength `2 u / (2 + u)`
+//! (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane). Amplitudes are defined by that response, so
+//! the derivatives of a fit stay those of the table. The largest change under a spot is the u that gives this
+//! response.
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,41 +12,42 @@ use faer::{Mat, MatRef};
 
 use super::responses::Responses;
 
-/// A change counts as no lower than this: what insulates entirely answers like -2.
+/// Lowest change used. A perfect insulator responds like -2.
 const LOWEST: f64 = -0.95;
-/// Changes below this share are small: channels follow them in proportion to a hundredth.
+/// Changes below this share are small: the channels' response to them is linear to 1 %.
 const SMALL: f64 = 0.02;
-/// Exponent from which a load counts as zero.
+/// Exponent beyond which a load counts as zero.
 const NOTHING: f64 = 8.0;
 
-/// What channels change by (volts, as many as a frame has) where the conductivity of each pixel changes by these
-/// shares, all above -1; `None` where that cannot be solved.
+/// Change of the channels (volts, one per channel of a frame) when the conductivity of each pixel changes by the
+/// given shares, all above -1. `None` if that cannot be solved.
 pub type ChangeResponse = dyn Fn(&[f64]) -> Option<Vec<f64>> + Send + Sync;
 
-/// What large changes do to the combinations of a table.
+/// The nonlinear response to large changes, in the combinations of a table.
 #[derive(Clone)]
 pub(super) struct LargeChanges {
     response: Arc<ChangeResponse>,
     /// Channels by combinations of the table, row by row: whitens and projects.
     projection: Vec<f32>,
-    /// Combinations (rows) by the change of each pixel in the direction of positive spots, in proportion.
+    /// Combinations (rows) by pixels: the linear response to a change of each pixel in the direction of positive
+    /// spots.
     jacobian: Mat<f32>,
-    /// Change of all pixels (rows) by a load on one (columns); a load changes its own pixel alone where there is none.
+    /// Change of all pixels (rows) by a load on one (columns). Without it, a load changes only its own pixel.
     spread: Option<Mat<f32>>,
     positions_m: Vec<[f64; 2]>,
-    /// 1 where positive spots raise conductivity, -1 where they lower it.
+    /// 1 if positive spots raise conductivity, -1 if they lower it.
     sign: f64,
 }
 
-/// Pixels while what lies beyond proportion is worked out.
+/// Working memory for the nonlinear response.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LargeScratch {
-    /// What one load changes.
+    /// Changes caused by one load.
     one: Vec<f32>,
-    /// All changes, and what they would be in proportion.
+    /// All changes, and their linear approximation.
     changes: Vec<f64>,
     linear: Vec<f64>,
-    /// What lies beyond proportion, in the combinations of the table and in those of the model.
+    /// The nonlinear part of the response, in the combinations of the table and in those of the model.
     tabulated: Vec<f32>,
     combined: Vec<f32>,
 }
@@ -64,7 +66,7 @@ impl LargeChanges {
         Self { response, projection, jacobian: single(jacobian), spread: spread.map(single), positions_m, sign }
     }
 
-    /// Memory for a model of so many combinations.
+    /// Memory for a model with this number of combinations.
     pub(super) fn scratch(&self, combinations: usize) -> LargeScratch {
         let pixels = self.positions_m.len();
         LargeScratch {
@@ -76,12 +78,12 @@ impl LargeChanges {
         }
     }
 
-    /// The change in the direction of spots that answers like this one in proportion.
+    /// The change, in the direction of spots, whose response is `answered`.
     fn change(&self, answered: f64) -> f64 {
         answered / (1.0 - 0.5 * self.sign * answered).max(1.0 + 0.5 * LOWEST)
     }
 
-    /// Whether any of these spots (as in [`LargeChanges::take_out`]) changes a pixel by more than little.
+    /// True if any of these spots (as in [`LargeChanges::take_out`]) changes a pixel by more than `SMALL`.
     pub(super) fn are_large(
         &self,
         mut spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
@@ -94,8 +96,9 @@ impl LargeChanges {
         })
     }
 
-    /// Takes out of a model's residual what these spots (place, radius in metres, amplitude as channels answer it) do
-    /// beyond `amplitude` times the response of a spot of amplitude 1. `None` where the forward model has no answer.
+    /// Subtracts the nonlinear part of the response to these spots from a model's residual: the difference between
+    /// their full response and `amplitude` times the response of a spot of amplitude 1. Spots are position, radius
+    /// (metres) and amplitude, the latter as defined by the response. `None` if the forward model fails.
     pub(super) fn take_out(
         &self,
         spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
@@ -134,7 +137,7 @@ impl LargeChanges {
         Some(())
     }
 
-    /// What a load of amplitude 1 changes in all pixels.
+    /// Changes of all pixels by a load of amplitude 1.
     fn one(&self, [x, y]: [f64; 2], radius_m: f64, one: &mut [f32]) {
         one.fill(0.0);
         let per = 0.5 / (radius_m * radius_m);

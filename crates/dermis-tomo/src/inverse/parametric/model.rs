@@ -1,4 +1,4 @@
-//! The tabulated responses of a skin to spots, at one noise of its channels.
+//! The tabulated responses of a skin to spots, for given channel noise.
 
 use std::sync::Arc;
 
@@ -12,33 +12,33 @@ use super::table::Table;
 use crate::inverse::InverseError;
 use crate::inverse::check::positive;
 
-/// Most combinations of channels kept.
+/// Largest number of combinations of channels kept.
 const MOST_COMBINATIONS: usize = 128;
-/// Combinations that carry less than this share of the strongest one's energy are left out.
+/// Combinations with less than this share of the strongest one's energy are left out.
 const LEAST_ENERGY: f64 = 1e-9;
 
-/// The tabulated responses of one skin at given channel noise.
+/// The tabulated responses of one skin for given channel noise.
 #[derive(Clone, Debug)]
 pub struct SpotModel {
     options: SpotOptions,
     pub(super) responses: Responses,
-    /// One row a channel: whitens and projects a frame.
+    /// One row per channel: whitens and projects a frame.
     projection: Vec<f32>,
     channels: usize,
     /// Response to a uniform change of the whole skin.
     pub(super) uniform: Vec<f32>,
-    /// Volts of every channel (rows) for a unit of every combination: from the table back to channels, 0 for channels
-    /// left out.
+    /// Volts of each channel (rows) per unit of each combination (columns): from the table back to channels. 0 for
+    /// channels that are left out.
     pub(super) lift: Mat<f64>,
-    /// What spots do beyond proportion, where they are large.
+    /// Nonlinear response to large spots, if known.
     pub(super) large: Option<Arc<LargeChanges>>,
 }
 
 impl SpotModel {
-    /// Tabulates spots. `response` is channels x pixels in volts per unit of load on a pixel; `uniform` the response of
-    /// the channels to a uniform change of the whole skin; `positions_m` are the pixels' centres, row by row, `pixel_m`
-    /// their side; `deviations` the standard deviation of each channel, volts. Channels without a positive, finite one
-    /// are left out.
+    /// Tabulates spots. `response` is channels x pixels, in volts per unit of load on a pixel. `uniform` is the
+    /// response of the channels to a uniform change of the whole skin. `positions_m` holds the centres of the pixels,
+    /// row by row, and `pixel_m` is their side. `deviations` holds the standard deviation of each channel in volts;
+    /// channels whose deviation is not positive and finite are left out.
     ///
     /// # Errors
     /// Counts that disagree, radii that are not positive or not in order, values that are not finite, no usable
@@ -75,11 +75,12 @@ impl SpotModel {
         Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None })
     }
 
-    /// The same for spots that may be large: `response` says what channels change by. `jacobian` is channels x pixels
-    /// in volts by a relative change of a pixel, signed as spots are; `spread`, pixels x pixels, what a load on one
-    /// pixel (columns) changes in all, where that is not itself alone, so that `jacobian spread` is the response that
-    /// the model was made of; `positions_m` are the same pixels' centres; positive spots raise conductivity or lower it
-    /// as `sign`, 1 or -1, says. To be called before the model is given another noise or other channels.
+    /// The same model for spots that may be large. `response` gives the change of the channels. `jacobian` is
+    /// channels x pixels, in volts per relative change of a pixel, with the sign convention of spots. `spread` is
+    /// pixels x pixels: the change of every pixel (rows) by a load on one (columns); leave it out if a load changes
+    /// only its own pixel. `jacobian spread` must be the response that the model was made from, and `positions_m` the
+    /// centres of the same pixels. `sign` is 1 if positive spots raise conductivity and -1 if they lower it. Call
+    /// this before changing the noise or the channels of the model.
     ///
     /// # Errors
     /// Counts that disagree.
@@ -110,22 +111,22 @@ impl SpotModel {
         Ok(self)
     }
 
-    /// The same responses at another noise, at a thousandth of the cost, from the same table: within the combinations
-    /// that are kept, estimates are those of generalised least squares. Channels without a positive, finite deviation
-    /// count as the noisiest of the others.
+    /// The same responses for other noise, from the same table, at a thousandth of the cost. Within the combinations
+    /// that are kept, estimates are those of generalised least squares. Channels whose deviation is not positive and
+    /// finite get the largest deviation of the others.
     ///
     /// # Errors
-    /// Another number of channels, or none with a usable deviation.
+    /// The wrong number of channels, or none with a usable deviation.
     pub fn reweighted(&self, deviations: &[f64]) -> Result<Self, InverseError> {
         self.marginalised(deviations, &[])
     }
 
-    /// As [`SpotModel::reweighted`], with nuisances: changes of all channels (volts for one standard deviation of each)
-    /// that may come with any frame. The covariance of a frame is `D^2 + sum n n'`, so fits are what remains when the
-    /// nuisances' amplitudes are integrated out.
+    /// Like [`SpotModel::reweighted`], with nuisances: changes of all channels (volts for one standard deviation of
+    /// each) that may be part of any frame. The covariance of a frame is `D^2 + sum n n'`, so the amplitudes of the
+    /// nuisances are marginalised out of the fits.
     ///
     /// # Errors
-    /// As [`SpotModel::reweighted`], and nuisances of another length.
+    /// As [`SpotModel::reweighted`], and nuisances of the wrong length.
     pub fn marginalised(&self, deviations: &[f64], nuisances: &[Vec<f64>]) -> Result<Self, InverseError> {
         let (channels, count) = (self.channels, self.combinations());
         if deviations.len() != channels {
@@ -168,13 +169,14 @@ impl SpotModel {
         })
     }
 
-    /// The same responses at another noise and without some channels, whose values no longer matter, from the same
-    /// table. This, brought back to channels and whitened anew, is `W^1/2 L t`, and with `W^1/2 L = Q R` its projection
-    /// on Q is `R t`: what the kept combinations can tell apart, the remaining channels still do. Channels without a
-    /// positive, finite deviation count as the noisiest of the others. All changes count as small.
+    /// The same responses for other noise and without some channels, from the same table. Values of the missing
+    /// channels are ignored. A tabulated response t, brought back to channels and whitened for the new noise, is
+    /// `W^1/2 L t`. With `W^1/2 L = Q R`, its projection on Q is `R t`: the remaining channels still see everything
+    /// that the kept combinations can tell apart. Channels whose deviation is not positive and finite get the largest
+    /// deviation of the others. All changes are treated as small.
     ///
     /// # Errors
-    /// Another number of channels, or none left with a usable deviation.
+    /// The wrong number of channels, or none left with a usable deviation.
     pub fn without(&self, missing: &[u32], deviations: &[f64]) -> Result<Self, InverseError> {
         let (channels, count) = (self.channels, self.combinations());
         if deviations.len() != channels {
@@ -203,7 +205,7 @@ impl SpotModel {
         }
         let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
         let responses = self.responses.combined(single.as_ref());
-        // What is left of few channels leads astray sooner than it tells more.
+        // With few channels left, a correction for large changes does more harm than good.
         Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: None })
     }
 
@@ -212,7 +214,7 @@ impl SpotModel {
         self.channels
     }
 
-    /// Combinations of channels that are looked at.
+    /// Number of combinations of channels in use.
     pub fn combinations(&self) -> usize {
         self.uniform.len()
     }
@@ -225,7 +227,7 @@ impl SpotModel {
     /// Whitened, projected response of a spot of amplitude 1.
     ///
     /// # Errors
-    /// A place or radius outside the table.
+    /// A position or radius outside the table.
     pub fn response(&self, position_m: [f64; 2], radius_m: f64) -> Result<Vec<f64>, InverseError> {
         let mut rows = vec![0.0; 4 * self.combinations()];
         let mut tabulated = self.responses.scratch();
@@ -278,9 +280,9 @@ fn check(
     Ok(())
 }
 
-/// Orthonormal combinations of channels that hold what changes of pixels can do: the strongest left singular vectors of
-/// the whitened Jacobian, found in the range of its product with fixed vectors without symmetry (Halko, Martinsson and
-/// Tropp, SIAM Rev. 53, 2011, algorithm 4.3 with one power step).
+/// Orthonormal combinations of channels that span the response to changes of pixels: the strongest left singular
+/// vectors of the whitened Jacobian, found in the range of its product with fixed pseudo-random vectors (Halko,
+/// Martinsson and Tropp, SIAM Rev. 53, 2011, algorithm 4.3 with one power step).
 fn combinations(whitened: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
     let (channels, pixels) = (whitened.nrows(), whitened.ncols());
     let count = MOST_COMBINATIONS.min(channels).min(pixels);
@@ -295,13 +297,13 @@ fn combinations(whitened: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
     orthonormal((whitened * &again).as_ref())
 }
 
-/// Orthonormal basis of the columns, weak directions left out.
+/// Orthonormal basis of the columns, without weak directions.
 fn orthonormal(columns: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
     let singular = || InverseError::Singular {
         what: "the responses of spots",
         hint: "at least one channel must have noise and sensitivity above zero",
     };
-    // Columns scaled alike first: after a power step they differ by the square of the spectrum.
+    // Normalise the columns first: after a power step their norms differ by the square of the spectrum.
     let norms: Vec<f64> = columns.col_iter().map(|column| column.norm_l2()).collect();
     let scaled =
         Mat::from_fn(

@@ -1,6 +1,6 @@
 //! Sums over combinations of channels, in single precision.
 
-/// `C'C` and `C'r` of columns stored one after the other.
+/// `C'C` and `C'r`; the columns are stored one after the other.
 pub(super) fn products(columns: &[f32], r: &[f32], length: usize, count: usize, normal: &mut [f64], right: &mut [f64]) {
     let column = |k: usize| &columns[k * length..(k + 1) * length];
     for a in 0..count {
@@ -13,7 +13,7 @@ pub(super) fn products(columns: &[f32], r: &[f32], length: usize, count: usize, 
     }
 }
 
-/// Sums eight lanes apart, so that additions need not wait for each other.
+/// Sums in eight separate lanes, so that additions need not wait for each other.
 fn dot(a: &[f32], b: &[f32]) -> f64 {
     let mut lanes = [0.0_f32; 8];
     let (whole, rest) = (a.chunks_exact(8), a.len() / 8 * 8);

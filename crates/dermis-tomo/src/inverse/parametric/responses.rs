@@ -1,6 +1,6 @@
 //! Responses of spots in the combinations of channels of one model. The table is made once and shared by all models
-//! that come of it (another noise, channels left out): each has its own small matrix from the table's combinations to
-//! its own, which is applied to what a fit asks for instead of to the whole table.
+//! derived from it (other noise, channels left out). Each has its own small matrix from the table's combinations to
+//! its own, and applies it only to the responses that a fit asks for, not to the whole table.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use faer::{Mat, MatRef};
 
 use super::table::Table;
 
-/// Responses a place has: the value, and the derivatives by x, y and log r.
+/// Values per response: the response itself, and its derivatives by x, y and log r.
 const KINDS: usize = 4;
 
 #[derive(Clone, Debug)]
@@ -51,7 +51,7 @@ impl Responses {
         Some(())
     }
 
-    /// From combinations of the table to the model's.
+    /// Converts one response from the table's combinations to the model's.
     pub(super) fn combine_one(&self, tabulated: &[f32], out: &mut [f32]) {
         match &self.combination {
             None => out.copy_from_slice(tabulated),
@@ -64,23 +64,24 @@ impl Responses {
         }
     }
 
-    /// Places of the table, every so many along each side, metres.
+    /// Positions of the table, every `stride`-th along each side, metres.
     pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
         self.table.places(stride)
     }
 
-    /// Whether a place lies where spots are tabulated.
+    /// True if spots are tabulated at a position.
     pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
         self.table.holds(position_m)
     }
 
-    /// Logarithms of the least and largest radius.
+    /// Logarithms of the smallest and largest radius.
     pub(super) fn log_radii(&self) -> [f64; 2] {
         self.table.log_radii()
     }
 }
 
-/// All kinds of response, one after the other in `from` and `out`, multiplied by a matrix that is read once.
+/// Multiplies all values of a response, stored one after the other in `from` and `out`, by a matrix that is read only
+/// once.
 fn combine(matrix: &Mat<f32>, from: &[f32], out: &mut [f32]) {
     let (length, rows) = (matrix.ncols(), matrix.nrows());
     out.fill(0.0);

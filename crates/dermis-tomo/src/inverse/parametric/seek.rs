@@ -1,47 +1,48 @@
-//! Where one more spot would explain most of what a fit leaves: a matched filter over the table.
+//! Finds where one more spot would explain most of a fit's residual: a matched filter over the table.
 //!
-//! With the whitened residual `r` and the whitened response `g(p, radius)` of a spot, orthogonal to the uniform change,
-//! the least-squares amplitude is `g'r / g'g` and lowers the cost by `(g'r)^2 / g'g` (Kay, Fundamentals of Statistical
-//! Signal Processing II, 1998, section 4.3). The filter is evaluated on every second place of the table at a few radii.
+//! With the whitened residual `r` and the whitened response `g(p, radius)` of a spot, orthogonal to the uniform
+//! change, the least-squares amplitude is `g'r / g'g`, and it lowers the cost by `(g'r)^2 / g'g` (Kay, Fundamentals
+//! of Statistical Signal Processing II, 1998, section 4.3). The filter covers every second position of the table, at
+//! a few radii.
 
 use super::fit::{FitOutcome, FitScratch, OF_SPOT, State, UNIFORM_DEVIATION};
 use super::{Spot, SpotModel};
 use crate::inverse::InverseError;
 
-/// Radii of the filter, from the typical one to the largest of the table (shares of the logarithmic range above it).
+/// Radii of the filter, as shares of the logarithmic range from the typical radius to the largest of the table.
 const RADII: [f64; 3] = [0.0, 0.35, 0.7];
-/// Places of the filter: every so many of the table.
+/// The filter uses every n-th position of the table along each side.
 const STRIDE: usize = 2;
 
-/// Most places that are proposed, and how far they are apart, in typical radii.
+/// Largest number of positions proposed, and their least distance in typical radii.
 const PROPOSALS: usize = 3;
 const APART: f64 = 2.5;
 
-/// A place where one more spot would lower the cost.
+/// A position where one more spot would lower the cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpotProposal {
-    /// Its middle, metres.
+    /// Centre, metres.
     pub position_m: [f64; 2],
-    /// Its radius, metres.
+    /// Radius, metres.
     pub radius_m: f64,
-    /// Its least-squares amplitude with the other spots held.
+    /// Least-squares amplitude with the other spots held fixed.
     pub amplitude: f64,
-    /// By how much it lowers the cost, whitened.
+    /// Drop in the whitened cost.
     pub gain: f64,
 }
 
-/// The matched filter of one model: whitened responses at the places that are looked at.
+/// The matched filter of one model: whitened responses at the candidate positions.
 #[derive(Clone, Debug)]
 pub struct SpotFilter {
     places: Vec<([f64; 2], f64)>,
-    /// One response after the other, each of unit length and orthogonal to the uniform change.
+    /// Responses one after the other, each of unit length and orthogonal to the uniform change.
     unit: Vec<f32>,
     norms: Vec<f32>,
     length: usize,
 }
 
 impl SpotModel {
-    /// The matched filter of this model over the places of the table for which `is_inside` holds.
+    /// The matched filter of this model over the positions of the table for which `is_inside` holds.
     pub fn filter(&self, is_inside: impl Fn([f64; 2]) -> bool) -> SpotFilter {
         let length = self.combinations();
         let [_, most] = self.responses.log_radii();
@@ -49,7 +50,7 @@ impl SpotModel {
         let mut filter = SpotFilter { places: Vec::new(), unit: Vec::new(), norms: Vec::new(), length };
         let (mut tabulated, mut rows) = (self.responses.scratch(), vec![0.0_f32; OF_SPOT * length]);
         let square = |v: &[f32]| v.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-        // A uniform change has a prior, so only the part that it may take up is removed.
+        // The uniform change has a prior, so only the part that it can take up is removed.
         let of_uniform = 1.0 / (square(&self.uniform) + UNIFORM_DEVIATION.powi(-2));
         for share in RADII {
             let log_radius = typical + share * (most - typical);
@@ -72,11 +73,11 @@ impl SpotModel {
         filter
     }
 
-    /// Whitens a frame (volts, all finite) into the scratch and fits the uniform change alone: the outcome without
-    /// spots. Later fits of [`SpotModel::fit_from`] are of this frame.
+    /// Whitens a frame (volts, all finite) into the scratch and fits only the uniform change: the outcome without
+    /// spots. Later calls of [`SpotModel::fit_from`] fit this frame.
     ///
     /// # Errors
-    /// A frame of another length, or values that are not finite.
+    /// A frame of the wrong length, or values that are not finite.
     pub fn take_frame(&self, difference: &[f64], scratch: &mut FitScratch) -> Result<FitOutcome, InverseError> {
         if difference.len() != self.channels() {
             let (expected, got) = (self.channels(), difference.len());
@@ -87,7 +88,7 @@ impl SpotModel {
         Ok(self.fit_nothing(scratch))
     }
 
-    /// Fits the uniform change alone to the frame of the last [`SpotModel::take_frame`].
+    /// Fits only the uniform change to the frame of the last [`SpotModel::take_frame`].
     pub fn fit_nothing(&self, scratch: &mut FitScratch) -> FitOutcome {
         scratch.state.clear();
         scratch.spots.clear();
@@ -101,10 +102,10 @@ impl SpotModel {
         FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 }
     }
 
-    /// Fits spots to the frame of the last [`SpotModel::take_frame`] from these places, radii and amplitudes
-    /// (covariances do not matter). `None` where a start lies outside the table, there are too many, or the equations
-    /// cannot be solved. As if channels answered in proportion; [`SpotModel::go_beyond_proportion`] goes on. Allocates
-    /// nothing.
+    /// Fits spots to the frame of the last [`SpotModel::take_frame`], starting from these positions, radii and
+    /// amplitudes (their covariances are ignored). `None` if a start is outside the table, there are too many, or the
+    /// equations cannot be solved. This is the linear fit; [`SpotModel::go_beyond_proportion`] continues it.
+    /// Allocates nothing.
     pub fn fit_from(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
         self.begin_from(starts, scratch)?;
         let length = self.combinations();
@@ -118,8 +119,8 @@ impl SpotModel {
         Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps })
     }
 
-    /// Fits the amplitudes of spots that keep their places and radii to the frame of the last [`SpotModel::take_frame`],
-    /// in proportion. `None` as in [`SpotModel::fit_from`].
+    /// Fits only the amplitudes of spots, at fixed positions and radii, to the frame of the last
+    /// [`SpotModel::take_frame`], with the linear model. `None` as in [`SpotModel::fit_from`].
     pub fn fit_amplitudes(&self, starts: &[Spot], scratch: &mut FitScratch) -> Option<FitOutcome> {
         self.begin_from(starts, scratch)?;
         let length = self.combinations();
@@ -135,12 +136,12 @@ impl SpotModel {
         Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 })
     }
 
-    /// Whether fits go on beyond proportion where changes are large.
+    /// True if fits correct for large changes.
     pub fn looks_beyond_proportion(&self) -> bool {
         self.large.is_some()
     }
 
-    /// Puts spots where they start; their responses are then in the scratch.
+    /// Sets the spots to their starts and evaluates their responses into the scratch.
     fn begin_from(&self, starts: &[Spot], scratch: &mut FitScratch) -> Option<()> {
         let length = self.combinations();
         if starts.is_empty() || starts.len() > self.options().most_spots {
@@ -158,8 +159,8 @@ impl SpotModel {
         Some(())
     }
 
-    /// Places where one more spot, positive or, if `negative`, of either sign, explains most of the residual of the
-    /// last fit: the best first, each apart from the others.
+    /// Positions where one more spot explains most of the residual of the last fit, the best first, each apart from
+    /// the others. The spot must be positive, unless `negative` allows either sign.
     pub fn seek(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> Vec<SpotProposal> {
         let values: Vec<f32> =
             filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual)).collect();
@@ -185,14 +186,15 @@ impl SpotModel {
         found
     }
 
-    /// The largest gain of a place in [`SpotModel::seek`]. Allocates nothing.
+    /// The gain of the best position of [`SpotModel::seek`]. Allocates nothing.
     pub fn most_gain(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> f64 {
         let products = filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual));
         let most = products.map(|product| if negative { product.abs() } else { product }).fold(0.0, f32::max);
         f64::from(most).powi(2)
     }
 
-    /// What these spots change the channels by, volts, within the combinations of the model; 0 for channels left out.
+    /// The change of the channels by these spots, volts, within the combinations of the model; 0 for channels that
+    /// are left out.
     pub fn channels_of(&self, spots: &[Spot], scratch: &mut FitScratch, volts: &mut Vec<f64>) {
         let length = self.combinations();
         let mut sum = vec![0.0_f64; length];

@@ -1,22 +1,22 @@
-//! Responses of spots over places and radii, interpolated by cubics (Catmull and Rom) along x, y and log r.
+//! Responses of spots over positions and radii, interpolated along x, y and log r by cubics (Catmull and Rom).
 
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
 use super::SpotOptions;
 
-/// Radii of the table grow by this factor at most: a spot then changes little enough from one to the next for cubics.
+/// Largest ratio of neighbouring radii: the response changes little enough between them for cubics.
 const RADIUS_FACTOR: f64 = 1.4;
-/// Places beyond the outermost pixels, in steps: what cubics need, and spots whose middle is on the rim.
+/// Positions beyond the outermost pixels, in steps, for the cubics and for spots centred on the rim.
 const MARGIN: usize = 2;
-/// Most places along the longer side.
+/// Largest number of positions along the longer side.
 const MOST_ALONG: f64 = 44.0;
-/// Exponent from which a spot counts as zero: 6e-6.
+/// Exponent beyond which a spot counts as zero: 6e-6.
 const NOTHING: f64 = 12.0;
 
 #[derive(Clone, Debug)]
 pub(super) struct Table {
-    /// Lowest place.
+    /// Lowest position.
     low_m: [f64; 2],
     step_m: f64,
     columns: usize,
@@ -26,18 +26,18 @@ pub(super) struct Table {
     radii: usize,
     /// Length of a response.
     length: usize,
-    /// Responses, place (row by row) within radius.
+    /// Responses by radius, then by position (row by row).
     values: Vec<f32>,
 }
 
 impl Table {
-    /// `reduced` is combinations x pixels.
+    /// Tabulates the responses. `reduced` is combinations x pixels.
     pub(super) fn new(reduced: MatRef<'_, f64>, positions_m: &[[f64; 2]], pixel_m: f64, options: &SpotOptions) -> Self {
         let extreme =
             |axis: usize, of: fn(f64, f64) -> f64, start: f64| positions_m.iter().map(|p| p[axis]).fold(start, of);
         let low = [0, 1].map(|axis| extreme(axis, f64::min, f64::INFINITY));
         let high = [0, 1].map(|axis| extreme(axis, f64::max, f64::NEG_INFINITY));
-        // Finer than the smallest spot; never finer than it takes.
+        // The step must be finer than the smallest spot, but no finer than necessary.
         let extent = (high[0] - low[0]).max(high[1] - low[1]);
         let step_m = pixel_m.min(0.9 * options.smallest_radius_m).max(extent / MOST_ALONG);
         let count = |axis: usize| ((high[axis] - low[axis]) / step_m).ceil() as usize + 1 + 2 * MARGIN;
@@ -52,7 +52,7 @@ impl Table {
             .flat_map(|radius| (0..rows).map(move |row| (radius as f64, row as f64)))
             .map(|(radius, row)| ((log_first + radius * log_step).exp(), low_m[1] + row * step_m))
             .collect();
-        // A whole row of places at once, and only the pixels near it, which are one after the other.
+        // One row of positions at a time, with only the pixels near it, which are contiguous.
         let of_row = |&(r, y): &(f64, f64)| {
             let reach = r * (2.0 * NOTHING).sqrt();
             let near = |p: &[f64; 2]| (p[1] - y).abs() <= reach;
@@ -71,8 +71,8 @@ impl Table {
         Self { low_m, step_m, columns, rows, log_first, log_step, radii, length: reduced.nrows(), values }
     }
 
-    /// Response at a place and log radius, then its derivatives by x, y (per metre) and log r, one after the other in
-    /// `out` (four times the length). `None` outside the table.
+    /// The response at a position and log radius, then its derivatives by x, y (per metre) and log r, one after the
+    /// other in `out` (four times the length). `None` outside the table.
     pub(super) fn evaluate(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
         let (column, x) = cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns)?;
         let (row, y) = cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows)?;
@@ -104,7 +104,7 @@ impl Table {
         Some(())
     }
 
-    /// Places between the margins, every so many along each side, metres.
+    /// Positions between the margins, every `stride`-th along each side, metres.
     pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
         let along = move |count: usize| (MARGIN - 1..count.saturating_sub(MARGIN - 1)).step_by(stride);
         let at = |axis: usize, k: usize| self.low_m[axis] + k as f64 * self.step_m;
@@ -116,21 +116,21 @@ impl Table {
         self.length
     }
 
-    /// Whether a place lies where spots are tabulated.
+    /// True if spots are tabulated at a position.
     pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
         cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns).is_some()
             && cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows).is_some()
     }
 
-    /// Logarithms of the least and largest radius.
+    /// Logarithms of the smallest and largest radius.
     pub(super) fn log_radii(&self) -> [f64; 2] {
         [self.log_first + self.log_step, self.log_first + (self.radii - 2) as f64 * self.log_step]
     }
 }
 
-/// First of the four samples around a coordinate, and how far it is between the middle two.
+/// Index of the first of the four samples around a coordinate, and its fractional position between the middle two.
 fn cell(at: f64, count: usize) -> Option<(usize, f64)> {
-    // Rounding may put the very ends a hair outside.
+    // Rounding may put the very ends just outside.
     let at = if at < 1.0 && at > 1.0 - 1e-9 { 1.0 } else { at };
     let at = if at > (count - 2) as f64 && at < (count - 2) as f64 + 1e-9 { (count - 2) as f64 } else { at };
     if !(at >= 1.0 && at <= (count - 2) as f64) {
@@ -140,7 +140,7 @@ fn cell(at: f64, count: usize) -> Option<(usize, f64)> {
     Some((middle - 1, at - middle as f64))
 }
 
-/// Weights of four even samples for the value between the middle two, and for its slope.
+/// Weights of four evenly spaced samples for the value between the middle two, and for its slope.
 fn cubic(t: f64) -> [[f64; 4]; 2] {
     let (t2, t3) = (t * t, t * t * t);
     [

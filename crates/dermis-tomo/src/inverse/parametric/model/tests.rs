@@ -3,7 +3,7 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 
 use super::*;
 
-/// A square of 20 x 20 pixels seen by 60 smooth, different channels.
+/// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
 fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
     let positions: Vec<[f64; 2]> =
         (0..400).map(|k| [0.005 * ((k % 20) as f64 - 9.5), 0.005 * ((k / 20) as f64 - 9.5)]).collect();
@@ -54,19 +54,19 @@ fn spots_without_noise_are_recovered_together() {
     let starts = [[0.016, -0.016], [-0.021, 0.01]];
     let outcome = model.fit(&frame(&jacobian, &positions, &truth), &starts, &mut scratch).unwrap();
     for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
-        // The cubics' error between tabulated places (5 mm steps, spots of 11 mm and more) and radii (half as large
-        // again).
+        // Interpolation error of the cubics between tabulated positions (5 mm steps, spots of 11 mm and more) and
+        // radii (a factor of up to 1.4 apart).
         assert!((spot.position_m[0] - place[0]).hypot(spot.position_m[1] - place[1]) < 1e-4, "{spot:?} {outcome:?}");
         assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
     }
-    // 1.2 % of the frame: the same cubics.
+    // 1.2 % of the frame, from the same cubics.
     assert!(outcome.residual < 3e-4 * outcome.energy, "{outcome:?}");
 }
 
 #[test]
 fn spots_that_are_large_are_recovered_where_the_model_knows_of_them() {
     let (linear, jacobian, positions) = model(1e-5);
-    // Every pixel answers as a disc in the plane does. The Jacobian is that of lowered conductivity.
+    // Every pixel responds like a disc in the plane. The Jacobian is that of lowered conductivity.
     let lowered = jacobian.clone();
     let response: Arc<ChangeResponse> = Arc::new(move |changes: &[f64]| {
         let answered: Vec<f64> = changes.iter().map(|u| -u / (1.0 + 0.5 * u)).collect();
@@ -90,10 +90,10 @@ fn spots_that_are_large_are_recovered_where_the_model_knows_of_them() {
         (scratch.spots()[0], outcome.residual / outcome.energy)
     };
     let ((as_linear, left_by_linear), (spot, left)) = (fit(&linear), fit(&large(&positions).unwrap()));
-    // As the cubics allow. In proportion it seems narrower, and the frame is explained worse.
+    // As exact as the cubics allow. The linear fit finds a narrower spot and explains the frame less well.
     assert!((spot.radius_m / truth.1 - 1.0).abs() < 0.03 && left < left_by_linear, "{spot:?} {left} {left_by_linear}");
     assert!(as_linear.radius_m < 0.95 * truth.1, "{as_linear:?}");
-    // Amplitudes are what channels answer.
+    // Amplitudes are defined by the channels' response.
     assert!((spot.amplitude / (truth.2 / (1.0 - 0.5 * truth.2)) - 1.0).abs() < 0.05, "{spot:?}");
     assert!((spot.position_m[0] - truth.0[0]).hypot(spot.position_m[1] - truth.0[1]) < 1e-4, "{spot:?}");
     assert!(large(&positions[1..]).is_err());
@@ -121,7 +121,8 @@ fn errors_of_noisy_fits_are_those_that_covariances_say() {
     }
     for k in 0..3 {
         let ratio: f64 = (squares[k] / expected[k]).sqrt();
-        // 500 fits give a deviation within 3.2 % (one standard error); covariances are the bound times the residual.
+        // 500 fits give a standard deviation within 3.2 % (one standard error). The covariances are the bound times
+        // the residual.
         assert!((ratio - 1.0).abs() < 0.15, "{k}: {ratio}");
         let ratio = (squares[k] / f64::from(runs) / bound[k][k]).sqrt();
         assert!((ratio - 1.0).abs() < 0.15, "{k}: {ratio} of the bound");
@@ -146,7 +147,7 @@ fn another_noise_is_that_of_a_model_made_for_it() {
     };
     let (a, b) = (fit(&direct), fit(&again));
     let sigma = b.covariance[0][0].sqrt();
-    // The combinations that are kept differ a little; the estimates by a part of their deviation.
+    // The combinations kept differ a little, and the estimates by a fraction of their standard deviation.
     assert!((a.position_m[0] - b.position_m[0]).abs() < 0.2 * sigma, "{a:?} {b:?}");
     assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.1, "{a:?} {b:?}");
     assert!(first.reweighted(&noise[1..]).is_err());
@@ -173,7 +174,7 @@ fn derivatives_are_those_of_the_values() {
         let scale = (0..length).map(|n| of(n).abs()).fold(0.0, f64::max);
         for n in 0..length {
             let difference = f64::from(more[n] - less[n]) / (2.0 * step);
-            // Single precision over the step, and the cubic's third derivative.
+            // Single precision over the step, and the third derivative of the cubic.
             assert!((difference - of(n)).abs() < 0.01 * scale, "{k} {n}: {difference} {}", of(n));
         }
     }
@@ -200,7 +201,7 @@ fn what_cannot_be_is_refused() {
     let mut broken = clean.clone();
     broken[4] = f64::NAN;
     assert!(model.fit(&broken, &[[0.0; 2]], &mut scratch).is_err());
-    // A frame of nothing has an answer: no amplitude.
+    // An empty frame has a solution: amplitude zero.
     model.fit(&clean, &[[0.0; 2]], &mut scratch).unwrap();
     assert!(scratch.spots()[0].amplitude.abs() < 1e-9);
 }
@@ -226,7 +227,7 @@ fn a_model_without_channels_is_the_one_made_without_them() {
         without.fit(&data, &starts, &mut one).unwrap();
         made.fit(&data, &starts, &mut other).unwrap();
         for (a, b) in one.spots().iter().zip(other.spots()) {
-            // The combinations kept differ by weak ones, and sums are in single precision.
+            // The combinations kept differ only by weak ones, and sums are in single precision.
             assert!((a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]) < 2e-5, "{a:?} {b:?}");
             assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.02, "{a:?} {b:?}");
         }
