@@ -28,6 +28,11 @@ impl SpotFit {
         Self { model, filter, scratch, starts: Vec::new(), uniform: 0.0, error_share, grid, inside }
     }
 
+    /// Sets the share of a frame's energy that the model leaves of usual presses.
+    pub fn set_error_share(&mut self, error_share: f64) {
+        self.error_share = error_share;
+    }
+
     /// Continues with differently weighted responses.
     pub fn set_model(&mut self, model: SpotModel, error_share: f64) {
         self.error_share = error_share;

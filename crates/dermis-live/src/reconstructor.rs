@@ -49,7 +49,9 @@ impl Reconstructor {
 
     /// Takes into account how far the skin that gave this reference is from its file.
     pub fn take_reference(&mut self, prepared: &Prepared, reference: &Reference) {
-        self.touches.set_built(built_error(prepared, reference.misfit));
+        let built = built_error(prepared, reference.misfit);
+        self.refinement.set_built(built.as_ref());
+        self.touches.set_built(built);
     }
 
     /// Images one frame of difference data: see [`Imager::image`].

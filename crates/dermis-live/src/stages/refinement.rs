@@ -12,6 +12,7 @@ use crate::stages::drift::Drift;
 use crate::stages::gone::Gone;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
 use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, membrane_pressure_pa, spot_model};
+use crate::stages::workshop_error::BuiltError;
 
 /// Refines the contacts of one skin.
 #[derive(Debug)]
@@ -35,6 +36,8 @@ enum By {
         drift: Box<Drift>,
         /// Pressure of a load of amplitude 1, if presses act through a membrane.
         membrane_pa: Option<f64>,
+        /// Share of a press's energy that the model leaves because the skin is not as drawn.
+        built_share: f64,
     },
     Patches(Box<PatchStage>),
 }
@@ -66,6 +69,14 @@ impl Refinement {
         matches!(self.by, By::Spots { .. })
     }
 
+    /// Takes into account how far the skin is from its file.
+    pub(crate) fn set_built(&mut self, built: Option<&BuiltError>) {
+        if let By::Spots { stage, built_share, .. } = &mut self.by {
+            *built_share = built.map_or(0.0, BuiltError::unexplained);
+            stage.iter_mut().for_each(|stage| stage.set_built_share(*built_share));
+        }
+    }
+
     /// A refinement for this noise of the channels (model volts).
     ///
     /// # Errors
@@ -78,7 +89,7 @@ impl Refinement {
         let membrane_pa = membrane_pressure_pa(prepared)?;
         let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone(), membrane_pa)));
         let (noise, left_out, drift) = (noise.to_vec(), Vec::new(), Box::new(Drift::new(prepared)));
-        Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift, membrane_pa }))
+        Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift, membrane_pa, built_share: 0.0 }))
     }
 
     /// A refinement before any noise is known: refines nothing until [`Refinement::leave_out`] is called with the
@@ -89,7 +100,7 @@ impl Refinement {
         }
         let (noise, left_out, drift) = (Vec::new(), Vec::new(), Box::new(Drift::new(prepared)));
         let (whole, membrane_pa) = (Box::new(assumed_spot_model(prepared)?), membrane_pressure_pa(prepared)?);
-        Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift, membrane_pa }))
+        Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift, membrane_pa, built_share: 0.0 }))
     }
 
     /// From now on, finishes the search for touches in each frame, however long it takes: for offline frames, where
@@ -125,12 +136,13 @@ impl Refinement {
         match &mut self.by {
             By::Nothing => {}
             By::Patches(patches) => patches.leave_out(channels),
-            By::Spots { whole, stage, noise: kept, left_out, drift, membrane_pa } => {
+            By::Spots { whole, stage, noise: kept, left_out, drift, membrane_pa, built_share } => {
                 (*kept, *left_out) = (noise.to_vec(), channels.to_vec());
                 drift.forget();
                 drift.age_s = 0.0;
-                *stage =
-                    Some(Box::new(SpotStage::new(prepared, weighted(whole, noise, channels, drift)?, *membrane_pa)));
+                let mut fresh = SpotStage::new(prepared, weighted(whole, noise, channels, drift)?, *membrane_pa);
+                fresh.set_built_share(*built_share);
+                *stage = Some(Box::new(fresh));
             }
         }
         self.tell_pace();

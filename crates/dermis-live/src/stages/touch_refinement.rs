@@ -90,6 +90,8 @@ pub(crate) struct SpotStage {
     unknowns: Vec<Option<u32>>,
     typical_radius_m: f64,
     error_share: f64,
+    /// The same because the skin is not as drawn.
+    built_share: f64,
     explained: f64,
     far_m: f64,
     hints: Vec<Press>,
@@ -143,6 +145,7 @@ impl SpotStage {
             unknowns,
             typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
             error_share,
+            built_share: 0.0,
             explained: if pitch_m.is_some() { PATCHES_EXPLAINED } else { EXPLAINED },
             far_m: pitch_m.map_or(FAR * prepared.half_width_m(), |pitch_m| FAR_PITCHES * pitch_m),
             hints: Vec::with_capacity(MOST_SPOTS),
@@ -168,10 +171,16 @@ impl SpotStage {
         self.estimator.take_time();
     }
 
+    /// Sets the share of a press's energy that the model leaves because the skin is not as drawn.
+    pub(crate) fn set_built_share(&mut self, share: f64) {
+        self.built_share = share;
+        self.estimator.fit_mut().set_error_share(self.error_share + share);
+    }
+
     /// Continues with differently weighted responses, for a fresh or an aged baseline.
     pub(crate) fn set_model(&mut self, model: SpotModel, is_aged: bool) {
         self.is_aged = is_aged;
-        self.estimator.fit_mut().set_model(model, self.error_share);
+        self.estimator.fit_mut().set_model(model, self.error_share + self.built_share);
     }
 
     /// True if presses are being followed.

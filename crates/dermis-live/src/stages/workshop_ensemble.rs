@@ -81,7 +81,7 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
             // Skip combinations of errors that cannot be built.
             let member = member(prepared, tolerances, number).ok()?;
             let against = Against::of(prepared, &member.voltages).ok()?;
-            let fit: Vec<[f64; 4]> = member_errors(&member, &against, &at_rest, &spots, &responses, &uniform);
+            let fit: Vec<[f64; 5]> = member_errors(&member, &against, &at_rest, &spots, &responses, &uniform);
             Some((fit, against.misfit(&nominal.voltages)))
         })
         .collect();
@@ -89,10 +89,10 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     let misfit_2 = drawn.iter().map(|(_, misfit)| misfit * misfit).sum::<f64>() / count;
     let squares = (0..places_m.len())
         .map(|place| {
-            let mut mean = [0.0; 4];
+            let mut mean = [0.0; 5];
             for (errors, _) in &drawn {
-                let [x, y, load, _] = errors[place];
-                let squares = [x * x, x * y, y * y, load * load];
+                let [x, y, load, _, left] = errors[place];
+                let squares = [x * x, x * y, y * y, load * load, left];
                 mean.iter_mut().zip(squares).for_each(|(mean, square)| *mean += square / count);
             }
             mean
@@ -118,7 +118,8 @@ impl Against {
     }
 }
 
-/// Apparent changes of x, y (m), load and the logarithm of the radius for a spot of load 1 at each position.
+/// Apparent changes of x, y (m), load and the logarithm of the radius for a spot of load 1 at each position, and
+/// the share of its energy that remains.
 fn member_errors(
     member: &Member,
     against: &Against,
@@ -126,7 +127,7 @@ fn member_errors(
     spots: &Mat<f64>,
     responses: &Mat<f64>,
     uniform: &[f64],
-) -> Vec<[f64; 4]> {
+) -> Vec<[f64; 5]> {
     let places = spots.ncols() / PARAMETERS;
     let channels = member.voltages.len();
     // One of every PARAMETERS columns is the spot itself; the others are its derivatives.
@@ -152,9 +153,12 @@ fn member_errors(
             match scaled.llt(Side::Lower) {
                 Ok(factor) => {
                     let found = factor.solve(&right);
-                    [0, 1, LOAD, RADIUS].map(|k| found[(k, 0)] / units[k])
+                    let found: Vec<f64> = units.iter().enumerate().map(|(k, unit)| found[(k, 0)] / unit).collect();
+                    let left = &error - &derivatives * Mat::from_fn(PARAMETERS + 1, 1, |k, _| found[k]);
+                    let share = left.squared_norm_l2() / derivatives.col(LOAD).squared_norm_l2();
+                    [found[0], found[1], found[LOAD], found[RADIUS], share]
                 }
-                Err(_) => [0.0; 4],
+                Err(_) => [0.0; 5],
             }
         })
         .collect()

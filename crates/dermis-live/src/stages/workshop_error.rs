@@ -11,8 +11,8 @@ const MOST_MISFIT: f64 = 5.0;
 pub struct WorkshopError {
     pub(super) places_m: Vec<[f64; 2]>,
     pub(super) spacing_m: f64,
-    /// Means of x^2, x y and y^2 (m^2), and of the squared relative load.
-    pub(super) squares: Vec<[f64; 4]>,
+    /// Means of x^2, x y and y^2 (m^2), of the squared relative load, and of the unexplained share of the energy.
+    pub(super) squares: Vec<[f64; 5]>,
     /// Mean squared misfit of the members' baselines.
     pub(super) misfit_2: f64,
     /// Variance of the relative load due to the contact law.
@@ -36,7 +36,7 @@ impl BuiltError {
 
     /// Covariance of a position, square metres.
     pub fn covariance_m2(&self, place_m: [f64; 2]) -> [[f64; 2]; 2] {
-        let [xx, xy, yy, _] = self.ensemble.at(place_m).map(|value| self.scale * value);
+        let [xx, xy, yy, ..] = self.ensemble.at(place_m).map(|value| self.scale * value);
         [[xx, xy], [xy, yy]]
     }
 
@@ -44,12 +44,18 @@ impl BuiltError {
     pub fn load_variance(&self, place_m: [f64; 2]) -> f64 {
         self.scale * self.ensemble.at(place_m)[3] + self.ensemble.law
     }
+
+    /// Share of the energy of a press that the nominal model leaves unexplained, on average over the skin.
+    pub fn unexplained(&self) -> f64 {
+        let squares = &self.ensemble.squares;
+        self.scale * squares.iter().map(|square| square[4]).sum::<f64>() / squares.len().max(1) as f64
+    }
 }
 
 impl WorkshopError {
     /// Mean squares at a position, smoothed over its neighbours.
-    fn at(&self, place_m: [f64; 2]) -> [f64; 4] {
-        let (mut sums, mut weights) = ([0.0; 4], 0.0);
+    fn at(&self, place_m: [f64; 2]) -> [f64; 5] {
+        let (mut sums, mut weights) = ([0.0; 5], 0.0);
         for (at, squares) in self.places_m.iter().zip(&self.squares) {
             let distance = ((at[0] - place_m[0]).powi(2) + (at[1] - place_m[1]).powi(2)) / self.spacing_m.powi(2);
             // Far from all tabulated positions, the nearest ones count.
