@@ -101,9 +101,11 @@ fn frames(source: impl ChunkReader + 'static, file: &Path, options: &ReadOptions
     // Beside lists, other numbers than times and counts are no readings.
     if wide.is_some() {
         let is_other = |column: &Column| column.kind == Kind::Number && !csv::is_clock_or_count(&column.name);
-        notes.extend(flat.iter().filter(|column| is_other(column)).map(|column| {
-            format!("column `{}` left out: it stands beside the lists", shorten(&column.name))
-        }));
+        notes.extend(
+            flat.iter()
+                .filter(|column| is_other(column))
+                .map(|column| format!("column `{}` left out: it stands beside the lists", shorten(&column.name))),
+        );
         flat.retain(|column| !is_other(column));
     }
     let count = flat.len() + wide_count;
@@ -131,7 +133,12 @@ fn frames(source: impl ChunkReader + 'static, file: &Path, options: &ReadOptions
         })
         .map_err(broken)?;
         if row != rows {
-            return Err(DeviceError::Count { file: file.to_owned(), what: "values in a column", expected: rows, found: row });
+            return Err(DeviceError::Count {
+                file: file.to_owned(),
+                what: "values in a column",
+                expected: rows,
+                found: row,
+            });
         }
         if is_stamp {
             stamps.push((at, moments));
