@@ -44,7 +44,7 @@ pub(super) fn is_npz(path: &Path) -> bool {
     open(path).is_ok_and(begins) && open(path).is_ok_and(holds_arrays)
 }
 
-/// Reads frames from a file, of which nothing but the numbers is held in memory.
+/// Reads frames from a file. Only the numbers are held in memory.
 pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     frames(open(path).map_err(|error| DeviceError::io(path, "read", error))?, path, options)
 }

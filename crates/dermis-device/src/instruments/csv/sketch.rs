@@ -143,7 +143,7 @@ fn is_row(cells: &[Look]) -> bool {
 }
 
 impl Sketch {
-    /// Of columns whose names and kinds are known.
+    /// A sketch with known column names and kinds.
     pub(super) fn of_columns(names: Vec<String>, kinds: Vec<Kind>) -> Self {
         Self {
             separator: Separator::Mark(b'\t'),
@@ -294,7 +294,7 @@ fn best_candidate(lines: &[Line]) -> Option<Candidate> {
     let is_quoted = lines.iter().any(|(_, line)| line.contains('"'));
     let mut best: Option<Candidate> = None;
     for separator in Separator::ALL {
-        // Between tabs an empty cell is one; between blanks there is none.
+        // Two tabs enclose an empty cell; a run of blanks is one separator.
         let is_tabbed = |best: &Candidate| best.separator == Separator::Mark(b'\t') && best.is_regular();
         if separator == Separator::Spaces && best.as_ref().is_some_and(is_tabbed) {
             continue;
