@@ -1,4 +1,4 @@
-//! What is made of a file of frames, and how fast: `cargo run --release -p dermis-device --example read_file -- press.csv`.
+//! Reads a file of frames, says what was understood, and how fast: `cargo run --release -p dermis-device --example read_file -- press.csv`.
 
 use std::time::Instant;
 

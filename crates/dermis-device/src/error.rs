@@ -215,7 +215,7 @@ impl DeviceError {
         self
     }
 
-    /// The same of a table that stands so many columns to the right.
+    /// Shifts the column in the message: the table starts this many columns into the sheet.
     pub(crate) fn behind_columns(mut self, columns: usize) -> Self {
         if let Self::Cell { column, .. } = &mut self {
             *column += columns;

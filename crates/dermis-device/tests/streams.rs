@@ -2,6 +2,8 @@
 //! outside this machine is reached.
 
 mod own_clock;
+#[path = "streams/sciospec.rs"]
+mod sciospec;
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};

@@ -1,4 +1,4 @@
-//! Files of several arrays with names, of which one holds the frames and another may hold their times.
+//! Files that hold several named arrays. One holds the frames, and another may hold their times.
 
 use std::path::Path;
 
@@ -80,7 +80,7 @@ pub(super) fn choose(arrays: &[Named], file: &Path, options: &ReadOptions) -> Re
     }
 }
 
-/// The array with the times of so many frames: beside the frames if there is one.
+/// Finds the array of frame times. One in the same structure as the frames is preferred.
 pub(super) fn clock(arrays: &[Named], chosen: usize, frames: usize) -> Option<usize> {
     let has_times = |index: &usize| {
         let array = &arrays[*index];
@@ -92,7 +92,7 @@ pub(super) fn clock(arrays: &[Named], chosen: usize, frames: usize) -> Option<us
     found.iter().find(|&&index| arrays[index].parent() == parent).or(found.first()).copied()
 }
 
-/// Frames with what was understood: which array, which others there are.
+/// Notes which array was taken and which others the file has.
 pub(super) fn with_notes(frames: FrameTable, arrays: &[Named], chosen: usize) -> FrameTable {
     let mut notes = vec![format!("array `{}`", shorten(&arrays[chosen].name))];
     if arrays.len() > 1 {

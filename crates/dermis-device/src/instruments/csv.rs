@@ -427,7 +427,7 @@ fn moments_ns(stamps: &[&(usize, Vec<Option<times::Stamp>>)]) -> Option<(Vec<i64
     Some((moments, has_date))
 }
 
-/// What makes volts (or ohms) of the unit that a name states; 1 where it states none.
+/// Factor from the unit in a name to volts (or ohms); 1 without a unit.
 pub(super) fn unit_scale(name: &str) -> f64 {
     roles::split_unit(name).1.and_then(roles::scale_of).unwrap_or(1.0)
 }

@@ -57,7 +57,7 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     frames(&|| Ok(Box::new(content)), content.len() as u64, file, options)
 }
 
-/// Whether a file begins as one of MATLAB does: the version and the mark of the byte order stand at the header's end.
+/// Recognises a MATLAB file by the version and byte-order mark at the end of its header.
 pub(super) fn looks_like(content: &[u8]) -> bool {
     matches!(content.get(124..128), Some([0, 1, b'I', b'M'] | [1, 0, b'M', b'I']))
 }
@@ -68,7 +68,7 @@ pub(super) fn is_mat(path: &Path) -> bool {
     open_regular(path).and_then(|mut file| file.read_exact(&mut first)).is_ok_and(|()| looks_like(&first))
 }
 
-/// Reads frames from a file, of which nothing but the numbers is held in memory.
+/// Reads frames from a file. Only the numbers are held in memory.
 pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let failed = |error| DeviceError::io(path, "read", error);
     let length = open_regular(path).and_then(|file| file.metadata()).map_err(failed)?.len();
@@ -116,7 +116,7 @@ struct Walk {
     /// The next numeric array's place.
     place: Place,
     found: Vec<Found>,
-    /// Names of what holds no numbers, and what it is.
+    /// Variables without numbers: name and kind.
     others: Vec<(String, &'static str)>,
     /// The array that is wanted.
     array: Option<Array>,
@@ -146,7 +146,7 @@ impl Walk {
                 _ if self.wanted.is_some_and(|(wanted, _)| wanted != element) => {}
                 MATRIX => self.array(&mut input, None, 0)?,
                 COMPRESSED => self.unpacked(&mut input)?,
-                // What else MATLAB may add is no array.
+                // Other elements hold no arrays.
                 _ => {}
             }
             input.leave(rest)?;
@@ -229,7 +229,7 @@ fn without_ones(shape: Vec<usize>) -> Vec<usize> {
     }
 }
 
-/// What stands before the bytes of an element.
+/// Type and length of an element.
 struct Tag {
     kind: u32,
     bytes: u64,
@@ -274,13 +274,13 @@ impl Input<'_> {
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), DeviceError> {
         let length = bytes.len() as u64;
         self.left = self.left.checked_sub(length).ok_or_else(|| self.too_short(length))?;
-        self.read.read_exact(bytes).map_err(|error| DeviceError::io(self.file, "read an array of", error))
+        self.read.read_exact(bytes).map_err(|error| DeviceError::io(self.file, "read an array", error))
     }
 
     fn skip(&mut self, bytes: u64) -> Result<(), DeviceError> {
         self.left = self.left.checked_sub(bytes).ok_or_else(|| self.too_short(bytes))?;
         let skipped = io::copy(&mut Read::take(&mut *self.read, bytes), &mut io::sink());
-        let skipped = skipped.map_err(|error| DeviceError::io(self.file, "read an array of", error))?;
+        let skipped = skipped.map_err(|error| DeviceError::io(self.file, "read an array", error))?;
         if skipped == bytes {
             return Ok(());
         }

@@ -110,6 +110,9 @@ pub fn read(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTab
     if matches!(options.format, None | Some(Format::Npy)) && npy::is_npy(path) {
         return npy::read_frames(path, &options)?.select(&spec.select);
     }
+    if matches!(options.format, None | Some(Format::Npz)) && npz::is_npz(path) {
+        return npz::read_frames(path, &options)?.select(&spec.select);
+    }
     if matches!(options.format, None | Some(Format::Mat)) && mat::is_mat(path) {
         return mat::read_frames(path, &options)?.select(&spec.select);
     }

@@ -1,11 +1,13 @@
 //! Archives of NumPy arrays (`.npz`), of which one holds the frames and another may hold their times.
 
-use std::io::{Cursor, Read};
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
 use zip::ZipArchive;
 
 use super::arrays::{self, MOST_ARRAYS, Named};
+use super::content::{ZIP_MAGIC, open_regular};
 use super::npy::{self, Header};
 use crate::{DeviceError, FrameTable, ReadOptions};
 
@@ -20,9 +22,31 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
 
 /// Whether a ZIP archive holds arrays.
 pub(super) fn looks_like(content: &[u8]) -> bool {
+    holds_arrays(Cursor::new(content))
+}
+
+fn holds_arrays(input: impl Read + Seek) -> bool {
     let is_array =
         |name: zip::result::ZipResult<std::borrow::Cow<'_, str>>| name.is_ok_and(|name| name.ends_with(".npy"));
-    ZipArchive::new(Cursor::new(content)).is_ok_and(|archive| archive.file_names().any(is_array))
+    ZipArchive::new(input).is_ok_and(|archive| archive.file_names().any(is_array))
+}
+
+fn open(path: &Path) -> std::io::Result<BufReader<File>> {
+    open_regular(path).map(BufReader::new)
+}
+
+/// As [`looks_like`], by path.
+pub(super) fn is_npz(path: &Path) -> bool {
+    let begins = |mut file: BufReader<File>| {
+        let mut first = [0; ZIP_MAGIC.len()];
+        file.read_exact(&mut first).is_ok() && first == ZIP_MAGIC
+    };
+    open(path).is_ok_and(begins) && open(path).is_ok_and(holds_arrays)
+}
+
+/// Reads frames from a file. Only the numbers are held in memory.
+pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
+    frames(open(path).map_err(|error| DeviceError::io(path, "read", error))?, path, options)
 }
 
 /// Whether a ZIP archive has an entry of this name.
@@ -31,12 +55,16 @@ pub(super) fn holds(content: &[u8], name: &str) -> bool {
 }
 
 pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
+    frames(Cursor::new(content), file, options)
+}
+
+fn frames(input: impl Read + Seek, file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let broken = |found: String| DeviceError::Foreign {
         file: file.to_owned(),
         expected: "an archive of NumPy arrays (npz)",
         found,
     };
-    let mut archive = ZipArchive::new(Cursor::new(content)).map_err(|error| broken(error.to_string()))?;
+    let mut archive = ZipArchive::new(input).map_err(|error| broken(error.to_string()))?;
     if archive.len() > MOST_ARRAYS {
         return Err(broken(format!("{} entries", archive.len())));
     }

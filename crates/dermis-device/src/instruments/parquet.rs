@@ -48,7 +48,7 @@ pub(super) fn is_parquet(path: &Path) -> bool {
         && first == PARQUET_MAGIC
 }
 
-/// Reads frames from a file, of which nothing but the numbers is held in memory.
+/// Reads frames from a file. Only the numbers are held in memory.
 pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let opened: File = open_regular(path).map_err(|error| DeviceError::io(path, "read", error))?;
     frames(opened, path, options)

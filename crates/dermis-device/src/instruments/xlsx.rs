@@ -173,6 +173,8 @@ fn write_value(out: &mut String, value: &DataRef) {
     // Writing to a string cannot fail.
     let _ = match value {
         DataRef::Int(value) => write!(out, "{value}"),
+        // Whole numbers as they are seen: a header may count the columns.
+        DataRef::Float(value) if value.fract() == 0.0 && value.abs() < 1e15 => write!(out, "{value}"),
         DataRef::Float(value) => write!(out, "{value:e}"),
         DataRef::String(text) | DataRef::DateTimeIso(text) | DataRef::DurationIso(text) => write!(out, "{text}"),
         DataRef::SharedString(text) => write!(out, "{text}"),

@@ -35,8 +35,8 @@ pub(in crate::instruments) struct Table {
 }
 
 impl Table {
-    /// Of columns with names, as binary files hold them: values row-major, NaN where a column holds no numbers; moments
-    /// by their column.
+    /// Builds a table from named columns, as binary files hold them. `values` is row-major, NaN in columns without numbers;
+    /// `stamps` lists the columns of moments.
     pub(in crate::instruments) fn of_columns(
         names: Vec<String>,
         kinds: Vec<Kind>,

@@ -15,6 +15,8 @@ const MOST_BYTES: usize = 1 << 18;
 const SURE_COUNT: usize = 8;
 /// Fewest consecutive whole numbers that are a header where all readings below have a broken part.
 const LIKELY_COUNT: usize = 3;
+/// Fewest consecutive whole numbers that are a header unless the row below counts on, as in a table made by hand.
+const SINGLE_COUNT: usize = 4;
 
 /// What a column holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -126,6 +128,12 @@ impl Candidate {
         let score = with_numbers().filter(|cells| cells.len() == width).map(readings).sum();
         Self { separator, decimal, looks, width, score }
     }
+
+    /// Most rows have as many cells, and more than one.
+    fn is_regular(&self) -> bool {
+        let rows = || self.looks.iter().filter(|cells| is_row(cells));
+        self.width > 1 && 2 * rows().filter(|cells| cells.len() == self.width).count() > rows().count()
+    }
 }
 
 /// Cells of a row: some readings, and no more words than other cells.
@@ -135,7 +143,7 @@ fn is_row(cells: &[Look]) -> bool {
 }
 
 impl Sketch {
-    /// Of columns whose names and kinds are known.
+    /// A sketch with known column names and kinds.
     pub(super) fn of_columns(names: Vec<String>, kinds: Vec<Kind>) -> Self {
         Self {
             separator: Separator::Mark(b'\t'),
@@ -286,6 +294,11 @@ fn best_candidate(lines: &[Line]) -> Option<Candidate> {
     let is_quoted = lines.iter().any(|(_, line)| line.contains('"'));
     let mut best: Option<Candidate> = None;
     for separator in Separator::ALL {
+        // Two tabs enclose an empty cell; a run of blanks is one separator.
+        let is_tabbed = |best: &Candidate| best.separator == Separator::Mark(b'\t') && best.is_regular();
+        if separator == Separator::Spaces && best.as_ref().is_some_and(is_tabbed) {
+            continue;
+        }
         for decimal in [Decimal::Point, Decimal::Comma] {
             // A comma is a separator or a decimal mark, unless cells are quoted.
             if separator == Separator::Mark(b',') && decimal == Decimal::Comma && !is_quoted {
@@ -346,7 +359,14 @@ fn is_numeric_header(line: &str, below: &[&str], separator: Separator, decimal: 
     let broken =
         |cell: &str| cell.contains([decimal.mark() as char, 'e', 'E']) || number(cell, decimal).is_ok_and(f64::is_nan);
     let all_broken = || !below.is_empty() && below.iter().all(|line| separator.cells(line).skip(lead).all(broken));
-    counts && (counted.len() >= SURE_COUNT || (counted.len() >= LIKELY_COUNT && all_broken()))
+    let counts_on = || {
+        let next = below.first().and_then(|line| separator.cells(line).nth(lead)).and_then(|cell| cell.parse().ok());
+        next == Some(first + counted.len() as u32)
+    };
+    counts
+        && (counted.len() >= SURE_COUNT
+            || (counted.len() >= SINGLE_COUNT && !below.is_empty() && !counts_on())
+            || (counted.len() >= LIKELY_COUNT && all_broken()))
 }
 
 /// A cell that shows that decimal commas stand between commas, which nobody can tell apart: whole numbers alone, of which

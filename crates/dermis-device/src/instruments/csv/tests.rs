@@ -91,7 +91,10 @@ fn nothing_and_foreign_content_are_told_apart() {
     assert!(message("# only\n\n").contains("found none"));
     assert!(message("a,b\n").contains("found none"));
     let zip = parse(b"PK\x03\x04\0\0\xff", Path::new("a.csv")).unwrap_err().to_string();
-    assert_eq!(zip, "a.csv: expected a text table of numbers, found a ZIP archive (npz or xlsx?)");
+    assert_eq!(
+        zip,
+        "a.csv: expected a text table of numbers, found a ZIP archive that is neither npz nor xlsx (save sheets as xlsx or CSV)"
+    );
 }
 
 #[test]
@@ -160,6 +163,11 @@ fn a_header_of_numbers_is_no_frame() {
     let table = read_for(&indexed, &[]).unwrap();
     assert_eq!((table.frames(), table.channels(), table.values()[0]), (2, 10, 0.01));
     assert!(table.understood().contains("it counts the rows"), "{}", table.understood());
+    // Counts of a converter under it; rows that count on are a table made by hand.
+    let counts = read_for("0,1,2,3\n17,18,4,9\n20,19,5,9\n", &[]).unwrap();
+    assert_eq!((counts.frames(), counts.values()[0]), (2, 17.0));
+    assert_eq!(read_for("1,2,3,4\n5,6,7,8\n", &[]).unwrap().frames(), 2);
+    assert_eq!(read_for("1,2,3\n7,5,6\n", &[]).unwrap().frames(), 2);
     // A header alone is no frame.
     assert!(read_for(&format!("{}\n", header.join(",")), &[]).unwrap_err().contains("found none"));
 }

@@ -90,14 +90,18 @@ fn broken_files_give_line_field_and_expectation() {
         lines.join("\n")
     };
     for (text, expected) in [
-        (replace_line(1, "9"), "s.eit:1: number of header lines: expected 11 to 64 (version 2), found '9'"),
+        (
+            replace_line(1, "10"),
+            "s.eit:1: number of header lines: expected 9 (version 1) or 11 to 64 (version 2), found '10'",
+        ),
         (
             replace_line(1, "60"),
             "s.eit:23: header: expected 60 header lines as line 1 says, found 'the end of the file'",
         ),
         (replace_line(2, "1"), "s.eit:2: version: expected 2, found '1'"),
         (replace_line(4, "2024.13.01. 00:00:00"), "s.eit:4: date: expected year.month.day."),
-        (replace_line(8, "3"), "s.eit:8: number of frequencies: expected 1"),
+        (replace_line(8, "0"), "s.eit:8: number of frequencies: expected 1 to 1024, found '0'"),
+        (replace_line(8, "3"), "s.eit:8: frequency: expected --frequency-hz with one of"),
         (replace_line(9, "NaN"), "s.eit:9: amplitude: expected a positive number of amperes, found 'NaN'"),
         (replace_line(14, "MeasurementChannels: 1,1,5,6"), "s.eit:14: measurement channels"),
         (replace_line(15, "1 3"), "s.eit:15: injection: expected two different numbers"),
@@ -107,7 +111,10 @@ fn broken_files_give_line_field_and_expectation() {
         (replace_line(16, "1 2 3 4 inf 6 7 8"), "s.eit:16: column 5"),
         (whole.rsplitn(3, '\n').last().unwrap().to_owned(), "s.eit:22: readings: expected a line of readings"),
         (whole.lines().take(14).collect::<Vec<_>>().join("\n"), "expected at least one frame, found none"),
-        ("---Draeger EIT-Software---".to_owned(), "expected a Sciospec .eit file (text, version 2), found a Draeger"),
+        (
+            "---Draeger EIT-Software---".to_owned(),
+            "expected a Sciospec .eit file (text, version 1 or 2), found a Draeger",
+        ),
         (String::new(), "found an empty file"),
     ] {
         let message = message(&text);
