@@ -101,7 +101,7 @@ class Skin:
         return time.perf_counter() - begun
 
     def __call__(self, frames, rest=None):
-        if self.calls_per_s is None:  # The rate without the start of the program: what further frames take.
+        if self.calls_per_s is None:  # Rate of further frames, without the start of the program.
             short = self.reconstruct(frames[:2], None if rest is None else rest[:2])
             whole = self.reconstruct(frames, rest)
             self.calls_per_s = (len(frames) - 2) / max(whole - short, 1e-3)

@@ -43,7 +43,10 @@ def number(value, digits=3):
         return "none"
     if isinstance(value, int):
         return f"{value:,}"
-    return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}" if value else "0"
+    if not value:
+        return "0"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{round(value, places):,.{max(places, 0)}f}"
 
 
 def percent(value):

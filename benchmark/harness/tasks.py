@@ -29,6 +29,10 @@ EVENTS = [(490, 505), (663, 665)]
 LEVELS = range(1, 8)
 
 
+class RuleError(RuntimeError):
+    """A method that breaks a rule of the benchmark."""
+
+
 @dataclass
 class Case:
     """One training set with its test set, and what a table says of it."""
@@ -250,6 +254,8 @@ def predict(method, case, folder):
         return trained, len(labels) / (time.perf_counter() - begun)
     more = (case.rest,) if case.rest is not None and getattr(answer, "wants_rest", case.kind == "unlabelled") else ()
     found, sigma, *extra = answer(case.frames, *more)
+    if np.shape(found) != (expected := (len(case.frames), case.truth.shape[1])) or np.shape(sigma) != expected:
+        raise RuleError(f"an answer of shapes {np.shape(found)} and {np.shape(sigma)}, expected {expected} twice")
     if case.kind == "points":
         rows = [[int(frame), int(point) + 1] for frame, point in np.argwhere(np.asarray(found) > 0.5)]
         write_rows(path, "frame,point", rows)
@@ -268,6 +274,8 @@ def predict(method, case, folder):
     for index in range(min(TIMED, len(case.frames))):
         one = (case.frames[index : index + 1], *(rest[index : index + 1] for rest in more))
         begun = time.perf_counter()
-        answer(*one)
+        alone = answer(*one)[0]
         times.append(time.perf_counter() - begun)
+        if not np.allclose(np.asarray(alone, float)[0], np.asarray(found, float)[index], rtol=1e-3, atol=1e-6, equal_nan=True):
+            raise RuleError(f"frame {case.rows[index]} is answered differently alone and among others: answers may not depend on other frames")
     return trained, 1 / float(np.median(times))
