@@ -15,7 +15,10 @@ import math
 import sys
 from pathlib import Path
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError:
+    sys.exit("score.py needs NumPy: pip install numpy")
 
 MM = 1000.0
 
@@ -244,8 +247,7 @@ def main(arguments=None):
             parser.error("--data DATA or --truth TRUTH.csv is needed")
         from harness import report, tasks
 
-        cases = [case for task in tasks.TASKS.values() for case in task(given.data)]
-        print(report.tables(score_all(cases, given.predictions), {}))
+        print(report.tables(score_all(tasks.cases(given.data), given.predictions), {}))
         return 0
     except (ScoreError, OSError, ValueError) as error:
         print(f"score.py: {error}", file=sys.stderr)

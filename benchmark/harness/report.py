@@ -180,7 +180,7 @@ def tables(rows, times, is_full=True):
     for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
         if of(name):
             parts.append(section(name, body(of(name))))
-    if times:
+    if of("place") and times:
         parts.append(section("speed", speeds(times)))
     return "\n".join(parts)
 

@@ -5,7 +5,7 @@ wrote them.
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -215,6 +215,15 @@ NEEDS = {
     "several": "six-points", "unlabelled": "hydrogel", "depth": "hydrogel, cam09/03 or cam09/05", "segmentation": "ktc",
     "watch": "hydrogel-damage",
 }  # fmt: skip
+
+
+def cases(data, only=TASKS):
+    """All cases of some tasks, with those of methods that use which pokes are old (`@own`)."""
+    for task in only:
+        for case in TASKS[task](data):
+            yield case
+            if case.extra.get("strategy") == "pooled":
+                yield replace(case, part=case.part.replace("@pooled", "@own"), extra={"strategy": "own"})
 
 
 def write_rows(path, head, rows):
