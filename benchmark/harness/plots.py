@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-
 import score
 
 from . import report, tasks
