@@ -10,11 +10,15 @@ which no touch was found. Of several rows of a frame the first counts, and the o
 
 import argparse
 import csv
+import functools
 import math
 import sys
 from pathlib import Path
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError:
+    sys.exit("score.py needs NumPy: pip install numpy")
 
 MM = 1000.0
 
@@ -132,14 +136,16 @@ def score_points(truth, found):
     }
 
 
-def blur(image, sigma=80.0, reach=160):
-    """Sum over a Gaussian window cut at `reach` pixels, over its sum inside the image."""
-    offsets = np.arange(-reach, reach + 1)
-    window = np.exp(-(offsets**2) / (2 * sigma**2))
-    size = len(image)
-    weights = np.array([[window[j - i + reach] if abs(j - i) <= reach else 0 for j in range(size)] for i in range(size)])
-    weights /= weights.sum(1, keepdims=True)
-    return weights @ image @ weights.T
+@functools.cache
+def window(size, sigma=80.0, reach=160):
+    """Gaussian weights between the pixels of a line, cut at `reach` and divided by their sum inside the image."""
+    away = np.subtract.outer(np.arange(size), np.arange(size)).astype(float)
+    weights = np.where(np.abs(away) <= reach, np.exp(-(away**2) / (2 * sigma**2)), 0)
+    return weights / weights.sum(1, keepdims=True)
+
+
+def blur(image):
+    return window(len(image)) @ image @ window(len(image)).T
 
 
 def similarity(truth, found, c1=1e-4, c2=9e-4):
@@ -198,8 +204,11 @@ def score_case(case, path):
         raise ScoreError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
-def score_all(cases, folder, methods=None):
-    """Scores of all predictions in a folder: dictionaries with method, task, set, size, part and the scores."""
+def score_all(cases, folder, methods=None, failures=None):
+    """Scores of all predictions in a folder: dictionaries with method, task, set, size, part and the scores.
+
+    Predictions that cannot be scored raise ScoreError, or are told in the list `failures`.
+    """
     found = []
     folder = Path(folder)
     names = methods or sorted(path.name for path in folder.iterdir() if path.is_dir())
@@ -210,7 +219,12 @@ def score_all(cases, folder, methods=None):
                 row = {"method": method, "task": case.task, "set": case.set, "size": case.size, "part": case.part}
                 row["strategy"] = case.extra.get("strategy", "")
                 row["is_frozen"] = case.is_frozen
-                found.append(row | score_case(case, path))
+                try:
+                    found.append(row | score_case(case, path))
+                except ScoreError as error:
+                    if failures is None:
+                        raise
+                    failures.append(str(error))
     return found
 
 
@@ -233,8 +247,7 @@ def main(arguments=None):
             parser.error("--data DATA or --truth TRUTH.csv is needed")
         from harness import report, tasks
 
-        cases = [case for task in tasks.TASKS.values() for case in task(given.data)]
-        print(report.tables(score_all(cases, given.predictions), {}))
+        print(report.tables(score_all(tasks.cases(given.data), given.predictions), {}))
         return 0
     except (ScoreError, OSError, ValueError) as error:
         print(f"score.py: {error}", file=sys.stderr)

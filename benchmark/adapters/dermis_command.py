@@ -5,12 +5,14 @@ Told more than the plain methods where `TOLD` says so: the outline of the skin, 
 
 import csv
 import json
+import math
 import os
 import shutil
 import subprocess
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -18,7 +20,10 @@ PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
 # Longest that one call of the command may take.
 LIMIT_S = 600
 HANDLES_SESSIONS = True
-TOLD = "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press"
+TOLD = (
+    "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press; of the "
+    "six points a guessed hexagon, and the single touches alone"
+)
 
 
 def missing():
@@ -101,7 +106,7 @@ class Skin:
         return time.perf_counter() - begun
 
     def __call__(self, frames, rest=None):
-        if self.calls_per_s is None:  # The rate without the start of the program: what further frames take.
+        if self.calls_per_s is None:  # Rate of further frames, without the start of the program.
             short = self.reconstruct(frames[:2], None if rest is None else rest[:2])
             whole = self.reconstruct(frames, rest)
             self.calls_per_s = (len(frames) - 2) / max(whole - short, 1e-3)
@@ -115,9 +120,38 @@ class Skin:
         return values / 1e3, np.column_stack([found["sigma_x_mm"], found["sigma_y_mm"]]) / 1e3, extra
 
 
+# Where the six points are is not published: a hexagon, on a disc of this diameter.
+DISC_MM = 100.0
+HEXAGON_M = 0.03 * np.column_stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)])
+
+
+def points(told):
+    """Points touched, by a calibration on the single touches; each touch that is found counts for the nearest point."""
+    single = told.targets.sum(1) == 1
+    one = SimpleNamespace(
+        frames=told.frames[single], targets=HEXAGON_M[told.targets[single].argmax(1)], session=np.zeros(single.sum(), int),
+        skin=None, outline_mm=f"{DISC_MM:.0f}",
+    )  # fmt: skip
+    skin = Skin(one, "place")
+
+    def answer(frames):
+        skin.reconstruct(frames, None)
+        found = np.zeros((len(frames), 6))
+        with open(skin.path / "touches.csv", encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                place = np.array([float(row["x_mm"]), float(row["y_mm"])]) / 1e3
+                found[int(row["frame"]), np.linalg.norm(HEXAGON_M - place, axis=1).argmin()] = 1
+        return found, np.full(found.shape, 0.5)
+
+    answer.calls_per_s = math.nan
+    return answer
+
+
 def regress(told):
+    if told.kind == "points":
+        return points(told)
     if told.kind not in ("place", "depth") or told.targets.shape[1] == (1 if told.kind == "place" else 2):
-        return None  # Points and presses along a line have no known place.
+        return None  # Presses along a line have no known place.
     skin = Skin(told, told.kind)
     # dermis says so where its frames do not grow with the depth, and reads none.
     return skin if told.kind == "place" or skin.reads_depth else None

@@ -29,7 +29,7 @@ class Map:
         low, high = targets.min(0), targets.max(0)
         self.starts = np.stack(np.meshgrid(*np.linspace(low, high, GRID).T), -1).reshape(-1, targets.shape[1])
         self.expected, self.slopes = self.frames(self.starts)
-        spread = np.einsum("ndc,c,nec->nde", self.slopes, self.weights, self.slopes, optimize=True)
+        spread = np.einsum("kdc,c,kec->kde", self.slopes, self.weights, self.slopes, optimize=True)
         self.covariance = np.linalg.inv(spread + np.diag(1 / ((high - low) / (GRID - 1) + 1e-9) ** 2))
 
     def frames(self, points):
@@ -43,16 +43,14 @@ class Map:
         weighted = self.expected * self.weights
         start = ((weighted * self.expected).sum(1)[None] - 2 * frames @ weighted.T).argmin(1)
         residuals, covariance = (frames - self.expected[start]) * self.weights, self.covariance[start]
-        pull = np.einsum("ndc,nc->nd", self.slopes[start], residuals)
-        found = self.starts[start] + np.einsum("nde,ne->nd", covariance, pull)
+        pull = np.einsum("kdc,kc->kd", self.slopes[start], residuals)
+        found = self.starts[start] + np.einsum("kde,ke->kd", covariance, pull)
         return found, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
 
 def regress(told):
-    if told.kind == "points":
-        return superposed(told)
-    if told.kind != "place":
-        return None  # A frame says where it was pressed long before it says how deep: no model of the place, no step.
+    if told.kind != "place":  # The depth changes a frame less than the place does: without a model of both, no step.
+        return superposed(told) if told.kind == "points" else None
     scale = told.frames.std(0) + 1e-12
 
     def features(frames):

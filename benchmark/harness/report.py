@@ -43,7 +43,10 @@ def number(value, digits=3):
         return "none"
     if isinstance(value, int):
         return f"{value:,}"
-    return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}" if value else "0"
+    if not value:
+        return "0"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{round(value, places):,.{max(places, 0)}f}"
 
 
 def percent(value):
@@ -177,7 +180,7 @@ def tables(rows, times, is_full=True):
     for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
         if of(name):
             parts.append(section(name, body(of(name))))
-    if times:
+    if of("place") and times:
         parts.append(section("speed", speeds(times)))
     return "\n".join(parts)
 

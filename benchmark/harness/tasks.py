@@ -5,7 +5,7 @@ wrote them.
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,6 +27,10 @@ RUNS = {
 REST = 64
 EVENTS = [(490, 505), (663, 665)]
 LEVELS = range(1, 8)
+
+
+class RuleError(RuntimeError):
+    """A method that breaks a rule of the benchmark."""
 
 
 @dataclass
@@ -213,6 +217,15 @@ NEEDS = {
 }  # fmt: skip
 
 
+def cases(data, only=TASKS):
+    """All cases of some tasks, with those of methods that use which pokes are old (`@own`)."""
+    for task in only:
+        for case in TASKS[task](data):
+            yield case
+            if case.extra.get("strategy") == "pooled":
+                yield replace(case, part=case.part.replace("@pooled", "@own"), extra={"strategy": "own"})
+
+
 def write_rows(path, head, rows):
     path.parent.mkdir(parents=True, exist_ok=True)
     cells = [",".join(f"{value:.5g}" if isinstance(value, float) else str(value) for value in row) for row in rows]
@@ -250,6 +263,8 @@ def predict(method, case, folder):
         return trained, len(labels) / (time.perf_counter() - begun)
     more = (case.rest,) if case.rest is not None and getattr(answer, "wants_rest", case.kind == "unlabelled") else ()
     found, sigma, *extra = answer(case.frames, *more)
+    if np.shape(found) != (expected := (len(case.frames), case.truth.shape[1])) or np.shape(sigma) != expected:
+        raise RuleError(f"an answer of shapes {np.shape(found)} and {np.shape(sigma)}, expected {expected} twice")
     if case.kind == "points":
         rows = [[int(frame), int(point) + 1] for frame, point in np.argwhere(np.asarray(found) > 0.5)]
         write_rows(path, "frame,point", rows)
@@ -268,6 +283,8 @@ def predict(method, case, folder):
     for index in range(min(TIMED, len(case.frames))):
         one = (case.frames[index : index + 1], *(rest[index : index + 1] for rest in more))
         begun = time.perf_counter()
-        answer(*one)
+        alone = answer(*one)[0]
         times.append(time.perf_counter() - begun)
+        if not np.allclose(np.asarray(alone, float)[0], np.asarray(found, float)[index], rtol=1e-3, atol=1e-6, equal_nan=True):
+            raise RuleError(f"frame {case.rows[index]} is answered differently alone and among others: answers may not depend on other frames")
     return trained, 1 / float(np.median(times))

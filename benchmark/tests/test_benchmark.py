@@ -322,6 +322,33 @@ def test_a_method_that_fails_is_said_and_the_others_go_on(tmp_path):
     assert done.returncode == 1 and "out of luck" in done.stderr and "| mean |" in done.stdout
 
 
+def test_rules_are_kept_and_bad_answers_and_files_are_said(tmp_path):
+    frames, places = skin(60, 13)
+    told = tasks.told("place", frames, places[:, :2])
+    case = tasks.Case("place", "made/up", "60", "60.1", "place", told, frames, np.arange(60), places[:, :2] * 1000)
+
+    def entry(answer):
+        return SimpleNamespace(name="m", regress=lambda told: answer)
+
+    spread = np.full((60, 2), 0.01)
+    with pytest.raises(tasks.RuleError, match="other frames"):
+        tasks.predict(entry(lambda frames: (frames[:, :2] - frames[:, :2].mean(0), spread[: len(frames)])), case, tmp_path)
+    with pytest.raises(tasks.RuleError, match="expected"):
+        tasks.predict(entry(lambda frames: (frames[:, :3], spread)), case, tmp_path)
+    tasks.predict(entry(lambda frames: (frames[:, :2], -spread[: len(frames)])), case, tmp_path / "m")
+    failures = []
+    assert score.score_all([case], tmp_path, ["m"], failures) == [] and "sigma" in failures[0]
+    folder = tmp_path / "data" / "cam09" / "bad"
+    write_skin(folder, 60)
+    with (folder / "differences.csv").open("a") as file:
+        file.write("1,2\n")
+    done = subprocess.run(
+        [sys.executable, str(HERE / "run"), "data", "--methods", "mean", "--only", "place", "--out", "out", "--jobs", "1", "--no-plots"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 1 and "differences.csv:61: 2 values" in done.stderr and "Traceback" not in done.stderr
+
+
 def test_check_tells_lagging_labels_and_an_empty_folder(tmp_path):
     frames, places = skin(120, 12)
     np.savetxt(tmp_path / "f.csv", frames, delimiter=",")
