@@ -157,12 +157,12 @@ fn without_joint_values_nothing_is_said_of_the_root() {
 
 #[test]
 fn bodies_are_checked_drawn_and_demonstrated() {
-    let desk = desk(&BODY.replacen("link = \"base\"", "link = \"bse\"", 1));
+    let desk = desk(&BODY.replacen("link = \"base\"", "link = \"trunk\"", 1));
     let checked = body(desk.path(), &["check", "arm.toml"]);
     assert_eq!(checked.status.code(), Some(1));
     let text = String::from_utf8_lossy(&checked.stdout).into_owned();
     assert!(
-        text.contains("arm.toml, line 16: patch chest: link = bse: expected a link of the robot: base, forearm"),
+        text.contains("arm.toml, line 16: patch chest: link = trunk: expected a link of the robot: base, forearm"),
         "{text}"
     );
     assert!(
