@@ -23,12 +23,13 @@ fn parts(skin: &Skin) -> [(&'static str, Value); 14] {
         ("frontend.coils", json!(front.coils)),
         ("frontend.elements", json!(front.elements)),
         ("backend.frequency_khz", json!(back.frequency_khz)),
-        ("backend.drive", json!(back.drive)),
-        ("backend.measure", json!(back.measure)),
+        // Patterns that a list of channels replaces have no form in a file.
+        ("backend.drive", serde_json::to_value(&back.drive).unwrap_or_default()),
+        ("backend.measure", serde_json::to_value(&back.measure).unwrap_or_default()),
+        ("backend.channels", json!(back.channels)),
         ("backend.order", json!(back.order)),
         ("backend.driven", json!(back.driven)),
         ("backend.reads", json!(back.reads)),
-        ("backend.differences", json!(back.differences)),
     ]
 }
 
@@ -99,6 +100,25 @@ fn named(name: &str, sha256: &str) -> String {
 mod tests {
     use super::*;
     use dermis_skin::{BUILTIN_NAMES, builtin_text};
+
+    #[test]
+    fn skins_with_listed_channels_have_fingerprints_too() {
+        let listed = |plus| {
+            let channels = [[1, 2, plus, 4], [2, 3, 4, 1]].map(dermis_skin::ListedChannel::Pairs);
+            Skin::open("healing-square").unwrap().with_channels(channels.to_vec())
+        };
+        assert_eq!(frames_sha256(&listed(3)), frames_sha256(&listed(3)));
+        assert_ne!(frames_sha256(&listed(3)), frames_sha256(&listed(5)));
+        assert!(check_frames("a.mcap", &listed(3), &listed(5)).unwrap_err().to_string().contains("backend.channels"));
+    }
+
+    #[test]
+    fn frames_with_and_without_their_baseline_are_of_the_same_skin() {
+        let skin = Skin::open("healing-square").unwrap();
+        let mut differences = skin.clone();
+        differences.backend.differences = true;
+        assert_eq!(frames_sha256(&skin), frames_sha256(&differences));
+    }
 
     #[test]
     fn every_pair_of_built_in_skins_is_told_apart_and_each_knows_itself() {
