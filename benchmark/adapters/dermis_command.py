@@ -19,6 +19,8 @@ import numpy as np
 PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
 # Longest that one call of the command may take.
 LIMIT_S = 600
+# Pokes from which the speed is measured, which takes some seconds, and frames that it is measured on.
+TIMED_POKES, TIMED_FRAMES = 400, 4000
 HANDLES_SESSIONS = True
 TOLD = (
     "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press; of the "
@@ -74,7 +76,7 @@ class Skin:
             self.calibrate(told, old, "old.json", [])
             start = ["--start", "old.json"]
         self.calibrate(told, ~old, "calibration.json", start)
-        self.calls_per_s = None
+        self.pokes, self.calls_per_s = len(told.frames), None
 
     def calibrate(self, told, rows, name, more):
         places = told.targets if self.kind == "place" else np.hstack([told.places, told.targets])
@@ -105,13 +107,17 @@ class Skin:
         )  # fmt: skip
         return time.perf_counter() - begun
 
+    def rate(self, frames, rest):
+        """Frames per second without the start of the program: many frames against two. NaN if the start hides them."""
+        rows = np.resize(np.arange(len(frames)), TIMED_FRAMES)
+        several = [(frames[part], None if rest is None else rest[part]) for part in (rows[:2], rows)]
+        short, whole = (min(self.reconstruct(*both) for _ in range(2)) for both in several)
+        return (TIMED_FRAMES - 2) / (whole - short) if whole > 2 * short else math.nan
+
     def __call__(self, frames, rest=None):
-        if self.calls_per_s is None:  # Rate of further frames, without the start of the program.
-            short = self.reconstruct(frames[:2], None if rest is None else rest[:2])
-            whole = self.reconstruct(frames, rest)
-            self.calls_per_s = (len(frames) - 2) / max(whole - short, 1e-3)
-        else:
-            self.reconstruct(frames, rest)
+        if self.calls_per_s is None:
+            self.calls_per_s = self.rate(frames, rest) if self.pokes >= TIMED_POKES else math.nan
+        self.reconstruct(frames, rest)
         found, extra = touches(self.path / "touches.csv", len(frames))
         if self.kind == "depth":
             sigma = np.where(np.isfinite(found["sigma_depth_mm"]), found["sigma_depth_mm"], found["depth_sigma_mm"])

@@ -57,6 +57,11 @@ def mean(values):
     return math.fsum(values) / len(values) if values else math.nan
 
 
+def known(values):
+    """Those that were measured."""
+    return [value for value in values if not math.isnan(value)]
+
+
 def gathered(rows, *keys):
     """Rows in groups of equal keys, in the order of their first."""
     groups = {}
@@ -97,7 +102,7 @@ def place_summary(rows, times):
         }
         inside = [skin["inside_1"] for skin in skins]
         spread = "-" if math.isnan(mean(inside)) else f"{percent(mean(inside))} ({100 * min(inside):.0f} to {100 * max(inside):.0f})"
-        speed = [times[key][1] for key in times if key[:2] == (method, "place") and key[3].split(".")[0] == size]
+        speed = known(times[key][1] for key in times if key[:2] == (method, "place") and key[3].split(".")[0] == size)
         lines.append([
             f"{int(size):,}", method, str(len(skins)), number(geometric["median"]), number(geometric["p90"]), spread,
             percent(mean([skin["inside_2.5"] for skin in skins])), number(mean([skin["nll"] for skin in skins])),
@@ -134,7 +139,7 @@ def levels(rows):
     lines = []
     for (method,), group in gathered(rows, "method").items():
         scores = {row["size"]: row["score"] for row in group}
-        lines.append([method, *(number(scores.get(str(level), math.nan)) for level in range(1, 8)), number(mean(list(scores.values())))])
+        lines.append([method, *(number(scores.get(str(level), math.nan)) for level in range(1, 8)), number(mean(list(scores.values())) if len(scores) == 7 else math.nan)])
     return table(["method", *(f"level {level}" for level in range(1, 8)), "mean"], lines)
 
 
@@ -154,7 +159,7 @@ def speeds(times):
         if found:
             most = max(size for size, _ in found)
             chosen = [value for size, value in found if size == most]
-            lines.append([method, f"{most:,}", number(mean([value[0] for value in chosen]), 2), number(mean([value[1] for value in chosen]), 2)])
+            lines.append([method, f"{most:,}", number(mean([value[0] for value in chosen]), 2), number(mean(known(value[1] for value in chosen)), 2)])
     return table(["method", "pokes", "prepared in, s", "calls per second"], lines)
 
 

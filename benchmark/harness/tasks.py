@@ -277,7 +277,7 @@ def predict(method, case, folder):
         for row, count in zip(case.rows, extra[0] if extra else []):
             rows += [[int(row), *[float("nan")] * table.shape[1]]] * int(count)
         write_rows(path, ",".join(["frame", *names, *(f"sigma_{name}" for name in names)]), rows)
-    if getattr(answer, "calls_per_s", None):
+    if getattr(answer, "calls_per_s", None) is not None:
         return trained, answer.calls_per_s
     times = []
     for index in range(min(TIMED, len(case.frames))):
