@@ -6,6 +6,7 @@ use std::str::FromStr;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
+use crate::check::Checker;
 use crate::error::Error;
 use crate::imaging::{HyperparameterChoice, PriorChoice};
 
@@ -30,7 +31,9 @@ impl FromStr for PriorChoice {
 
     fn from_str(text: &str) -> Result<Self, Error> {
         let expected = "identity, laplace, noser=EXPONENT, gaussian-mm=LENGTH, or a value as in a skin file";
-        written(text).ok_or_else(|| refused("imaging.prior", text, expected))
+        let prior: Self = written(text).ok_or_else(|| refused("imaging.prior", text, expected))?;
+        prior.check(0, &Checker { file: "prior" })?;
+        Ok(prior)
     }
 }
 

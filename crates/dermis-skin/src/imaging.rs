@@ -236,7 +236,7 @@ impl Imaging {
 }
 
 impl PriorChoice {
-    fn check(&self, depth: usize, checker: &Checker<'_>) -> Result<(), Error> {
+    pub(crate) fn check(&self, depth: usize, checker: &Checker<'_>) -> Result<(), Error> {
         match self {
             Self::Identity | Self::Laplace => Ok(()),
             Self::Noser(exponent) => checker.within("imaging.prior.noser", *exponent, 0.0, 10.0),
