@@ -251,6 +251,10 @@ impl FrameTable {
             text.push_str("; ");
             text.push_str(note);
         }
+        let missing = self.values.iter().filter(|value| value.is_nan()).count();
+        if missing > 0 {
+            text.push_str(&format!("; {missing} of {} readings missing", self.values.len()));
+        }
         text
     }
 

@@ -76,6 +76,8 @@ fn foreign_and_missing_files_are_named() {
     for (content, expected) in [
         (b"".as_slice(), "expected at least one frame, found none"),
         (b"\x89HDF\r\n\x1a\n\0\0", "found an HDF5 file"),
+        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64\0\0", "save it with -v7"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1\0\0", "save it as xlsx"),
         (b"{\"a\": 1}", "found JSON text"),
         (b"\0\x01\x02\xff", "found binary data"),
     ] {

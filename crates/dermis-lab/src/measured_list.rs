@@ -46,7 +46,7 @@ pub fn sciospec_setup_of(skin: &Skin) -> Result<LiveSetup, Error> {
                 got: format!("another for channel {channel}"),
             });
         };
-        let pair = (source.into(), sink.into());
+        let pair = (usize::from(source), usize::from(sink));
         if injections.last() != Some(&pair) && !injections.contains(&pair) {
             injections.push(pair);
         }

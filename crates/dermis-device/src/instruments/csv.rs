@@ -171,6 +171,12 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     }
 }
 
+/// A table's cells without what is known of its columns.
+pub(super) fn numbers_of(table: Table) -> NumberTable {
+    let Table { sketch, values, .. } = table;
+    NumberTable { columns: sketch.columns, header: sketch.header.map(|(_, names)| names), values }
+}
+
 /// Frames of a table of columns, whatever file it is from; `notes` is what was understood before.
 pub(super) fn frames_of(
     mut table: Table,

@@ -154,7 +154,7 @@ fn frames(source: impl ChunkReader + 'static, file: &Path, options: &ReadOptions
     let names = names.chain((0..wide_count).map(|channel| format!("channel {channel}"))).collect();
     let table = Table::of_columns(names, kinds, values, stamps);
     if options.transpose {
-        return columns::of_table(table.into_numbers(), file, |count| Layout::Channels { count });
+        return columns::of_table(csv::numbers_of(table), file, |count| Layout::Channels { count });
     }
     csv::frames_of(table, notes, file, options)
 }

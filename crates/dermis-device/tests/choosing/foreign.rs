@@ -129,7 +129,16 @@ fn workbooks_are_read_as_tables_are() {
         has_times(&table);
         assert_eq!(table.wall_ns().unwrap()[1], 1_709_302_032_020_000_000);
         assert_eq!(table.channel_names().unwrap()[3], "ch3 (mV)");
-        says(&table, &["header in line 4", "times from column `timestamp`", "volts", "sheet `Frames`"]);
+        says(
+            &table,
+            &[
+                "header in line 4",
+                "times from column `timestamp`",
+                "volts",
+                "sheet `Frames`",
+                "1 of 72 readings missing",
+            ],
+        );
     }
 }
 

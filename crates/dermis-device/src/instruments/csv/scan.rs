@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use super::NumberTable;
 use super::cell::{Decimal, complex, leading_number, number};
 use super::separator::Separator;
 use super::sketch::{Kind, Line, NoTable, Sketch, looks_like_thousands};
@@ -45,12 +44,6 @@ impl Table {
     ) -> Self {
         let sketch = Sketch::of_columns(names, kinds);
         Self { sketch, values, imaginary: Vec::new(), stamps, rows_in_group: None, encoding: None }
-    }
-
-    /// The same as numbers alone.
-    pub(in crate::instruments) fn into_numbers(self) -> NumberTable {
-        let Self { sketch, values, .. } = self;
-        NumberTable { columns: sketch.columns, header: sketch.header.map(|(_, names)| names), values }
     }
 
     pub(super) fn rows(&self) -> usize {
