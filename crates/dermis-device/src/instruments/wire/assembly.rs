@@ -8,7 +8,7 @@ use crate::{Frame, HostStamp};
 #[derive(Debug, Default)]
 pub(super) struct Assembly {
     sequence: u32,
-    /// Number of readings so far; 0 before the first part.
+    /// Number of readings received; 0 before the first part.
     next: u16,
     begun: Option<HostStamp>,
     frame: Frame,
