@@ -1,6 +1,6 @@
 //! Text lines that hold a frame's numbers among other things, such as program output or terminal recordings. They are
-//! read like lines from a port ([`super::lines`]): labels, times, brackets and names are skipped. A line whose count
-//! of numbers differs from the usual one is left out, with a note.
+//! read like lines from a port ([`super::lines`]): labels, times, brackets and names are skipped. A line with an
+//! unusual count of numbers is left out, with a note.
 
 use std::collections::BTreeMap;
 use std::path::Path;
