@@ -22,8 +22,8 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
         .with_names(vec!["reference".to_owned(), "target".to_owned()])
 }
 
-/// True for four columns without a header and n(n-3) rows: the number of adjacent measurements without driven
-/// electrodes for n electrodes.
+/// True for four columns without a header and n(n-3) rows: with n electrodes, the number of adjacent measurements
+/// that leave out the driven electrodes.
 pub(super) fn looks_like(shape: &Shape) -> bool {
     shape.header.is_none()
         && shape.columns == 4

@@ -1,11 +1,11 @@
-"""Makes the files beside it: small tables of frames as SciPy, openpyxl, pandas and pyarrow write them.
+"""Creates the files in this folder: small tables of frames, written by SciPy, openpyxl, pandas and pyarrow.
 
 Made with Python 3.11, numpy 2.4.6, scipy 1.17.1, pandas 3.1.1, openpyxl 3.1.5 and pyarrow 26.0.1:
 
     python make.py
 
-Every file holds the same six frames of twelve readings in volts, FRAMES[frame, channel], 20 ms apart, unless its line
-below says otherwise. The test module `foreign` computes the same numbers.
+Unless a comment below says otherwise, every file has the same six frames of twelve readings in volts, FRAMES[frame, channel],
+20 ms apart. The test module `foreign` computes the same numbers.
 """
 
 import datetime as dt

@@ -164,8 +164,7 @@ impl WireHost {
             self.order(order, 0, None, send);
             return Ok(());
         }
-        // Settings show up in the description, for instance the number of channels and the nearest available
-        // amplitude.
+        // The description shows the effect of the settings: a new number of channels, the nearest available amplitude.
         if self.stage != Stage::Confirming && !self.planned.is_empty() {
             self.enter(Stage::Confirming);
             self.say_hello(send);
@@ -182,7 +181,7 @@ impl WireHost {
     }
 }
 
-/// True if the settings are unchanged. The frame rate, and frames flowing or not, make no difference.
+/// True if the settings are unchanged. The frame rate may differ, and frames may or may not flow.
 fn is_still(set: &Description, known: &Description) -> bool {
     let settings = |d: &Description| (d.boot, d.channels, d.protocol.clone(), d.amplitude_a, d.frequency_hz);
     known.boot != 0 && settings(set) == settings(known)
