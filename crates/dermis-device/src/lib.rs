@@ -32,7 +32,7 @@
 //! | [`FrameTable`], [`read`], [`ReadOptions`], [`FileSpec`] | finite recordings; reading files; `frames.csv#0..60` |
 //! | [`instruments`] | formats of files and streams, one module each |
 //! | [`SourceSelector`], [`open_stream`], [`open_wire`], [`stream`] | live instruments by name, ports, sockets |
-//! | [`Playback`], [`write_atomic`] | tables played as sources; files that are whole or not there |
+//! | [`Playback`], [`write_atomic`] | tables played as sources; files written atomically |
 //!
 //! Decoders take bytes and return values, so they can be tested without a file system. Only [`read`] takes bytes from
 //! disk, and only [`stream`] takes them from ports and sockets.

@@ -258,7 +258,7 @@ fn text_instead_of_the_wire_is_no_frame() {
     let (listener, selector) = listen();
     let server = thread::spawn(move || {
         let (mut stream, _) = listener.accept().expect("a host");
-        // Until the host hangs up.
+        // Write until the host hangs up.
         for line in 0..u32::MAX {
             if stream.write_all(format!("{line},2,3\n").as_bytes()).is_err() {
                 return;

@@ -151,7 +151,7 @@ fn no_table(refusal: Refusal, text: &Text, file: &Path, options: &ReadOptions) -
     }
 }
 
-/// Frames in rows.
+/// Decodes frames in rows.
 ///
 /// # Errors
 /// As [`parse`]; [`DeviceError::Count`] if the numbers of real and imaginary parts differ.

@@ -221,7 +221,7 @@ pub trait Number: Copy {
     /// Writes the little-endian bytes.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// The errors of `out`.
     fn write_to(self, out: &mut dyn Write) -> io::Result<()>;
 }
 
@@ -253,7 +253,7 @@ impl Number for u8 {
 /// [`Number::write_to`] inside [`write_atomic`].
 ///
 /// # Errors
-/// Those of `out`, and `InvalidInput` for a shape too long for version 1 (thousands of dimensions).
+/// The errors of `out`, and `InvalidInput` for a shape too long for version 1 (thousands of dimensions).
 pub fn write_header<T: Number>(out: &mut dyn Write, shape: &[usize]) -> io::Result<()> {
     const ALIGNMENT: usize = 64;
     let lengths: String = shape.iter().map(|length| format!("{length}, ")).collect();

@@ -21,7 +21,7 @@ pub trait Link: Send {
     fn write(&mut self, bytes: &[u8]) -> io::Result<()>;
 }
 
-/// Makes connections to one device.
+/// Opens connections to a device.
 pub trait Connect: Send {
     /// Connects, or fails within a few seconds.
     ///

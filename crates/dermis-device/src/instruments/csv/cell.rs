@@ -35,9 +35,9 @@ const POWERS: [f64; 23] = [
 /// Largest mantissa that a double holds exactly.
 const EXACT: u64 = 1 << 53;
 
-/// The number at the start of `bytes`, and the bytes it takes. The value is the double nearest to the decimal: a mantissa
-/// and a power of ten that are both exact give it by one product or quotient (Clinger 1990), and the rest goes through the
-/// standard library.
+/// The number at the start of `bytes`, and its length in bytes. The value is the double nearest to the decimal number.
+/// If mantissa and power of ten are both exact, a single product or quotient gives it (Clinger 1990). Other numbers go
+/// through the standard library.
 #[inline]
 pub(in crate::instruments) fn leading_number(bytes: &[u8], mark: u8) -> Option<(f64, usize)> {
     let is_negative = bytes.first() == Some(&b'-');
@@ -58,7 +58,7 @@ pub(in crate::instruments) fn leading_number(bytes: &[u8], mark: u8) -> Option<(
             at += 1;
         }
         power -= (at - fraction) as i32;
-        // "1," is a number and a separator.
+        // "1," is a number followed by a separator.
         if mark == b',' && at == fraction {
             at -= 1;
         }

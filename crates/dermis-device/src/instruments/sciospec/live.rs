@@ -84,7 +84,7 @@ impl LiveSetup {
             // If the previous host was unplugged, the instrument may still be measuring.
             Command::new("stop", MEASURE, &[0x00]).or_refused(),
             Command::new("reset its setup", SET, &[0x01]),
-            // Until it is stopped.
+            // The instrument measures until it is stopped.
             Command::new("measure without end", SET, &[0x02, 0, 0]),
         ];
         let mut with =

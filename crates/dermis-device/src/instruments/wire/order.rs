@@ -261,7 +261,7 @@ impl Question {
     }
 }
 
-/// A reply's status in words.
+/// Describes a reply's status in words.
 pub(super) fn reason(status: ReplyStatus) -> String {
     match status {
         ReplyStatus::Done => "done",
