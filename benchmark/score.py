@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Scores predictions and prints the tables. NumPy only.
+"""Scores predictions and prints the tables. Only needs NumPy.
 
     score.py --data DATA PREDICTIONS             every method in a folder of predictions (PREDICTIONS/METHOD/TASK/SET/PART.csv)
     score.py --truth TRUTH.csv PREDICTION.csv    one file against one: both with the column frame, then x_mm, y_mm (or depth_mm)
 
-A row of predictions is a touch: frame, its place, and its sigma per axis in the same unit. A frame without a row is a frame in
-which no touch was found. Of several rows of a frame the first counts, and the others are touches too many.
+A row of predictions is a touch: frame, place, and sigma per axis in the same unit. A frame without a row is a frame without
+a detected touch. If a frame has several rows, the first one counts, and the others are superfluous touches.
 """
 
 import argparse
@@ -24,11 +24,11 @@ MM = 1000.0
 
 
 class ScoreError(ValueError):
-    """Predictions that cannot be read, with file and line."""
+    """Predictions can't be read; the message names file and line."""
 
 
 def read_touches(path, names):
-    """Touches by frame: lists of (values, sigmas); sigmas are None where the file has no such columns."""
+    """Touches by frame: lists of (values, sigmas). Sigmas are None if the file has no such columns."""
     path = Path(path)
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
@@ -52,7 +52,7 @@ def read_touches(path, names):
 
 
 def quantile(errors, share):
-    """Linear quantile of errors, of which some may be infinite."""
+    """Linear quantile of errors; some of them may be infinite."""
     ordered = np.sort(errors)
     place = share * (len(ordered) - 1)
     low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
@@ -60,11 +60,11 @@ def quantile(errors, share):
 
 
 def score_values(truth, frames, touches):
-    """Errors of one touch a frame.
+    """Scores single touches, one per frame.
 
-    Errors are distances. Shares inside count each axis. A miss has an infinite error and the negative log likelihood of a
-    guess spread evenly over the box that holds the truth. Likelihoods are Gaussian with independent axes, natural logarithms,
-    in the truth's unit.
+    Errors are distances. The shares inside count each axis separately. A miss has an infinite error, and the negative log
+    likelihood of a uniform guess over the bounding box of the truth. Likelihoods are Gaussian with independent axes, in natural
+    logarithms and in the truth's unit.
     """
     truth = np.asarray(truth, float)
     unknown = sorted(set(touches) - {int(frame) for frame in frames})
@@ -105,7 +105,7 @@ def score_values(truth, frames, touches):
 
 
 def read_points(path, count, points=6):
-    """Patterns (count x points) of a file of frame,point: one row a touch, points from 1."""
+    """Patterns (count x points) from a file of frame,point: one row per touch, points from 1."""
     found = np.zeros((count, points), int)
     for line, text in enumerate(Path(path).read_text(encoding="utf-8").splitlines(), 1):
         if line == 1:
@@ -120,7 +120,7 @@ def read_points(path, count, points=6):
 
 
 def score_points(truth, found):
-    """Patterns of several touches. Frames whose truth is empty are the untouched ones."""
+    """Scores patterns of several touches. Frames without a true touch are the untouched ones."""
     touched = truth.sum(1) > 0
     right = (truth == found).all(1)
     doubles = truth.sum(1) == 2
@@ -138,7 +138,7 @@ def score_points(truth, found):
 
 @functools.cache
 def window(size, sigma=80.0, reach=160):
-    """Gaussian weights between the pixels of a line, cut at `reach` and divided by their sum inside the image."""
+    """Gaussian weights between the pixels of a line, cut off at `reach` and normalised by their sum inside the image."""
     away = np.subtract.outer(np.arange(size), np.arange(size)).astype(float)
     weights = np.where(np.abs(away) <= reach, np.exp(-(away**2) / (2 * sigma**2)), 0)
     return weights / weights.sum(1, keepdims=True)
@@ -159,14 +159,14 @@ def similarity(truth, found, c1=1e-4, c2=9e-4):
 
 
 def score_labels(truth, found):
-    """The challenge's score of one label image, 1 at best: mean similarity of the resistive and of the conductive mask."""
+    """The challenge's score of a label image, at best 1: mean similarity of the resistive and the conductive mask."""
     return 0.5 * (similarity(truth == 1, found == 1) + similarity(truth == 2, found == 2))
 
 
 def score_alarms(alarms, first, last, events, grace=30):
-    """False alarms outside the events (runs of frames), and by how many frames each event is found late; nan if it is not.
+    """False alarms outside the events (ranges of frames), and the delay of each event's detection in frames, nan if missed.
 
-    Alarms in the `grace` frames after an event belong to it; what follows the last event is not judged.
+    Alarms up to `grace` frames after an event belong to it. Frames after the last event are not judged.
     """
     alarms = np.unique(np.asarray(alarms, int))
     last = min(last, events[-1][1] + grace)
@@ -205,9 +205,9 @@ def score_case(case, path):
 
 
 def score_all(cases, folder, methods=None, failures=None):
-    """Scores of all predictions in a folder: dictionaries with method, task, set, size, part and the scores.
+    """Scores all predictions in a folder. Returns dictionaries with method, task, set, size, part and the scores.
 
-    Predictions that cannot be scored raise ScoreError, or are told in the list `failures`.
+    Predictions that can't be scored raise ScoreError, or are added to the list `failures`.
     """
     found = []
     folder = Path(folder)

@@ -1,1 +1,1 @@
-"""Programs that enter the benchmark through their command."""
+"""Programs that take part in the benchmark through their command."""

@@ -1,6 +1,6 @@
-"""dermis, through its command: `dermis calibrate`, `reconstruct`, `segment`. The variable DERMIS names the program.
+"""Runs dermis through its command: `dermis calibrate`, `reconstruct`, `segment`. The variable DERMIS names the program.
 
-Told more than the plain methods where `TOLD` says so: the outline of the skin, or the skin file that ships.
+Where `TOLD` says so, dermis gets more information than the plain methods: the skin's outline, or the skin file that ships.
 """
 
 import csv
@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 
 PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
-# Longest that one call of the command may take.
+# Time limit for one call of the command, in seconds.
 LIMIT_S = 600
 # Pokes from which the speed is measured, which takes some seconds, and frames that it is measured on.
 TIMED_POKES, TIMED_FRAMES = 400, 4000
@@ -29,12 +29,12 @@ TOLD = (
 
 
 def missing():
-    """Why the method cannot run here; None if it can."""
+    """Returns the reason why the method can't run here, or None if it can."""
     return None if PROGRAM else "the command dermis is not found (install it, or let the variable DERMIS name it)"
 
 
 def call(*arguments, folder=None):
-    """Runs the command; RuntimeError with its last words where it fails."""
+    """Runs the command. Raises RuntimeError with the end of its output if it fails."""
     done = subprocess.run([PROGRAM, *map(str, arguments)], cwd=folder, capture_output=True, text=True, timeout=LIMIT_S)
     if done.returncode:
         raise RuntimeError(f"dermis {arguments[0]}: status {done.returncode}: {' '.join(done.stderr.split())[-300:]}")
@@ -46,7 +46,7 @@ def write(path, values, head=None):
 
 
 def touches(path, count):
-    """First touch of each frame in order of amplitude, its sigma and depth, and the number of further touches."""
+    """The first touch of each frame by amplitude, with its sigma and depth, and the number of further touches."""
     rows = {}
     with open(path, encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
@@ -63,7 +63,7 @@ def touches(path, count):
 
 
 class Skin:
-    """A calibrated skin in a folder of its own; answers frames by `dermis reconstruct`."""
+    """A calibrated skin in its own folder. Answers frames with `dermis reconstruct`."""
 
     def __init__(self, told, kind):
         self.kind, self.folder = kind, tempfile.TemporaryDirectory()
@@ -126,13 +126,13 @@ class Skin:
         return values / 1e3, np.column_stack([found["sigma_x_mm"], found["sigma_y_mm"]]) / 1e3, extra
 
 
-# Where the six points are is not published: a hexagon, on a disc of this diameter.
+# The positions of the six points are unpublished: assume a hexagon on a disc with this diameter.
 DISC_MM = 100.0
 HEXAGON_M = 0.03 * np.column_stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)])
 
 
 def points(told):
-    """Points touched, by a calibration on the single touches; each touch that is found counts for the nearest point."""
+    """The touched points. Calibrates on the single touches, and assigns every detected touch to the nearest point."""
     single = told.targets.sum(1) == 1
     one = SimpleNamespace(
         frames=told.frames[single], targets=HEXAGON_M[told.targets[single].argmax(1)], session=np.zeros(single.sum(), int),
@@ -159,12 +159,12 @@ def regress(told):
     if told.kind not in ("place", "depth") or told.targets.shape[1] == (1 if told.kind == "place" else 2):
         return None  # Presses along a line have no known place.
     skin = Skin(told, told.kind)
-    # dermis says so where its frames do not grow with the depth, and reads none.
+    # dermis reports when the frames don't grow with depth, and then reads none.
     return skin if told.kind == "place" or skin.reads_depth else None
 
 
 def unlabelled(told):
-    """The gel disc by its skin file: electrodes, protocol and the board's circuit."""
+    """The gel disc from its skin file: electrodes, protocol and the board's circuit."""
 
     def answer(frames, rest):
         with tempfile.TemporaryDirectory() as folder:
@@ -181,7 +181,7 @@ def unlabelled(told):
 
 
 def segment(told):
-    """The tank by its skin file and the network that ships; channels of lost electrodes are empty cells."""
+    """The tank from its skin file, with the network that ships. Channels of lost electrodes are empty cells."""
 
     def answer(frames):
         columns = np.full((len(told.kept), 1 + len(frames)), np.nan)
@@ -197,9 +197,9 @@ def segment(told):
 
 
 def watch(told):
-    """The frame of the damage that `dermis evidence` tells: the live pipeline with `watch = true`, frame by frame.
+    """The frame where `dermis evidence` reports damage, from the live pipeline with `watch = true`, frame by frame.
 
-    The skin file's watch was made with this recording at hand. A disturbance whose levels return is no damage to it.
+    The watch settings in the skin file were chosen with this recording. A disturbance is not damage if the levels return.
     """
     done = call("evidence", "--data", told.folder.parent, "--only", told.folder.name, "--json")
     figures = {figure["name"]: figure["value"] for figure in json.loads(done.stdout)["sets"][0]["findings"][0]["here"]}

@@ -1,1 +1,1 @@
-"""Plain methods to compare with. Each is one file of NumPy."""
+"""Plain methods for comparison. Each is one file of NumPy."""

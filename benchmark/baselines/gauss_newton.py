@@ -1,7 +1,7 @@
 """One-step Gauss-Newton: a smooth forward model, one linear step, and the covariance of that step as sigma.
 
-With labels the model is learnt: frames as a function of the place by kernel ridge regression, the step from the best
-point of a grid; patterns of several points as a sum of one response each. Without labels it is the closed form of a disc.
+With labels, the forward model is learnt: kernel ridge regression gives frames as a function of place, and the step starts
+at the best point of a grid; each of several points adds its own response. Without labels, the model is a disc's closed form.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ GRID = 21
 
 
 class Map:
-    """Frames as a smooth function of the target, s(x) = k(x, X) A, and the variance of each channel about it."""
+    """Frames as a smooth function of the target, s(x) = k(x, X) A, with the variance of each channel about it."""
 
     def __init__(self, targets, frames):
         self.targets, self.middle = targets, frames.mean(0)
@@ -33,7 +33,7 @@ class Map:
         self.covariance = np.linalg.inv(spread + np.diag(1 / ((high - low) / (GRID - 1) + 1e-9) ** 2))
 
     def frames(self, points):
-        """Expected frames, and their derivatives: points x channels, points x targets x channels."""
+        """Expected frames and their derivatives: points x channels, points x targets x channels."""
         away = points[:, None] - self.targets[None]
         kernel = np.exp(-(away**2).sum(2) / (2 * self.length**2))
         slopes = -(away * kernel[..., None]).transpose(0, 2, 1) / self.length**2
@@ -49,7 +49,7 @@ class Map:
 
 
 def regress(told):
-    if told.kind != "place":  # The depth changes a frame less than the place does: without a model of both, no step.
+    if told.kind != "place":  # Depth changes a frame less than place does, so without a model of both there is no step.
         return superposed(told) if told.kind == "points" else None
     scale = told.frames.std(0) + 1e-12
 
@@ -57,7 +57,7 @@ def regress(told):
         return frames / scale / (np.linalg.norm(frames / scale, axis=1, keepdims=True) + 1e-12)
 
     known, fold, ratios = features(told.frames), np.arange(len(told.frames)) % 5, []
-    for left_out in range(5 if len(known) < 100 else 1):  # How much too bold independent channels make the step.
+    for left_out in range(5 if len(known) < 100 else 1):  # Rescales sigma, as the step assumes independent channels.
         found, sigma = Map(told.targets[fold != left_out], known[fold != left_out]).step(known[fold == left_out])
         ratios.append((found - told.targets[fold == left_out]) / sigma)
     boldness, model = np.sqrt((np.concatenate(ratios) ** 2).mean(0)), Map(told.targets, known)
@@ -70,7 +70,7 @@ def regress(told):
 
 
 def superposed(told):
-    """Each point adds its own response; the step solves for the amplitudes with a prior of one each."""
+    """Each point adds its own response. The step solves for the amplitudes, each with a prior of one."""
     count, ridge = told.targets.shape[1], 1.0
     responses = np.linalg.solve(told.targets.T @ told.targets + ridge * np.eye(count), told.targets.T @ told.frames)
     weights = 1 / ((told.frames - told.targets @ responses).var(0) + 1e-12)

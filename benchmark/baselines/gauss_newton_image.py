@@ -1,6 +1,6 @@
-"""One-step Gauss-Newton images of a disc without labels: the gel disc's presses, and the tank's labels.
+"""One-step Gauss-Newton images of a disc, without labels: presses on the gel disc, and label images of the tank.
 
-The step is x = C J' (J C J' + L)^-1 y with the closed-form sensitivities J of `disc.py`, a smooth prior C and noise L.
+The step is x = C J' (J C J' + L)^-1 y, with closed-form sensitivities J from `disc.py`, a smooth prior C and noise L.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from . import disc
 
 
 def step(jacobian, points, length, noise):
-    """Matrix from whitened data to conductivity: the covariance exp(-d / length), noise relative to the data's mean."""
+    """Matrix from whitened data to conductivity. Covariance exp(-d / length); noise relative to the mean of the data."""
     covariance = np.exp(-np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) / length)
     spread = jacobian @ covariance
     data = spread @ jacobian.T
@@ -17,7 +17,7 @@ def step(jacobian, points, length, noise):
 
 
 def unlabelled(told):
-    """Relative changes, each channel divided by its noise at rest; the touch is where conductivity falls most."""
+    """Relative changes, with each channel divided by its noise at rest. The touch is where conductivity drops most."""
     electrodes = told.electrodes_m / told.radius_m
     points, _ = disc.grid(41)
     model = disc.voltages(electrodes, told.drives, told.reads)
@@ -41,7 +41,7 @@ def unlabelled(told):
 
 
 def otsu(values, bins=64):
-    """Two thresholds that part values into three classes of least variance within (Otsu 1979)."""
+    """Two thresholds that split values into three classes with the least variance within classes (Otsu 1979)."""
     edges = np.linspace(values.min(), values.max() + 1e-12, bins + 1)
     counts, centres = np.histogram(values, edges)[0].astype(float), (edges[1:] + edges[:-1]) / 2
     mass, moment = np.append(0, np.cumsum(counts)), np.append(0, np.cumsum(counts * centres))
@@ -56,7 +56,7 @@ def otsu(values, bins=64):
 
 
 def segment(told):
-    """Change of voltage over the reference's size; three classes by Otsu, the largest of which is background."""
+    """Voltage change divided by the size of the reference, in three classes by Otsu. The largest class is background."""
     side = 40
     points, inside = disc.grid(side)
     model = disc.voltages(told.electrodes, told.drives, told.reads)

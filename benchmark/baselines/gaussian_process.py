@@ -1,8 +1,8 @@
-"""Gaussian process with a squared-exponential kernel and noise; both by marginal likelihood on at most 500 pokes.
+"""Gaussian process with a squared-exponential kernel and noise, chosen by marginal likelihood on at most 500 pokes.
 
-Channels are divided by their deviation; for places frames are scaled to unit length. Sigma is that of the prediction with
-noise (Rasmussen and Williams 2006, equations 2.25, 2.26 and 5.8); the signal variance of each target is the one of largest
-likelihood, given the rest.
+Channels are divided by their standard deviation. For places, frames are scaled to unit length. Sigma is the predictive one
+with noise (Rasmussen and Williams 2006, equations 2.25, 2.26 and 5.8). The signal variance of each target maximises the
+likelihood, given the other parameters.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ def squared_distances(first, second):
 
 
 def choose(distances, centred):
-    """Squared length and noise (relative to the signal) of the largest marginal likelihood."""
+    """Squared length and noise (relative to the signal) with the largest marginal likelihood."""
     typical = np.median(distances[distances > 0])
     best = (-np.inf, None, None)
     for length in LENGTHS:

@@ -1,7 +1,7 @@
-"""Gaussian kernel ridge regression; length and ridge by leave-one-out on at most 500 pokes.
+"""Gaussian kernel ridge regression. Length and ridge are chosen by leave-one-out errors on at most 500 pokes.
 
-Channels are divided by their deviation; for places frames are scaled to unit length. Sigma is the root mean square of the
-leave-one-out errors, the same everywhere: the method has no other.
+Channels are divided by their standard deviation. For places, frames are scaled to unit length. Sigma is the root mean
+square of the leave-one-out errors, the same everywhere, because the method provides no other.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ def left_out(inverse, centred):
 
 
 def choose(distances, centred):
-    """Length and ridge with the smallest leave-one-out error. Lengths are shares of the median distance."""
+    """Length and ridge with the smallest leave-one-out error. Lengths are multiples of the median distance."""
     typical = np.median(distances[distances > 0])
     best = (np.inf, None, None)
     for length in LENGTHS:

@@ -1,4 +1,4 @@
-"""Mean: answers the mean of the training targets, whatever the frame. The score of knowing nothing."""
+"""Always answers with the mean of the training targets: the score without any information."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def regress(told):
 
 
 def unlabelled(told):
-    """The middle of the skin; half its radius as sigma, the deviation per axis of presses spread evenly over a disc."""
+    """The centre of the skin. Sigma is half its radius: the deviation per axis for presses spread evenly over a disc."""
 
     def answer(frames, rest):
         return np.zeros((len(frames), 2)), np.full((len(frames), 2), told.radius_m / 2)
@@ -23,11 +23,11 @@ def unlabelled(told):
 
 
 def segment(told):
-    """Nothing labelled."""
+    """Labels nothing."""
     return lambda frames: np.zeros((len(frames), 256, 256), np.uint8)
 
 
 def watch(told):
-    """Alarm where the root mean square of the frame's deviations from the rest is above eight; drift is not followed."""
+    """Alarm if the RMS deviation of the frame from the frames at rest is above eight. Does not follow drift."""
     middle, sigma = told.frames.mean(0), told.frames.std(0, ddof=1) + 1e-12
     return lambda frame: float(np.sqrt((((frame - middle) / sigma) ** 2).mean())) > 8

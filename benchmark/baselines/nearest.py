@@ -1,7 +1,7 @@
-"""Nearest neighbour: the mean of the three training pokes whose frames are nearest, weighted by the inverse distance.
+"""Nearest neighbours: the mean of the three training pokes with the most similar frames, weighted by inverse distance.
 
-Channels are divided by their deviation; for places frames are scaled to unit length, which takes out how hard it was
-pressed. Sigma is the root mean square of the leave-one-out errors, the same everywhere.
+Channels are divided by their standard deviation. For places, frames are scaled to unit length, which removes the strength
+of the press. Sigma is the root mean square of the leave-one-out errors, the same everywhere.
 """
 
 import numpy as np
@@ -43,9 +43,9 @@ def regress(told):
 
 
 def watch(told):
-    """Alarm where a frame is farther from all of the last 64 quiet ones than three times the largest such distance at rest.
+    """Alarm if a frame's distance to all of the last 64 quiet ones exceeds three times the largest such distance at rest.
 
-    Quiet frames join the memory, so drift is followed; frames with an alarm do not.
+    Quiet frames join the memory, so drift is followed. Frames with an alarm don't.
     """
     sigma = told.frames.std(0, ddof=1) + 1e-12
     memory = [frame / sigma for frame in told.frames]

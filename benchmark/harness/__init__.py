@@ -1,1 +1,1 @@
-"""What `run`, `check`, `fetch` and `score.py` share: reading the sets, the frozen splits, the tasks and the tables."""
+"""Code shared by `run`, `check`, `fetch` and `score.py`: data sets, frozen splits, tasks and tables."""

@@ -1,4 +1,4 @@
-"""Reads the measured sets. Every set is optional: a reader returns None where its files are not there."""
+"""Reads the measured sets. Every set is optional: a reader returns None if its files are missing."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ LARGEST = 1 << 28
 
 
 class DataError(ValueError):
-    """A file that is there and does not hold what it should."""
+    """A file exists but doesn't have the required content."""
 
 
 def table(path, columns=None, head=0):
@@ -58,7 +58,7 @@ def skin(folder):
 
 
 def hydrogel(folder):
-    """Frames before and during each press (500 x 192 magnitudes) and positions of the gel disc."""
+    """Frames before and during each press (500 x 192 magnitudes), and positions, for the gel disc."""
     folder = Path(folder)
     rest, pressed = table(folder / "ohmc16_before.csv"), table(folder / "ohmc16_pressed.csv")
     if rest.shape != pressed.shape:
@@ -67,7 +67,7 @@ def hydrogel(folder):
 
 
 def skins(data):
-    """Names of the pressed skins in a data folder: folders that hold differences and positions, and the gel disc."""
+    """Names of the pressed skins in a data folder: folders with differences and positions, and the gel disc."""
     data = Path(data)
     found = [path.parent for path in data.glob("*/*/differences.csv") if (path.parent / "positions.csv").is_file()]
     names = sorted(str(path.relative_to(data)) for path in found)

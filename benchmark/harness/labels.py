@@ -1,19 +1,19 @@
-"""Do the labels of pokes belong to their frames? A permutation test, labels that lag, and a mirror against a second session.
+"""Checks whether labels belong to their frames: a permutation test, a search for lags, and a test for mirrored labels.
 
-Frames that look alike should be presses near each other. Each place is predicted from the three other frames that are most
-alike; the median error is compared with that of shuffled labels, and of labels moved by some rows. A mirror of all labels
-cannot be told from one session alone, nor without the places of the electrodes; a second session of the same skin tells it.
+Similar frames should be presses near each other. Each place is predicted from the three most similar other frames, and the
+median error is compared with the errors for shuffled labels and for labels moved by some rows. A mirror of all labels is
+invisible in a single session without the places of the electrodes; a second session of the same skin reveals it.
 """
 
 import numpy as np
 
 NEIGHBOURS = 3
 SHUFFLES = 199
-# Rows by which labels may lag or lead.
+# Lags of the labels to test, in rows.
 LAGS = (1, -1, 2, -2, 3, -3)
-# Labels that do no better than this share of the shuffles do not belong to the frames.
+# p-value above which labels don't belong to the frames.
 LARGEST_P = 0.05
-# A moved or mirrored table is believed where it lowers the error to this share.
+# Accept a moved or mirrored table only if it lowers the error to this share.
 GAIN = 0.7
 FEWEST, MOST = 12, 800
 TURNS = {
@@ -29,7 +29,7 @@ def unit(frames, scale):
 
 
 def nearest(first, second, is_same=False):
-    """Rows of `second` that are most alike to each row of `first`."""
+    """Rows of `second` that are most similar to each row of `first`."""
     likeness = first @ second.T
     if is_same:
         np.fill_diagonal(likeness, -np.inf)
@@ -37,12 +37,12 @@ def nearest(first, second, is_same=False):
 
 
 def error(near, places):
-    """Median distance of each place from the mean of those nearby."""
+    """Median distance between each place and the mean of its neighbours' places."""
     return float(np.median(np.linalg.norm(places[near].mean(1) - places, axis=1)))
 
 
 def examine(frames, places, seed=1):
-    """Findings on one session: p-value, errors, and the lag that fits far better, if any."""
+    """Findings for one session: p-value, errors, and the lag that fits far better, if any."""
     frames, places = np.asarray(frames, float)[:MOST], np.asarray(places, float)[:MOST, :2]
     if len(frames) < FEWEST:
         return {"pokes": len(frames), "verdict": f"too few pokes to tell: {len(frames)}, at least {FEWEST} are needed", "is_bad": False}
@@ -53,7 +53,7 @@ def examine(frames, places, seed=1):
     moved = {lag: error(near, np.roll(places, -lag, axis=0)) for lag in LAGS}
     lag = min(moved, key=moved.get)
     result = {"pokes": len(frames), "p": p_value, "error": found, "shuffled": float(np.median(shuffled)), "lag": None, "is_bad": True}
-    # A lag is read off the shuffles too: the moved table has to beat all of them.
+    # The moved table must also beat all shuffled ones.
     if moved[lag] < GAIN * found and moved[lag] < min(shuffled):
         rows = f"{abs(lag)} row" + ("s" if abs(lag) > 1 else "")
         return result | {"lag": lag, "verdict": f"labels {'lag' if lag > 0 else 'lead'} by {rows}"}
@@ -63,7 +63,7 @@ def examine(frames, places, seed=1):
 
 
 def mirrored(old, new):
-    """How the labels of a new session are turned against an old one of the same skin: words, or None if they are not."""
+    """How the labels of a new session are rotated or mirrored against an old one, in words. None if they are not."""
     (old_frames, old_places), (new_frames, new_places) = ((frames[:MOST], places[:MOST, :2]) for frames, places in (old, new))
     scale = old_frames.std(0) + 1e-12
     guess = old_places[nearest(unit(new_frames, scale), unit(old_frames, scale))].mean(1)

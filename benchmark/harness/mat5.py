@@ -1,4 +1,4 @@
-"""Reads numeric arrays of MATLAB files of version 5 to 7, compressed or not. NumPy and the standard library only.
+"""Reads numeric arrays from MATLAB files of version 5 to 7, compressed or not. Only needs NumPy and the standard library.
 
 Layout: "MAT-File Format", The MathWorks, chapter 1. Structures, cells and text are skipped.
 """
@@ -11,18 +11,18 @@ import numpy as np
 
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 MATRIX, COMPRESSED = 14, 15
-# Classes of arrays that hold numbers: double to uint64.
+# Classes of numeric arrays: double to uint64.
 NUMERIC = range(6, 16)
-# Largest array that is read, in bytes.
+# Maximum size of an array, in bytes.
 LARGEST = 1 << 30
 
 
 class MatError(ValueError):
-    """A file that is not a MATLAB file of version 5 to 7, or is cut off."""
+    """The file isn't a MATLAB file of version 5 to 7, or is truncated."""
 
 
 def elements(data, order, start=0):
-    """Pairs of type and content of the data elements from `start` on."""
+    """Yields type and content of the data elements from `start` on."""
     while start + 8 <= len(data):
         kind, size = struct.unpack_from(order + "II", data, start)
         if kind >> 16:  # A small element: type and size share four bytes.
@@ -36,7 +36,7 @@ def elements(data, order, start=0):
 
 
 def matrix(content, order):
-    """Name and values of one array; values are None unless it is numeric, real and dense."""
+    """Name and values of an array. The values are None unless it is numeric, real and dense."""
     parts = list(elements(content, order))
     if len(parts) < 3:
         return None, None
@@ -56,7 +56,7 @@ def matrix(content, order):
 def load(path):
     """Numeric arrays of a file, by name.
 
-    Raises MatError if the file is of another kind, and OSError if it cannot be read.
+    Raises MatError if the file isn't of this format, and OSError if it can't be read.
     """
     data = Path(path).read_bytes()
     if len(data) < 128 or data[126:128] not in (b"IM", b"MI"):

@@ -1,4 +1,4 @@
-"""The methods of `methods.txt` and of `--method`: names, and the functions that each has."""
+"""The methods in `methods.txt` and from `--method`: their names and functions."""
 
 import importlib
 from pathlib import Path
@@ -9,11 +9,11 @@ FUNCTIONS = ("regress", "unlabelled", "segment", "watch")
 
 
 class MethodError(ValueError):
-    """A method that cannot be loaded."""
+    """The method can't be loaded."""
 
 
 def load(name, where):
-    """A method of a module, or of one function for the tasks with labels."""
+    """Loads a method from a module, or from a single function for the tasks with labels."""
     module, _, function = where.partition(":")
     try:
         found = importlib.import_module(module)
@@ -34,7 +34,7 @@ def load(name, where):
 
 
 def listed(file=FILE):
-    """Names and places of the methods of a list."""
+    """Names and locations of the methods in a list file."""
     rows = []
     for line, text in enumerate(Path(file).read_text(encoding="utf-8").splitlines(), 1):
         cells = text.split("#")[0].split()
@@ -47,6 +47,6 @@ def listed(file=FILE):
 
 
 def given(where):
-    """Name and place of a method of the command line: [name=]module[:function]."""
+    """Name and location of a method from the command line: [name=]module[:function]."""
     name, _, place = where.rpartition("=")
     return (name or place.replace(":", "."), place)

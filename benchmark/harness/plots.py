@@ -1,4 +1,4 @@
-"""Pictures: error maps of each skin, error against pokes, and reliability of the sigmas. Needs matplotlib; without it none are drawn."""
+"""Plots error maps of each skin, error against pokes, and reliability of the sigmas. Without matplotlib nothing is drawn."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ LEVELS = np.linspace(0.02, 0.98, 49)
 
 
 def save(plt, figure, path):
-    """Writes a picture with 128 colours, a third of the size."""
+    """Saves a picture with 128 colours, at a third of the size."""
     figure.savefig(path, dpi=100)
     plt.close(figure)
     from PIL import Image  # Comes with matplotlib.
@@ -29,7 +29,7 @@ def colour_of(names):
 
 
 def error_against_pokes(plt, rows, path):
-    """One panel a skin: median error of each method against the pokes, both axes logarithmic."""
+    """One panel per skin: median error of each method against the number of pokes, both axes logarithmic."""
     skins, methods = (list(dict.fromkeys(row[key] for row in rows)) for key in ("set", "method"))
     colours = colour_of(methods)
     columns = min(4, len(skins))
@@ -60,7 +60,7 @@ def error_against_pokes(plt, rows, path):
 
 
 def collected(cases, method, folder):
-    """True places, errors and ratios of error to sigma of one method over cases; misses are left out."""
+    """True places, errors and ratios of error to sigma for one method over the cases, without misses."""
     places, errors, ratios = [], [], []
     for case in cases:
         path = folder / method / case.path
@@ -78,7 +78,7 @@ def collected(cases, method, folder):
 
 
 def error_maps(plt, cases, methods, folder, path):
-    """Skins across, methods down: the error at each judged press, one colour scale for all."""
+    """Skins across, methods down: the error at each judged press, with the same colour scale for all."""
     skins = list(dict.fromkeys(case.set for case in cases))
     figure, axes = plt.subplots(len(methods), len(skins), figsize=(1.75 * len(skins) + 0.9, 1.75 * len(methods) + 0.4), squeeze=False)
     drawn = None
@@ -99,7 +99,7 @@ def error_maps(plt, cases, methods, folder, path):
 
 
 def reliability(plt, groups, methods, folder, path):
-    """One panel a number of pokes: share of errors inside the interval that should hold that share. The diagonal is right."""
+    """One panel per number of pokes: actual against expected share of errors in an interval. The diagonal is right."""
     from statistics import NormalDist
 
     limits = np.array([NormalDist().inv_cdf(0.5 + level / 2) for level in LEVELS])
@@ -122,7 +122,7 @@ def reliability(plt, groups, methods, folder, path):
 
 
 def draw(data, rows, folder, images):
-    """Draws all pictures into a folder; their names and titles."""
+    """Draws all pictures into a folder. Returns their names and titles."""
     try:
         import matplotlib
     except ImportError:

@@ -1,4 +1,4 @@
-"""Tables of scores as Markdown: one a task, with what a method was told and what the columns mean."""
+"""Tables of scores in Markdown, one per task, with the information given to methods and the meaning of the columns."""
 
 import math
 from pathlib import Path
@@ -63,7 +63,7 @@ def known(values):
 
 
 def gathered(rows, *keys):
-    """Rows in groups of equal keys, in the order of their first."""
+    """Groups rows by equal keys, in order of first occurrence."""
     groups = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -71,7 +71,7 @@ def gathered(rows, *keys):
 
 
 def averaged(rows):
-    """Mean of scores over draws; misses and touches too many add up."""
+    """Means of the scores over draws; misses and superfluous touches are added up."""
     found = {key: mean([row[key] for row in rows]) for key in ("median", "p90", "rms", "inside_1", "inside_2.5", "nll")}
     return found | {key: sum(row[key] for row in rows) for key in ("misses", "false", "frames")}
 
@@ -92,7 +92,7 @@ def cells(score):
 
 
 def place_summary(rows, times):
-    """Over the skins: geometric means of the errors, range of the shares, mean of the likelihoods."""
+    """Summary over the skins: geometric means of errors, ranges of shares, means of likelihoods."""
     lines = []
     for (size, method), group in gathered(sorted(rows, key=lambda row: int(row["size"])), "size", "method").items():
         skins = [averaged(draws) for draws in gathered(group, "set").values()]
@@ -114,7 +114,7 @@ def place_summary(rows, times):
 
 
 def depths(rows):
-    """Most presses of a set have one depth, so a median says little: the root mean square comes first."""
+    """Puts the root mean square first: most presses of a set have the same depth, so the median says little."""
     lines = [[*key, number(score["rms"]), *cells(score)] for key, score in ((key, averaged(group)) for key, group in gathered(rows, "set", "method").items())]
     return table(["set", "method", "root mean square", *HEAD], lines)
 
@@ -152,7 +152,7 @@ def alarms(rows):
 
 
 def speeds(times):
-    """Speed at the largest training size of each method."""
+    """Speed of each method at its largest training size."""
     lines = []
     for method in dict.fromkeys(key[0] for key in times):
         found = [(int(key[3].split(".")[0]), value) for key, value in times.items() if key[:2] == (method, "place")]
@@ -168,7 +168,7 @@ def section(name, body):
 
 
 def tables(rows, times, is_full=True):
-    """All tables. Without `is_full`, place over the skins only, for the page."""
+    """All tables. Without `is_full`, only places over the skins, for the book's page."""
     of = lambda *names: [row for row in rows if row["task"] in names]  # noqa: E731
     parts = []
     if of("place"):
@@ -191,7 +191,7 @@ def tables(rows, times, is_full=True):
 
 
 def between_marks(page, text):
-    """Replaces what stands between the marks of a page. Raises ValueError if it has none."""
+    """Replaces the text between a page's marks. Raises ValueError if there are no marks."""
     content = Path(page).read_text(encoding="utf-8")
     begin, end = content.find(MARKS[0]), content.find(MARKS[1])
     if begin < 0 or end < begin:

@@ -1,9 +1,9 @@
-"""Test and training rows of every task. The files under `splits/` are frozen; this module made them, and reads them.
+"""Test and training rows for every task. The files in `splits/` are frozen; this module created them, and reads them.
 
-    python3 -m harness.splits DATA      (in the folder benchmark) writes files that are missing, and changes none
+    python3 -m harness.splits DATA      (in the folder benchmark) writes missing files, and changes none
 
-A file has the columns `part` and `row`. Rows count from 0 in the data file, without its header. Parts of `place/SET.csv`:
-`test`, and training rows `SIZE.DRAW`, such as `50.2`. No test row is in any training part.
+A file has the columns `part` and `row`. Rows of the data file count from 0, without its header. Parts of `place/SET.csv`
+are `test` and training rows `SIZE.DRAW`, such as `50.2`. No test row is in any training part.
 """
 
 import sys
@@ -16,24 +16,24 @@ from . import data as sets
 
 SEED = 20261125
 FOLDER = Path(__file__).resolve().parent.parent / "splits"
-# Training sizes and draws of each: few pokes scatter more, and cost less.
+# Training sizes, with the number of draws for each: results from few pokes vary more, and take less time.
 DRAWS = {10: 5, 50: 3, 400: 2, 1500: 1}
-# Test presses of a skin, at most; small sets give a fifth.
+# Maximum number of test presses per skin. Small sets use a fifth of their presses.
 TEST = 400
-# Damaged skin: pokes of the old session, and new pokes with their draws.
+# Damaged skin: number of pokes from the old session; numbers of new pokes, with their draws.
 OLD = 1000
 NEW_DRAWS = {20: 5, 50: 3, 200: 2}
 NEW_TEST = 500
-# The same skin before and after, or in two sessions: folders of the data.
+# The same skin before and after damage, or in two sessions: data folders.
 PAIRS = [("five-skins/circles", "cam09/16", "damaged"), ("cam09/04", "cam09/04-rep", "session")]
 
 
 class SplitError(ValueError):
-    """A split file that does not hold what it should."""
+    """A split file has invalid content."""
 
 
 def generator(name):
-    """Random numbers of one set: the seed and the set's name decide, whatever else is there."""
+    """Random generator for one set. It depends only on the seed and the set's name."""
     return np.random.default_rng([SEED, zlib.crc32(name.encode())])
 
 
@@ -51,7 +51,7 @@ def place(name, rows):
 
 
 def pair(old, new, old_rows, new_rows):
-    """Parts of an old session and a new one: `old` rows of the first; `test` and `SIZE.DRAW` of the second."""
+    """Parts for an old and a new session: `old` rows from the first; `test` and `SIZE.DRAW` from the second."""
     random = generator(f"pair {old} {new}")
     order = random.permutation(new_rows)
     test = min(NEW_TEST, new_rows // 2)
@@ -63,7 +63,7 @@ def pair(old, new, old_rows, new_rows):
 
 
 def six_points(first, second):
-    """Parts by the patterns of two batches: singles and all of the first, tests of the second."""
+    """Parts from the patterns of two batches: singles and all from the first, tests from the second."""
     random = generator("six-points")
     order = random.permutation(len(second))
     half = len(second) // 2
@@ -82,7 +82,7 @@ def file_of(task, name):
 
 
 def read(task, name, rows):
-    """Parts of a frozen split, or None. Raises SplitError at a row that the data do not have."""
+    """Parts of a frozen split, or None. Raises SplitError for a row that isn't in the data."""
     path = file_of(task, name)
     if not path.is_file():
         return None
@@ -98,13 +98,13 @@ def read(task, name, rows):
 
 
 def read_or_make(task, name, rows, make):
-    """Parts, and whether they are frozen: a set that has no file is split by the same rule."""
+    """Parts, and whether they are frozen. A set without a file is split by the same rule."""
     found = read(task, name, rows)
     return (found, True) if found is not None else (make(), False)
 
 
 def write(task, name, parts):
-    """Writes a split file unless it is there."""
+    """Writes a split file unless it exists."""
     path = file_of(task, name)
     if path.exists():
         return print(f"{path}: frozen, left as it is")

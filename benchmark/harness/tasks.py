@@ -1,7 +1,7 @@
-"""The tasks: what a method is told, what it is asked, and the predictions that are written.
+"""The tasks: information for the methods, questions, and the files of predictions.
 
-A case is one training set with its test set. Predictions go to METHOD/TASK/SET/PART.csv; `score.py` reads them, whoever
-wrote them.
+A case is a training set with its test set. Predictions are written to METHOD/TASK/SET/PART.csv, where `score.py` reads
+them, whichever program wrote them.
 """
 
 import time
@@ -15,27 +15,27 @@ from . import data as sets
 from . import splits
 
 MM = 1000.0
-# Frames that are answered one at a time to measure the speed.
+# Number of frames answered one at a time to measure the speed.
 TIMED = 20
 RUNS = {
     "session": ["line2"],
     "damaged": ["cut1", "cut2", "cut3", "doublecut1", "doublecut2"],
     "healed": ["heal1", "heal2", "doubleheal1", "doubleheal2"],
 }
-# The watch: frames at rest that are told, and from which to which frame something happens (from 0, both included): where
-# frames differ from the one before by more than three times the median of such steps.
+# The watch: number of frames at rest given to the method, and ranges of frames with events (from 0, both ends included).
+# In an event, the difference between consecutive frames exceeds three times the median difference.
 REST = 64
 EVENTS = [(490, 505), (663, 665)]
 LEVELS = range(1, 8)
 
 
 class RuleError(RuntimeError):
-    """A method that breaks a rule of the benchmark."""
+    """A method breaks a rule of the benchmark."""
 
 
 @dataclass
 class Case:
-    """One training set with its test set, and what a table says of it."""
+    """A training set with its test set, and its description for the tables."""
 
     task: str
     set: str
@@ -48,7 +48,7 @@ class Case:
     truth: np.ndarray = None
     unit: str = "mm"
     is_frozen: bool = True
-    rest: np.ndarray = None  # Frames just before each judged press, where they are published.
+    rest: np.ndarray = None  # Frames just before each judged press, if published.
     extra: dict = field(default_factory=dict)
 
     @property
@@ -57,22 +57,22 @@ class Case:
 
 
 def told(kind, frames, targets, **more):
-    """What a method is told for a task with labels."""
+    """Information for a method in a task with labels."""
     return SimpleNamespace(kind=kind, frames=frames, targets=targets, session=np.zeros(len(frames), int), **more)
 
 
 def outline(name):
-    """What is known of a skin's outline: the gel disc's diameter, else a guessed square."""
+    """Known outline of a skin: the diameter of the gel disc, or else a guessed square."""
     return {"skin": "hydrogel-disc", "outline_mm": "171"} if name == "hydrogel" else {"skin": None, "outline_mm": "100x100"}
 
 
 def place(data, depth=False):
-    """Place of single presses after 10, 50, 400 and 1,500 pokes of a skin; or their depth after 400."""
+    """Place of single presses after 10, 50, 400 and 1,500 pokes of a skin, or their depth after 400."""
     for name in sets.skins(data):
         frames, positions = sets.skin(Path(data) / name)
         parts, is_frozen = splits.read_or_make("place", name, len(frames), lambda: splits.place(name, len(frames)))
         if depth and positions[:, 2].std() < 0.3e-3:
-            continue  # One depth: nothing to tell apart.
+            continue  # All depths are nearly the same.
         targets = positions[:, 2:] if depth else positions[:, :2]
         rest = sets.hydrogel(Path(data) / name)[0] if name == "hydrogel" else None
         for part, rows in parts.items():
@@ -92,7 +92,7 @@ def depth(data):
 
 
 def pairs(data, task):
-    """A skin in two sessions, or before and after damage; none, few or many new pokes."""
+    """A skin in two sessions, or before and after damage, with no, few or many new pokes."""
     for old, new, kind in splits.PAIRS:
         first, second = sets.skin(Path(data) / old), sets.skin(Path(data) / new)
         if kind != task or not first or not second:
@@ -115,7 +115,7 @@ def pairs(data, task):
 
 
 def lines(data, task):
-    """Fifteen presses along a line of a gel membrane, told once; the same line later, after cuts, and healed."""
+    """Fifteen presses along a line on a gel membrane for training; the same line later, after cuts, and healed, for testing."""
     folder = Path(data) / "hydrogel-damage"
     if not (folder / "line1.csv").is_file():
         return
@@ -139,7 +139,7 @@ def damaged(data):
 
 
 def several(data):
-    """Patterns of one to six touches: from singles, from all patterns of another batch, and within a batch."""
+    """Patterns of one to six touches, learnt from singles, from all patterns of another batch, or within a batch."""
     first, second = sets.six_points(data, 1), sets.six_points(data, 2)
     if not first or not second:
         return
@@ -158,7 +158,7 @@ def several(data):
 
 
 def unlabelled(data):
-    """The gel disc without a label: outline, electrodes, protocol and untouched frames are told."""
+    """The gel disc without labels. Methods get outline, electrodes, protocol and untouched frames."""
     folder = Path(data) / "hydrogel"
     if not (folder / "ohmc16_pressed.csv").is_file():
         return
@@ -197,7 +197,7 @@ def segmentation(data):
 
 
 def watch(data):
-    """One long watch of a gel skin that drifts and is disturbed: when does a method raise an alarm?"""
+    """One long watch of a gel skin that drifts and is disturbed. Methods raise alarms."""
     path = Path(data) / "hydrogel-damage" / "monitored.csv"
     if not path.is_file():
         return
@@ -218,7 +218,7 @@ NEEDS = {
 
 
 def cases(data, only=TASKS):
-    """All cases of some tasks, with those of methods that use which pokes are old (`@own`)."""
+    """All cases of the given tasks, with extra ones (`@own`) for methods that use which pokes are old."""
     for task in only:
         for case in TASKS[task](data):
             yield case
@@ -241,7 +241,7 @@ COLUMNS = {
 
 
 def predict(method, case, folder):
-    """Runs one method on one case and writes its predictions; times, or None where the method does not enter."""
+    """Runs one method on one case and writes its predictions. Returns times, or None if the method skips the task."""
     entry = {"labels": "segment", "unlabelled": "unlabelled", "alarms": "watch"}.get(case.kind, "regress")
     function = getattr(method, entry)
     if function is None:
@@ -273,7 +273,7 @@ def predict(method, case, folder):
         names = COLUMNS[case.kind]
         table = np.hstack([np.asarray(found, float), np.asarray(sigma, float)]) * scale
         rows = [[int(row), *map(float, values)] for row, values in zip(case.rows, table) if np.isfinite(values[: len(names)]).all()]
-        # Touches too many have no place that is judged: they are rows of nan.
+        # Superfluous touches have no place to judge: write them as rows of nan.
         for row, count in zip(case.rows, extra[0] if extra else []):
             rows += [[int(row), *[float("nan")] * table.shape[1]]] * int(count)
         write_rows(path, ",".join(["frame", *names, *(f"sigma_{name}" for name in names)]), rows)

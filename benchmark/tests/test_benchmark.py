@@ -1,4 +1,4 @@
-"""The benchmark on synthetic data: scores against values worked out by hand, splits, baselines, labels, a stranger's method."""
+"""The benchmark on synthetic data: scores against values worked out by hand, splits, baselines, labels, external methods."""
 
 import csv
 import importlib.util
@@ -26,7 +26,7 @@ CHANNELS = 24
 
 
 def skin(count, seed=0, noise=0.02, size=0.04):
-    """Frames and places (m) of a made-up skin: channels are bumps spread over a square, as deep as it was pressed."""
+    """Frames and places (m) of a synthetic skin. Channels are bumps spread over a square, scaled by the depth of the press."""
     random = np.random.default_rng(seed)
     centres = np.random.default_rng(99).uniform(-size, size, (CHANNELS, 2))
     signs = np.where(np.arange(CHANNELS) % 3 == 0, -1, 1)
@@ -111,7 +111,7 @@ def test_the_tank_score_is_one_for_the_truth_and_less_for_nothing():
 
 def test_alarms_are_counted_as_runs_and_late_by_frames():
     found = score.score_alarms([70, 71, 72, 80, 101, 150, 300], 64, 400, [(100, 105), (150, 160)], grace=10)
-    # 70 to 72 and 80 are two runs of four frames; 300 lies behind the last event and is not judged.
+    # 70 to 72 and 80 are two runs with four frames in total; 300 is after the last event and is not judged.
     assert (found["false"], found["false_frames"], found["delays"]) == (2, 4, [1, 0])
     assert math.isnan(score.score_alarms([], 64, 400, [(100, 105)])["delays"][0])
 
@@ -224,7 +224,7 @@ def test_a_mirror_is_told_by_an_earlier_session():
 
 
 def matrix(name, values):
-    """An array of doubles in MATLAB's format of version 5."""
+    """An array of doubles in MATLAB's version 5 format."""
 
     def element(kind, content):
         return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
@@ -303,7 +303,7 @@ def test_a_stranger_enters_by_one_line_and_what_is_missing_is_said(tmp_path):
     assert "no frozen split for cam09/new" in done.stdout
     results = (tmp_path / "out" / "RESULTS.md").read_text()
     assert "| mine.regress | " in results and "nearest-neighbour" in results
-    # The nearest neighbours are better than the median place.
+    # The nearest neighbours do better than the median place.
     lines = [line.split("|") for line in results.splitlines() if line.startswith("| 50 |")]
     medians = {line[2].strip(): float(line[4]) for line in lines}
     assert medians["nearest-neighbour"] < 0.7 * medians["mine.regress"]

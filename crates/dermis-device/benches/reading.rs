@@ -1,4 +1,4 @@
-//! How fast files of frames are read: `cargo bench -p dermis-device`.
+//! Speed of reading files of frames: `cargo bench -p dermis-device`.
 
 use std::fmt::Write as _;
 use std::hint::black_box;
@@ -7,7 +7,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use dermis_device::instruments::npy;
 use dermis_device::{FileSpec, Format, ReadOptions, decode_with, read};
 
-/// Frames of 208 channels, a few megabytes.
+/// Frames of 208 channels; a few megabytes of text.
 const FRAMES: usize = 4000;
 const CHANNELS: usize = 208;
 

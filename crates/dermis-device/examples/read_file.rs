@@ -1,4 +1,5 @@
-//! Reads a file of frames, says what was understood, and how fast: `cargo run --release -p dermis-device --example read_file -- press.csv`.
+//! Reads a file of frames, and prints how it was understood and how long that took:
+//! `cargo run --release -p dermis-device --example read_file -- press.csv`.
 
 use std::time::Instant;
 

@@ -1,6 +1,6 @@
-//! Acquisition: a thread that reads a source into a bounded queue. When the pipeline is too slow, frames are dropped
-//! and counted, never queued without bound; copies of a frame, which have its number, are left out and counted; a
-//! source that fails ends the queue with its error.
+//! Acquisition: a thread reads a source into a bounded queue. When the pipeline is too slow, frames are dropped and
+//! counted, never queued without bound. Copies of a frame, with the same number, are skipped and counted. When a
+//! source fails, its error ends the queue.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,7 +10,7 @@ use std::time::Duration;
 use crate::{DeviceError, Frame, Layout, Source, SourceEvent};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, bounded};
 
-/// How long the thread waits for a frame before it looks whether it should stop.
+/// How long the thread waits for a frame between checks of the stop flag.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 #[derive(Debug, Default)]
@@ -20,9 +20,9 @@ struct Shared {
     lost: AtomicU64,
     bad: AtomicU64,
     repeated: AtomicU64,
-    /// Why no frames come.
+    /// Reason why no frames arrive.
     problem: Mutex<Option<String>>,
-    /// What could not be read of a file that has ended.
+    /// Description of the unreadable part of a finished file.
     incomplete: Mutex<Option<String>>,
 }
 
@@ -36,12 +36,12 @@ impl Shared {
     }
 }
 
-/// A text that no panic leaves half written.
+/// A plain string, which a panic can't leave half-written.
 fn text(shared: &Mutex<Option<String>>) -> MutexGuard<'_, Option<String>> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A source being read by a thread of its own.
+/// A source that a separate thread reads.
 #[derive(Debug)]
 pub struct Acquisition {
     frames: Receiver<Frame>,
@@ -52,47 +52,47 @@ pub struct Acquisition {
     name: String,
 }
 
-/// What became of the frames.
+/// Counts of frames that were not delivered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AcquisitionCounters {
-    /// Dropped here, because the pipeline was too slow.
+    /// Dropped here because the pipeline was too slow.
     pub dropped: u64,
-    /// Lost before they came here.
+    /// Lost before they arrived here.
     pub lost: u64,
-    /// Damaged on the way.
+    /// Arrived damaged.
     pub bad: u64,
-    /// Copies of the frame before, with its number, that were left out. Nothing is lost with them.
+    /// Skipped copies of the preceding frame, with the same number. They are no loss.
     pub repeated: u64,
 }
 
 impl AcquisitionCounters {
-    /// Frames that did not make it, for whatever reason; copies are not among them.
+    /// Number of dropped, lost and bad frames. Copies aren't included.
     pub fn total(&self) -> u64 {
         self.dropped + self.lost + self.bad
     }
 }
 
-/// What [`Acquisition::next`] came back with.
+/// Result of [`Acquisition::next`].
 #[derive(Debug)]
 pub enum Next {
     /// A frame; give it back with [`Acquisition::recycle`].
     Frame(Frame),
-    /// None within the time.
+    /// No frame within the timeout.
     Idle,
-    /// There will be no more.
+    /// No more frames will follow.
     End,
 }
 
 impl Acquisition {
-    /// Starts reading into a queue of `capacity` frames. With `wait` a full queue holds the source up instead of
-    /// dropping frames: right for recordings, wrong for instruments.
+    /// Starts reading into a queue of `capacity` frames. With `wait`, a full queue blocks the source instead of
+    /// dropping frames. That is right for recordings and wrong for instruments.
     pub fn spawn(mut source: Box<dyn Source>, capacity: usize, wait: bool) -> Self {
         let capacity = capacity.max(2);
         let (filled, frames) = bounded(capacity);
         let (free, empty) = bounded(capacity + 2);
         let channels = source.channels();
         for _ in 0..capacity + 2 {
-            // The queue was made for as many.
+            // The queue has room for all of them.
             let _ = free.try_send(Frame::with_capacity(channels));
         }
         let shared = Arc::new(Shared::default());
@@ -112,10 +112,10 @@ impl Acquisition {
         &self.name
     }
 
-    /// The next frame, waiting at most `timeout`.
+    /// Returns the next frame, after waiting at most `timeout`.
     ///
     /// # Errors
-    /// What ended the source, once.
+    /// The error that ended the source, once.
     pub fn next(&mut self, timeout: Duration) -> Result<Next, DeviceError> {
         match self.frames.recv_timeout(timeout) {
             Ok(frame) => Ok(Next::Frame(frame)),
@@ -127,18 +127,18 @@ impl Acquisition {
         }
     }
 
-    /// Gives a frame's memory back.
+    /// Returns a frame's memory for reuse.
     pub fn recycle(&self, frame: Frame) {
-        // A full queue of free frames only means that one is not needed.
+        // If the queue of free frames is full, this one isn't needed.
         let _ = self.free.try_send(frame);
     }
 
-    /// Frames that wait for the pipeline now.
+    /// Number of frames in the queue.
     pub fn waiting(&self) -> usize {
         self.frames.len()
     }
 
-    /// Frames dropped and lost so far.
+    /// Numbers of dropped, lost, bad and repeated frames.
     pub fn counters(&self) -> AcquisitionCounters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         AcquisitionCounters {
@@ -149,12 +149,12 @@ impl Acquisition {
         }
     }
 
-    /// Why no frames come now, in words, where the source knows.
+    /// Reason why no frames arrive, in words, if the source knows it.
     pub fn problem(&self) -> Option<String> {
         self.shared.problem().clone()
     }
 
-    /// What could not be read of a file, in words, once it has ended.
+    /// Description of the unreadable part of a file, in words, once the file has ended.
     pub fn incomplete(&self) -> Option<String> {
         self.shared.incomplete().clone()
     }
@@ -162,7 +162,7 @@ impl Acquisition {
     fn join(&mut self) -> Result<(), DeviceError> {
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok(result)) => result,
-            // The thread's panic has been printed by the runtime; for the reader the source has ended.
+            // The runtime has printed the thread's panic; for the reader the source has ended.
             Some(Err(_)) | None => Ok(()),
         }
     }
@@ -171,7 +171,7 @@ impl Acquisition {
 impl Drop for Acquisition {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
-        // A thread that waits for room must find the queue emptied.
+        // A thread waiting for room must find the queue empty.
         while self.frames.try_recv().is_ok() {}
         let _ = self.join();
     }

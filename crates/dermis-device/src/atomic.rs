@@ -1,4 +1,4 @@
-//! Files that are either whole or not there: written beside their final name, flushed to disk, then renamed.
+//! Files that are either complete or absent: written to a temporary name, flushed to disk, then renamed.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
@@ -8,12 +8,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use crate::DeviceError;
 use crate::place::{Place, followed};
 
-/// Writes a file through `fill` so that `path` never holds a part of it.
+/// Writes a file through `fill` so that `path` never holds an incomplete one.
 ///
-/// The bytes go to a temporary file in the same directory, are synchronised to disk and renamed to `path`. What stood
-/// there from the beginning is replaced; what appeared or changed there meanwhile is not, and the error names the
-/// finished file. When `fill` fails, the temporary file is removed and whatever stood at `path` stays. Links are
-/// followed; a `path` that exists and is no regular file (a pipe, a terminal) is written directly.
+/// The bytes go to a temporary file in the same directory, which is synchronised to disk and renamed to `path`. This
+/// replaces the file that was there at the start, but not one that has appeared or changed in the meantime; the error
+/// then names the finished file. If `fill` fails, the temporary file is removed and any file at `path` stays. Links
+/// are followed. If `path` exists but isn't a regular file (a pipe, a terminal), it is written directly.
 ///
 /// # Errors
 /// [`DeviceError::Io`] naming `path` and the step that failed, `fill` included.
@@ -41,14 +41,14 @@ pub fn write_atomic<T>(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Res
     let file = out.into_inner().map_err(|error| failed("write")(error.into_error()))?;
     file.sync_all().map_err(failed("flush"))?;
     drop(file);
-    // A finished file is kept even where its name was taken meanwhile.
+    // Keep a finished file even if another file has taken its name.
     temporary.finished = true;
     place.put(&temporary.path).map_err(failed("put the finished file at"))?;
     sync_directory(&target);
     Ok(value)
 }
 
-/// A file that disappears unless it was finished.
+/// A file that is deleted on drop unless it was finished.
 struct Temporary {
     path: PathBuf,
     finished: bool,
@@ -81,7 +81,7 @@ impl Drop for Temporary {
     }
 }
 
-/// Makes the rename itself durable where directories can be synchronised; elsewhere the system does what it does.
+/// Makes the rename itself durable, on systems where directories can be synchronised.
 fn sync_directory(target: &Path) {
     if let Some(Ok(directory)) = target.parent().map(File::open) {
         let _ = directory.sync_all();

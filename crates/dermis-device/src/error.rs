@@ -1,5 +1,5 @@
-//! What can go wrong between an instrument and a frame. Every variant names the file (or text), the place in it, what
-//! stood there and what was expected, so that the message alone is enough to mend the input.
+//! Errors between an instrument and a frame. Every variant names the file (or text), the place in it, what was found
+//! and what was expected, so that the message alone is enough to fix the input.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,34 +12,34 @@ pub enum DeviceError {
     Io {
         /// File or directory concerned.
         file: PathBuf,
-        /// What was attempted, as a verb phrase.
+        /// The attempted action, as a verb phrase.
         action: &'static str,
-        /// The system's reason.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The file is of another kind than the reader's.
+    /// The file is not of the kind that the reader expects.
     #[error("{}: expected {expected}, found {found}", file.display())]
     Foreign {
         /// File concerned.
         file: PathBuf,
-        /// What the reader reads.
+        /// Content that the reader accepts.
         expected: &'static str,
-        /// What the content looks like.
+        /// Description of the content.
         found: String,
     },
-    /// The file ends before its own header says it should, or goes on after it.
+    /// The file is shorter or longer than its header says.
     #[error("{}: expected {expected} bytes of {what}, found {found}", file.display())]
     Length {
         /// File concerned.
         file: PathBuf,
-        /// Part of the file that is too short or too long.
+        /// The part of the file with the wrong length.
         what: &'static str,
-        /// Bytes announced.
+        /// Number of bytes according to the header.
         expected: u64,
-        /// Bytes present.
+        /// Number of bytes present.
         found: u64,
     },
-    /// A line has another number of cells than the first.
+    /// A line has a different number of cells than the first one.
     #[error("{}:{line}: expected {expected} values as in the other rows, found {found}", file.display())]
     Ragged {
         /// File concerned.
@@ -51,19 +51,19 @@ pub enum DeviceError {
         /// Cells in this row.
         found: usize,
     },
-    /// A line has more cells than any frame.
+    /// A line has more cells than any frame could have.
     #[error("{}:{line}: expected at most {limit} values in a line, found {found}", file.display())]
     Wide {
         /// File concerned.
         file: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// Most cells.
+        /// Maximum number of cells in a line.
         limit: usize,
         /// Cells in this line.
         found: usize,
     },
-    /// A cell is no number, or is infinite.
+    /// A cell is not a number, or is infinite.
     #[error("{}:{line}: column {column}: expected {expected}, found '{found}'", file.display())]
     Cell {
         /// File concerned.
@@ -74,10 +74,10 @@ pub enum DeviceError {
         column: usize,
         /// The cell's text, shortened.
         found: String,
-        /// What the reader needs there.
+        /// Content that the reader expects in this cell.
         expected: &'static str,
     },
-    /// A named field of a header has an unusable value.
+    /// A named header field has an unusable value.
     #[error("{}:{line}: {field}: expected {expected}, found '{found}'", file.display())]
     Field {
         /// File concerned.
@@ -88,35 +88,35 @@ pub enum DeviceError {
         field: &'static str,
         /// The field's text, shortened.
         found: String,
-        /// What the reader needs there.
+        /// Value that the reader expects in this field.
         expected: String,
     },
-    /// A source that was running can yield no further frame.
+    /// A running source can't deliver any more frames.
     #[error("{name}: {reason}")]
     SourceFailed {
         /// Name of the source.
         name: String,
-        /// What happened.
+        /// Reason for the failure.
         reason: String,
     },
-    /// A device did not do what it was asked.
+    /// A device didn't carry out an order.
     #[error("{order}: {reason}")]
     Refused {
-        /// What was asked.
+        /// The order.
         order: String,
-        /// Why it was not done.
+        /// Reason for the refusal.
         reason: String,
     },
-    /// A number of things (rows, channels, frames) differs from what it must be.
+    /// The number of rows, channels, frames or the like is wrong.
     #[error("{}: expected {expected} {what}, found {found}", file.display())]
     Count {
         /// File concerned.
         file: PathBuf,
-        /// What was counted.
+        /// The items that were counted.
         what: &'static str,
-        /// Number needed.
+        /// Expected number.
         expected: usize,
-        /// Number present.
+        /// Actual number.
         found: usize,
     },
     /// A value in a table of frames is infinite.
@@ -131,7 +131,7 @@ pub enum DeviceError {
         /// The value.
         found: f64,
     },
-    /// A table has as many rows as the skin has channels, and another number of columns.
+    /// A table's row count, but not its column count, equals the skin's number of channels.
     #[error(
         "{}: {frames} frames of {channels} readings, and the skin has {frames} channels: transposed? --transpose \
          (transpose=True in Python) reads frames from columns",
@@ -145,23 +145,23 @@ pub enum DeviceError {
         /// Columns.
         channels: usize,
     },
-    /// The file holds no frame.
+    /// The file contains no frames.
     #[error("{}: expected at least one frame, found none", file.display())]
     Empty {
         /// File concerned.
         file: PathBuf,
     },
-    /// The file is larger than the readers take.
+    /// The file is too large to read.
     #[error("{}: expected at most {limit} bytes, found {found}", file.display())]
     TooLarge {
         /// File concerned.
         file: PathBuf,
-        /// Most bytes read.
+        /// Maximum number of bytes.
         limit: u64,
-        /// Bytes present.
+        /// Size of the file in bytes.
         found: u64,
     },
-    /// A frame was asked for that the file does not have.
+    /// The selection asks for a frame that the file doesn't have.
     #[error("{}: no single frame '{item}'; expected {available}", file.display())]
     Selection {
         /// File concerned.
@@ -171,22 +171,22 @@ pub enum DeviceError {
         /// Frames that exist.
         available: String,
     },
-    /// A recording is to be played at its own times but carries none, or a rate is unusable.
+    /// A recording without times can't be played at its recorded pace, or the rate is unusable.
     #[error("{}: cannot play: expected {expected}, found {found}", file.display())]
     Pacing {
         /// File concerned.
         file: PathBuf,
-        /// What playing needs.
+        /// Requirement for playback.
         expected: &'static str,
-        /// What there is.
+        /// Actual times or rate.
         found: String,
     },
-    /// Text that selects a source, a file or frames is malformed.
+    /// The text of a source, file or frame selection is malformed.
     #[error("'{text}': expected {expected}")]
     Selector {
         /// The text, shortened.
         text: String,
-        /// What was expected, with an example.
+        /// Expected form, with an example.
         expected: String,
     },
 }
@@ -197,7 +197,7 @@ impl DeviceError {
         Self::Io { file: file.to_owned(), action, source }
     }
 
-    /// The same of a part of its file, `book.xlsx, sheet Frames`.
+    /// Adds the name of a part to the file in the message: `book.xlsx, sheet Frames`.
     pub(crate) fn in_part(mut self, part: &str) -> Self {
         if let Self::Foreign { file, .. }
         | Self::Length { file, .. }
@@ -215,7 +215,7 @@ impl DeviceError {
         self
     }
 
-    /// Shifts the column in the message: the table starts this many columns into the sheet.
+    /// Shifts the column in the message, for a table that starts this many columns into the sheet.
     pub(crate) fn behind_columns(mut self, columns: usize) -> Self {
         if let Self::Cell { column, .. } = &mut self {
             *column += columns;
@@ -240,7 +240,7 @@ impl DeviceError {
     }
 }
 
-/// Text made fit for a message: control characters escaped, at most 40 characters.
+/// Shortens text to 40 characters for a message and escapes control characters.
 pub(crate) fn shorten(text: &str) -> String {
     const MOST: usize = 40;
     let mut short: String = text.chars().take(MOST).flat_map(char::escape_debug).collect();

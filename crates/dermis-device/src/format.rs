@@ -1,4 +1,4 @@
-//! The formats of files of frames, by name.
+//! File formats for frames, with their names.
 
 use std::fmt;
 use std::str::FromStr;
@@ -18,23 +18,23 @@ use crate::DeviceError;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// Text, one frame a row: [`csv`](crate::instruments::csv).
+    /// Text, one frame per row: [`csv`](crate::instruments::csv).
     Csv,
-    /// Text whose lines hold the numbers of a frame among labels, times and brackets: [`log`](crate::instruments::log).
+    /// Text lines with a frame's numbers among labels, times and brackets: [`log`](crate::instruments::log).
     Lines,
-    /// Text, one frame a column under a row of names: [`columns`](crate::instruments::columns).
+    /// Text, one frame per column below a row of names: [`columns`](crate::instruments::columns).
     Columns,
-    /// NumPy array, one frame a row: [`npy`](crate::instruments::npy).
+    /// NumPy array, one frame per row: [`npy`](crate::instruments::npy).
     Npy,
-    /// Archive of NumPy arrays, of which one holds the frames: [`npz`](crate::instruments::npz).
+    /// Archive of NumPy arrays, with the frames in one of them: [`npz`](crate::instruments::npz).
     Npz,
-    /// MATLAB file of arrays, of which one holds the frames: [`mat`](crate::instruments::mat).
+    /// MATLAB file, with the frames in one of its arrays: [`mat`](crate::instruments::mat).
     Mat,
-    /// Excel workbook, of which one sheet holds the frames; with the feature `excel`.
+    /// Excel workbook, with the frames on one of its sheets; requires the feature `excel`.
     Xlsx,
-    /// Parquet file, one frame a row; with the feature `parquet`.
+    /// Parquet file, one frame per row; requires the feature `parquet`.
     Parquet,
-    /// Sciospec `.eit`, one frame a file: [`sciospec`](crate::instruments::sciospec).
+    /// Sciospec `.eit`, one frame per file: [`sciospec`](crate::instruments::sciospec).
     Sciospec,
     /// Columns of the Kuopio Tomography Challenge's 2356 readings: [`ktc`](crate::instruments::ktc).
     Ktc,
@@ -61,7 +61,7 @@ impl Format {
         Self::Pyeidors,
     ];
 
-    /// The name by which users choose it.
+    /// The name that users type.
     pub fn name(self) -> &'static str {
         match self {
             Self::Csv => "csv",

@@ -1,42 +1,41 @@
-//! One frame of measurements and when it was taken. Frames are made once and refilled, so that the live path does not
-//! allocate.
+//! One frame of measurements, with its times. Frames are created once and refilled, so the live path doesn't allocate.
 
 use std::sync::LazyLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use dermis_wire::Status;
 
-/// One frame: every channel of the instrument once.
+/// One frame: one reading of every channel.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Frame {
-    /// The device's frame number, or a count from 0 where the device sends none. Gaps are lost frames.
+    /// The device's frame number, or a count from 0 if the device sends none. Gaps are lost frames.
     pub sequence: u64,
-    /// The device's own clock in nanoseconds, origin as the device chooses, where it sends one.
+    /// The device's own clock in nanoseconds, if it sends one. The device chooses the origin.
     pub device_time_ns: Option<u64>,
     /// Host monotonic clock at the frame's first byte, nanoseconds since [`HostStamp`]'s origin.
     pub host_monotonic_ns: u64,
     /// Host wall clock at the frame's first byte, nanoseconds since 1970-01-01 UTC.
     pub host_wall_ns: u64,
-    /// Readings in the instrument's channel order and unit; the real part for complex instruments. NaN where missing.
+    /// Readings in the instrument's channel order and unit; real parts for complex instruments. NaN if missing.
     pub values: Vec<f64>,
     /// Imaginary part of each reading; empty for instruments that read real values or magnitudes.
     pub imaginary: Vec<f64>,
-    /// What the instrument says happened while the frame was taken; nothing for those that do not say.
+    /// Events that the instrument reports for this frame; empty for instruments that report none.
     pub status: Status,
-    /// The instrument's own code of the gain, where it states one; of several, the first. Information only: readings
-    /// are volts.
+    /// The instrument's own gain code, if it reports one; the first if there are several. For information only:
+    /// readings are in volts.
     pub gain: Option<u8>,
-    /// Time of each reading after `device_time_ns`, nanoseconds; empty for instruments that state none.
+    /// Time of each reading after `device_time_ns`, in nanoseconds; empty for instruments that report none.
     pub channel_times_ns: Vec<u64>,
 }
 
 impl Frame {
-    /// An empty frame that can take `channels` real readings without allocating.
+    /// An empty frame with room for `channels` real readings.
     pub fn with_capacity(channels: usize) -> Self {
         Self { values: Vec::with_capacity(channels), ..Self::default() }
     }
 
-    /// Forgets the content and keeps the memory.
+    /// Clears the content and keeps the memory.
     pub fn clear(&mut self) {
         self.sequence = 0;
         self.device_time_ns = None;
@@ -48,7 +47,7 @@ impl Frame {
         self.channel_times_ns.clear();
     }
 
-    /// Replaces the content. Allocates only if there are more readings than ever before; pass an empty `imaginary` for
+    /// Replaces the content. Allocates only if there are more readings than ever before. Pass an empty `imaginary` for
     /// real readings.
     pub fn refill(&mut self, sequence: u64, at: HostStamp, values: &[f64], imaginary: &[f64]) {
         self.clear();
@@ -65,9 +64,10 @@ impl Frame {
     }
 }
 
-/// Both host clocks read together, to be taken when a frame's first byte arrives.
+/// Both host clocks, read together. Take a stamp when a frame's first byte arrives.
 ///
-/// The monotonic origin is the first use in the process: differences are meaningful, across all sources of one process.
+/// The monotonic clock starts at the first use in the process, so differences are meaningful across all sources of one
+/// process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HostStamp {
     /// Monotonic clock, nanoseconds since the process's first stamp.
@@ -76,24 +76,24 @@ pub struct HostStamp {
     pub wall_ns: u64,
 }
 
-/// The first use in the process, by this library's clock and by the system's.
+/// The first use in the process, on this library's clock and on the system's.
 static MONOTONIC_ORIGIN: LazyLock<(Instant, u64)> = LazyLock::new(|| (Instant::now(), system_now_ns()));
 
-/// The system's monotonic clock, which all processes of a machine share.
+/// The system's monotonic clock, shared by all processes on a machine.
 #[cfg(unix)]
 fn system_now_ns() -> u64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
 }
 
-/// Other systems have no such clock in std. The origin is the process's first stamp there.
+/// The standard library has no such clock on other systems. There the origin is the process's first stamp.
 #[cfg(not(unix))]
 fn system_now_ns() -> u64 {
     0
 }
 
 impl HostStamp {
-    /// The clocks now.
+    /// Reads the clocks.
     pub fn now() -> Self {
         let (origin, _) = *MONOTONIC_ORIGIN;
         let monotonic_ns = Instant::now().saturating_duration_since(origin).as_nanos() as u64;
@@ -101,10 +101,10 @@ impl HostStamp {
         Self { monotonic_ns, wall_ns }
     }
 
-    /// A [`Frame::host_monotonic_ns`] of this process on the system's own monotonic clock (`CLOCK_MONOTONIC`,
-    /// `time.monotonic_ns()` in Python, what ROS calls steady time), nanoseconds: it is the same in all processes of a
-    /// machine, so that two skins, a robot and a camera can be brought together. On systems without one the origin stays
-    /// the process's first stamp.
+    /// Converts a [`Frame::host_monotonic_ns`] of this process to the system's own monotonic clock in nanoseconds
+    /// (`CLOCK_MONOTONIC`, `time.monotonic_ns()` in Python, steady time in ROS). All processes on a machine share that
+    /// clock, so data from two skins, a robot and a camera can be aligned. On systems without such a clock the origin
+    /// stays the process's first stamp.
     pub fn on_system_clock(monotonic_ns: u64) -> u64 {
         monotonic_ns.saturating_add(MONOTONIC_ORIGIN.1)
     }
@@ -141,7 +141,7 @@ mod tests {
         let before = system_now_ns();
         let stamp = HostStamp::on_system_clock(HostStamp::now().monotonic_ns);
         let after = system_now_ns();
-        // Both clocks of the origin are read one after the other.
+        // The two clocks of the origin are read one after the other.
         let apart = 50_000_000;
         assert!(stamp + apart >= before && stamp <= after + apart, "{before} {stamp} {after}");
     }

@@ -1,10 +1,10 @@
 //! Frames from instruments and files.
 //!
-//! A [`Source`] hands out [`Frame`]s one at a time, whatever is behind it; a [`FrameTable`] is a finite recording read
-//! from a file by one of the [`instruments`]. The crate knows how instruments write numbers down and in which order
+//! A [`Source`] delivers [`Frame`]s one at a time, whatever its origin. A [`FrameTable`] is a finite recording that
+//! one of the [`instruments`] has read from a file. The crate knows how instruments write numbers and in which order
 //! ([`Layout`]); it knows no forward model and no images.
 //!
-//! Live instruments are behind a [`stream::StreamSource`], opened by [`open_stream`].
+//! [`open_stream`] opens a live instrument as a [`stream::StreamSource`].
 //!
 //! ```
 //! use dermis_device::{Format, Frame, Pacing, Playback, Repeat, Source, SourceEvent, SourceSelector, decode};
@@ -32,10 +32,10 @@
 //! | [`FrameTable`], [`read`], [`ReadOptions`], [`FileSpec`] | finite recordings; reading files; `frames.csv#0..60` |
 //! | [`instruments`] | formats of files and streams, one module each |
 //! | [`SourceSelector`], [`open_stream`], [`open_wire`], [`stream`] | live instruments by name, ports, sockets |
-//! | [`Playback`], [`write_atomic`] | tables played as sources; files that are whole or not there |
+//! | [`Playback`], [`write_atomic`] | tables played as sources; files written atomically |
 //!
-//! Decoders take bytes and return values, so they can be tested without a file system; [`read`] is the one place where
-//! bytes come from disk, and [`stream`] the one where they come from ports and sockets.
+//! Decoders take bytes and return values, so they can be tested without a file system. Only [`read`] takes bytes from
+//! disk, and only [`stream`] takes them from ports and sockets.
 
 pub mod acquire;
 mod atomic;

@@ -1,4 +1,4 @@
-//! From the text by which a user names a live instrument to a running stream.
+//! Opens live instruments by name.
 
 use crate::instruments::floats::Floats;
 use crate::instruments::lines::Lines;
@@ -8,17 +8,16 @@ use crate::selector::{Instrument, SourceSelector};
 use crate::stream::{Connect, Dialogue, StreamOptions, StreamSource, TcpConnect};
 use crate::{DeviceError, SerialName};
 
-/// Opens a live instrument: `tcp:` and `serial:` selectors.
+/// Opens a live instrument from a `tcp:` or `serial:` selector.
 ///
 /// # Errors
-/// [`DeviceError::SourceFailed`] where nothing answers in time; [`DeviceError::Selector`] for selectors of files and
-/// twins, for instruments that must be told a setup ([`open_sciospec`]), and for serial ports where they were left out
-/// when dermis was built.
+/// [`DeviceError::SourceFailed`] if nothing answers in time. [`DeviceError::Selector`] for files and twins, for
+/// instruments that need a setup ([`open_sciospec`]), and for serial ports if dermis was built without them.
 pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<StreamSource, DeviceError> {
     open_stream_greeted(selector, options, "")
 }
 
-/// As [`open_stream`]; `greeting` is sent to an instrument of lines with every connection.
+/// As [`open_stream`]. `greeting` is sent on every connection, to instruments that print lines.
 ///
 /// # Errors
 /// As [`open_stream`].
@@ -32,11 +31,11 @@ pub fn open_stream_greeted(
     StreamSource::open(connect, dialogue(&name, instrument, greeting)?, options)
 }
 
-/// Opens a Sciospec EIT instrument, which is told the setup with every connection.
+/// Opens a Sciospec EIT instrument, and sends it the setup on every connection.
 ///
 /// # Errors
-/// As [`open_stream`], [`DeviceError::Refused`] for a setup that no such instrument takes, and [`DeviceError::Selector`]
-/// where the selector names another kind of instrument.
+/// As [`open_stream`], [`DeviceError::Refused`] for a setup that no such instrument supports, and
+/// [`DeviceError::Selector`] if the selector names a different kind of instrument.
 pub fn open_sciospec(
     selector: &SourceSelector,
     options: StreamOptions,
@@ -48,7 +47,7 @@ pub fn open_sciospec(
     }
 }
 
-/// What connects to a live instrument, and what speaks there.
+/// The connection to a live instrument, and the kind of instrument.
 fn connect(selector: &SourceSelector) -> Result<(Box<dyn Connect>, Instrument), DeviceError> {
     let name = selector.to_string();
     match selector {
@@ -60,11 +59,12 @@ fn connect(selector: &SourceSelector) -> Result<(Box<dyn Connect>, Instrument), 
     }
 }
 
-/// Opens an instrument on the wire, set by `setup` with every connection (settings that it does not have are left out),
-/// and what calls it. Without `start` frames flow only after [`Order::Start`] or [`Order::SingleShot`].
+/// Opens an instrument on the wire together with its control. `setup` is applied on every connection; settings that
+/// the instrument doesn't have are skipped. Without `start`, frames flow only after [`Order::Start`] or
+/// [`Order::SingleShot`].
 ///
 /// # Errors
-/// As [`open_stream`]; [`DeviceError::Selector`] also where the selector names another kind of instrument.
+/// As [`open_stream`]; also [`DeviceError::Selector`] if the selector names a different kind of instrument.
 pub fn open_wire(
     selector: &SourceSelector,
     options: StreamOptions,

@@ -1,5 +1,5 @@
-//! The last step of writing a file: it takes its name, and what appeared or changed under that name meanwhile is not
-//! replaced.
+//! The last step of writing a file: giving it its name without overwriting anything that has appeared or changed under
+//! that name in the meantime.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -9,14 +9,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
-/// Where a file will stand, and what stood there when its writing began.
+/// A file's destination, and the file that was there when writing began.
 #[derive(Debug, Clone)]
 pub struct Place {
     target: PathBuf,
     before: Option<Identity>,
 }
 
-/// What tells whether a file is still the same.
+/// Identifies a file and its state.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Identity {
     number: u64,
@@ -35,11 +35,11 @@ impl Identity {
     }
 }
 
-/// What stood under names when the command began that will write there.
+/// Files that existed under certain names when the current command began.
 static BEFORE: Mutex<BTreeMap<PathBuf, Option<Identity>>> = Mutex::new(BTreeMap::new());
 
-/// Notes what stands under these names now: a file that appears or changes there from now on is not replaced by what is
-/// written there first, however long the work before it takes. Names noted earlier are forgotten. Names that are no
+/// Records which files exist under these names. If a file appears or changes there later, the first write under that
+/// name won't replace it, however long the work before takes. Forgets all names recorded earlier. Names that aren't
 /// paths do no harm.
 pub fn remember(names: impl IntoIterator<Item = PathBuf>) {
     let found = |name: PathBuf| {
@@ -49,14 +49,14 @@ pub fn remember(names: impl IntoIterator<Item = PathBuf>) {
     *BEFORE.lock().unwrap_or_else(PoisonError::into_inner) = names.into_iter().filter_map(found).collect();
 }
 
-/// Where a link leads, or the path itself.
+/// The target of a link, or the path itself.
 pub(crate) fn followed(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
 }
 
 impl Place {
-    /// A place for what was asked for under a name: links are followed, and what counts as standing there is what did
-    /// when [`remember`] was told of the name, or what does now.
+    /// The destination for a name that the user gave. Follows links. The previous file is the one that [`remember`]
+    /// recorded, or else the one that exists now.
     pub fn named(name: &Path) -> Self {
         let noted = std::path::absolute(name)
             .ok()
@@ -68,24 +68,24 @@ impl Place {
         }
     }
 
-    /// A place for a new file, or for one that replaces what stands there now.
+    /// The destination for a new file, or for one that replaces the existing file.
     pub fn at(target: impl Into<PathBuf>) -> Self {
         let target = target.into();
         let before = Identity::of(&target);
         Self { target, before }
     }
 
-    /// The path.
+    /// Path of the destination.
     pub fn path(&self) -> &Path {
         &self.target
     }
 
-    /// Gives the finished file at `from` its name. What stood there when the writing began is replaced; what appeared
-    /// or changed since is not.
+    /// Renames the finished file at `from` to the destination. Replaces the file that was there when writing began,
+    /// but not one that has appeared or changed since.
     ///
     /// # Errors
-    /// What the system says; [`ErrorKind::AlreadyExists`] with a message that names `from`, which stays, where another
-    /// file has the name.
+    /// The operating system's errors. [`ErrorKind::AlreadyExists`] if another file has the name; the message names
+    /// `from`, which is kept.
     pub fn put(&self, from: &Path) -> io::Result<()> {
         let taken = || {
             let text = format!(
@@ -96,7 +96,7 @@ impl Place {
         };
         match &self.before {
             Some(before) if Identity::of(&self.target).as_ref() == Some(before) => fs::rename(from, &self.target),
-            // Nothing stands there now, or it is not what did.
+            // The destination is free, or holds a different file than before.
             _ => match rename_new(from, &self.target) {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => Err(taken()),
                 other => other,
@@ -105,10 +105,10 @@ impl Place {
     }
 }
 
-/// Renames a file unless another one has the new name.
+/// Renames a file unless the new name is taken.
 ///
 /// # Errors
-/// [`ErrorKind::AlreadyExists`], and what the system says.
+/// [`ErrorKind::AlreadyExists`], and the operating system's errors.
 pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     {
@@ -116,7 +116,7 @@ pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
         use rustix::io::Errno;
         match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
             Ok(()) => return Ok(()),
-            // File systems that do not know of it.
+            // The file system doesn't support this flag.
             Err(Errno::INVAL | Errno::NOSYS | Errno::NOTSUP) => {}
             Err(error) => return Err(error.into()),
         }
@@ -124,12 +124,13 @@ pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     link_new(from, to)
 }
 
-/// The same by a second name and the removal of the first: slower, and two names stand for a moment.
+/// Does the same with a hard link to the new name, then removes the old one. Slower, and both names exist for a
+/// moment.
 fn link_new(from: &Path, to: &Path) -> io::Result<()> {
     match fs::hard_link(from, to) {
         Ok(()) => fs::remove_file(from),
         Err(error) if error.kind() == ErrorKind::AlreadyExists => Err(error),
-        // A file system without second names: between look and rename a file could appear, there is no way round that.
+        // The file system has no hard links. A file could appear between check and rename; that can't be avoided.
         Err(_) if fs::symlink_metadata(to).is_ok() => Err(ErrorKind::AlreadyExists.into()),
         Err(_) => fs::rename(from, to),
     }
@@ -160,7 +161,7 @@ mod tests {
         let error = crate::write_atomic(&new, |out| out.write_all(b"ours")).unwrap_err().to_string();
         assert!(error.contains("not replaced"), "{error}");
         assert_eq!(fs::read_to_string(&new).unwrap(), "another's");
-        // What stood there from the beginning is replaced, and so is what was written since.
+        // The original file is replaced, and so is our own later version.
         for _ in 0..2 {
             crate::write_atomic(&old, |out| out.write_all(b"ours")).unwrap();
             assert_eq!(fs::read_to_string(&old).unwrap(), "ours");
@@ -178,7 +179,7 @@ mod tests {
         assert_eq!(error.kind(), ErrorKind::AlreadyExists);
         assert!(error.to_string().contains("x.part"), "{error}");
         assert_eq!((fs::read(&target).unwrap(), fs::read(&part).unwrap()), (b"another".to_vec(), b"new".to_vec()));
-        // What stood there from the beginning is replaced, as long as nobody changed it.
+        // The original file is replaced as long as nobody changed it.
         Place::at(&target).put(&part).unwrap();
         assert_eq!(fs::read(&target).unwrap(), b"new");
         fs::write(&part, "newer").unwrap();

@@ -1,37 +1,37 @@
-//! A recording played as a source, at its own pace, at a given rate or as fast as it is asked for.
+//! Plays a recording as a source: at its own pace, at a given rate, or on demand.
 
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::{Counters, DeviceError, Frame, FrameTable, HostStamp, Layout, Source, SourceEvent};
 
-/// When the frames of a recording come.
+/// Timing of a recording's frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pacing {
-    /// As soon as they are asked for.
+    /// On demand.
     Immediate,
-    /// At the distances in time at which they were recorded.
+    /// At the recorded intervals.
     Recorded,
     /// At a constant rate.
     Rate {
-        /// Frames in a second.
+        /// Frames per second.
         frames_per_s: f64,
     },
 }
 
-/// What happens after a recording's last frame.
+/// Behaviour after a recording's last frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Repeat {
     /// The source ends.
     Once,
-    /// It starts again with the first frame; sequence numbers go on.
+    /// The recording starts again from its first frame; sequence numbers continue.
     Forever,
 }
 
 /// A [`FrameTable`] as a [`Source`].
 ///
-/// Frames are stamped when they are handed out. Their sequence numbers are the recording's, and gaps in those are
-/// counted as lost; a recording without numbers counts from 0.
+/// Frames are stamped when they are delivered. Sequence numbers are the recording's, and gaps count as lost frames. A
+/// recording without sequence numbers is numbered from 0.
 #[derive(Debug)]
 pub struct Playback {
     table: FrameTable,
@@ -73,7 +73,7 @@ impl Playback {
         &self.table
     }
 
-    /// Sleeps until the next frame is due, at most `timeout`; true if it is due.
+    /// Sleeps until the next frame is due, but at most `timeout`. Returns true if it is due.
     fn wait(&self, timeout: Duration) -> bool {
         let Some(due) = self.due else { return true };
         let left = due.saturating_duration_since(Instant::now());
@@ -81,8 +81,8 @@ impl Playback {
         left <= timeout
     }
 
-    /// Time between frame `index` and the one before it. The first frame of a repetition follows the last one at the
-    /// recording's mean distance.
+    /// Time between frame `index` and the previous one. When the recording repeats, its mean interval separates the
+    /// last frame from the first.
     fn distance(&self, index: usize) -> Duration {
         let seconds = match (self.pacing, self.table.times_s()) {
             (Pacing::Rate { frames_per_s }, _) => frames_per_s.recip(),
@@ -93,12 +93,12 @@ impl Playback {
             }
             _ => 0.0,
         };
-        // Clocks cannot be set arbitrarily far ahead; a day is as good as never. Times that go back count as none.
+        // Clocks can't be set arbitrarily far ahead; a day is as good as never. Negative intervals count as zero.
         const LONGEST_S: f64 = 86_400.0;
         Duration::try_from_secs_f64(seconds.min(LONGEST_S)).unwrap_or_default()
     }
 
-    /// Sequence number of frame `index`, counting what the recording lost before it.
+    /// Sequence number of frame `index`. Counts the frames that the recording lost before it.
     fn number(&mut self, index: usize) -> u64 {
         let following = self.sequence.map_or(0, |sequence| sequence.wrapping_add(1));
         let step = match self.table.sequences() {

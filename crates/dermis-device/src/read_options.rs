@@ -1,8 +1,8 @@
-//! How a file of frames is read, where guessing is not enough.
+//! Options for reading a file of frames when detection isn't enough.
 
 use crate::{Format, FrameSelect};
 
-/// How a file of frames is read. The default guesses everything.
+/// Options for reading a file of frames. By default everything is detected.
 ///
 /// ```
 /// use dermis_device::{Format, FrameSelect, ReadOptions, decode_with};
@@ -16,33 +16,33 @@ use crate::{Format, FrameSelect};
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ReadOptions {
-    /// The format; recognised where `None`.
+    /// The format; detected if `None`.
     pub format: Option<Format>,
     /// Columns of a table that hold readings: names, indices from 0, half-open ranges.
     pub columns: FrameSelect,
-    /// Lines at the beginning of a text that are passed over.
+    /// Number of lines to skip at the start of a text.
     pub skip_rows: usize,
-    /// Array of an archive (npz, mat), sheet of a workbook, or topic of a bag.
+    /// Name of an array in an archive (npz, mat), of a sheet in a workbook, or of a topic in a bag.
     pub array: Option<String>,
-    /// Frames stand in columns.
+    /// Read frames from columns.
     pub transpose: bool,
-    /// Readings that a frame may have, the skin's channels first; empty where there is no skin. They settle what a file
-    /// leaves open (frames wrapped over rows, a column that counts, real and imaginary parts), and let a transposed
-    /// file be noticed.
+    /// Possible numbers of readings in a frame, with the skin's channels first; empty if there is no skin. They
+    /// resolve ambiguities (frames wrapped over rows, a column that counts, real and imaginary parts), and reveal
+    /// transposed files.
     pub channels: Vec<usize>,
-    /// Frequency of a sweep in hertz, or two, whose difference is taken.
+    /// Frequency of a sweep in hertz, or two frequencies to subtract.
     pub frequencies_hz: Frequencies,
 }
 
-/// Which frequency of a sweep is read.
+/// Frequency of a sweep to read.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Frequencies {
     /// The only one.
     #[default]
     Only,
-    /// The one nearest to this, within 1 %.
+    /// The one closest to this value, within 1 %.
     One(f64),
-    /// Readings at the first less those at the second.
+    /// Readings at the first frequency minus those at the second.
     Difference(f64, f64),
 }
 
@@ -56,13 +56,13 @@ impl From<Option<Format>> for ReadOptions {
 }
 
 impl ReadOptions {
-    /// The same for frames of a skin that may have so many readings.
+    /// Sets the possible numbers of readings in a frame.
     #[must_use]
     pub fn with_channels(self, channels: impl IntoIterator<Item = usize>) -> Self {
         Self { channels: channels.into_iter().collect(), ..self }
     }
 
-    /// Rows are as many as a frame should have readings, and columns are not.
+    /// True if the number of rows fits a frame and the number of columns doesn't.
     pub(crate) fn looks_transposed(&self, rows: usize, columns: usize) -> bool {
         !self.transpose && self.channels.contains(&rows) && !self.channels.contains(&columns)
     }

@@ -1,4 +1,4 @@
-//! A file and the frames of it that are wanted: `voltages.csv#train1,train2`.
+//! A file and a selection of its frames: `voltages.csv#train1,train2`.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -6,11 +6,11 @@ use std::str::FromStr;
 
 use crate::DeviceError;
 
-/// A path, optionally followed by `#` and a choice of frames.
+/// A path, optionally followed by `#` and a selection of frames.
 ///
-/// The choice is a comma-separated list of frame names (where the file names its frames, as the head of a column does),
-/// indices from 0, or half-open ranges `first..end` of which either bound may be left out. A name goes before an index.
-/// Everything after the last `#` is the choice; a path that contains `#` itself is written with a `#` at its end.
+/// The selection is a comma-separated list of frame names (if the file has any, for instance in column headers),
+/// indices from 0, and half-open ranges `first..end` with either bound optional. Names take precedence over indices.
+/// The selection follows the last `#`. If a path itself contains `#`, add a `#` at its end.
 ///
 /// ```
 /// use dermis_device::FileSpec;
@@ -31,12 +31,12 @@ use crate::DeviceError;
 pub struct FileSpec {
     /// The file or directory.
     pub path: PathBuf,
-    /// The frames of it that are wanted.
+    /// The selected frames.
     pub select: FrameSelect,
 }
 
 impl FileSpec {
-    /// All frames of a file, whatever characters its path has.
+    /// Selects all frames of a file; the path may contain any characters.
     pub fn all(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), select: FrameSelect::All }
     }
@@ -65,13 +65,13 @@ impl fmt::Display for FileSpec {
     }
 }
 
-/// Which frames of a file are wanted, in which order. Written as described at [`FileSpec`].
+/// Selected frames of a file, in order. See [`FileSpec`] for the syntax.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum FrameSelect {
     /// Every frame in the file's order.
     #[default]
     All,
-    /// The listed ones in the listed order.
+    /// The listed frames in the listed order.
     Listed(Vec<FrameItem>),
 }
 
@@ -80,7 +80,7 @@ pub enum FrameSelect {
 pub enum FrameItem {
     /// A frame by name, or by index from 0 if no frame has that name.
     Frame(String),
-    /// Frames `first..end`, `end` not included and the last frame where it is absent.
+    /// Frames `first..end`, without `end` itself. If `end` is absent, up to the last frame.
     Range {
         /// First index.
         first: usize,
@@ -137,7 +137,7 @@ impl fmt::Display for FrameItem {
 }
 
 impl FrameSelect {
-    /// Whether an entry can only be a name: it is neither an index nor a range.
+    /// True if any entry can only be a name, not an index or a range.
     pub fn names_frames(&self) -> bool {
         let Self::Listed(items) = self else { return false };
         items.iter().any(|item| matches!(item, FrameItem::Frame(name) if name.parse::<usize>().is_err()))

@@ -1,4 +1,4 @@
-//! The text by which a user names a source: `file:run.csv`, `twin:healing-square`, `serial:/dev/ttyUSB0@115200`,
+//! Names of sources as users write them: `file:run.csv`, `twin:healing-square`, `serial:/dev/ttyUSB0@115200`,
 //! `serial:2341:0043`, `tcp:192.168.1.20:5025#lines`, or simply a path.
 
 use std::fmt;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use crate::{DeviceError, FileSpec};
 
-/// A source as the user named it; opening it is the business of whoever has the transport.
+/// A source as the user named it. Opening it is up to the code that owns the transport.
 ///
 /// ```
 /// use dermis_device::{Instrument, SerialName, SourceSelector};
@@ -48,49 +48,49 @@ use crate::{DeviceError, FileSpec};
 pub enum SourceSelector {
     /// A recording, `file:PATH` or a bare path.
     File(FileSpec),
-    /// A digital twin, `twin` or `twin:NAME`; without a name, that of the skin at hand.
+    /// A digital twin, `twin` or `twin:NAME`. The default is the twin of the current skin.
     Twin {
         /// Name of the skin.
         name: Option<String>,
     },
-    /// A serial port, `serial:PORT`, with `@BAUD` and `#INSTRUMENT` after it where needed.
+    /// A serial port, `serial:PORT`, optionally followed by `@BAUD` and `#INSTRUMENT`.
     Serial {
         /// The port.
         port: SerialName,
-        /// Bits per second, where the instrument does not fix them.
+        /// Bits per second, unless the instrument has a fixed rate.
         baud: Option<u32>,
-        /// What speaks there.
+        /// The instrument on this port.
         instrument: Instrument,
     },
-    /// A TCP server, `tcp:HOST:PORT`, with `#INSTRUMENT` after it where needed; an IPv6 host stands in brackets.
+    /// A TCP server, `tcp:HOST:PORT`, optionally followed by `#INSTRUMENT`. An IPv6 host is in brackets.
     Tcp {
         /// Host name or address, without brackets.
         host: String,
         /// Port number.
         port: u16,
-        /// What speaks there.
+        /// The instrument on this socket.
         instrument: Instrument,
     },
 }
 
-/// A serial port: by path, or by what is plugged in.
+/// A serial port, by path or by USB identity.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SerialName {
     /// Path or name, `/dev/ttyACM0` or `COM3`.
     Path(String),
-    /// `VID:PID` or `VID:PID:SERIAL`, the numbers as four hexadecimal digits; the first such device where several are
-    /// there.
+    /// `VID:PID` or `VID:PID:SERIAL`, with four hexadecimal digits for each number. The first match if there are
+    /// several.
     Usb {
-        /// Vendor.
+        /// USB vendor number.
         vendor: u16,
-        /// Product.
+        /// USB product number.
         product: u16,
         /// Serial number.
         serial: Option<String>,
     },
 }
 
-/// What speaks at a port or socket.
+/// Kind of instrument on a port or socket.
 ///
 /// ```
 /// use dermis_device::Instrument;
@@ -103,24 +103,24 @@ pub enum SerialName {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Instrument {
-    /// dermis's own wire, `wire`; what is meant where nothing is said.
+    /// dermis's own wire protocol, `wire`. The default.
     #[default]
     Wire,
     /// Lines of numbers, `lines` or `lines:CHANNELS`.
     Lines {
-        /// Numbers in a line; without it, as many as lines that follow each other have.
+        /// Numbers per line. If absent, determined from consecutive lines with the same count.
         channels: Option<usize>,
     },
     /// Raw single-precision frames, `floats:CHANNELS`.
     Floats {
-        /// Readings in a frame.
+        /// Readings per frame.
         channels: usize,
     },
     /// A Sciospec EIT instrument, `sciospec`.
     Sciospec,
 }
 
-/// Most channels that a user can state.
+/// Maximum number of channels that a user can specify.
 const MOST_CHANNELS: usize = 65_535;
 
 impl FromStr for Instrument {
@@ -188,8 +188,8 @@ impl FromStr for SourceSelector {
     }
 }
 
-/// A word of several letters before the first colon is meant as a scheme; one letter is a Windows drive, and anything
-/// with other characters belongs to a path.
+/// A word of several letters before the first colon is treated as a scheme. A single letter is a Windows drive, and
+/// anything with other characters is part of a path.
 fn is_unknown_scheme(scheme: &str) -> bool {
     scheme.is_empty() || (scheme.len() > 1 && scheme.bytes().all(|byte| byte.is_ascii_alphanumeric()))
 }
@@ -211,7 +211,7 @@ fn parse_serial(text: &str, rest: &str) -> Result<SourceSelector, DeviceError> {
     Ok(SourceSelector::Serial { port, baud, instrument })
 }
 
-/// `VID:PID[:SERIAL]`, if this is one.
+/// Parses `VID:PID[:SERIAL]`.
 fn usb_name(port: &str) -> Option<SerialName> {
     let number = |text: &str| {
         let digits = text.len() == 4 && text.bytes().all(|byte| byte.is_ascii_hexdigit());

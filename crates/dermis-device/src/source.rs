@@ -1,21 +1,21 @@
-//! Where frames come from. A source blocks until a frame is there or a time has passed; nothing above it polls, and
-//! nothing above it knows whether a file, a port, a socket or a twin is behind it.
+//! Sources of frames. A source blocks until a frame arrives or a timeout expires. Code above it doesn't poll, and
+//! doesn't know whether the frames come from a file, a port, a socket or a twin.
 
 use std::time::Duration;
 
 use crate::{DeviceError, Frame, Layout};
 
-/// Anything that yields frames in order of time.
+/// A source of frames in order of time.
 ///
-/// A transport reads bytes, a decoder cuts them into frames, and a source joins the two. Implementations own whatever
-/// thread or port they need and stamp each frame with [`crate::HostStamp::now`] at its first byte.
+/// A transport reads bytes, a decoder splits them into frames, and a source combines the two. Implementations own any
+/// threads or ports that they need, and stamp each frame with [`crate::HostStamp::now`] at its first byte.
 pub trait Source: Send {
-    /// Readings in every frame.
+    /// Number of readings in a frame.
     fn channels(&self) -> usize {
         self.layout().channels()
     }
 
-    /// Which reading stands at which channel.
+    /// Assignment of readings to channels.
     fn layout(&self) -> &Layout;
 
     /// Name for messages: a file, a port, an address.
@@ -27,40 +27,40 @@ pub trait Source: Send {
     /// in [`Counters::bad`] and skipped.
     ///
     /// # Errors
-    /// When the source can yield no further frame, for instance because a port has gone.
+    /// If the source can't deliver any more frames, for instance because a port is gone.
     fn next_frame(&mut self, frame: &mut Frame, timeout: Duration) -> Result<SourceEvent, DeviceError>;
 
-    /// What has come and what was lost since the source was opened.
+    /// Numbers of delivered, lost and bad frames since the source was opened.
     fn counters(&self) -> Counters;
 
-    /// Why no frames come, in words, where that is known: a device that does not answer, a connection that was lost.
+    /// Reason why no frames arrive, in words, if known: a device that doesn't answer, or a lost connection.
     fn problem(&self) -> Option<String> {
         None
     }
 
-    /// What could not be read of a file, in words, once it has ended; `None` where nothing is missing.
+    /// Description of the unreadable part of a file, in words, once the file has ended. `None` if nothing is missing.
     fn incomplete(&self) -> Option<String> {
         None
     }
 }
 
-/// What [`Source::next_frame`] came back with.
+/// Result of [`Source::next_frame`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SourceEvent {
     /// A frame was written.
     Frame,
-    /// The time passed without one.
+    /// No frame within the timeout.
     Idle,
-    /// There will be no more.
+    /// No more frames will follow.
     End,
 }
 
 /// Frames delivered and lost by a source.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Frames handed out.
+    /// Frames delivered.
     pub frames: u64,
-    /// Frames that the device numbered and that never arrived.
+    /// Frames that the device numbered but that never arrived.
     pub lost: u64,
     /// Frames that arrived damaged and were skipped.
     pub bad: u64,

@@ -1,29 +1,29 @@
-//! A finite recording: frames by channels, with what is known about their order and times.
+//! A finite recording: frames x channels, with any known order and times.
 
 use std::path::{Path, PathBuf};
 
 use crate::{DeviceError, FrameItem, FrameSelect};
 
-/// What stands at which channel of a frame. Electrodes count from 0.
+/// Assignment of readings to a frame's channels. Electrodes count from 0.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Layout {
-    /// As the skin's protocol lists its measurements.
+    /// In the order of the measurements in the skin's protocol.
     Channels {
         /// Number of readings.
         count: usize,
     },
-    /// Every electrode's potential against a common reference for every stimulation, stimulation-major: channel
+    /// The potential of every electrode against a common reference, for every stimulation. Stimulation-major: channel
     /// `s * electrodes + e`.
     SingleEnded {
         /// Number of electrodes.
         electrodes: usize,
-        /// Electrode at which the current enters the body, electrode at which it leaves.
+        /// Electrode where the current enters the body, and electrode where it leaves.
         stimulations: Vec<(usize, usize)>,
     },
-    /// For each of `electrodes` neighbouring drive pairs (k, k+1), every neighbouring measuring pair (j, j+1), driven
-    /// ones included: channel `k * electrodes + j`.
+    /// For each of the `electrodes` pairs of neighbours (k, k+1) that drive, all pairs of neighbours (j, j+1) that
+    /// measure, driven ones included: channel `k * electrodes + j`.
     FullMatrix {
-        /// Number of electrodes, pairs and drives.
+        /// Number of electrodes, which is also the number of pairs and of drives.
         electrodes: usize,
     },
 }
@@ -39,7 +39,7 @@ impl Layout {
     }
 }
 
-/// Frames of one recording. Readings are finite, or NaN where the recording has none.
+/// Frames of one recording. Readings are finite, or NaN if missing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameTable {
     layout: Layout,
@@ -55,10 +55,10 @@ pub struct FrameTable {
 }
 
 impl FrameTable {
-    /// Takes `values`, frame after frame with `layout.channels()` readings each, read from `source`.
+    /// Creates a table from `values`, frame after frame with `layout.channels()` readings each, read from `source`.
     ///
     /// # Errors
-    /// [`DeviceError::Empty`] without frames, [`DeviceError::Count`] if the last frame is not whole,
+    /// [`DeviceError::Empty`] without frames, [`DeviceError::Count`] if the last frame is incomplete,
     /// [`DeviceError::Infinite`] for an infinite reading.
     pub fn new(layout: Layout, values: Vec<f64>, source: impl Into<PathBuf>) -> Result<Self, DeviceError> {
         let source = source.into();
@@ -102,7 +102,7 @@ impl FrameTable {
         Ok(self)
     }
 
-    /// Adds the time of every frame in seconds; the origin is the recording's own.
+    /// Adds the time of every frame in seconds, with any origin.
     ///
     /// # Errors
     /// [`DeviceError::Count`] if there is not one time per frame.
@@ -132,7 +132,7 @@ impl FrameTable {
         Ok(self)
     }
 
-    /// Adds what the file calls its channels.
+    /// Adds the file's names for its channels.
     ///
     /// # Errors
     /// [`DeviceError::Count`] if there is not one name per channel.
@@ -142,18 +142,18 @@ impl FrameTable {
         Ok(self)
     }
 
-    /// Adds the moment of every frame, nanoseconds since 1970-01-01 UTC (on the local calendar where the file states no
-    /// time zone).
+    /// Adds the wall-clock time of every frame, in nanoseconds since 1970-01-01 UTC (in local time if the file states
+    /// no time zone).
     ///
     /// # Errors
-    /// [`DeviceError::Count`] if there is not one per frame.
+    /// [`DeviceError::Count`] if there is not one time per frame.
     pub fn with_wall_ns(mut self, wall_ns: Vec<i64>) -> Result<Self, DeviceError> {
         self.check_count("moments", self.frames(), wall_ns.len())?;
         self.wall_ns = Some(wall_ns);
         Ok(self)
     }
 
-    /// Adds what was understood of the file beyond its shape, one thing a note.
+    /// Adds notes on how the file was understood, apart from its dimensions. One item per note.
     #[must_use]
     pub fn with_notes(mut self, notes: Vec<String>) -> Self {
         self.notes.extend(notes);
@@ -177,12 +177,12 @@ impl FrameTable {
         self.values.len() / self.channels()
     }
 
-    /// Which reading stands at which channel.
+    /// Assignment of readings to channels.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// File or directory that the frames came from.
+    /// The file or directory of the recording.
     pub fn source(&self) -> &Path {
         &self.source
     }
@@ -197,12 +197,12 @@ impl FrameTable {
         self.imaginary.as_deref()
     }
 
-    /// Readings of one frame (real parts if complex), or none if there is no such frame.
+    /// Readings of one frame (real parts if complex), or `None` if there is no such frame.
     pub fn row(&self, frame: usize) -> Option<&[f64]> {
         self.values.chunks_exact(self.channels()).nth(frame)
     }
 
-    /// Imaginary parts of one frame, or none for a real recording or if there is no such frame.
+    /// Imaginary parts of one frame, or `None` for a real recording or if there is no such frame.
     pub fn imaginary_row(&self, frame: usize) -> Option<&[f64]> {
         self.imaginary.as_ref()?.chunks_exact(self.channels()).nth(frame)
     }
@@ -212,37 +212,38 @@ impl FrameTable {
         self.values.chunks_exact(self.channels())
     }
 
-    /// Time of each frame in seconds, where the recording has it.
+    /// Time of each frame in seconds, if recorded.
     pub fn times_s(&self) -> Option<&[f64]> {
         self.times_s.as_deref()
     }
 
-    /// The instrument's own frame numbers, where the recording has them.
+    /// The instrument's own frame numbers, if recorded.
     pub fn sequences(&self) -> Option<&[u64]> {
         self.sequences.as_deref()
     }
 
-    /// The frames' names, where the recording has them.
+    /// The frames' names, if recorded.
     pub fn names(&self) -> Option<&[String]> {
         self.names.as_deref()
     }
 
-    /// What the file calls its channels, where it does.
+    /// The file's names for its channels, if it has any.
     pub fn channel_names(&self) -> Option<&[String]> {
         self.channel_names.as_deref()
     }
 
-    /// The moment of every frame, where the recording knows it: nanoseconds since 1970-01-01 UTC.
+    /// Wall-clock time of every frame, if recorded, in nanoseconds since 1970-01-01 UTC.
     pub fn wall_ns(&self) -> Option<&[i64]> {
         self.wall_ns.as_deref()
     }
 
-    /// What was understood of the file beyond its shape, one thing a note.
+    /// Notes on how the file was understood, apart from its dimensions.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// What was understood of the file, in a line: `40 frames x 208 channels; header in line 1; decimal commas`.
+    /// One-line summary of how the file was understood:
+    /// `40 frames x 208 channels; header in line 1; decimal commas`.
     pub fn understood(&self) -> String {
         let kind = if self.imaginary.is_some() { " complex" } else { "" };
         let frames = if self.frames() == 1 { "1 frame".to_owned() } else { format!("{} frames", self.frames()) };
@@ -258,10 +259,10 @@ impl FrameTable {
         text
     }
 
-    /// The same frames with other channels: `taken` lists for each new channel the old one and a factor.
+    /// The same frames with different channels. `taken` lists an old channel and a factor for each new one.
     ///
     /// # Panics
-    /// For an old channel that is not there.
+    /// If an old channel doesn't exist.
     #[must_use]
     pub fn rearranged(mut self, taken: &[(usize, f64)]) -> Self {
         let channels = self.channels();
@@ -275,10 +276,10 @@ impl FrameTable {
         self
     }
 
-    /// The chosen frames as a table of their own.
+    /// Returns a table of the selected frames.
     ///
     /// # Errors
-    /// [`DeviceError::Selection`] naming the item that fits no frame, or two of one name.
+    /// [`DeviceError::Selection`] with the item that matches no frame, or several with the same name.
     pub fn select(self, select: &FrameSelect) -> Result<Self, DeviceError> {
         let FrameSelect::Listed(items) = select else { return Ok(self) };
         let mut chosen = Vec::new();
@@ -303,7 +304,7 @@ impl FrameTable {
         })
     }
 
-    /// Frame indices that an item stands for; all of them exist, and there is at least one.
+    /// Frame indices for an item. They all exist, and there is at least one.
     fn resolve(&self, item: &FrameItem) -> Result<std::ops::Range<usize>, DeviceError> {
         let frames = self.frames();
         let range = match item {

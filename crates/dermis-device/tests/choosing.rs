@@ -1,4 +1,4 @@
-//! Recognition of formats and choice of frames through [`read`], on files made here.
+//! Detection of formats and selection of frames through [`read`], on files created here.
 
 #[path = "choosing/foreign.rs"]
 mod foreign;
@@ -26,7 +26,7 @@ fn rows(count: usize, columns: usize) -> String {
 fn tables_are_told_apart_by_shape() {
     assert_eq!(detected(&format!("ref,b\n{}", rows(256, 2))), Format::Golfball);
     assert_eq!(detected(&format!("ref,b\n{}", rows(2356, 2))), Format::Ktc);
-    // As many frames of a few channels are no frames in columns.
+    // With other names, the same numbers of rows are frames with few channels.
     assert_eq!(detected(&format!("a,b\n{}", rows(256, 2))), Format::Csv);
     assert_eq!(detected(&format!("time_s,b\n{}", rows(2356, 2))), Format::Csv);
     let four: String = (0..208).map(|row| format!("0.1,0.25,0.3,{}\n", 0.4 + 1e-6 * row as f64)).collect();

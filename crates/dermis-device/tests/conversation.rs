@@ -1,5 +1,5 @@
-//! The host's and the device's side of the wire talking to each other in memory: what is delivered, what is counted,
-//! and what ends a conversation.
+//! The host's and the device's side of the wire talk to each other in memory. Tests delivery, counting, and the end of
+//! a conversation.
 
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
@@ -28,7 +28,7 @@ fn info(boot: u32, channels: u16) -> DeviceInfo {
     }
 }
 
-/// Both sides, and a host's clock that goes on by a period with every frame.
+/// Both sides, and a host clock that advances by one period with every frame.
 struct Line {
     host: WireHost,
     device: WireDevice,
@@ -43,7 +43,7 @@ impl Line {
         Self { host: WireHost::new(), device: WireDevice::new(info(boot, 3)), inbox, out, now_ns: 0 }
     }
 
-    /// Connects; what each says reaches the other until both are silent.
+    /// Connects, and passes messages on until both sides are silent.
     fn connect(&mut self) -> Result<(), String> {
         let mut to_device = Vec::new();
         self.device.reset_link();
@@ -61,7 +61,7 @@ impl Line {
         Ok(())
     }
 
-    /// What the host answers to these bytes.
+    /// The host's answer to these bytes.
     fn hear(&mut self, bytes: &[u8]) -> Result<Vec<u8>, String> {
         let at = HostStamp { monotonic_ns: self.now_ns, wall_ns: 0 };
         let mut send = Vec::new();
@@ -86,7 +86,7 @@ impl Line {
         self.hear(&bytes).expect("a frame never ends a conversation");
     }
 
-    /// Host's and device's numbers of the frames that came.
+    /// The host's and the device's numbers of the frames that arrived.
     fn received(&self) -> Vec<(u64, f64)> {
         self.out.try_iter().map(|frame| (frame.sequence, frame.values[0])).collect()
     }
@@ -142,7 +142,7 @@ fn frames_that_come_twice_or_late_are_dropped_and_counted() {
         line.send_frame(sequence);
     }
     assert_eq!(line.received().iter().map(|frame| frame.1).collect::<Vec<_>>(), [10.0, 11.0, 12.0, 14.0, 15.0]);
-    // 13 came after 14 and cannot be handed on any more.
+    // 13 came after 14 and can't be delivered any more.
     assert_eq!(line.inbox.losses(), (1, 3));
 }
 
@@ -157,7 +157,7 @@ fn a_reset_device_is_started_again_and_its_gap_follows_from_its_rate() {
     let start = line.hear(&unasked).unwrap();
     assert!(!start.is_empty(), "the host starts it again");
     line.exchange(start).unwrap();
-    // 1.0 s after the last frame, 50 frames/s: frame 0 of the new count is the 50th, 49 are missing.
+    // At 50 frames/s, 1.0 s after the last frame: frame 0 of the new count is the 50th, so 49 are missing.
     line.now_ns += 49 * PERIOD_NS;
     line.send_frame(0);
     line.send_frame(1);
@@ -236,7 +236,7 @@ fn frames_of_an_earlier_conversation_and_half_packets_before_the_first_are_no_lo
     assert_eq!(fresh.inbox.losses(), (0, 0));
 }
 
-/// The device's reply to a command, and its numbers.
+/// The device's reply to a command, with its numbers.
 fn reply_to(device: &mut WireDevice, command: Command<'_>) -> (ReplyStatus, Vec<f32>) {
     let (mut buffer, mut bytes) = ([0; 256], Vec::new());
     device.receive(encode(&Message::Command(Request { tag: 5, command }), &mut buffer).unwrap(), &mut bytes);
@@ -255,7 +255,7 @@ fn a_device_says_how_it_is_set_and_what_it_measures_of_itself() {
     let mut device = WireDevice::new(DeviceInfo { amplitude_a: 2e-3, frequency_hz: 954.0, ..info(7, 3) });
     assert_eq!(reply_to(&mut device, Command::SelfTest), (ReplyStatus::Unknown, vec![]));
     device.set_measured(&[1.0], &[3.5, f32::NAN]);
-    // What it cannot be set to, it answers with what it has.
+    // A request for an unavailable value is answered with the actual one.
     assert_eq!(reply_to(&mut device, Command::Amplitude(1e-3)), (ReplyStatus::Done, vec![2e-3]));
     assert_eq!(reply_to(&mut device, Command::Frequency(1e3)), (ReplyStatus::Done, vec![954.0]));
     assert_eq!(reply_to(&mut device, Command::Rate(10.0)), (ReplyStatus::Done, vec![RATE]));

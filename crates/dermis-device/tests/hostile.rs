@@ -1,5 +1,5 @@
-//! Bytes that nobody meant as frames: every reader answers with frames or an error, whatever it is given, and never
-//! yields an infinite reading or more values than the bytes can hold.
+//! Bytes that aren't frames. For any input, every reader returns frames or an error, never an infinite reading or more
+//! values than the bytes can hold.
 
 #[path = "hostile/mutated_tables.rs"]
 mod mutated_tables;
@@ -10,13 +10,13 @@ use dermis_device::instruments::npy;
 use dermis_device::{FileSpec, Format, FrameSelect, SourceSelector, decode};
 use proptest::prelude::*;
 
-/// Reads `content` in every format and as recognised, and checks what holds for all frames.
+/// Reads `content` in every format and with detection, and checks properties that hold for all frames.
 fn read_every_way(content: &[u8]) {
     let file = Path::new("made.bin");
     for format in Format::ALL {
         if let Ok(table) = decode(format, content, file) {
-            // A value takes at least a separator or a line end, except the very last one; packed, a bit or less: deflate makes
-            // 1032 bytes of one, and runs of equal values are counted.
+            // A value takes at least a separator or a line end, except the very last one. Packed values take less:
+            // deflate expands a byte to up to 1032, and runs of equal values are stored as a count.
             let packed = [Format::Npz, Format::Mat, Format::Xlsx].contains(&format);
             let most = if packed { 1032 * content.len() } else { content.len() + 1 };
             let values = table.values().len() + table.imaginary().map_or(0, <[f64]>::len);
@@ -49,7 +49,7 @@ fn array() -> Vec<u8> {
     content
 }
 
-/// Small whole files of every kind, to be damaged.
+/// Small valid files of every kind, to be damaged.
 fn whole_files() -> Vec<Vec<u8>> {
     vec![
         b"1,2,3\n4,nan,6\n7,,9\n".to_vec(),
@@ -61,7 +61,7 @@ fn whole_files() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Small whole files that other programs wrote.
+/// Small valid files written by other programs.
 fn foreign_files() -> Vec<(Format, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
     let mut files = vec![(Format::Mat, "kinds.mat"), (Format::Mat, "with_times.mat"), (Format::Mat, "structure.mat")];

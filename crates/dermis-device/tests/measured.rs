@@ -1,10 +1,10 @@
-//! Recordings of real instruments; without them each test counts as skipped.
+//! Recordings of real instruments. Without them each test counts as skipped.
 
 use std::path::PathBuf;
 
 use dermis_device::{FileSpec, Format, FrameTable, Layout, read};
 
-/// A file or folder of a set of measured data.
+/// A file or folder in a set of measured data.
 fn measured(set: &str, path: &str) -> Option<PathBuf> {
     Some(dermis_testdata::set(set)?.join(path))
 }
@@ -30,10 +30,11 @@ fn sciospec_directory() {
     assert_eq!(run.layout(), &Layout::SingleEnded { electrodes: 16, stimulations: adjacent });
     assert_eq!(run.frames(), 255);
     assert_eq!(run.sequences().unwrap(), (1..=255).collect::<Vec<u64>>());
-    // 20 frames a second: 254 distances of 50 ms, written down to the millisecond.
+    // 20 frames per second: 254 intervals of 50 ms, recorded to the millisecond.
     let last_s = run.times_s().unwrap()[254];
     assert!((last_s - 12.7).abs() < 0.02, "{last_s}");
-    // The current enters at the first electrode of a pair: that one is the most positive, the second the most negative.
+    // The current enters at the first electrode of a pair, which is the most positive. The second is the most
+    // negative.
     for (stimulation, potentials) in run.row(0).unwrap().chunks(16).enumerate() {
         let by_value = |a: &usize, b: &usize| potentials[*a].total_cmp(&potentials[*b]);
         assert_eq!((0..16).max_by(by_value), Some(stimulation));
@@ -56,7 +57,7 @@ fn ktc_columns() {
     assert_eq!(frames.names().unwrap(), ["ref", "train1", "train2", "train3", "train4"]);
     let chosen = table(path, "train1,train2");
     assert_eq!(chosen.row(1), frames.row(2));
-    // An inclusion changes a tank's voltages by a few per cent.
+    // An inclusion changes a tank's voltages by a few percent.
     for frame in 1..5 {
         let similar = correlation(frames.row(0).unwrap(), frames.row(frame).unwrap());
         assert!((0.9..0.99999).contains(&similar), "{similar}");
@@ -72,7 +73,7 @@ fn golfball_matrices() {
     let row = frames.row(0).unwrap();
     assert!(row.iter().all(|&value| value >= 0.0), "magnitudes");
     let transposed: Vec<f64> = (0..256).map(|channel| row[channel % 16 * 16 + channel / 16]).collect();
-    // Reciprocity: a matrix in drive-major order is symmetric but for noise, one in another order is not.
+    // Reciprocity: a matrix in drive-major order is symmetric apart from noise; in any other order it isn't.
     let reciprocal = correlation(row, &transposed);
     assert!(reciprocal > 0.99, "{reciprocal}");
 }

@@ -1,5 +1,5 @@
-//! Frames that come in parts: joined, with their times; a frame of which a part is missing or damaged is lost and
-//! counted, and no frame is made up of parts of two.
+//! Frames in parts are joined, with their times. A frame with a missing or damaged part is lost and counted, and parts
+//! of different frames are never mixed.
 
 use std::sync::mpsc::Receiver;
 
@@ -18,12 +18,12 @@ fn bytes(message: &Message<'_>) -> Vec<u8> {
     encode(message, &mut buffer).expect("it fits").to_vec()
 }
 
-/// Reading of a channel: a number that tells frame and channel.
+/// Reading of a channel, as a number that identifies frame and channel.
 fn reading(sequence: u32, channel: usize) -> i16 {
     (sequence.wrapping_mul(7919).wrapping_add(channel as u32 * 31) % 30_000) as i16 - 15_000
 }
 
-/// The parts of a frame, 2 ms for each reading.
+/// The parts of a frame, with 2 ms per reading.
 fn parts(sequence: u32) -> Vec<Vec<u8>> {
     let readings: Vec<i16> = (0..usize::from(CHANNELS)).map(|channel| reading(sequence, channel)).collect();
     let part = |(n, values): (usize, &[i16])| {
@@ -44,7 +44,7 @@ fn parts(sequence: u32) -> Vec<Vec<u8>> {
     readings.chunks(PART).enumerate().map(part).collect()
 }
 
-/// A host that has shaken hands with a device of parts.
+/// A host after the handshake with a device that sends parts.
 struct Line {
     host: WireHost,
     inbox: Inbox,
@@ -113,7 +113,7 @@ fn a_missing_part_costs_its_frame_and_a_frame_begun_anew_costs_nothing() {
         for (n, part) in parts(sequence).iter().enumerate() {
             let missing = matches!((sequence, n), (1, 1) | (2, 0) | (4, 2));
             if sequence == 5 && n == 0 {
-                // Begun, then begun again with the same number.
+                // Start the frame, then restart it with the same number.
                 line.hear(part);
                 line.hear(&parts(5)[1]);
             }
@@ -131,7 +131,7 @@ fn of_a_damaged_stream_of_parts_every_frame_is_whole_and_true_or_counted() {
     const FRAMES: u32 = 2000;
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
     let mut below = |limit: usize| {
-        // Xorshift of Marsaglia (2003).
+        // Xorshift (Marsaglia 2003).
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
@@ -173,6 +173,7 @@ fn of_a_damaged_stream_of_parts_every_frame_is_whole_and_true_or_counted() {
         assert_eq!(frame.values, expected, "frame {sequence}");
         seen += 1;
     }
-    // Junk that swallows the delimiter before a part is ended by that same delimiter, so every sound frame comes.
+    // Junk may swallow the delimiter before a part, but that delimiter also ends the junk, so every intact frame
+    // arrives.
     assert_eq!((seen, line.inbox.losses().0), (whole, u64::from(FRAMES) - whole));
 }

@@ -1,4 +1,4 @@
-//! The wire over a real serial line of this machine: a pseudo-terminal, of which the host opens one end by its path.
+//! The wire over a real serial line of this machine: a pseudo-terminal whose other end the host opens by its path.
 #![cfg(all(unix, feature = "serial"))]
 
 use std::io::{ErrorKind, Read, Write};
@@ -11,7 +11,7 @@ use dermis_device::{Frame, HostStamp, Source, SourceEvent, open_stream};
 use dermis_wire::Status;
 use serialport::{SerialPort, TTYPort};
 
-/// Only a test that hangs comes to this.
+/// Time limit that only a hanging test reaches.
 const LIMIT: Duration = Duration::from_secs(540);
 
 #[test]
@@ -21,7 +21,7 @@ fn frames_come_through_a_serial_line() {
         return;
     };
     let path = slave.name().expect("a path");
-    // Only one may have it open.
+    // Only one side may have it open.
     drop(slave);
     let (read, wait) = std::sync::mpsc::channel();
     let server = thread::spawn(move || {
@@ -46,14 +46,14 @@ fn frames_come_through_a_serial_line() {
             match master.read(&mut buffer) {
                 Ok(count) => {
                     if !booted {
-                        // As many boards print when the port is opened.
+                        // Many boards print this when the port is opened.
                         bytes.extend_from_slice(b"booting...\r\n");
                         booted = true;
                     }
                     device.receive(&buffer[..count], &mut bytes);
                 }
                 Err(error) if error.kind() == ErrorKind::TimedOut => {}
-                // Nobody has opened the other end yet.
+                // The other end isn't open yet.
                 Err(_) => thread::sleep(Duration::from_millis(2)),
             }
             if device.is_running() {
@@ -65,7 +65,7 @@ fn frames_come_through_a_serial_line() {
             }
             master.write_all(&bytes).expect("the line takes bytes");
         }
-        // The other end must read before this one goes.
+        // The other end must finish reading before this one closes.
         let _ = wait.recv_timeout(LIMIT);
         sent
     });

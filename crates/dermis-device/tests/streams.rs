@@ -1,5 +1,5 @@
-//! Streams over loopback sockets: devices that are unplugged, silent, foreign or absent. Every loop is bounded; nothing
-//! outside this machine is reached.
+//! Streams over loopback sockets: devices that are unplugged, silent, foreign or absent. Every loop is bounded, and no
+//! other machine is contacted.
 
 mod own_clock;
 #[path = "streams/sciospec.rs"]
@@ -19,13 +19,13 @@ use dermis_wire::Status;
 
 use own_clock::{EventConnect, Events, Timeless};
 
-/// Only a test that hangs comes to this.
+/// Time limit that only a hanging test reaches.
 const LIMIT: Duration = Duration::from_secs(540);
 
 fn options() -> StreamOptions {
     StreamOptions {
         patience: LIMIT,
-        // Counts only while a device says that it stalls.
+        // Only applies while a device is stalled.
         silence: Duration::from_millis(20),
         frame: LIMIT,
         first_wait: Duration::from_millis(5),
@@ -40,12 +40,12 @@ fn listen() -> (TcpListener, String) {
     (listener, format!("tcp:127.0.0.1:{port}"))
 }
 
-/// By the selector, with the clock of this machine.
+/// Opens a selector, with this machine's clock.
 fn open_timed(selector: &str, options: StreamOptions) -> Result<StreamSource, DeviceError> {
     open_stream(&selector.parse::<SourceSelector>().expect("a selector"), options)
 }
 
-/// A dialogue over the same sockets, with time limits that hang on events.
+/// Opens a dialogue over the same sockets, with timeouts that depend on events.
 fn open_by(selector: &str, dialogue: impl Dialogue + 'static, events: &Events) -> StreamSource {
     let port = selector.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
     let connect = EventConnect { inner: TcpConnect::new(selector, "127.0.0.1", port), events: events.clone() };
@@ -72,7 +72,7 @@ fn device() -> WireDevice {
     })
 }
 
-/// Answers until the host has started the device; how many bytes that took.
+/// Answers until the host has started the device. Returns the number of bytes that took.
 fn shake_hands(stream: &mut TcpStream, device: &mut WireDevice) -> u64 {
     device.reset_link();
     stream.set_read_timeout(Some(LIMIT)).expect("a timeout");
@@ -99,7 +99,7 @@ fn frame_bytes(device: &mut WireDevice, sequence: u64) -> Vec<u8> {
     bytes
 }
 
-/// The next `count` frames; their numbers and first values.
+/// The numbers and first values of the next `count` frames.
 fn collect(source: &mut StreamSource, count: usize) -> Vec<(u64, f64)> {
     let mut frame = Frame::default();
     let mut seen = Vec::new();
@@ -123,7 +123,7 @@ fn wait_until(mut has_come: impl FnMut() -> bool) {
     }
 }
 
-/// Ends a stream whose device still has its line open: without a stall the host would wait for the next byte.
+/// Closes a stream whose device still has its line open. Without a stall the host would wait for the next byte.
 fn close(source: StreamSource, events: &Events) {
     events.stall();
     drop(source);
@@ -142,7 +142,7 @@ fn twenty_unplugged_devices_resume_with_every_gap_counted() {
         for connection in 0..TIMES {
             let (mut stream, _) = listener.accept().expect("a host");
             shake_hands(&mut stream, &mut device);
-            // Ten frames of every thirty; the last one is cut in two by the unplugging.
+            // Ten of every thirty frames; unplugging cuts the last one in two.
             for sequence in 30 * connection..30 * connection + 10 {
                 stream.write_all(&frame_bytes(&mut device, sequence)).expect("the host listens");
             }
@@ -187,7 +187,7 @@ fn a_stream_begins_when_its_first_frame_is_asked_for() {
     let events = Events::default();
     let mut source = open(&selector, &events);
     let bytes = ready.recv().expect("a device");
-    // What is on its way through the socket comes too.
+    // Bytes in transit through the socket arrive too.
     wait_until(|| events.processed() >= bytes);
     assert_eq!(source.next_frame(&mut Frame::default(), Duration::ZERO).unwrap(), SourceEvent::Idle);
     asked.send(()).expect("a device");
@@ -208,7 +208,7 @@ fn a_stalled_device_is_idle_then_connected_anew_and_never_holds_up_its_reader() 
         let (mut stalled, _) = listener.accept().expect("a host");
         shake_hands(&mut stalled, &mut device);
         stalled.write_all(&frame_bytes(&mut device, 1)).expect("the host listens");
-        // It stays open and says nothing; the host must come again by itself.
+        // The connection stays open but silent; the host must reconnect by itself.
         told.stall();
         let (mut stream, _) = listener.accept().expect("the host again");
         shake_hands(&mut stream, &mut device);
@@ -239,8 +239,7 @@ fn a_device_that_is_not_there_or_says_nothing_is_an_error_with_its_reason() {
     drop(listener);
 }
 
-/// Why a device cannot be opened. A machine that is busy may not have tried within a short patience: then with a longer
-/// one.
+/// The reason why a device can't be opened. A busy machine may not try within a short timeout, so longer ones follow.
 fn refusal(selector: &str, is_expected: impl Fn(&str) -> bool) -> String {
     let mut message = String::new();
     for patience_s in [0.3, 3.0, 30.0] {
@@ -259,7 +258,7 @@ fn text_instead_of_the_wire_is_no_frame() {
     let (listener, selector) = listen();
     let server = thread::spawn(move || {
         let (mut stream, _) = listener.accept().expect("a host");
-        // Until the host hangs up.
+        // Write until the host hangs up.
         for line in 0..u32::MAX {
             if stream.write_all(format!("{line},2,3\n").as_bytes()).is_err() {
                 return;
@@ -267,7 +266,7 @@ fn text_instead_of_the_wire_is_no_frame() {
             thread::sleep(Duration::from_millis(10));
         }
     });
-    // One connection, which is not given up for silence.
+    // A single connection, which is not given up for silence.
     let short = StreamOptions { patience: Duration::from_millis(300), silence: LIMIT, ..options() };
     let message = open_timed(&selector, short).unwrap_err().to_string();
     assert!(message.contains("no answer"), "{message}");
@@ -290,7 +289,7 @@ fn lines_and_floats_come_over_a_socket() {
     });
     let events = Events::default();
     let mut source = open_by(&selector, Lines::new(None), &events);
-    // Three lines that agree settle the number of channels.
+    // Three matching lines determine the number of channels.
     assert_eq!(collect(&mut source, 6).first(), Some(&(0, 3.0)));
     close(source, &events);
     let events = Events::default();

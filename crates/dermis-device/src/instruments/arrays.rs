@@ -1,4 +1,4 @@
-//! Files that hold several named arrays. One holds the frames, and another may hold their times.
+//! Files that hold several named arrays. One holds the frames, another may hold their times.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use super::{csv, times};
 use crate::error::shorten;
 use crate::{DeviceError, FrameTable, ReadOptions};
 
-/// Most arrays that a file may hold.
+/// Maximum number of arrays in a file.
 pub(super) const MOST_ARRAYS: usize = 1000;
-/// Names of the array with the frames, where several would do; in lower case.
+/// Usual names for the array of frames, in lower case. Used if several arrays could hold them.
 const USUAL: [&str; 8] = ["frames", "voltages", "readings", "data", "v", "meas", "measurements", "arr_0"];
 
-/// An array of the file: its name and the length of each dimension.
+/// An array in a file: its name and the length of each dimension.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Named {
     pub name: String,
@@ -19,18 +19,18 @@ pub(super) struct Named {
 }
 
 impl Named {
-    /// `frames (40, 208)`.
+    /// Description for messages: `frames (40, 208)`.
     fn described(&self) -> String {
         let lengths: Vec<String> = self.shape.iter().map(usize::to_string).collect();
         format!("{} ({})", shorten(&self.name), lengths.join(", "))
     }
 
-    /// `meas` of `vi.meas`.
+    /// Name without the structure: `meas` for `vi.meas`.
     fn last_name(&self) -> &str {
         self.name.rsplit('.').next().unwrap_or_default()
     }
 
-    /// The structure that the array stands in: `vi` of `vi.meas`.
+    /// Name of the structure that holds the array: `vi` for `vi.meas`.
     fn parent(&self) -> &str {
         self.name.rsplit_once('.').map_or("", |(parent, _)| parent)
     }
@@ -39,13 +39,13 @@ impl Named {
         csv::is_time(self.last_name())
     }
 
-    /// Numbers in all, if they can be counted.
+    /// Total number of elements; saturates.
     fn count(&self) -> usize {
         self.shape.iter().fold(1, |product: usize, length| product.saturating_mul(*length))
     }
 }
 
-/// The array that was asked for, the only one that can hold frames, or one by its usual name.
+/// Chooses the array that the user asked for, the only one that can hold frames, or one with a usual name.
 pub(super) fn choose(arrays: &[Named], file: &Path, options: &ReadOptions) -> Result<usize, DeviceError> {
     let listed = || arrays.iter().take(12).map(Named::described).collect::<Vec<_>>().join(", ");
     let refuse = |found: &str| DeviceError::field(file, 1, "--array", found, format!("one of {}", listed()));
@@ -73,7 +73,7 @@ pub(super) fn choose(arrays: &[Named], file: &Path, options: &ReadOptions) -> Re
             .iter()
             .find_map(|usual| {
                 let mut named = candidates.iter().filter(|&&index| arrays[index].last_name().to_lowercase() == *usual);
-                // Two structures with a `meas` each are a question.
+                // If two structures each have a `meas`, the choice is ambiguous.
                 named.next().copied().filter(|_| named.next().is_none())
             })
             .ok_or_else(|| refuse("no array chosen")),
@@ -92,7 +92,7 @@ pub(super) fn clock(arrays: &[Named], chosen: usize, frames: usize) -> Option<us
     found.iter().find(|&&index| arrays[index].parent() == parent).or(found.first()).copied()
 }
 
-/// Notes which array was taken and which others the file has.
+/// Adds notes on the chosen array and on the others in the file.
 pub(super) fn with_notes(frames: FrameTable, arrays: &[Named], chosen: usize) -> FrameTable {
     let mut notes = vec![format!("array `{}`", shorten(&arrays[chosen].name))];
     if arrays.len() > 1 {
@@ -102,7 +102,7 @@ pub(super) fn with_notes(frames: FrameTable, arrays: &[Named], chosen: usize) ->
     frames.with_notes(notes)
 }
 
-/// Frames with the times of an array.
+/// Adds times from an array to the frames.
 pub(super) fn with_times(frames: FrameTable, clock: &Named, values: &[f64]) -> Result<FrameTable, DeviceError> {
     let name = format!("array `{}`", shorten(&clock.name));
     let mut notes = vec![format!("times from {name}")];

@@ -1,12 +1,12 @@
-//! Text tables with one frame a column, under a row of frame names. Cells as in [`super::csv`]; a single column has no
-//! blank cells (blank lines are skipped), so a missing reading is written `nan` there.
+//! Text tables with one frame per column, below a row of frame names. Cells are as in [`super::csv`]. In a single
+//! column a missing reading must be written as `nan`, because blank lines are skipped.
 
 use std::path::Path;
 
 use super::csv::{self, NumberTable, Shape};
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
-/// Frames in columns, in whatever channel order the file has.
+/// Decodes frames in columns. The channels stay in the file's order.
 ///
 /// # Errors
 /// As [`csv::parse`].
@@ -18,13 +18,13 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     decode_as(content, file, options, |count| Layout::Channels { count })
 }
 
-/// Whether the first name is one that only a column of readings has.
+/// True if the first name only makes sense above a column of readings.
 pub(super) fn looks_like(shape: &Shape) -> bool {
     let first = shape.header.as_ref().and_then(|names| names.first());
     first.is_some_and(|name| ["ref", "reference", "baseline"].contains(&name.to_ascii_lowercase().as_str()))
 }
 
-/// Frames in columns with the layout that belongs to a number of rows.
+/// Decodes frames in columns, with the layout for their number of rows.
 pub(super) fn decode_as(
     content: &[u8],
     file: &Path,
@@ -34,7 +34,7 @@ pub(super) fn decode_as(
     of_table(csv::parse_with(content, file, options)?, file, layout)
 }
 
-/// Frames in the columns of a table with the layout that belongs to a number of rows.
+/// Frames from a table's columns, with the layout for their number of rows.
 pub(super) fn of_table(
     table: NumberTable,
     file: &Path,

@@ -1,4 +1,4 @@
-//! The bytes of a file, and what they look like.
+//! Reads files and recognises their content.
 
 use std::fs::{self, File};
 use std::io::Read;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::DeviceError;
 
-/// First bytes of every file.
+/// First bytes of every NumPy array file.
 pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 
 /// First bytes of a ZIP archive.
@@ -15,13 +15,13 @@ pub(super) const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 /// First and last bytes of every Parquet file.
 pub(super) const PARQUET_MAGIC: &[u8] = b"PAR1";
 
-/// Most bytes of one file that are read into memory.
+/// Largest file that is read into memory, in bytes.
 pub const MOST_BYTES: u64 = 1 << 30;
 
-/// Opens a file to be read, if it is a regular one: a device or a pipe may have no end, or nobody at its other one.
+/// Opens a regular file for reading. Devices and pipes are refused, because they may never end or may have no writer.
 ///
 /// # Errors
-/// What the system says, and [`std::io::ErrorKind::InvalidInput`] for anything but a regular file.
+/// The operating system's errors, and [`std::io::ErrorKind::InvalidInput`] for anything but a regular file.
 pub fn open_regular(path: &Path) -> std::io::Result<File> {
     let found = fs::metadata(path)?;
     if found.is_dir() {
@@ -53,7 +53,7 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, DeviceError> {
     Ok(content)
 }
 
-/// What content looks like, for messages about foreign files.
+/// Description of the content for messages about foreign files.
 pub(crate) fn describe(content: &[u8]) -> &'static str {
     const SIGNATURES: [(&[u8], &str); 18] = [
         (NPY_MAGIC, "a NumPy array (npy)"),
@@ -86,12 +86,12 @@ pub(crate) fn describe(content: &[u8]) -> &'static str {
     }
 }
 
-/// A [`DeviceError::Foreign`] from the content.
+/// Makes a [`DeviceError::Foreign`] that describes the content.
 pub(crate) fn foreign(file: &Path, expected: &'static str, content: &[u8]) -> DeviceError {
     DeviceError::Foreign { file: file.to_owned(), expected, found: describe(content).to_owned() }
 }
 
-/// The content as text without a byte-order mark, or what it looks like instead.
+/// The content as text without a byte-order mark. The error describes the content.
 pub(crate) fn text_of<'a>(content: &'a [u8], file: &Path, expected: &'static str) -> Result<&'a str, DeviceError> {
     let content = content.strip_prefix(b"\xef\xbb\xbf").unwrap_or(content);
     match std::str::from_utf8(content) {

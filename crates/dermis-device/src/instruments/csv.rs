@@ -1,15 +1,16 @@
-//! Tables of numbers as text: one frame a row, cells separated by commas, semicolons, tabs, bars or blanks.
+//! Text tables of numbers, one frame per row, with cells separated by commas, semicolons, tabs, bars or blanks.
 //!
-//! Separator, decimal mark and encoding are told from the file: decimal commas are read wherever another mark (or quotes)
-//! separates the cells. The first row may be a header of names or of numbers that count the columns, with a row of units
-//! below it; lines that start with `#` or `%` are comments, and lines of text before the table are passed over. An empty
-//! cell, `nan`, `NA` or `null` is a missing reading; infinite values are refused.
+//! Separator, decimal mark and encoding are detected. Decimal commas work if the cells are quoted or have a different
+//! separator. The first row may be a header of names or of consecutive numbers, with a row of units below it. Lines
+//! that start with `#` or `%` are comments, and lines of text before the table are skipped. An empty cell, `nan`, `NA`
+//! or `null` is a missing reading; infinite values are refused.
 //!
-//! Columns that count rows, hold words, times or dates are no readings: times are taken from them, and what was done is
-//! in [`FrameTable::notes`]. Names may state units, `(mV)` or `_mV`, and readings are volts then. Columns named `re` and
-//! `im`, or magnitude and phase, are the parts of complex readings, in pairs or one after the other; a complex reading
-//! may also stand in one cell, as NumPy and MATLAB write it: `1.5-2e-3j`, `(1.5-2e-3j)`, `1.5-2e-3i`. Frames may be
-//! wrapped over several rows: where blank lines stand between them, or where the skin's channels say so.
+//! Row counts, words, times and dates aren't readings. Times are taken from such columns, and [`FrameTable::notes`]
+//! lists what was done. Names may state units, as in `(mV)` or `_mV`; readings are then converted to volts. Columns
+//! named `re` and `im`, or magnitude and phase, are the parts of complex readings, either in pairs or one block after
+//! the other. A single cell may also hold a complex reading, as NumPy and MATLAB write it: `1.5-2e-3j`, `(1.5-2e-3j)`,
+//! `1.5-2e-3i`. A frame may be wrapped over several rows, if blank lines separate the frames or the skin's channel
+//! count implies it.
 
 pub(super) mod cell;
 mod roles;
@@ -27,14 +28,14 @@ use super::text::Text;
 use super::times;
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
-/// A rectangular table of numbers, as for positions or frames.
+/// A rectangular table of numbers, for instance positions or frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NumberTable {
-    /// Names of the columns, if the first row holds names.
+    /// Column names, if the first row holds names.
     pub header: Option<Vec<String>>,
-    /// Cells in every row, at least 1.
+    /// Number of columns, at least 1.
     pub columns: usize,
-    /// Rows x columns, row-major; NaN where a cell is empty.
+    /// Rows x columns, row-major. NaN where a cell is empty.
     pub values: Vec<f64>,
 }
 
@@ -44,7 +45,7 @@ impl NumberTable {
         self.values.len() / self.columns
     }
 
-    /// One row, or none if there is no such row.
+    /// One row, or `None` if there is no such row.
     pub fn row(&self, row: usize) -> Option<&[f64]> {
         self.values.chunks_exact(self.columns).nth(row)
     }
@@ -54,13 +55,13 @@ impl NumberTable {
         self.header.as_ref()?.iter().position(|other| other == name)
     }
 
-    /// The same with columns of millimetres, by their names (`x_mm`, `x (mm)`), as columns of metres (`x_m`).
+    /// Converts columns named as millimetres (`x_mm`, `x (mm)`) to metres (`x_m`).
     #[must_use]
     pub fn in_metres(self) -> Self {
         self.renamed("mm", "m", 1e-3)
     }
 
-    /// The same with columns of metres, by their names, as columns of millimetres (`x_mm`).
+    /// Converts columns named as metres to millimetres (`x_mm`).
     #[must_use]
     pub fn in_millimetres(self) -> Self {
         self.renamed("m", "mm", 1e3)
@@ -79,13 +80,13 @@ impl NumberTable {
         self
     }
 
-    /// The values of one column, from the top; no column has an index of `columns` or more.
+    /// Values of one column from top to bottom; none if `index` is out of range.
     pub fn column(&self, index: usize) -> impl Iterator<Item = f64> {
         self.values.chunks_exact(self.columns).filter_map(move |row| row.get(index).copied())
     }
 }
 
-/// A column's name and its unit: `x` and `mm` of `x_mm`, `x (mm)` and `X [mm]`.
+/// Splits a column's name from its length unit: `x` and `mm` for `x_mm`, `x (mm)` and `X [mm]`.
 fn length_unit(name: &str) -> Option<(String, &str)> {
     let name = name.trim();
     let bracketed = |open: char, close: char| name.strip_suffix(close)?.rsplit_once(open);
@@ -102,11 +103,11 @@ pub fn read_numbers(path: &Path) -> Result<NumberTable, DeviceError> {
     parse(&super::read_bytes(path)?, path)
 }
 
-/// Parses a text table of numbers; `file` is for messages.
+/// Parses a text table of numbers; `file` is only used in messages.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`] if it is no text, [`DeviceError::Ragged`] or [`DeviceError::Cell`] with the line,
-/// [`DeviceError::Empty`] without a row of numbers.
+/// [`DeviceError::Foreign`] if it isn't text, [`DeviceError::Ragged`] or [`DeviceError::Cell`] with the line,
+/// [`DeviceError::Empty`] if there is no row of numbers.
 pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
     parse_with(content, file, &ReadOptions::default())
 }
@@ -139,7 +140,7 @@ fn cell_error(file: &Path, line: usize, column: usize, cell: &str) -> DeviceErro
     DeviceError::Cell { file: file.to_owned(), line, column: column + 1, found: crate::error::shorten(cell), expected }
 }
 
-/// The error for lines of another kind: the first cell that is no number.
+/// The error for text that isn't a table: points to the first cell that isn't a number.
 fn no_table(refusal: Refusal, text: &Text, file: &Path, options: &ReadOptions) -> DeviceError {
     match refusal {
         Refusal::Error(error) => error,
@@ -150,15 +151,15 @@ fn no_table(refusal: Refusal, text: &Text, file: &Path, options: &ReadOptions) -
     }
 }
 
-/// Frames in rows.
+/// Decodes frames in rows.
 ///
 /// # Errors
-/// As [`parse`]; [`DeviceError::Count`] where real and imaginary parts are not equally many.
+/// As [`parse`]; [`DeviceError::Count`] if the numbers of real and imaginary parts differ.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(content, file, &ReadOptions::default())
 }
 
-/// Frames in rows, as the options say; lines of another kind are read as [`super::lines`] are.
+/// Decodes frames in rows with the given options. Text that isn't a table is read like [`super::lines`].
 pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let text = Text::of(content, file, EXPECTED)?;
     match scan::scan(&text, file, options) {
@@ -177,7 +178,7 @@ pub(super) fn numbers_of(table: Table) -> NumberTable {
     NumberTable { columns: sketch.columns, header: sketch.header.map(|(_, names)| names), values }
 }
 
-/// Frames of a table of columns, whatever file it is from; `notes` is what was understood before.
+/// Turns a table of columns from any file format into frames. `notes` are those already made.
 pub(super) fn frames_of(
     mut table: Table,
     mut notes: Vec<String>,
@@ -213,7 +214,7 @@ pub(super) fn frames_of(
     let (rows, cells) = (table.rows(), table.values.len());
     let (values, imaginary) = match parts(&table, &readings, file, &mut notes)? {
         Some((first, second, kind)) => combined(gather(&table.values, &first), gather(&table.values, &second), kind),
-        // Without anything to leave out the numbers are taken as they are.
+        // Nothing to leave out or scale: take the numbers as they are.
         None if readings.len() == columns && scales.iter().all(|scale| *scale == 1.0) && chosen.is_none() => {
             (std::mem::take(&mut table.values), None)
         }
@@ -268,7 +269,7 @@ fn described(table: &Table) -> Vec<String> {
     notes
 }
 
-/// Rows that make one frame: as blank lines, or the channels of the skin, say.
+/// Number of rows per frame, from blank lines or the skin's channels.
 fn rows_per_frame(
     table: &Table,
     rows: usize,
@@ -292,13 +293,12 @@ fn rows_per_frame(
     }
 }
 
-/// Columns of both parts of complex readings, by position among the readings, and which parts the second ones are with
-/// what makes radians of them.
+/// Positions of both parts of complex readings among the readings' columns, and the kind of the second part.
 type Parts = (Vec<usize>, Vec<usize>, SecondPart);
 
 enum SecondPart {
     Imaginary,
-    /// Phases times this are radians.
+    /// A phase; the factor converts it to radians.
     Phase(f64),
 }
 
@@ -333,7 +333,7 @@ fn parts(
         .chunks_exact(table.sketch.columns)
         .flat_map(|row| phase.iter().map(|&index| row[readings[index]].abs()))
         .fold(0.0, f64::max);
-    // No instrument states phases of more than a turn.
+    // Phases beyond a full turn must be in degrees.
     let to_rad = stated.or_else(|| (largest > std::f64::consts::TAU).then_some(std::f64::consts::PI / 180.0));
     let Some(to_rad) = to_rad else {
         let found = table.name(column).unwrap_or_default();
@@ -356,7 +356,7 @@ fn combined(mut first: Vec<f64>, mut second: Vec<f64>, kind: SecondPart) -> (Vec
     (first, Some(second))
 }
 
-/// Times and numbers of the frames.
+/// Adds the frames' times and numbers.
 fn with_clocks(
     mut frames: FrameTable,
     table: &Table,
@@ -407,8 +407,8 @@ fn with_clocks(
     Ok(frames)
 }
 
-/// One moment a row of a column of dates, of times of day, or of both; none where one is missing. Times of day go on
-/// over midnight.
+/// Combines a column of dates, of times of day, or both into one timestamp per row. `None` if any is missing. Times of
+/// day continue past midnight.
 fn moments_ns(stamps: &[&(usize, Vec<Option<times::Stamp>>)]) -> Option<(Vec<i64>, bool)> {
     const DAY_NS: i64 = 86_400_000_000_000;
     let first: Vec<times::Stamp> = stamps[0].1.iter().copied().collect::<Option<_>>()?;
@@ -433,37 +433,37 @@ fn moments_ns(stamps: &[&(usize, Vec<Option<times::Stamp>>)]) -> Option<(Vec<i64
     Some((moments, has_date))
 }
 
-/// Factor from the unit in a name to volts (or ohms); 1 without a unit.
+/// Factor from the unit in a name to volts (or ohms); 1 if there is no unit.
 pub(super) fn unit_scale(name: &str) -> f64 {
     roles::split_unit(name).1.and_then(roles::scale_of).unwrap_or(1.0)
 }
 
-/// True of names of times, counts and clocks.
+/// True for the names of times, counts and clocks.
 pub(super) fn is_clock_or_count(name: &str) -> bool {
     roles::is_clock_or_count(name)
 }
 
-/// Unit in seconds, if the name is that of times; the inner option is empty if it states no unit.
+/// `Some` for the name of a time column. The inner value is its unit in seconds, if stated.
 pub(super) fn is_time(name: &str) -> Option<Option<f64>> {
     roles::time_unit(name, None)
 }
 
-/// The shape of a text table, found without reading its numbers.
+/// Dimensions of a text table, found without parsing its numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shape {
-    /// Names in the first row, if it is a header.
+    /// Column names, if the first row is a header.
     pub header: Option<Vec<String>>,
     /// Cells in the first row.
     pub columns: usize,
-    /// Rows without the header.
+    /// Number of rows, without the header.
     pub rows: usize,
 }
 
 impl Shape {
-    /// Looks at a file's whole content; `file` is for messages. None for lines of another kind.
+    /// Inspects a file's whole content; `file` is only used in messages. `None` if the lines aren't rows of a table.
     ///
     /// # Errors
-    /// [`DeviceError::Foreign`] if it is no text table, [`DeviceError::Empty`] if it has no rows.
+    /// [`DeviceError::Foreign`] if it isn't a text table, [`DeviceError::Empty`] if it has no rows.
     pub fn of(content: &[u8], file: &Path) -> Result<Option<Self>, DeviceError> {
         Self::with(content, file, &ReadOptions::default())
     }

@@ -1,18 +1,18 @@
-//! Instruments that send the readings of frame after frame as little-endian single-precision numbers and nothing else,
-//! as programs on a Red Pitaya do over TCP. Where a frame ends is known from the number of channels alone, so that this
-//! is for connections that lose no bytes and begin with a frame's first reading. A sender that pauses between frames
-//! and stops within one is caught by that: the connection is made anew, as nothing tells where the next frame begins.
+//! Instruments that send frame after frame as little-endian `f32` readings and nothing else, as programs on a Red
+//! Pitaya do over TCP. Only the number of channels tells where a frame ends, so the connection must lose no bytes and
+//! must start at a frame's first reading. If a sender normally pauses between frames but stops within one, the
+//! connection is reopened, because the start of the next frame is unknown.
 //!
-//! A sender may put a header before each frame, which tells where frames begin, how many are missing and whether one is
-//! whole: the letters `DRMF`, the number of channels and the number of the frame as `u16`, the CRC-32 of the readings
-//! as `u32`. Whether there are headers is known from the first four bytes of a connection.
+//! A sender may put a header before each frame. It marks where frames begin, and reveals missing and damaged frames.
+//! The header consists of the letters `DRMF`, the number of channels and the frame number as `u16`, and the CRC-32 of
+//! the readings as `u32`. A connection's first four bytes show whether it uses headers.
 
 use std::time::Duration;
 
 use crate::stream::{Dialogue, Inbox};
 use crate::{HostStamp, Layout};
 
-/// Raw frames of `f32`, as a [`Dialogue`].
+/// Raw `f32` frames as a [`Dialogue`].
 #[derive(Debug)]
 pub struct Floats {
     channels: usize,
@@ -21,48 +21,48 @@ pub struct Floats {
     sequence: u64,
     pauses: Pauses,
     form: Form,
-    /// Number in the last frame's header.
+    /// Frame number in the last header.
     last: Option<u16>,
-    /// Damaged frames since then.
+    /// Number of damaged frames since the last header.
     damaged: u64,
 }
 
-/// What a connection's frames look like.
+/// Format of a connection's frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Form {
-    /// Nothing has come yet that would tell.
+    /// Not enough bytes yet to tell.
     Unknown,
-    /// Readings and nothing else.
+    /// Only readings.
     Bare,
-    /// A header before the readings of each frame.
+    /// A header before every frame.
     Headed,
 }
 
-/// What a frame with a header begins with; as a reading it would be 13140.57, and the first of all.
+/// Start of a header. As the very first reading of a connection it would be 13140.57.
 const MAGIC: [u8; 4] = *b"DRMF";
-/// Bytes of a header: the above, number of channels and number of the frame as `u16`, CRC-32 of the readings as `u32`.
+/// Header size in bytes: magic, number of channels and frame number as `u16`, CRC-32 of the readings as `u32`.
 const HEADER: usize = 12;
 
-/// Where bytes begin again after a pause: at the beginning of a frame, if all is well.
+/// Tracks where bytes resume after pauses. Normally that is at the start of a frame.
 #[derive(Debug, Default)]
 struct Pauses {
-    /// When the last bytes came, monotonic nanoseconds.
+    /// Arrival of the last bytes, monotonic nanoseconds.
     last_ns: Option<u64>,
-    /// Pauses in a row after which a frame began.
+    /// Number of pauses in a row that ended with the start of a frame.
     aligned: u32,
-    /// Pauses in a row at one and the same place within frames.
+    /// Position within frames, and number of pauses in a row at that position.
     astray: (usize, u32),
 }
 
-/// Bytes that are this far apart were sent apart, nanoseconds.
+/// Gap between bytes that counts as a pause in sending, nanoseconds.
 const PAUSE_NS: u64 = 5_000_000;
-/// So many pauses show where a sender makes them.
+/// Number of pauses between frames after which a pause within one is an error.
 const TELLING: u32 = 4;
-/// So many at one place within frames show that frames begin there.
+/// Number of pauses at one position within frames that shows a shift of frame boundaries.
 const CERTAIN: u32 = 16;
 
 impl Pauses {
-    /// Bytes came at a time, while so many of a frame were there.
+    /// Records that bytes arrived when `part` of a frame's `size` bytes had been received.
     fn heard(&mut self, at: HostStamp, part: usize, size: usize) -> Result<(), String> {
         let last = self.last_ns.replace(at.monotonic_ns);
         if last.is_none_or(|last| at.monotonic_ns.saturating_sub(last) < PAUSE_NS) {
@@ -97,7 +97,7 @@ impl Floats {
         }
     }
 
-    /// Frames without anything between.
+    /// Handles frames without headers.
     fn bare(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox) -> Result<(), String> {
         let size = 4 * self.channels;
         if let Err(reason) = self.pauses.heard(at, self.part.len(), size) {
@@ -121,7 +121,7 @@ impl Floats {
         Ok(())
     }
 
-    /// Frames with a header each: what fails its check costs the frames it touches and no other.
+    /// Handles frames with headers. A failed check only costs the frames that it affects.
     fn headed(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox) -> Result<(), String> {
         let size = HEADER + 4 * self.channels;
         let mut stamp = self.begun.take().unwrap_or(at);
@@ -129,7 +129,7 @@ impl Floats {
         let mut from = 0;
         loop {
             let rest = &self.part[from..];
-            // A header that has not come whole yet is one as far as it goes.
+            // Compare only the bytes of the magic that have arrived.
             let seen = rest.len().min(MAGIC.len());
             if rest[..seen] != MAGIC[..seen] {
                 from += self.passed_over(from, "bytes between frames belong to none", inbox);
@@ -169,7 +169,7 @@ impl Floats {
         Ok(())
     }
 
-    /// Counts what stands where a frame should begin as damaged, and says where the next one may begin.
+    /// Counts a damaged frame, and returns the offset to the next possible start of a frame.
     fn passed_over(&mut self, from: usize, reason: &str, inbox: &mut Inbox) -> usize {
         self.damaged += 1;
         inbox.bad_because(reason.to_owned());
@@ -182,14 +182,14 @@ impl Floats {
     }
 }
 
-/// Hands on the readings of a frame.
+/// Delivers a frame's readings.
 fn take(inbox: &mut Inbox, sequence: u64, stamp: HostStamp, bytes: &[u8]) {
     inbox.take(|frame| {
         frame.clear();
         frame.sequence = sequence;
         frame.stamp(stamp);
         let readings = bytes.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])));
-        // An infinite reading is an overflow of the sender's: missing, as NaN is.
+        // An infinite reading is an overflow at the sender: mark it as missing.
         frame.values.extend(readings.map(|value| if value.is_finite() { value } else { f64::NAN }));
     });
 }
@@ -199,7 +199,7 @@ impl Dialogue for Floats {
         self.part.clear();
         self.begun = None;
         self.pauses = Pauses::default();
-        // A new connection begins as its sender wishes, and numbers of another one tell nothing.
+        // The format and the numbering may change with a new connection.
         (self.form, self.last, self.damaged) = (Form::Unknown, None, 0);
     }
 
@@ -210,7 +210,7 @@ impl Dialogue for Floats {
             self.form = match (self.part[..seen] == MAGIC[..seen], seen == MAGIC.len()) {
                 (true, true) => Form::Headed,
                 (false, _) => Form::Bare,
-                // Nobody stops within the first four bytes for long.
+                // Wait for the rest of the first four bytes.
                 (true, false) => {
                     self.begun.get_or_insert(at);
                     return Ok(());
@@ -314,7 +314,7 @@ mod tests {
         for number in 0..40_u16 {
             let frame = headed(number.wrapping_add(65_530), [f32::from(number), 0.5]);
             match number {
-                // It stops early, it never comes, garbage before it, a reading that is spoilt.
+                // Truncated frame, missing frame, garbage before a frame, damaged reading.
                 7 => bytes.extend_from_slice(&frame[..17]),
                 12 => {}
                 20 => bytes.extend_from_slice(&[b"DRDRMx".as_slice(), &frame].concat()),

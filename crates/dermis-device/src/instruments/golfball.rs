@@ -1,5 +1,5 @@
-//! Magnitudes of a 16-electrode tank with neighbouring drive and measuring pairs, driven pairs included: frames in
-//! columns of 256 readings, drive-major, as the EIDORS sample data of Soleimani, Gomez-Laberge and Adler (2006).
+//! Magnitudes from a 16-electrode tank with adjacent drive and measuring pairs, driven pairs included. Frames are
+//! columns of 256 readings, drive-major, as in the EIDORS sample data by Soleimani, Gomez-Laberge and Adler (2006).
 
 use std::path::Path;
 
@@ -9,15 +9,16 @@ use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
 const LAYOUT: Layout = Layout::FullMatrix { electrodes: 16 };
 
-/// Frames in columns.
+/// Decodes frames in columns.
 ///
 /// # Errors
-/// As [`columns::decode`], and [`DeviceError::Count`] for another number of rows than 256.
+/// As [`columns::decode`], and [`DeviceError::Count`] if there are not 256 rows.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     columns::decode_as(content, file, &ReadOptions::default(), |_| LAYOUT)
 }
 
-/// A head that begins with the reference, and 256 rows: 256 frames of a few channels have other names.
+/// True for a header that begins with the reference, and 256 rows. Tables of 256 frames with few channels have other
+/// names.
 pub(super) fn looks_like(shape: &Shape) -> bool {
     columns::looks_like(shape) && shape.rows == LAYOUT.channels() && shape.columns < 16
 }

@@ -1,5 +1,5 @@
-//! Voltages of the Kuopio Tomography Challenge 2023: frames in columns of 2356 readings, 76 injections times the 31
-//! differences e(k) - e(k+1) of 32 electrodes, injection-major.
+//! Voltages of the Kuopio Tomography Challenge 2023. Frames are columns of 2356 readings: for each of 76 injections,
+//! the 31 differences e(k) - e(k+1) of 32 electrodes, injection-major.
 
 use std::path::Path;
 
@@ -10,15 +10,15 @@ use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 /// Readings in a frame: 76 injections x 31 differences.
 pub const CHANNELS: usize = 76 * 31;
 
-/// Frames in columns.
+/// Decodes frames in columns.
 ///
 /// # Errors
-/// As [`columns::decode`], and [`DeviceError::Count`] for another number of rows.
+/// As [`columns::decode`], and [`DeviceError::Count`] if there are not 2356 rows.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     columns::decode_as(content, file, &ReadOptions::default(), |_| Layout::Channels { count: CHANNELS })
 }
 
-/// A head that begins with the reference, and as many rows as there are channels.
+/// True for a header that begins with the reference, and one row per channel.
 pub(super) fn looks_like(shape: &Shape) -> bool {
     columns::looks_like(shape) && shape.rows == CHANNELS && shape.columns < 32
 }

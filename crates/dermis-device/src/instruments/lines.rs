@@ -1,7 +1,7 @@
-//! Instruments that print a line of numbers for each frame, as OpenEIT and many sketches for microcontrollers do: numbers
-//! separated by commas, semicolons or blanks, in brackets, behind labels or times, as `name:value` pairs. Lines without
-//! numbers are passed over; one with another count of numbers, or with a word among them, is counted as damaged, with its
-//! reason. Frames are not numbered, so that lost ones are not known.
+//! Instruments that print a line of numbers for each frame, as OpenEIT and many microcontroller sketches do. The
+//! numbers may be separated by commas, semicolons or blanks, follow labels or times, be in brackets, or form
+//! `name:value` pairs. Lines without numbers are skipped. A line with a different count of numbers, or with a word
+//! among them, counts as damaged, with its reason. Frames have no numbers, so lost ones go unnoticed.
 
 use std::time::Duration;
 
@@ -9,34 +9,34 @@ use super::number_line::{self, Found};
 use crate::stream::{Dialogue, Inbox};
 use crate::{HostStamp, Layout};
 
-/// Longest line; anything longer is no line of numbers.
+/// Longest line of numbers, in bytes.
 const LONGEST_LINE: usize = 1 << 16;
-/// Lines in a row with as many numbers that settle how many channels there are.
+/// Number of consecutive lines with the same count of numbers that determines the channel count.
 const AGREEING: u32 = 3;
 
-/// Lines of numbers, as a [`Dialogue`].
+/// Lines of numbers as a [`Dialogue`].
 #[derive(Debug, Default)]
 pub struct Lines {
     line: Vec<u8>,
-    /// The line in progress began before the connection, or is too long.
+    /// The current line began before the connection, or is too long.
     skip: bool,
     begun: Option<HostStamp>,
     numbers: Vec<f64>,
     channels: Option<usize>,
-    /// Numbers of the last line, and how many lines in a row had as many.
+    /// Count of numbers in the last line, and how many consecutive lines had that count.
     agreeing: (usize, u32),
     sequence: u64,
-    /// What the instrument waits for before it sends.
+    /// Text that the instrument needs before it starts sending.
     greeting: Vec<u8>,
 }
 
 impl Lines {
-    /// Lines of as many numbers as the first ones that agree have, or of `channels`.
+    /// Expects lines of `channels` numbers, or of the first count that several lines share.
     pub fn new(channels: Option<usize>) -> Self {
         Self { channels, ..Self::default() }
     }
 
-    /// Sends `greeting` with every connection: what starts an instrument after its reset.
+    /// Sends `greeting` on every connection, to start an instrument after its reset.
     #[must_use]
     pub fn with_greeting(self, greeting: &str) -> Self {
         Self { greeting: greeting.as_bytes().to_vec(), ..self }
@@ -58,7 +58,7 @@ impl Lines {
         match found {
             Found::Numbers => {}
             Found::Nothing => return,
-            // Before the channels are known, what a device prints as it starts is no frame.
+            // Output during start-up, before the channel count is known, isn't a frame.
             Found::Bad(_) if self.channels.is_none() => return,
             Found::Bad(reason) => return inbox.bad_because(reason),
         }

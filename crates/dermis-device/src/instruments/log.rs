@@ -1,6 +1,6 @@
-//! Text whose lines hold the numbers of a frame among other things: what programs print and terminals record. Read as
-//! lines from a port are, [`super::lines`]: labels, times, brackets and names are passed over, and a line with another
-//! count of numbers than most is left out and said.
+//! Text lines that hold a frame's numbers among other things, such as program output or terminal recordings. They are
+//! read like lines from a port ([`super::lines`]): labels, times, brackets and names are skipped. A line with an
+//! unusual count of numbers is left out, with a note.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,14 +9,14 @@ use super::number_line::{self, Found};
 use super::text::Text;
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
-/// Lines left out that are named one by one.
+/// Number of skipped lines that are reported individually.
 const NAMED: usize = 3;
 
-/// Frames in lines.
+/// Decodes one frame per line.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`] if it is no text, [`DeviceError::Empty`] without a line of numbers,
-/// [`DeviceError::Ragged`] where fewer than half of the lines have equally many.
+/// [`DeviceError::Foreign`] if it isn't text, [`DeviceError::Empty`] if no line has numbers, [`DeviceError::Ragged`]
+/// if fewer than half of the lines have the same count.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(content, file, &ReadOptions::default())
 }

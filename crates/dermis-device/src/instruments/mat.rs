@@ -1,11 +1,12 @@
-//! MATLAB files of versions 5 to 7 (`save -v6` and `save -v7`, SciPy's `savemat`, Octave): numeric arrays of every class,
-//! real and complex, also those in structures, which are called `vi.meas`. Version 7.3 is another format, HDF5, and is
-//! refused with what to do.
+//! MATLAB files of versions 5 to 7 (`save -v6` and `save -v7`, SciPy's `savemat`, Octave). Reads real and complex
+//! numeric arrays of every class. Arrays in structures get names such as `vi.meas`. Version 7.3 is a different format,
+//! HDF5; such files are refused with advice on conversion.
 //!
-//! The layout is that of MathWorks' "MAT-File Format" (version 5 chapter). A file is a header of 128 bytes and elements,
-//! each a tag of type and length and its bytes; an array is an element of elements: flags, lengths, name, real parts,
-//! imaginary parts. Compressed elements are zlib streams of one element each. Files are read twice, once for the names
-//! and once for the arrays that are wanted, so that neither a file nor what it unpacks to is held in memory.
+//! The format is described in MathWorks' "MAT-File Format", chapter on version 5. A file is a header of 128 bytes
+//! followed by elements. Each element has a tag with type and length, followed by data. An array is an element made of
+//! elements: flags, dimensions, name, real parts, imaginary parts. A compressed element is a zlib stream of one
+//! element. Files are read twice, first for the names and then for the chosen arrays, so neither a file nor its
+//! uncompressed content is in memory as a whole.
 
 use std::io::{self, BufReader, Read};
 use std::path::Path;
@@ -21,34 +22,34 @@ use crate::{DeviceError, FrameTable, ReadOptions};
 /// Bytes before the first element.
 const HEADER: usize = 128;
 const EXPECTED: &str = "a MATLAB file of version 5 to 7";
-/// Structures within structures that are looked into.
+/// Maximum nesting depth of structures to search.
 const DEEPEST: usize = 4;
-/// Longest name, and most names of fields, that are read; MATLAB allows 63 characters and some thousand fields.
+/// Maximum bytes for a name or for all field names. MATLAB allows 63 characters and some thousand fields.
 const MOST_NAME: u64 = 1 << 16;
-/// Bytes that a compressed byte can become (zlib's manual), and a margin for short streams.
+/// Maximum compression ratio (zlib's manual), with a margin for short streams.
 const MOST_UNPACKED: u64 = 1032;
 
-/// Types of elements.
+/// Element types.
 const INT8: u32 = 1;
 const INT32: u32 = 5;
 const UINT32: u32 = 6;
 const MATRIX: u32 = 14;
 const COMPRESSED: u32 = 15;
-/// Classes of arrays that hold numbers: double, single and the integers.
+/// Array classes that hold numbers: double, single and the integers.
 const NUMERIC: std::ops::RangeInclusive<u8> = 6..=15;
 const STRUCTURE: u8 = 2;
-/// A class whose elements are laid out otherwise: tables, strings and other objects.
+/// Class with a different element layout: tables, strings and other objects.
 const OPAQUE: u8 = 17;
 
-/// Opens the file at its beginning.
+/// Opens the file from its beginning.
 type Open<'a> = &'a dyn Fn() -> io::Result<Box<dyn Read + 'a>>;
 
-/// Frames of the only array that can hold them. A vector is one frame, a matrix frames x channels; of more dimensions
-/// all but the first make one frame.
+/// Decodes frames from the only array that can hold them. A vector is one frame, and a matrix is frames x channels.
+/// With more dimensions, all but the first make up a frame.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`] if it is no such file or holds no numeric array, [`DeviceError::Field`] where several arrays
-/// would do, [`DeviceError::Length`] for a file that ends early, and what is wrong with the array.
+/// [`DeviceError::Foreign`] if it isn't such a file or has no numeric array, [`DeviceError::Field`] if several arrays
+/// could hold frames, [`DeviceError::Length`] for a truncated file, and errors in the array itself.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(content, file, &ReadOptions::default())
 }
@@ -62,7 +63,7 @@ pub(super) fn looks_like(content: &[u8]) -> bool {
     matches!(content.get(124..128), Some([0, 1, b'I', b'M'] | [1, 0, b'M', b'I']))
 }
 
-/// As [`looks_like`], by path.
+/// As [`looks_like`], for a path.
 pub(super) fn is_mat(path: &Path) -> bool {
     let mut first = [0; HEADER];
     open_regular(path).and_then(|mut file| file.read_exact(&mut first)).is_ok_and(|()| looks_like(&first))
@@ -100,25 +101,25 @@ fn frames(open: Open, length: u64, file: &Path, options: &ReadOptions) -> Result
     }
 }
 
-/// Which element of the file an array stands in, and how many numeric arrays stand before it in that element.
+/// Index of the element in the file that contains an array, and number of numeric arrays before it in that element.
 type Place = (usize, usize);
 
-/// A numeric array, and where it stands.
+/// A numeric array and its place.
 struct Found {
     place: Place,
     named: Named,
 }
 
-/// One way through a file, for its names or for the one array that is wanted.
+/// One pass through a file, for the names or for one chosen array.
 #[derive(Default)]
 struct Walk {
     wanted: Option<Place>,
-    /// The next numeric array's place.
+    /// Place of the next numeric array.
     place: Place,
     found: Vec<Found>,
-    /// Variables without numbers: name and kind.
+    /// Name and kind of variables without numbers.
     others: Vec<(String, &'static str)>,
-    /// The array that is wanted.
+    /// The chosen array.
     array: Option<Array>,
 }
 
@@ -146,7 +147,7 @@ impl Walk {
                 _ if self.wanted.is_some_and(|(wanted, _)| wanted != element) => {}
                 MATRIX => self.array(&mut input, None, 0)?,
                 COMPRESSED => self.unpacked(&mut input)?,
-                // Other elements hold no arrays.
+                // Other elements contain no arrays.
                 _ => {}
             }
             input.leave(rest)?;
@@ -164,20 +165,20 @@ impl Walk {
         if kind == MATRIX {
             let rest = inner.enter(bytes)?;
             self.array(&mut inner, None, 0)?;
-            // To the end, where the checksum stands; looking at names does not take that long.
+            // Read to the end, where the checksum is. When only names are needed, that would take too long.
             if self.wanted.is_some() {
                 inner.leave(rest)?;
                 let more = io::copy(&mut unpacked.by_ref().take(1), &mut io::sink());
                 more.map_err(|error| DeviceError::io(file, "unpack", error))?;
             }
         }
-        // The stream may have been left in its midst.
+        // The stream may not have been read to its end.
         let taken = packed - unpacked.into_inner().limit();
         input.left -= taken;
         Ok(())
     }
 
-    /// One array; `name` is given to those in structures.
+    /// Reads one array. Arrays in structures get their `name` from the caller.
     fn array(&mut self, input: &mut Input, name: Option<String>, depth: usize) -> Result<(), DeviceError> {
         if input.left == 0 {
             return Ok(());
@@ -221,7 +222,7 @@ fn class_name(class: u8) -> &'static str {
     }
 }
 
-/// MATLAB's vectors have two dimensions.
+/// Removes the extra dimension of MATLAB's vectors.
 fn without_ones(shape: Vec<usize>) -> Vec<usize> {
     match shape[..] {
         [1, count] | [count, 1] => vec![count],
@@ -233,7 +234,7 @@ fn without_ones(shape: Vec<usize>) -> Vec<usize> {
 struct Tag {
     kind: u32,
     bytes: u64,
-    /// Bytes behind the data that fill it up to eight.
+    /// Bytes of padding to a multiple of eight.
     padding: u64,
 }
 
@@ -247,14 +248,14 @@ struct Head {
 /// The bytes of a file or of one element.
 struct Input<'a> {
     read: &'a mut dyn Read,
-    /// Bytes left in the element that is being read.
+    /// Bytes left in the current element.
     left: u64,
     is_big: bool,
     file: &'a Path,
 }
 
 impl Input<'_> {
-    /// Restricts the input to the next so many bytes; what is behind them is given back to [`Self::leave`].
+    /// Limits the input to the next `bytes` bytes. Pass the result to [`Self::leave`] to restore the rest.
     fn enter(&mut self, bytes: u64) -> Result<u64, DeviceError> {
         let rest = self.left.checked_sub(bytes).ok_or_else(|| self.too_short(bytes))?;
         self.left = bytes;
@@ -295,7 +296,7 @@ impl Input<'_> {
 
     fn tag(&mut self) -> Result<Tag, DeviceError> {
         let first = self.word()?;
-        // Up to four bytes stand within the tag.
+        // Up to four bytes of data are inside the tag.
         if first >> 16 != 0 {
             let bytes = u64::from(first >> 16);
             return if bytes <= 4 {
@@ -312,7 +313,7 @@ impl Input<'_> {
         DeviceError::field(self.file, 1, field, found, expected)
     }
 
-    /// The bytes of a short element, without what fills it up.
+    /// The data of a short element, without padding.
     fn short(&mut self, field: &'static str, kinds: &[u32], most: u64) -> Result<Vec<u8>, DeviceError> {
         let tag = self.tag()?;
         if !kinds.contains(&tag.kind) || tag.bytes > most {
@@ -325,7 +326,7 @@ impl Input<'_> {
         Ok(bytes)
     }
 
-    /// What stands before the numbers of an array; none for objects that are laid out otherwise.
+    /// Reads everything before an array's numbers. `None` for objects with a different layout.
     fn head(&mut self) -> Result<Option<Head>, DeviceError> {
         let number = |raw: &[u8; 4], is_big| if is_big { u32::from_be_bytes(*raw) } else { u32::from_le_bytes(*raw) };
         let flags = self.short("array flags", &[UINT32], 8)?;

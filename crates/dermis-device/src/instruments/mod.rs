@@ -1,6 +1,6 @@
-//! What instruments write down and send. Of files, one module per format turns bytes into a [`FrameTable`], chosen by
-//! name or by looking at the content; of live instruments, one module each ([`wire`], [`lines`], [`floats`]) makes
-//! frames of a stream of bytes.
+//! Formats of files and live instruments. For files, one module per format turns bytes into a [`FrameTable`]; the
+//! format is given or recognised from the content. For live instruments, one module each ([`wire`], [`lines`],
+//! [`floats`]) turns a byte stream into frames.
 
 mod arrays;
 pub mod columns;
@@ -33,19 +33,19 @@ pub use content::{MOST_BYTES, open_regular, read_bytes};
 pub(crate) use content::{foreign, text_of};
 pub use times::mend as mend_times;
 
-/// The entry by which a ZIP archive is known for a workbook of Excel.
+/// The entry that marks a ZIP archive as an Excel workbook.
 const WORKBOOK: &str = "xl/workbook.xml";
 
 impl Format {
-    /// Recognises a format by a file's whole content; a directory is recognised with empty content.
+    /// Recognises a format from a file's whole content. For a directory, pass empty content.
     ///
-    /// Text with numbers is told apart by its shape: a header that starts with `ref`, `reference` or `baseline` is
-    /// golfball over 256 rows, ktc over 2356, and columns otherwise; four columns without a header and n(n-3) rows for an
-    /// electrode count n that look like two frames are pyeidors; numbers behind labels or in brackets are lines; all else
-    /// is csv.
+    /// Text with numbers is recognised by its shape. With a header that starts with `ref`, `reference` or `baseline`,
+    /// it is golfball if it has 256 rows, ktc with 2356, and columns otherwise. It is pyeidors if it has four columns,
+    /// no header, n(n-3) rows for some electrode count n, and numbers that look like two frames. Numbers behind labels
+    /// or in brackets are lines. All other text is csv.
     ///
     /// # Errors
-    /// [`DeviceError::Foreign`] saying what the content looks like.
+    /// [`DeviceError::Foreign`] with a description of the content.
     pub fn detect(path: &Path, content: &[u8]) -> Result<Self, DeviceError> {
         Self::detect_with(path, content, &ReadOptions::default())
     }
@@ -89,9 +89,9 @@ impl Format {
     }
 }
 
-/// Reads the frames that `spec` names, as the options say: a [`ReadOptions`], or just a format or `None`.
+/// Reads the frames that `spec` selects. `options` are [`ReadOptions`], or just a format or `None`.
 ///
-/// Where a table with a header of names is read and `spec` chooses frames by name, its frames are taken to be columns.
+/// If `spec` selects frames by name and the table has a header of names, frames are read from columns.
 ///
 /// # Errors
 /// Any [`DeviceError`]; the message names the file and the place in it.
@@ -131,15 +131,15 @@ pub fn read(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTab
     decode_with(format, &content, path, &options)?.select(&spec.select)
 }
 
-/// Decodes the content of one file; `file` is for messages (and for Sciospec's frame number).
+/// Decodes one file's content; `file` is used in messages (and for Sciospec's frame number).
 ///
 /// # Errors
-/// Any [`DeviceError`] but [`DeviceError::Io`].
+/// Any [`DeviceError`] except [`DeviceError::Io`].
 pub fn decode(format: Format, content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(format, content, file, &ReadOptions::default())
 }
 
-/// As [`decode`], as the options say.
+/// As [`decode`], with options.
 ///
 /// # Errors
 /// As [`decode`].

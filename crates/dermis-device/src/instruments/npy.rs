@@ -1,6 +1,6 @@
-//! NumPy arrays (`.npy`, format versions 1 to 3): reading integers, floats and complex numbers of every size but the
-//! extended ones, in either byte order and either memory order; writing little-endian `f8`, `f4` and `u1` in C order. The
-//! format is that of NumPy Enhancement Proposal 1.
+//! NumPy arrays (`.npy`, format versions 1 to 3; NumPy Enhancement Proposal 1). Reads integers, floats and complex
+//! numbers of every size except the extended ones, in either byte order and either memory order. Writes little-endian
+//! `f8`, `f4` and `u1` in C order.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -19,9 +19,9 @@ pub(super) use element::{Element, half};
 
 const EXPECTED: &str = "a NumPy array (npy, version 1 to 3)";
 pub(super) const MOST_DIMENSIONS: usize = 16;
-/// Most elements of an array: 2 GiB of them in memory.
+/// Maximum number of elements: they take 2 GiB of memory.
 pub(super) const MOST_ELEMENTS: u64 = MOST_BYTES / 4;
-/// Longest header that is read: names of fields, for those who store records.
+/// Longest header in bytes. Record arrays list their field names there.
 const MOST_HEADER: usize = 1 << 20;
 
 /// An array of any shape.
@@ -29,16 +29,16 @@ const MOST_HEADER: usize = 1 << 20;
 pub struct Array {
     /// Length of each dimension; empty for a single number.
     pub shape: Vec<usize>,
-    /// Elements in row-major order, whatever the file's order; the real parts if complex.
+    /// Elements in row-major order, whatever the file's order; real parts if complex.
     pub values: Vec<f64>,
     /// Imaginary parts of a complex array.
     pub imaginary: Option<Vec<f64>>,
 }
 
 impl Array {
-    /// Frames in rows: one dimension is one frame, two are frames x channels; of more, the ones behind the first are one
-    /// frame's, drives x measurements for instance. Three, of which the second is 2, are frames x (real, imaginary) x
-    /// channels, as `dermis export` writes complex ones.
+    /// Frames in rows. One dimension is a single frame, two are frames x channels. With more, all dimensions after the
+    /// first make up a frame, for instance drives x measurements. Three dimensions with a second one of length 2 are
+    /// frames x (real, imaginary) x channels, as `dermis export` writes complex readings.
     ///
     /// # Errors
     /// [`DeviceError::Field`] for a single number, [`DeviceError::Empty`], [`DeviceError::Infinite`].
@@ -51,13 +51,13 @@ impl Array {
     }
 }
 
-/// Whether a file begins as an array does.
+/// True if a file begins like a NumPy array.
 pub(super) fn is_npy(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
     open_regular(path).and_then(|mut file| file.read_exact(&mut first)).is_ok_and(|()| first == MAGIC)
 }
 
-/// Reads frames from a file, of which nothing but the numbers is held in memory.
+/// Reads frames from a file. Only the numbers are held in memory.
 pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     read(path)?.into_frames_with(path, options)
 }
@@ -73,17 +73,17 @@ pub fn read(path: &Path) -> Result<Array, DeviceError> {
     read_from(&mut BufReader::with_capacity(1 << 16, file), length, path)
 }
 
-/// Decodes a whole file; `file` is for messages. The shape is compared with the bytes present before anything is
-/// allocated for it.
+/// Decodes a whole file; `file` is only used in messages. The shape is checked against the number of bytes before
+/// memory is allocated.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`], [`DeviceError::Field`] for an unusable header, [`DeviceError::Length`] if the elements are
-/// fewer or more than the shape says.
+/// [`DeviceError::Foreign`], [`DeviceError::Field`] for an unusable header, [`DeviceError::Length`] if the number of
+/// elements doesn't match the shape.
 pub fn decode(content: &[u8], file: &Path) -> Result<Array, DeviceError> {
     read_from(&mut &content[..], content.len() as u64, file)
 }
 
-/// Reads an array of `length` bytes, its header included.
+/// Reads an array of `length` bytes including its header.
 pub(super) fn read_from(input: &mut dyn Read, length: u64, file: &Path) -> Result<Array, DeviceError> {
     let (header, start) = Header::read(input, length, file)?;
     let size = header.element.size() as u64;
@@ -101,7 +101,7 @@ pub(super) fn read_from(input: &mut dyn Read, length: u64, file: &Path) -> Resul
     let count = count.unwrap_or(0) as usize;
     let mut values = Arranged::new(&header.shape, count, header.fortran);
     let mut imaginary = header.element.is_complex().then(|| Arranged::new(&header.shape, count, header.fortran));
-    // As many whole elements of any size as fit.
+    // A multiple of every element size.
     let mut buffer = vec![0; 1 << 16];
     let mut left = found;
     while left > 0 {
@@ -121,7 +121,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads the header, and where the elements begin.
+    /// Reads the header. Also returns the position of the first element.
     pub(super) fn read(input: &mut dyn Read, length: u64, file: &Path) -> Result<(Self, u64), DeviceError> {
         let failed = |error| DeviceError::io(file, "read", error);
         let truncated =
@@ -195,7 +195,7 @@ impl Header {
     }
 }
 
-/// Text that follows `'name':` in a Python dictionary.
+/// The text after `'name':` in a Python dictionary.
 fn value_of<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     let at = [format!("'{name}'"), format!("\"{name}\"")].iter().find_map(|key| Some(text.find(key)? + key.len()))?;
     Some(text[at..].trim_start().strip_prefix(':')?.trim_start())
@@ -213,7 +213,7 @@ fn parse_shape(text: &str) -> Option<Vec<usize>> {
     (shape.len() <= MOST_DIMENSIONS).then_some(shape)
 }
 
-/// Numbers that can be written.
+/// A number type that can be written.
 pub trait Number: Copy {
     /// NumPy's name of the little-endian type.
     const DESCR: &'static str;
@@ -221,7 +221,7 @@ pub trait Number: Copy {
     /// Writes the little-endian bytes.
     ///
     /// # Errors
-    /// Those of `out`.
+    /// The errors of `out`.
     fn write_to(self, out: &mut dyn Write) -> io::Result<()>;
 }
 
@@ -249,11 +249,11 @@ impl Number for u8 {
     }
 }
 
-/// Writes everything that stands before the elements, padded so that these are aligned; for writers that stream the
-/// elements themselves, with [`Number::write_to`], inside [`write_atomic`].
+/// Writes everything before the elements, padded to align them. For writers that stream the elements themselves with
+/// [`Number::write_to`] inside [`write_atomic`].
 ///
 /// # Errors
-/// Those of `out`, and `InvalidInput` for a shape too long for version 1 (thousands of dimensions).
+/// The errors of `out`, and `InvalidInput` for a shape too long for version 1 (thousands of dimensions).
 pub fn write_header<T: Number>(out: &mut dyn Write, shape: &[usize]) -> io::Result<()> {
     const ALIGNMENT: usize = 64;
     let lengths: String = shape.iter().map(|length| format!("{length}, ")).collect();
@@ -270,15 +270,15 @@ pub fn write_header<T: Number>(out: &mut dyn Write, shape: &[usize]) -> io::Resu
     out.write_all(header.as_bytes())
 }
 
-/// Writes row-major `values` of the given shape; nothing stands at `path` unless it is whole.
+/// Writes row-major `values` of the given shape. `path` never holds an incomplete file.
 ///
 /// # Errors
-/// [`DeviceError::Count`] if the shape holds another number of values, [`DeviceError::Io`].
+/// [`DeviceError::Count`] if the number of values doesn't match the shape, [`DeviceError::Io`].
 pub fn write_f64(path: &Path, shape: &[usize], values: &[f64]) -> Result<(), DeviceError> {
     write_array(path, shape, values)
 }
 
-/// As [`write_f64`] in single precision.
+/// As [`write_f64`], in single precision.
 ///
 /// # Errors
 /// As [`write_f64`].
@@ -286,7 +286,7 @@ pub fn write_f32(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), Dev
     write_array(path, shape, values)
 }
 
-/// As [`write_f64`] in bytes (labels).
+/// As [`write_f64`], as bytes (for labels).
 ///
 /// # Errors
 /// As [`write_f64`].

@@ -1,4 +1,4 @@
-//! Archives of NumPy arrays (`.npz`), of which one holds the frames and another may hold their times.
+//! Archives of NumPy arrays (`.npz`). One array holds the frames, another may hold their times.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek};
@@ -11,16 +11,16 @@ use super::content::{ZIP_MAGIC, open_regular};
 use super::npy::{self, Header};
 use crate::{DeviceError, FrameTable, ReadOptions};
 
-/// Frames of the only array that can hold them.
+/// Decodes frames from the only array that can hold them.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`] if it is no such archive, [`DeviceError::Field`] where several arrays would do or none, and
-/// what is wrong with the array.
+/// [`DeviceError::Foreign`] if it isn't such an archive, [`DeviceError::Field`] if no array or several could hold
+/// frames, and errors in the array itself.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(content, file, &ReadOptions::default())
 }
 
-/// Whether a ZIP archive holds arrays.
+/// True if a ZIP archive contains arrays.
 pub(super) fn looks_like(content: &[u8]) -> bool {
     holds_arrays(Cursor::new(content))
 }
@@ -35,7 +35,7 @@ fn open(path: &Path) -> std::io::Result<BufReader<File>> {
     open_regular(path).map(BufReader::new)
 }
 
-/// As [`looks_like`], by path.
+/// As [`looks_like`], for a path.
 pub(super) fn is_npz(path: &Path) -> bool {
     let begins = |mut file: BufReader<File>| {
         let mut first = [0; ZIP_MAGIC.len()];
@@ -49,7 +49,7 @@ pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTab
     frames(open(path).map_err(|error| DeviceError::io(path, "read", error))?, path, options)
 }
 
-/// Whether a ZIP archive has an entry of this name.
+/// True if a ZIP archive has an entry with this name.
 pub(super) fn holds(content: &[u8], name: &str) -> bool {
     ZipArchive::new(Cursor::new(content)).is_ok_and(|archive| archive.index_for_name(name).is_some())
 }
@@ -80,7 +80,7 @@ fn frames(input: impl Read + Seek, file: &Path, options: &ReadOptions) -> Result
                 entries.push(Named { name, shape: header.shape });
                 indices.push(index);
             }
-            // Text and objects are no frames.
+            // Arrays of text and objects can't be frames.
             Err(error) => unreadable.push((name, error)),
         }
     }

@@ -1,19 +1,20 @@
-//! The numbers of one line, as instruments and sketches print them: separated by commas, semicolons or blanks, in
-//! brackets, behind a label or a time, as `name:value` pairs, with or without a unit, with a separator at the end.
+//! Parses the numbers in a line, as instruments and sketches print them: separated by commas, semicolons or blanks, in
+//! brackets, behind a label or a time, as `name:value` pairs, with or without a unit, with or without a separator at
+//! the end.
 
 use std::borrow::Cow;
 
 use super::csv::cell::{Decimal, leading_number};
 use super::times::stamp;
 
-/// What a line holds.
+/// Content of a line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Found {
-    /// Numbers of a frame, in the buffer.
+    /// The numbers of a frame, in the buffer.
     Numbers,
-    /// Nothing: an empty line, a comment, a heading, a message.
+    /// No numbers: an empty line, a comment, a heading, a message.
     Nothing,
-    /// Numbers that are no frame, and why.
+    /// Numbers that don't form a frame, with the reason.
     Bad(String),
 }
 
@@ -21,19 +22,19 @@ pub(super) enum Found {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Word<'a> {
     Number(f64),
-    /// A number behind its own name, `V1:0.2`.
+    /// A number with its own name, `V1:0.2`.
     Named(f64),
-    /// What stands before a colon: the line's label, or the name of the number that follows.
+    /// Text before a colon: the label of the line, or the name of the next number.
     Label,
     /// A time, a date, a bracket, an arrow.
     Mark,
     Text(&'a str),
 }
 
-/// Units that stand behind numbers; all the numbers of a line have the same.
+/// Units after numbers. All numbers in a line have the same unit.
 const UNITS: [&str; 8] = ["V", "mV", "uV", "µV", "Ohm", "ohm", "kOhm", "Ω"];
 
-/// Reads the numbers of a line into `numbers`. `channels` is how many there should be, where that is known.
+/// Reads the numbers of a line into `numbers`. `channels` is the expected count, if known.
 pub(super) fn read(line: &str, channels: Option<usize>, numbers: &mut Vec<f64>) -> Found {
     numbers.clear();
     let line = line.trim();
@@ -47,7 +48,7 @@ pub(super) fn read(line: &str, channels: Option<usize>, numbers: &mut Vec<f64>) 
     let named = count(|word| matches!(word, Word::Named(_)));
     let text = count(|word| matches!(word, Word::Text(_)));
     if named >= 2 {
-        // Numbers before the first name number the line; one behind it has lost its name.
+        // Numbers before the first name are line numbers. A bare number after it has lost its name.
         let first = words.iter().position(|word| matches!(word, Word::Named(_))).unwrap_or(0);
         let bare = words[first..].iter().filter(|word| matches!(word, Word::Number(_))).count();
         numbers.extend(words.iter().filter_map(|word| if let Word::Named(value) = word { Some(*value) } else { None }));
@@ -57,10 +58,10 @@ pub(super) fn read(line: &str, channels: Option<usize>, numbers: &mut Vec<f64>) 
             others => Found::Bad(format!("{named} named numbers and {others} words without a name or a number")),
         };
     }
-    // Behind the last label, time or arrow.
+    // The numbers follow the last label, time or arrow.
     let tail = words.iter().rposition(|word| matches!(word, Word::Label | Word::Mark)).map_or(0, |at| at + 1);
     let tail = &words[tail..];
-    // Words at the beginning are a heading, as in `DATA 0.1 0.2`.
+    // Leading words are a heading, as in `DATA 0.1 0.2`.
     let begin = tail.iter().position(|word| matches!(word, Word::Number(_) | Word::Named(_))).unwrap_or(tail.len());
     let rest = &tail[begin..];
     numbers.extend(rest.iter().filter_map(|word| match word {
@@ -69,7 +70,7 @@ pub(super) fn read(line: &str, channels: Option<usize>, numbers: &mut Vec<f64>) 
     }));
     let words_within: Vec<&str> =
         rest.iter().filter_map(|word| if let Word::Text(text) = word { Some(*text) } else { None }).collect();
-    // One unit behind every number.
+    // The same unit after every number.
     let unit = words_within.first().filter(|unit| UNITS.contains(unit));
     if let Some(unit) = unit
         && words_within.len() == numbers.len()
@@ -91,7 +92,7 @@ pub(super) fn read(line: &str, channels: Option<usize>, numbers: &mut Vec<f64>) 
     }
 }
 
-/// Times as Python's logging writes them, `14:07:12,040`, with a point for the comma, which is no separator.
+/// Replaces the comma in times such as Python's `14:07:12,040` by a point, because it isn't a separator.
 fn with_points_in_times(line: &str) -> Cow<'_, str> {
     let bytes = line.as_bytes();
     let is_digit = |at: usize| bytes.get(at).is_some_and(u8::is_ascii_digit);
@@ -108,8 +109,8 @@ fn with_points_in_times(line: &str) -> Cow<'_, str> {
     text
 }
 
-/// Decimal commas, where another mark separates: semicolons or tabs, or blanks between words that all have one comma
-/// between digits.
+/// Detects decimal commas. They are possible if semicolons or tabs separate the words, or if blanks do and every word
+/// has one comma between digits.
 fn decimal_of(line: &str) -> Decimal {
     let is_decimal = |word: &str| leading_number(word.as_bytes(), b',').is_some_and(|(_, length)| length == word.len());
     let split = |mark: char| line.split(mark).map(str::trim).filter(|word| !word.is_empty());
@@ -127,7 +128,7 @@ fn words(line: &str, decimal: Decimal) -> Vec<Word<'_>> {
     let is_separator = |c: char| c.is_whitespace() || ";|\"'".contains(c) || c == ',' && decimal == Decimal::Point;
     let is_bracket = |c: char| "()[]{}".contains(c);
     let mut words = Vec::new();
-    // A name whose number is the next word: `V1: 0.2`.
+    // True after a name whose number is the next word: `V1: 0.2`.
     let mut named = false;
     for raw in line.split(|c: char| is_separator(c) || is_bracket(c)).filter(|word| !word.is_empty()) {
         let word = match one(raw, decimal) {
@@ -140,7 +141,7 @@ fn words(line: &str, decimal: Decimal) -> Vec<Word<'_>> {
         named = matches!(word, Word::Label);
         words.push(word);
     }
-    // One label before many numbers is the line's.
+    // A single label before many numbers belongs to the line.
     let names = words.iter().filter(|word| matches!(word, Word::Named(_))).count();
     if names == 1
         && words.len() > 1
@@ -179,7 +180,7 @@ fn one(word: &str, decimal: Decimal) -> Word<'_> {
     if word.chars().all(|c| "->=<*~_/\\".contains(c)) { Word::Mark } else { Word::Text(word) }
 }
 
-/// Volts and ohms.
+/// Factor to volts or ohms.
 fn scale(unit: &str) -> f64 {
     match unit {
         "mV" => 1e-3,

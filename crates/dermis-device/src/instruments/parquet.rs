@@ -1,6 +1,6 @@
-//! Parquet files, as pandas, Polars, DuckDB and Spark write them: one frame a row, one channel a column, or all channels
-//! of a frame in a column of lists. Columns of times, counts, words and units are told apart as in text tables
-//! ([`super::csv`]); columns of dates are times. Nothing but the numbers is held in memory.
+//! Parquet files from pandas, Polars, DuckDB and Spark. Each row is a frame; each channel is a column, or one column
+//! of lists holds all channels. Columns of times, counts, words and units are recognised as in text tables
+//! ([`super::csv`]), and date columns are times. Only the numbers are held in memory.
 
 use std::fs::File;
 use std::path::Path;
@@ -23,16 +23,16 @@ use crate::error::shorten;
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
 const EXPECTED: &str = "a Parquet file";
-/// Rows that are read at once.
+/// Number of rows per read.
 const BATCH: usize = 1 << 13;
-/// Most columns of a file.
+/// Maximum number of columns in a file.
 const MOST_COLUMNS: usize = 1 << 20;
 
-/// Frames of a file's content.
+/// Decodes frames from a file's content.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`] if it cannot be read, [`DeviceError::Ragged`] where a list has another length than the first,
-/// [`DeviceError::Field`] where several columns of lists would do, and those of [`super::csv`].
+/// [`DeviceError::Foreign`] if it can't be read, [`DeviceError::Ragged`] if the lengths of the lists differ,
+/// [`DeviceError::Field`] if several columns of lists could hold frames, and the errors of [`super::csv`].
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(content, file, &ReadOptions::default())
 }
@@ -41,7 +41,7 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     frames(Bytes::copy_from_slice(content), file, options)
 }
 
-/// Whether a file begins as one of these does.
+/// True if a file begins like a Parquet file.
 pub(super) fn is_parquet(path: &Path) -> bool {
     let mut first = [0; PARQUET_MAGIC.len()];
     open_regular(path).and_then(|mut file| std::io::Read::read_exact(&mut file, &mut first)).is_ok()
@@ -54,22 +54,22 @@ pub(super) fn read_frames(path: &Path, options: &ReadOptions) -> Result<FrameTab
     frames(opened, path, options)
 }
 
-/// A column of the file that is read.
+/// A column that is read.
 struct Column {
-    /// Among the file's.
+    /// Index among the file's columns.
     leaf: usize,
     name: String,
     kind: Kind,
-    /// The number is the one that is stored divided by this.
+    /// Stored values are divided by this.
     divisor: f64,
-    /// Nanoseconds of one count; 0 for what is no moment.
+    /// Nanoseconds per count; 0 for columns without dates or times.
     tick_ns: i64,
     has_date: bool,
     is_list: bool,
     is_half: bool,
-    /// Level of definition of a value that is there.
+    /// Definition level of a present value.
     full_level: i16,
-    /// Level of a value that is missing; of lists, lower ones are of empty lists.
+    /// Definition level of a missing value. For lists, lower levels mean empty lists.
     missing_level: i16,
 }
 
@@ -98,7 +98,7 @@ fn frames(source: impl ChunkReader + 'static, file: &Path, options: &ReadOptions
         false => Some(List::read(&reader, &lists, rows, file, options, &mut notes)?),
     };
     let wide_count = wide.as_ref().map_or(0, |wide| wide.count);
-    // Beside lists, other numbers than times and counts are no readings.
+    // Next to lists, numeric columns other than times and counts aren't readings.
     if wide.is_some() {
         let is_other = |column: &Column| column.kind == Kind::Number && !csv::is_clock_or_count(&column.name);
         notes.extend(
@@ -174,7 +174,7 @@ impl Column {
         let path = column.path().parts();
         // `voltages.list.element` is the column `voltages`.
         let name = if is_list { path[0].clone() } else { path.join(".") };
-        // pandas calls an index without a name so.
+        // pandas uses this name for an unnamed index.
         let name = if name.starts_with("__index_level_") { "index".to_owned() } else { name };
         let tick = |unit: &TimeUnit| match unit {
             TimeUnit::MILLIS => 1_000_000,
@@ -220,11 +220,11 @@ impl Column {
 enum Cell {
     Number(f64),
     Whole(i64),
-    /// A list begins; no value.
+    /// Start of a list; carries no value.
     Next,
 }
 
-/// Every value of a column in the order of the rows, none where it is missing.
+/// Passes every value of a column to a callback in row order, `None` if missing.
 fn each(
     reader: &dyn FileReader,
     column: &Column,
@@ -272,7 +272,7 @@ fn batches<T: DataType>(
             return Ok(());
         }
         let mut next = values.iter();
-        // Without levels every value is there.
+        // Without definition levels, no value is missing.
         if column.full_level == 0 {
             next.try_for_each(|value| see(cell(value)))?;
             continue;
@@ -290,15 +290,15 @@ fn batches<T: DataType>(
     }
 }
 
-/// Frames in a column of lists.
+/// Frames from a column of lists.
 struct List {
-    /// Readings in each.
+    /// Number of readings per list.
     count: usize,
     values: Vec<f64>,
 }
 
 impl List {
-    /// Reads the only column of lists that can hold frames, or the one that was asked for.
+    /// Reads the only column of lists that can hold frames, or the one that the user asked for.
     fn read(
         reader: &dyn FileReader,
         lists: &[Column],
@@ -311,7 +311,7 @@ impl List {
         let lists: Vec<&Column> = lists.iter().filter(|list| list.kind == Kind::Number).collect();
         let mut named = Vec::new();
         for list in &lists {
-            // The first row's length; the second row ends the search.
+            // Find the first row's length; the start of the second row ends the search.
             let (mut begun, mut count) = (0, 0);
             let first = each(reader, list, &mut |cell| {
                 match cell {

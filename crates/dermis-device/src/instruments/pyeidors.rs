@@ -1,15 +1,15 @@
-//! A reference and a target frame side by side: four columns without a head, real and imaginary part of the reference,
-//! then of the target, one channel a row.
+//! A reference frame next to a target frame: four columns without a header, one channel per row. The columns are the
+//! real and imaginary parts of the reference, then of the target.
 
 use std::path::Path;
 
 use super::csv::{self, NumberTable, Shape};
 use crate::{DeviceError, FrameTable, Layout};
 
-/// Two complex frames named `reference` and `target`.
+/// Decodes two complex frames named `reference` and `target`.
 ///
 /// # Errors
-/// As [`csv::parse`], and [`DeviceError::Count`] for another number of columns than four.
+/// As [`csv::parse`], and [`DeviceError::Count`] if there are not four columns.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     let table = csv::parse(content, file)?;
     if table.columns != 4 {
@@ -22,15 +22,16 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
         .with_names(vec!["reference".to_owned(), "target".to_owned()])
 }
 
-/// Four bare columns, and as many rows as n electrodes have neighbouring measurements without the driven ones: n(n-3).
+/// True for four columns without a header and n(n-3) rows: with n electrodes, the number of adjacent measurements
+/// that leave out the driven electrodes.
 pub(super) fn looks_like(shape: &Shape) -> bool {
     shape.header.is_none()
         && shape.columns == 4
         && (8..=64).any(|electrodes| shape.rows == electrodes * (electrodes - 3))
 }
 
-/// Whether the numbers are those of two frames: target and reference differ less than the channels do. Rows that are
-/// frames of four channels are alike, and their columns are not.
+/// True if the numbers look like two frames, so that target and reference differ less than the channels do. If the
+/// rows were frames of four channels, rows would be similar and columns would not.
 pub(super) fn holds_two_frames(table: &NumberTable) -> bool {
     let spread = |values: &[f64]| {
         let mean = values.iter().sum::<f64>() / values.len() as f64;

@@ -1,11 +1,12 @@
-//! Sciospec `.eit` files, versions 1 and 2: text, one frame a file, every electrode's complex potential for every injection.
+//! Sciospec `.eit` files, versions 1 and 2: text files with one frame each, the complex potentials of all electrodes
+//! for all injections.
 //!
-//! The first line counts the header's lines, itself included; then, in fixed places, version, name, date, frequencies,
-//! amplitude and rate, and further down the measuring channels under their name. After the header, each injection is a
-//! line with the two electrode numbers (current in, current out) and a line of real and imaginary parts in volts,
-//! either of the measuring channels or of all channels that the instrument has. A sweep has such a line for each of its
-//! frequencies, of which one is read, or the difference of two. Version 1 has nine lines of header, no version and no list
-//! of channels.
+//! The first line gives the number of header lines, itself included. Version, name, date, frequencies, amplitude and
+//! rate follow at fixed lines, and further down the measuring channels after their key. After the header, each
+//! injection has a line with its two electrode numbers (current in, current out), and a line of real and imaginary
+//! parts in volts for the measuring channels or for all channels of the instrument. A sweep has one such line per
+//! frequency; one frequency is read, or the difference of two. Version 1 has nine header lines, without a version or a
+//! list of channels.
 
 pub mod live;
 
@@ -21,33 +22,33 @@ use crate::{DeviceError, FrameTable, Frequencies, Layout, ReadOptions};
 
 const EXPECTED: &str = "a Sciospec .eit file (text, version 1 or 2)";
 const MOST_ELECTRODES: usize = 256;
-/// Most frequencies of a sweep: more than instruments offer.
+/// Maximum number of frequencies in a sweep: more than instruments offer.
 const MOST_FREQUENCIES: usize = 1024;
-/// Lines of a header of version 1.
+/// Number of header lines in version 1.
 const LINES_OF_VERSION_1: usize = 9;
 const CHANNELS_KEY: &str = "MeasurementChannels:";
 const PRESENT_KEY: &str = "MeasurementChannelsIndependentFromInjectionPattern:";
 
-/// What the header says about a measurement.
+/// Contents of the header.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
     /// Name of the data set.
     pub name: String,
-    /// Start of the frame, seconds since 1970-01-01 on the instrument's local calendar.
+    /// Start of the frame, in seconds since 1970-01-01 in the instrument's local time.
     pub time_s: f64,
-    /// Excitation frequency that was read, the first of two whose difference was taken.
+    /// Excitation frequency of the readings; for a difference, the first of the two.
     pub frequency_hz: f64,
     /// All frequencies of the file.
     pub frequencies_hz: Vec<f64>,
     /// Injected current.
     pub amplitude_a: f64,
-    /// Frames in a second.
+    /// Frame rate in frames per second.
     pub frames_per_s: f64,
-    /// Numbers of the measuring channels as the instrument counts them, in file order; index in this list = electrode.
+    /// The instrument's numbers for the measuring channels, in file order. The index in this list is the electrode.
     pub channels: Vec<usize>,
-    /// Frequencies that make a reading, by place in the sweep, and their weights.
+    /// Frequencies that make up a reading, by position in the sweep, with their weights.
     taken: Vec<(usize, f64)>,
-    /// Channels of which every row has a pair of numbers; those that do not measure are skipped.
+    /// Channels with a pair of numbers in every row. Those that don't measure are skipped.
     columns: Vec<usize>,
 }
 
@@ -56,7 +57,7 @@ pub struct Setup {
 pub struct Measurement {
     /// Header.
     pub setup: Setup,
-    /// Electrode (from 0) at which the current enters and electrode at which it leaves, for each injection.
+    /// Electrodes (from 0) where the current enters and leaves, for each injection.
     pub injections: Vec<(usize, usize)>,
     /// Real parts in volts, injections x electrodes.
     pub real_v: Vec<f64>,
@@ -64,14 +65,14 @@ pub struct Measurement {
     pub imaginary_v: Vec<f64>,
 }
 
-/// Whether a file's name or first lines are those of a `.eit` text file.
+/// True if the file's name or its first lines are those of an `.eit` text file.
 pub(super) fn looks_like(path: &Path, content: &[u8]) -> bool {
     let named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("eit"));
     let start = &content[..content.len().min(4096)];
     named || start.windows(CHANNELS_KEY.len()).any(|window| window == CHANNELS_KEY.as_bytes())
 }
 
-/// One frame, numbered as its file is.
+/// Decodes one frame; its number comes from the file name.
 ///
 /// # Errors
 /// As [`parse`].
@@ -84,11 +85,11 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     into_table(vec![(file_number(file), measurement)], file)
 }
 
-/// All `.eit` files of a directory in the order of the numbers in their names. A directory without any, but with one
-/// sub-directory that has them, stands for that one (the instrument writes `run/setup/setup_00001.eit`).
+/// Reads all `.eit` files in a directory, ordered by the numbers in their names. If the directory has no `.eit` files
+/// and only one of its sub-directories does, that one is read (the instrument writes `run/setup/setup_00001.eit`).
 ///
 /// # Errors
-/// As [`parse`] for the first unreadable file; [`DeviceError::Foreign`] without `.eit` files;
+/// As [`parse`] for the first unreadable file; [`DeviceError::Foreign`] if there are no `.eit` files;
 /// [`DeviceError::Field`] for a file whose channels, injections or frequency differ from the first one's.
 pub fn read_directory(directory: &Path) -> Result<FrameTable, DeviceError> {
     read_directory_with(directory, &ReadOptions::default())
@@ -162,11 +163,11 @@ fn refuse_other_setup(first: &Measurement, other: &Measurement, file: &Path) -> 
     Ok(())
 }
 
-/// Parses one file; `file` is for messages.
+/// Parses one file; `file` is only used in messages.
 ///
 /// # Errors
 /// [`DeviceError::Foreign`] for other content, [`DeviceError::Field`] and [`DeviceError::Cell`] with the line,
-/// [`DeviceError::Empty`] without an injection.
+/// [`DeviceError::Empty`] if there are no injections.
 pub fn parse(content: &[u8], file: &Path) -> Result<Measurement, DeviceError> {
     parse_with(content, file, Frequencies::Only)
 }
@@ -196,7 +197,7 @@ fn parse_with(content: &[u8], file: &Path, wanted: Frequencies) -> Result<Measur
     Ok(measurement)
 }
 
-/// The lines of one file, numbered from 1 as in messages.
+/// The lines of a file. As in messages, line numbers start at 1.
 struct Lines<'a> {
     file: &'a Path,
     lines: Vec<&'a str>,
@@ -204,7 +205,7 @@ struct Lines<'a> {
 }
 
 impl Lines<'_> {
-    /// The line with this number; past the end, an empty one.
+    /// The line with this number; empty past the end.
     fn line(&self, number: usize) -> &str {
         number.checked_sub(1).and_then(|index| self.lines.get(index)).map_or("", |line| line.trim())
     }
@@ -224,7 +225,7 @@ impl Lines<'_> {
         self.line(line).parse().ok().filter(good).ok_or_else(|| self.wrong(line, field, expected))
     }
 
-    /// Number of header lines, and what they say.
+    /// Parses the header. Also returns its number of lines.
     fn header(&self, wanted: Frequencies) -> Result<(usize, Setup), DeviceError> {
         let count: usize = self.line(1).parse().map_err(|_| foreign(self.file, EXPECTED, self.content))?;
         if count != LINES_OF_VERSION_1 && !(11..=64).contains(&count) {
@@ -234,7 +235,7 @@ impl Lines<'_> {
             return Err(self.wrong(self.lines.len() + 1, "header", &format!("{count} header lines as line 1 says")));
         }
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
-        // Version 1 does not state its version.
+        // The header of version 1 has no version line.
         let before = if count == LINES_OF_VERSION_1 { 1 } else { 2 };
         if before == 2 {
             self.field(2, "version", "2", |&version: &u32| version == 2)?;
@@ -263,7 +264,7 @@ impl Lines<'_> {
         ))
     }
 
-    /// Which frequencies make a reading, and with which weights.
+    /// Frequencies that make up a reading, with their weights.
     fn taken(&self, all_hz: &[f64], wanted: Frequencies, line: usize) -> Result<Vec<(usize, f64)>, DeviceError> {
         let listed = || {
             let listed: Vec<String> = all_hz.iter().take(8).map(|hz| format!("{hz:.6}")).collect();
@@ -285,13 +286,13 @@ impl Lines<'_> {
         }
     }
 
-    /// A date such as `2025.02.12. 13:19:58.685`, in seconds since 1970-01-01 without regard to time zones.
+    /// A date such as `2025.02.12. 13:19:58.685`, in seconds since 1970-01-01; time zones are ignored.
     fn time(&self, line: usize) -> Result<f64, DeviceError> {
         parse_time(self.line(line)).ok_or_else(|| self.wrong(line, "date", "year.month.day. hour:minute:second"))
     }
 
-    /// The measuring channels, and those that have a place in every row: the first row's length tells whether these
-    /// are the measuring channels or all that are present.
+    /// The measuring channels, and the channels with a place in every row. The length of the first row tells whether
+    /// rows hold the measuring channels or all channels that are present.
     fn channels(&self, header_lines: usize) -> Result<(Vec<usize>, Vec<usize>), DeviceError> {
         let first_row = header_lines + 2;
         let readings = self.line(first_row).split_whitespace().count();
@@ -316,7 +317,7 @@ impl Lines<'_> {
         Ok((measuring.clone(), measuring))
     }
 
-    /// The channel numbers that stand in the header under a name, if the name does.
+    /// The channel numbers after a key in the header, if the key is there.
     fn listed(&self, header_lines: usize, key: &str) -> Result<Option<Vec<usize>>, DeviceError> {
         let Some(line) = (1..=header_lines).find(|&line| self.line(line).starts_with(key)) else { return Ok(None) };
         let list = self.line(line)[key.len()..].split(',').take(MOST_ELECTRODES + 1);
@@ -328,7 +329,7 @@ impl Lines<'_> {
             .ok_or_else(|| self.wrong(line, "measurement channels", "2 to 256 different channel numbers from 1"))
     }
 
-    /// Electrodes of an injection line such as `1 2`, from 0.
+    /// Electrodes, from 0, of an injection line such as `1 2`.
     fn injection(&self, line: usize, channels: &[usize]) -> Result<(usize, usize), DeviceError> {
         let electrode = |number: &str| {
             let number: usize = number.parse().ok()?;
@@ -341,7 +342,7 @@ impl Lines<'_> {
         }
     }
 
-    /// Appends the measuring channels of a line of real and imaginary parts.
+    /// Appends the measuring channels from a line of real and imaginary parts.
     fn readings(&self, line: usize, measurement: &mut Measurement) -> Result<(), DeviceError> {
         if line > self.lines.len() {
             return Err(self.wrong(line, "readings", "a line of readings after its injection"));
@@ -369,7 +370,7 @@ impl Lines<'_> {
                 }
             }
         }
-        // A sweep that ends within an injection is cut off.
+        // A sweep that ends within an injection is truncated.
         let last = line + setup.frequencies_hz.len() - 1;
         if last > self.lines.len() {
             return Err(self.wrong(last, "readings", "a line of readings for each frequency"));
@@ -411,14 +412,14 @@ fn parse_time(text: &str) -> Option<f64> {
         .then(|| days_since_1970(year, month, day) as f64 * 86_400.0 + f64::from(hour * 3600 + minute * 60) + second)
 }
 
-/// The number at the end of a file's stem, as in `setup_00001.eit`.
+/// The number at the end of a file name without its extension, as in `setup_00001.eit`.
 fn file_number(file: &Path) -> Option<u64> {
     let stem = file.file_stem()?.to_str()?;
     let digits = stem.len() - stem.trim_end_matches(|letter: char| letter.is_ascii_digit()).len();
     stem[stem.len() - digits..].parse().ok()
 }
 
-/// `.eit` files of a directory by number, those without one last, equal ones by name.
+/// The `.eit` files in a directory, by number and then by name. Those without a number come last.
 fn numbered_files(directory: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, DeviceError> {
     let failed = |error| DeviceError::io(directory, "list", error);
     let mut files = Vec::new();

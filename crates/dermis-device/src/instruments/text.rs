@@ -1,5 +1,5 @@
-//! Text of whatever encoding spreadsheets and loggers write: UTF-8, UTF-16 of either byte order with or without a mark,
-//! and Windows-1252.
+//! Decodes the text encodings that spreadsheets and loggers write: UTF-8, UTF-16 of either byte order with or without
+//! a byte-order mark, and Windows-1252.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -9,23 +9,23 @@ use encoding_rs::{Encoding, UTF_16BE, UTF_16LE, WINDOWS_1252};
 use super::foreign;
 use crate::DeviceError;
 
-/// Bytes that are looked at to recognise an encoding without a mark.
+/// Number of bytes to inspect for an encoding without a byte-order mark.
 const LOOKED_AT: usize = 4096;
 
-/// Text, and its encoding where it is not UTF-8.
+/// Text, and its encoding if that isn't UTF-8.
 pub(super) struct Text<'a> {
     pub text: Cow<'a, str>,
     pub encoding: Option<&'static str>,
 }
 
 impl<'a> Text<'a> {
-    /// The content as text without a byte-order mark, lines ending in line feeds.
+    /// The content as text without a byte-order mark, with line feeds as line ends.
     ///
     /// # Errors
-    /// [`DeviceError::Foreign`] saying what the content looks like.
+    /// [`DeviceError::Foreign`] with a description of the content.
     pub fn of(content: &'a [u8], file: &Path, expected: &'static str) -> Result<Self, DeviceError> {
         let (text, encoding) = decoded(content).ok_or_else(|| foreign(file, expected, content))?;
-        // Old Macintosh line ends.
+        // Line ends of old Macintosh files.
         let text = if text.contains('\r') && !text.contains('\n') { text.replace('\r', "\n").into() } else { text };
         Ok(Self { text, encoding })
     }
@@ -42,13 +42,13 @@ fn decoded(content: &[u8]) -> Option<(Cow<'_, str>, Option<&'static str>)> {
         Some((encoding, _)) => encoding,
         None => wide_order(content).unwrap_or(WINDOWS_1252),
     };
-    // Control characters are in no table.
+    // Text tables contain no control characters.
     let is_text = |text: &str| !text.contains(|c: char| c.is_control() && !matches!(c, '\t' | '\n' | '\r' | '\u{c}'));
     let (text, _, had_errors) = encoding.decode(content);
     (!had_errors && is_text(&text)).then(|| (text, Some(encoding.name())))
 }
 
-/// UTF-16 without a mark: every second byte of ASCII text is zero.
+/// Recognises UTF-16 without a byte-order mark: in ASCII text every second byte is zero.
 fn wide_order(content: &[u8]) -> Option<&'static Encoding> {
     let (pairs, _) = content[..content.len().min(LOOKED_AT)].as_chunks::<2>();
     let zeros = |which: usize| pairs.iter().filter(|pair| pair[which] == 0 && pair[1 - which] != 0).count();

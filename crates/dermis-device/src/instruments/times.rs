@@ -1,18 +1,18 @@
-//! Times as loggers write them: dates and clock times in cells, numbers whose unit has to be told from their size, and
-//! clocks that start late, step back or stand in another unit than their name says.
+//! Times as loggers write them: dates and clock times in cells, numbers whose unit must be inferred from their size,
+//! and clocks that start late, step back or use a different unit than their name says.
 
 /// A date, a time of day, or both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Stamp {
-    /// Nanoseconds since 1970-01-01, or since midnight where there is no date.
+    /// Nanoseconds since 1970-01-01, or since midnight if there is no date.
     pub ns: i64,
     pub has_date: bool,
     pub has_time: bool,
 }
 
-/// Reads `2024-03-01 14:07:12.040`, `2024-03-01T14:07:12Z`, `01.03.2024 14:07:12,04`, `03/01/2024 2:07:12 PM`,
-/// `14:07:12.040` and their like; none for anything else. Of two numbers that may both be a month, the first is one
-/// between slashes, and the second between points.
+/// Parses `2024-03-01 14:07:12.040`, `2024-03-01T14:07:12Z`, `01.03.2024 14:07:12,04`, `03/01/2024 2:07:12 PM`,
+/// `14:07:12.040` and the like; `None` for anything else. If both of two numbers could be the month, it is the first
+/// one in dates with slashes and the second one in dates with points.
 pub(super) fn stamp(text: &str) -> Option<Stamp> {
     let text = text.trim();
     if !(5..=40).contains(&text.len()) || !text.is_ascii() || !text.starts_with(|c: char| c.is_ascii_digit()) {
@@ -23,7 +23,7 @@ pub(super) fn stamp(text: &str) -> Option<Stamp> {
         None if text.contains(':') => ("", text),
         None => (text, ""),
     };
-    // A time with AM or PM behind it, and no date.
+    // A time followed by AM or PM, without a date.
     let (date, time) = if date.contains(':') { ("", text) } else { (date, time) };
     let days = if date.is_empty() { 0 } else { days(date)? };
     let ns = if time.is_empty() { 0 } else { time_of_day_ns(time)? };
@@ -50,7 +50,7 @@ fn days(date: &str) -> Option<i64> {
     ((1..=12).contains(&month) && (1..=31).contains(&day)).then(|| days_since_1970(year, month, day))
 }
 
-/// Days from 1970-01-01 in the Gregorian calendar, counted in years that begin in March so that the leap day is last.
+/// Days since 1970-01-01 in the Gregorian calendar. Years are counted from March, so the leap day is the last one.
 pub(super) fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
     let year = if month <= 2 { year - 1 } else { year };
     let month_from_march = (month + 9) % 12;
@@ -88,7 +88,7 @@ fn time_of_day_ns(time: &str) -> Option<i64> {
     parts.next().is_none().then_some((hour * 3600 + minute * 60 - zone_s) * 1_000_000_000 + seconds_ns)
 }
 
-/// A time zone at the end, and its seconds east of Greenwich.
+/// Splits a time zone off the end, and converts it to seconds east of Greenwich.
 fn zone(time: &str) -> Option<(&str, i64)> {
     if let Some(body) = ["Z", "UTC", "GMT"].iter().find_map(|name| time.strip_suffix(name)) {
         return Some((body.trim_end(), 0));
@@ -104,8 +104,8 @@ fn zone(time: &str) -> Option<(&str, i64)> {
     Some((time[..at].trim_end(), sign * minutes * 60))
 }
 
-/// Times in seconds from numbers in a column, and what was made of them. `unit_s` is the unit that the column's name
-/// states, `name` how the column is called in messages.
+/// Converts a column of numbers to seconds, and adds notes on the conversion. `unit_s` is the unit in the column's
+/// name; `name` describes the column in messages.
 pub(super) fn seconds(values: &[f64], unit_s: Option<f64>, name: &str, notes: &mut Vec<String>) -> Vec<f64> {
     let step = usual_step(values);
     let unit = unit_s.unwrap_or_else(|| {
@@ -115,14 +115,14 @@ pub(super) fn seconds(values: &[f64], unit_s: Option<f64>, name: &str, notes: &m
         }
         unit
     });
-    // Loggers that count milliseconds under a name that says seconds.
+    // Some loggers count milliseconds although the name says seconds.
     if unit_s == Some(1.0) && step >= 5.0 && values.iter().all(|value| value.fract() == 0.0) {
         notes.push(format!("frames are {step} s apart by {name}: are these milliseconds? (name the column `time_ms`)"));
     }
     values.iter().map(|value| value * unit).collect()
 }
 
-/// The unit of numbers without one: by their size where they count from 1970, and by their distance otherwise.
+/// Infers the unit: from the size if the numbers count from 1970, and otherwise from the time step.
 fn likely_unit(values: &[f64], step: f64) -> (f64, &'static str) {
     let first = values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0);
     let by_size = [(1e18, 1e-9, "nanoseconds"), (1e15, 1e-6, "microseconds"), (1e12, 1e-3, "milliseconds")];
@@ -137,7 +137,7 @@ fn likely_unit(values: &[f64], step: f64) -> (f64, &'static str) {
     }
 }
 
-/// The median distance of neighbours that move on; 0 without any.
+/// Median of the positive steps between neighbours; 0 if there are none.
 pub(super) fn usual_step(times: &[f64]) -> f64 {
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
     if steps.is_empty() {
@@ -147,11 +147,11 @@ pub(super) fn usual_step(times: &[f64]) -> f64 {
     *steps.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// A gap this many times as long as usual, and longer than a day, is a clock that was set.
+/// Minimum gap in seconds that means that the clock was set. The gap must also exceed 10,000 times the usual step.
 const LONGEST_GAP_S: f64 = 86_400.0;
 
-/// Makes times move on: a first one that belongs to an earlier session is replaced, and after a step back, or one of
-/// more than a day ahead, the others follow at the usual distance. Missing times are left as they are.
+/// Makes times increase. A first time from an earlier session is replaced. After a step back, or a jump forward of
+/// more than a day, the following times continue at the usual step. If any time is missing, nothing is changed.
 pub fn mend(times_s: &mut [f64], notes: &mut Vec<String>) {
     if times_s.len() < 3 || times_s.iter().any(|time| !time.is_finite()) {
         return;
@@ -170,7 +170,7 @@ pub fn mend(times_s: &mut [f64], notes: &mut Vec<String>) {
     for index in 1..times_s.len() {
         let raw = times_s[index];
         if jumps(before, raw) {
-            // From the frame before, as it stands now.
+            // Continue from the corrected time of the previous frame.
             shift = times_s[index - 1] + step - raw;
             if told < 3 {
                 let by = raw - before;

@@ -1,6 +1,6 @@
-//! Excel workbooks (`.xlsx`, `.xlsm`): one sheet is a table as [`super::csv`] reads them, with the same headers, times,
-//! units and messages. Dates and times of day are told by the cells' format; of formulas the value counts that the last
-//! program worked out. Lines in messages are the sheet's rows.
+//! Excel workbooks (`.xlsx`, `.xlsm`). A sheet is read like a text table ([`super::csv`]), with the same headers,
+//! times, units and messages. Cell formats identify dates and times of day. Formulas have the value that was last
+//! calculated. Line numbers in messages are rows of the sheet.
 
 use std::fmt::Write as _;
 use std::io::Cursor;
@@ -16,16 +16,16 @@ use crate::error::shorten;
 use crate::{DeviceError, FrameTable, ReadOptions};
 
 const EXPECTED: &str = "an Excel workbook (xlsx)";
-/// Most sheets that are looked at.
+/// Maximum number of sheets to inspect.
 const MOST_SHEETS: usize = 100;
 
 type Book<'a> = Xlsx<Cursor<&'a [u8]>>;
 
-/// Frames of the only sheet that can hold them.
+/// Decodes frames from the only sheet that can hold them.
 ///
 /// # Errors
-/// [`DeviceError::Foreign`] if it is no such workbook, [`DeviceError::Field`] where several sheets would do or none, and
-/// those of [`super::csv`] with the sheet's name.
+/// [`DeviceError::Foreign`] if it isn't such a workbook, [`DeviceError::Field`] if no sheet or several could hold
+/// frames, and the errors of [`super::csv`] with the sheet's name.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     decode_with(content, file, &ReadOptions::default())
 }
@@ -33,7 +33,7 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
 pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let broken =
         |found: String| DeviceError::Foreign { file: file.to_owned(), expected: EXPECTED, found: shorten(&found) };
-    // Sheets and texts are unpacked in memory.
+    // Sheets and strings are unpacked in memory.
     let archive = ZipArchive::new(Cursor::new(content)).map_err(|error| broken(error.to_string()))?;
     let unpacked = archive.decompressed_size().unwrap_or(u128::MAX).min(u64::MAX.into()) as u64;
     if unpacked > MOST_BYTES {
@@ -67,7 +67,7 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
         };
         match frames {
             Ok(frames) => tables.push((name, frames)),
-            // Empty sheets and notes are no tables.
+            // Empty sheets and notes aren't tables.
             Err(DeviceError::Empty { .. }) => {}
             Err(error) => {
                 let error = error.behind_columns(text.first_column).in_part(&format!("sheet {}", shorten(name)));
@@ -93,9 +93,9 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     Ok(frames.with_notes(vec![format!("sheet `{}`", shorten(name))]))
 }
 
-/// Why a sheet gave no text.
+/// Reason why a sheet yields no text.
 enum Unreadable {
-    /// It is no worksheet.
+    /// It isn't a worksheet.
     Chart,
     Broken(XlsxError),
     Cell(DeviceError),
@@ -110,7 +110,7 @@ impl From<XlsxError> for Unreadable {
     }
 }
 
-/// A sheet as text, a line a row and a tab between cells, from the first column with a cell on.
+/// A sheet as text: one line per row, tabs between cells, starting at the first column in use.
 struct SheetText {
     text: String,
     first_column: usize,
@@ -118,7 +118,7 @@ struct SheetText {
 
 fn sheet_text(book: &mut Book, name: &str, file: &Path) -> Result<SheetText, Unreadable> {
     let mut cells = book.worksheet_cells_reader(name)?;
-    // Where the first column with a cell is, is known at the end only: tabs before it are counted and cut then.
+    // The first column in use is only known at the end. The tabs before it are removed then.
     let (mut text, mut row, mut column, mut first_column) = (String::new(), 0_u32, 0_u32, u32::MAX);
     while let Some(cell) = cells.next_cell_with_formula_metadata()? {
         let (to_row, to_column) = cell.pos;
@@ -158,7 +158,7 @@ fn sheet_text(book: &mut Book, name: &str, file: &Path) -> Result<SheetText, Unr
         if !found.is_empty() {
             first_column = first_column.min(to_column);
         }
-        // A tab, or a quote that nothing closes, would be a mark of the text.
+        // Tabs and quotes in a cell would be taken for separators and quotes of the table.
         text.extend(found.chars().map(|c| if matches!(c, '\t' | '\n' | '\r' | '"') { ' ' } else { c }));
     }
     let first_column = if first_column == u32::MAX { 0 } else { first_column as usize };
@@ -173,7 +173,7 @@ fn write_value(out: &mut String, value: &DataRef) {
     // Writing to a string cannot fail.
     let _ = match value {
         DataRef::Int(value) => write!(out, "{value}"),
-        // Whole numbers as they are seen: a header may count the columns.
+        // Write integers without an exponent: a header may count the columns.
         DataRef::Float(value) if value.fract() == 0.0 && value.abs() < 1e15 => write!(out, "{value}"),
         DataRef::Float(value) => write!(out, "{value:e}"),
         DataRef::String(text) | DataRef::DateTimeIso(text) | DataRef::DurationIso(text) => write!(out, "{text}"),

@@ -1,6 +1,6 @@
-//! What goes on happening is said at once, and then ever more rarely: the 1st, 2nd, 4th, 8th ... time.
+//! Rate limit for repeated log messages: the 1st, 2nd, 4th, 8th ... occurrence is logged.
 
-/// Counts how often the same was to be said. Texts that differ in numbers alone are the same.
+/// Counts repetitions of a message. Messages that differ only in their digits count as the same.
 #[derive(Debug, Default)]
 pub(super) struct Falling {
     said: String,
@@ -8,7 +8,7 @@ pub(super) struct Falling {
 }
 
 impl Falling {
-    /// How often this has come by now, where that is to be said.
+    /// Number of occurrences, or `None` if this one shouldn't be logged.
     pub fn count(&mut self, text: &str) -> Option<u64> {
         let words: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
         if words != self.said {

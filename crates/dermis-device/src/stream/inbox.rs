@@ -1,5 +1,5 @@
-//! The queue between a reading thread and the source, and what both know of the connection. Frames go round between two
-//! bounded queues, so that nothing is allocated once they have grown to size.
+//! The queue between a reading thread and its source, and the connection state that they share. Frames circulate
+//! between two bounded queues, so nothing is allocated once they have reached their size.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -8,10 +8,10 @@ use std::time::Instant;
 
 use crate::{Frame, Layout};
 
-/// Frames kept for a reader that has not asked for any yet: fewer than any queue behind it holds.
+/// Number of frames kept before the reader asks for the first one. Smaller than any queue.
 const EARLY: u64 = 32;
 
-/// Where a [`Dialogue`](super::Dialogue) puts frames and counts losses.
+/// Takes a [`Dialogue`](super::Dialogue)'s frames and counts losses.
 #[derive(Debug)]
 pub struct Inbox {
     filled: SyncSender<Frame>,
@@ -19,12 +19,12 @@ pub struct Inbox {
     kept: Option<Frame>,
     shared: Arc<Shared>,
     taken: u64,
-    /// What was wrong with the last damaged frame.
+    /// Description of the damage to the last damaged frame.
     reason: Option<String>,
 }
 
 impl Inbox {
-    /// An inbox with room for `capacity` frames, where its frames come out, and where used ones go back.
+    /// An inbox with room for `capacity` frames, the receiver of its frames, and the sender that returns used ones.
     pub fn new(capacity: usize) -> (Self, Receiver<Frame>, SyncSender<Frame>) {
         let capacity = capacity.max(2);
         let (filled, frames) = sync_channel(capacity);
@@ -32,8 +32,8 @@ impl Inbox {
         (Self { filled, empty, kept: None, shared: Arc::default(), taken: 0, reason: None }, frames, spare)
     }
 
-    /// A frame that `fill` fills; where the queue is full it is dropped and counted as lost. While nobody has
-    /// asked a source for frames, few are kept and none count.
+    /// Queues a frame that `fill` fills. If the queue is full, the frame is dropped and counted as lost. Until the
+    /// source is asked for its first frame, only a few are kept and the others don't count as lost.
     pub fn take(&mut self, fill: impl FnOnce(&mut Frame)) {
         let mut frame = self.kept.take().or_else(|| self.empty.try_recv().ok()).unwrap_or_default();
         fill(&mut frame);
@@ -51,33 +51,33 @@ impl Inbox {
         }
     }
 
-    /// Counts frames that the device took and that did not come.
+    /// Counts frames that the device measured but that never arrived.
     pub fn lost(&self, frames: u64) {
         self.shared.lost.fetch_add(frames, Ordering::Relaxed);
     }
 
-    /// Counts frames that came damaged or twice.
+    /// Counts frames that arrived damaged or twice.
     pub fn bad(&self, frames: u64) {
         self.shared.bad.fetch_add(frames, Ordering::Relaxed);
     }
 
-    /// Counts a frame that came damaged, and why, in plain words.
+    /// Counts a damaged frame, and keeps the reason in plain words.
     pub fn bad_because(&mut self, reason: String) {
         self.bad(1);
         self.reason = Some(reason);
     }
 
-    /// What was wrong with the last damaged frame, where that was said.
+    /// Description of the damage to the last damaged frame, if known.
     pub(crate) fn reason(&self) -> Option<&str> {
         self.reason.as_deref()
     }
 
-    /// Frames lost and damaged so far.
+    /// Numbers of lost and damaged frames.
     pub fn losses(&self) -> (u64, u64) {
         self.shared.losses()
     }
 
-    /// Frames taken so far.
+    /// Total number of frames taken.
     pub(super) fn taken(&self) -> u64 {
         self.taken
     }
@@ -87,16 +87,16 @@ impl Inbox {
     }
 }
 
-/// What thread and source both know.
+/// State shared by the thread and the source.
 #[derive(Debug, Default)]
 pub(super) struct Shared {
     stop: AtomicBool,
     lost: AtomicU64,
     bad: AtomicU64,
     connections: AtomicU64,
-    /// A source whose first frame nobody has asked for yet.
+    /// True until the source is asked for its first frame.
     early: AtomicBool,
-    /// More came before than were kept.
+    /// True if frames were discarded before the source was asked for the first one.
     overflowed: AtomicBool,
     state: Mutex<State>,
     changed: Condvar,
@@ -126,12 +126,12 @@ impl Shared {
         self.early.load(Ordering::Acquire)
     }
 
-    /// Whether the first frame is still to be asked for.
+    /// Sets whether the first frame has yet to be requested.
     pub(super) fn set_early(&self, early: bool) {
         self.early.store(early, Ordering::Release);
     }
 
-    /// Whether more frames came before they were asked for than were kept.
+    /// True if frames were discarded before the source was asked for the first one.
     pub(super) fn overflowed_unasked(&self) -> bool {
         self.overflowed.load(Ordering::Acquire)
     }
@@ -153,12 +153,12 @@ impl Shared {
         self.state().problem = None;
     }
 
-    /// Why no frames come now.
+    /// Sets the reason why no frames arrive.
     pub(super) fn troubled(&self, problem: String) {
         self.state().problem = Some(problem);
     }
 
-    /// Frames come again.
+    /// Clears the reason after frames arrive again.
     pub(super) fn recovered(&self) {
         self.state().problem = None;
     }
@@ -170,7 +170,7 @@ impl Shared {
         self.changed.notify_all();
     }
 
-    /// The layout, once it is known, or why it is not by then.
+    /// Waits until the layout is known. The error explains why it isn't known in time.
     pub(super) fn wait_for_layout(&self, until: Instant) -> Result<Layout, String> {
         let mut state = self.state();
         loop {
@@ -187,7 +187,7 @@ impl Shared {
         }
     }
 
-    /// Plain values that no panic leaves half written.
+    /// These are plain values, which a panic can't leave half-written.
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

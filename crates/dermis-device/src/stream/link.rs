@@ -1,4 +1,4 @@
-//! What connects to a device, and what is said over the connection.
+//! Traits for connections to devices, and for the conversations over them.
 
 use std::io;
 use std::time::Duration;
@@ -8,61 +8,61 @@ use crate::{HostStamp, Layout};
 
 /// A connection to a device.
 pub trait Link: Send {
-    /// Waits at most a tenth of a second for bytes; 0 where none came.
+    /// Waits up to a tenth of a second for bytes. Returns 0 if none arrive.
     ///
     /// # Errors
-    /// When the connection has ended, by whichever side.
+    /// If either side has closed the connection.
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize>;
 
-    /// Sends all bytes, or fails within a second or so.
+    /// Sends all bytes, or fails within about a second.
     ///
     /// # Errors
-    /// When the connection has ended or the device takes nothing.
+    /// If the connection has ended or the device accepts no bytes.
     fn write(&mut self, bytes: &[u8]) -> io::Result<()>;
 }
 
-/// Makes connections to one device.
+/// Opens connections to a device.
 pub trait Connect: Send {
     /// Connects, or fails within a few seconds.
     ///
     /// # Errors
-    /// Whatever the system says.
+    /// The operating system's errors.
     fn connect(&mut self) -> io::Result<Box<dyn Link>>;
 
-    /// What the user called the device.
+    /// The user's name for the device.
     fn name(&self) -> &str;
 }
 
-/// What is said over a connection: bytes in, frames and bytes out. It knows no port and reads no clock, so that it is
-/// tested without either.
+/// A conversation over a connection: takes bytes, produces frames and bytes. It knows no port and reads no clock, so
+/// it can be tested without either.
 pub trait Dialogue: Send {
-    /// A connection has been made. Bytes to send go to `send`.
+    /// Begins a new connection. Bytes to send are appended to `send`.
     fn open(&mut self, send: &mut Vec<u8>);
 
-    /// Bytes have come, the first of them at `at`.
+    /// Handles received bytes. The first of them arrived at `at`.
     ///
     /// # Errors
-    /// Why this connection is of no use, in plain words.
+    /// The reason why this connection is unusable, in plain words.
     fn receive(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox, send: &mut Vec<u8>) -> Result<(), String>;
 
-    /// Time has passed: `open_for` since the connection was made.
+    /// Called regularly. `open_for` is the time since the connection was made.
     ///
     /// # Errors
-    /// Why this connection is of no use, in plain words.
+    /// The reason why this connection is unusable, in plain words.
     fn tick(&mut self, open_for: Duration, send: &mut Vec<u8>) -> Result<(), String>;
 
-    /// The connection is about to be closed by this side.
+    /// Called before this side closes the connection.
     fn close(&mut self, send: &mut Vec<u8>);
 
-    /// Which reading stands at which channel, once that is known.
+    /// Order of the readings in a frame, once known.
     fn layout(&self) -> Option<Layout>;
 
-    /// Whether all that comes is frames, so that any byte is owed one.
+    /// True if the device sends nothing but frames, so that all bytes belong to frames.
     fn is_frames_only(&self) -> bool {
         false
     }
 
-    /// What the device says that it is, once that is known.
+    /// The device's description of itself, once known.
     fn identity(&self) -> Option<String> {
         None
     }

@@ -1,5 +1,5 @@
-//! Live instruments: a thread of its own reads the port, a sans-I/O [`Dialogue`] makes frames of the bytes, and a dead,
-//! silent or foreign device costs nothing but its frames. Connections that end are made again, ever more slowly.
+//! Live instruments. A separate thread reads the port, and a sans-I/O [`Dialogue`] turns the bytes into frames. A
+//! dead, silent or foreign device only costs its frames. Lost connections are retried at increasing intervals.
 
 mod falling;
 mod inbox;
@@ -32,13 +32,12 @@ use crate::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};
 
 /// A live instrument as a [`Source`].
 ///
-/// [`Source::next_frame`] never waits longer than it is told, whatever the device does. [`Counters::lost`] holds frames
-/// that the device numbered and that never came, frames that found the queue full, and, after a reset of the device, as
-/// many as its rate says it would have sent meanwhile.
+/// [`Source::next_frame`] never waits longer than its timeout, whatever the device does. [`Counters::lost`] includes
+/// numbered frames that never arrived, and frames dropped because the queue was full. After a device reset it also
+/// includes an estimate from the frame rate for the time without frames.
 ///
-/// A stream begins with the first call of [`Source::next_frame`]: of what a device sends while its host still makes
-/// ready, 32 frames wait; where there were more, the stream begins with the next frame, and nothing before that was
-/// lost.
+/// A stream begins with the first call of [`Source::next_frame`]. Until then, 32 frames are kept. If the device sends
+/// more while the host is starting up, the stream begins with the next frame, and no earlier frame counts as lost.
 #[derive(Debug)]
 pub struct StreamSource {
     name: String,
@@ -48,16 +47,15 @@ pub struct StreamSource {
     shared: Arc<Shared>,
     ended: Receiver<()>,
     delivered: u64,
-    /// Losses before the stream began, lost and bad.
+    /// Lost and bad frames before the stream began.
     before: (u64, u64),
 }
 
 impl StreamSource {
-    /// Connects and waits until the device has said how many channels it has.
+    /// Connects, and waits for the device to report its number of channels.
     ///
     /// # Errors
-    /// [`DeviceError::SourceFailed`] where that has not happened within [`StreamOptions::patience`], with the last
-    /// reason.
+    /// [`DeviceError::SourceFailed`] with the last reason if that takes longer than [`StreamOptions::patience`].
     pub fn open(
         connect: Box<dyn Connect>,
         dialogue: Box<dyn Dialogue>,
@@ -73,7 +71,7 @@ impl StreamSource {
             .name(format!("read {name}"))
             .spawn(move || {
                 session::run(connect, dialogue, inbox, options);
-                // Nobody waits for it if the source has gone already.
+                // The source may be gone already.
                 let _ = ending.try_send(());
             })
             .map_err(|error| failed(format!("no thread to read it: {error}")))?;
@@ -86,8 +84,8 @@ impl StreamSource {
         }
     }
 
-    /// The first frame is asked for. Where more came by now than were kept, those stand before a gap and are passed
-    /// over.
+    /// Handles the first request for a frame. If frames have been discarded, those still in the queue precede a gap
+    /// and are skipped.
     fn begin(&mut self) {
         if self.shared.overflowed_unasked() {
             while let Ok(frame) = self.frames.try_recv() {
@@ -98,12 +96,12 @@ impl StreamSource {
         self.shared.set_early(false);
     }
 
-    /// What the device says that it is.
+    /// The device's description of itself.
     pub fn identity(&self) -> Option<String> {
         self.shared.identity()
     }
 
-    /// Connections made so far, the first one included.
+    /// Number of connections made, including the first.
     pub fn connections(&self) -> u64 {
         self.shared.connections()
     }
@@ -125,7 +123,7 @@ impl Source for StreamSource {
         match self.frames.recv_timeout(timeout) {
             Ok(mut next) => {
                 std::mem::swap(frame, &mut next);
-                // A full queue of spare frames only means that one is not needed.
+                // If the queue of spare frames is full, this one isn't needed.
                 let _ = self.spare.try_send(next);
                 self.delivered += 1;
                 Ok(SourceEvent::Frame)
@@ -148,13 +146,13 @@ impl Source for StreamSource {
     }
 }
 
-/// How long a source that is dropped waits for its thread to close the port.
+/// How long dropping a source waits for its thread to close the port.
 const GOODBYE: Duration = Duration::from_millis(500);
 
 impl Drop for StreamSource {
     fn drop(&mut self) {
         self.shared.stop();
-        // A thread that hangs in the system (a name that is not resolved) ends by itself later.
+        // A thread that hangs in a system call (for instance in name resolution) ends by itself later.
         let _ = self.ended.recv_timeout(GOODBYE);
     }
 }

@@ -1,21 +1,21 @@
-//! Times of a stream.
+//! Time limits of a stream.
 
 use std::time::Duration;
 
-/// How long a stream waits for what.
+/// Time limits and queue size of a stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StreamOptions {
-    /// For the first answer of the device.
+    /// Longest wait for the device's first answer.
     pub patience: Duration,
-    /// Without a byte before the connection is made anew.
+    /// Time without any byte before reconnecting.
     pub silence: Duration,
-    /// Without a whole frame, although bytes or damaged frames came, before the connection is made anew.
+    /// Time without a complete frame before reconnecting, although bytes or damaged frames arrive.
     pub frame: Duration,
-    /// Before the second attempt to connect; doubled with every further one.
+    /// Wait before the second attempt to connect. Doubles with each further attempt.
     pub first_wait: Duration,
-    /// At most, between attempts.
+    /// Longest wait between attempts.
     pub longest_wait: Duration,
-    /// Frames that may wait for the reader.
+    /// Queue size in frames.
     pub queue: usize,
 }
 

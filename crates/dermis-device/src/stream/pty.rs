@@ -1,4 +1,4 @@
-//! A pseudo-terminal: a serial line of this machine, at whose other end a program stands instead of a board.
+//! A pseudo-terminal: a serial line within this machine, with a program in place of the board.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
@@ -6,9 +6,8 @@ use std::io::{self, ErrorKind, Read, Write};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-/// The board's end of a pseudo-terminal. Nothing here blocks: without bytes, or without room for them, reading and
-/// writing end with [`ErrorKind::WouldBlock`], and while nobody has the other end open with
-/// [`ErrorKind::NotConnected`].
+/// The board's end of a pseudo-terminal. Nothing here blocks. Reading and writing fail with [`ErrorKind::WouldBlock`]
+/// if there are no bytes or no room for them, and with [`ErrorKind::NotConnected`] while the other end isn't open.
 #[derive(Debug)]
 pub struct Pty {
     master: File,
@@ -16,10 +15,10 @@ pub struct Pty {
 }
 
 impl Pty {
-    /// A new one.
+    /// Opens a new pseudo-terminal.
     ///
     /// # Errors
-    /// What the system says.
+    /// The operating system's errors.
     pub fn open() -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
         grantpt(&master)?;
@@ -27,18 +26,18 @@ impl Pty {
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
         let path = ptsname(&master, Vec::new())?.into_string();
         let path = path.map_err(|_| io::Error::new(ErrorKind::InvalidData, "the terminal's path is no text"))?;
-        // Before the other end has been open once, the system would not say that nobody is there.
+        // The system only reports a missing peer after the other end has been open once.
         drop(open(path.as_str(), OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?);
         Ok(Self { master: File::from(master), path })
     }
 
-    /// The path at which programs open the other end, as a serial port.
+    /// Path of the other end, which programs open as a serial port.
     pub fn path(&self) -> &str {
         &self.path
     }
 }
 
-/// The system's error while nobody has the other end open.
+/// Translates the system's error for an unopened other end.
 fn told(result: io::Result<usize>) -> io::Result<usize> {
     let is_alone = |error: &io::Error| error.raw_os_error() == Some(rustix::io::Errno::IO.raw_os_error());
     match result {

@@ -1,5 +1,4 @@
-//! Serial ports: found by path or by the USB identity of what is plugged in, so that a board keeps its name whichever
-//! socket it is in.
+//! Serial ports, found by path or by USB identity. The latter works whichever socket a board is plugged into.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::Path;
@@ -12,28 +11,28 @@ use super::{Connect, Link};
 use crate::selector::SerialName;
 
 const READ: Duration = Duration::from_millis(20);
-/// Where neither user nor instrument says otherwise; boards on USB ignore it.
+/// Default baud rate, if neither user nor instrument sets one. Boards on USB ignore it.
 const BAUD: u32 = 115_200;
 
 /// A serial port of this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Port {
-    /// Path or name by which it is opened.
+    /// Path or name for opening the port.
     pub path: String,
-    /// Vendor and product number, where it is on USB.
+    /// USB vendor and product numbers, if it is on USB.
     pub usb: Option<(u16, u16)>,
-    /// Serial number that the USB device states.
+    /// Serial number of the USB device.
     pub serial: Option<String>,
-    /// What the USB device calls itself.
+    /// Product name of the USB device.
     pub product: Option<String>,
 }
 
 /// Serial ports of this machine, by path.
 ///
 /// # Errors
-/// What the system says.
+/// The operating system's errors.
 pub fn ports() -> io::Result<Vec<Port>> {
-    // Without this directory (a container, say) the listing would panic; there are no ports then.
+    // Without this directory (in a container, for instance) the listing would panic, and there are no ports.
     if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
         return Ok(Vec::new());
     }
@@ -65,12 +64,12 @@ pub struct SerialConnect {
 }
 
 impl SerialConnect {
-    /// A port by path or USB identity, at 115,200 bits/s where `baud` is not given.
+    /// A port by path or USB identity; the default for `baud` is 115,200 bits/s.
     pub fn new(name: impl Into<String>, port: SerialName, baud: Option<u32>) -> Self {
         Self { name: name.into(), port, baud: baud.unwrap_or(BAUD) }
     }
 
-    /// Looked for anew with every connection: a board that is plugged in again may get another path.
+    /// Looks up the path again for every connection: it may change when a board is plugged in again.
     fn path(&self) -> io::Result<String> {
         match &self.port {
             SerialName::Path(path) => Ok(path.clone()),
@@ -111,7 +110,7 @@ impl Link for SerialLink {
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         let mut rest = bytes;
-        // A port that takes nothing for a second has no device behind it.
+        // A port that accepts nothing for a second has no device behind it.
         for _ in 0..50 {
             if rest.is_empty() {
                 return Ok(());

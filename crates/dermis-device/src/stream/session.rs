@@ -1,4 +1,4 @@
-//! The reading thread: connect, talk until the connection ends, wait, and again, until told to stop.
+//! The reading thread: connects, talks until the connection ends, waits and repeats, until told to stop.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -7,9 +7,9 @@ use super::falling::Falling;
 use super::{Connect, Dialogue, Inbox, Link, StreamOptions};
 use crate::HostStamp;
 
-/// Longest sleep before looking whether to stop.
+/// Longest sleep between checks of the stop flag.
 const NAP: Duration = Duration::from_millis(20);
-/// Bytes taken from a port at once.
+/// Maximum number of bytes per read from the port.
 const CHUNK: usize = 64 * 1024;
 
 pub(super) fn run(
@@ -52,7 +52,7 @@ pub(super) fn run(
     }
 }
 
-/// Talks until told to stop (`Ok`) or the connection is of no further use (why).
+/// Runs one connection. Returns `Ok` when told to stop, or the reason why the connection is no longer usable.
 fn talk(
     link: &mut dyn Link,
     dialogue: &mut dyn Dialogue,
@@ -89,28 +89,29 @@ fn talk(
     }
     send.clear();
     dialogue.close(&mut send);
-    // The device may have gone; this is a courtesy.
+    // The device may be gone; this message is only a courtesy.
     let _ = link.write(&send);
     Ok(())
 }
 
-/// So many bytes without a whole frame are nothing that an instrument sends.
+/// Number of bytes without a complete frame that no instrument would send.
 const MOST_OWED: u64 = 256 * 1024;
-/// So many damaged frames in a row are no disturbance.
+/// Number of damaged frames in a row that a disturbance can't explain.
 const MOST_DAMAGED: u64 = 8;
-/// Instruments that are slower than this many deadlines a frame are not known.
+/// Longest time between frames expected of any instrument, in multiples of the deadline.
 const SLOWEST: u32 = 10;
 
-/// What a device owes: bytes came, and the whole frame that they are a part of did not yet.
+/// Watches for a device that sends bytes but no complete frames.
 struct Owed {
     name: String,
     damaged: Falling,
-    /// When the last whole frame came, frames and damaged ones by then, and bytes since.
+    /// Time of the last complete frame, followed by the numbers of frames and of damaged ones at that time, and the
+    /// number of bytes since.
     since: Instant,
     taken: u64,
     bad: u64,
     bytes: u64,
-    /// Damaged frames that were told of.
+    /// Number of damaged frames that have been logged.
     seen: u64,
     troubled: bool,
 }
@@ -121,12 +122,12 @@ impl Owed {
         Self { name, damaged, since, taken: 0, bad: 0, bytes: 0, seen: 0, troubled: false }
     }
 
-    /// A connection begins.
+    /// Restarts the watch, for a new connection or after a complete frame.
     fn begin(&mut self, inbox: &Inbox) {
         (self.since, self.taken, self.bad, self.bytes) = (Instant::now(), inbox.taken(), inbox.losses().1, 0);
     }
 
-    /// Bytes have been taken in.
+    /// Checks the deadline after `count` bytes have been processed.
     fn heard(&mut self, count: usize, inbox: &mut Inbox, frames_only: bool, patience: Duration) -> Result<(), String> {
         let bad = inbox.losses().1;
         if bad > self.seen {
@@ -152,7 +153,7 @@ impl Owed {
         self.troubled = true;
         let why = match (damaged, inbox.reason()) {
             (0, _) => {
-                // What came in place of frames is damage.
+                // Bytes that make up no frame count as damage.
                 inbox.bad(1);
                 self.seen += 1;
                 format!("{} bytes came", self.bytes)
@@ -168,7 +169,7 @@ impl Owed {
 mod tests {
     use super::*;
 
-    /// No deadline is reached within a test, and one that is over from the beginning.
+    /// A deadline that is never reached within a test, and one that has always passed.
     const NEVER: Duration = Duration::from_secs(3600);
     const OVER: Duration = Duration::ZERO;
 
@@ -227,7 +228,7 @@ mod tests {
         inbox.take(|frame| frame.values.push(1.0));
         assert_eq!(owed.heard(4, &mut inbox, false, OVER), Ok(()));
         assert_eq!(inbox.shared().problem(), None);
-        // What came before it is forgotten.
+        // Earlier bytes no longer count.
         assert_eq!(owed.heard(MOST_OWED as usize - 1, &mut inbox, false, OVER), Ok(()));
     }
 }

@@ -19,7 +19,7 @@ pub struct TcpConnect {
 }
 
 impl TcpConnect {
-    /// To a host by name or address, without brackets.
+    /// Connects to a host, given by name or address without brackets.
     pub fn new(name: impl Into<String>, host: impl Into<String>, port: u16) -> Self {
         Self { name: name.into(), host: host.into(), port }
     }
@@ -62,7 +62,7 @@ impl Link for TcpLink {
     }
 }
 
-/// A time that has passed, or a signal, is no end of the connection.
+/// A timeout or a signal doesn't end the connection.
 pub(super) fn nothing_yet(result: io::Result<usize>) -> io::Result<usize> {
     match result {
         Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {

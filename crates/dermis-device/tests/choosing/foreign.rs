@@ -1,4 +1,4 @@
-//! Files that SciPy, pandas, openpyxl and pyarrow wrote; `data/make.py` made them.
+//! Files written by SciPy, pandas, openpyxl and pyarrow; `data/make.py` creates them.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use dermis_device::{FileSpec, FrameTable, ReadOptions, read};
 const FRAMES: usize = 6;
 const CHANNELS: usize = 12;
 
-/// The readings in volts that every file holds.
+/// The reading in volts that every file contains for a frame and channel.
 fn volts(frame: usize, channel: usize) -> f64 {
     (1000 * (channel + 1) + 10 * frame) as f64 * 1e-6
 }
@@ -28,7 +28,7 @@ fn array(name: &str) -> ReadOptions {
     ReadOptions { array: Some(name.to_owned()), ..of_skin() }
 }
 
-/// Reads a file and compares every reading with `factor` times the volts, as precisely as the file holds them.
+/// Reads a file and compares every reading with `factor` times the volts, to the precision of the file.
 #[track_caller]
 fn check(name: &str, options: ReadOptions, factor: f64, precision: f64) -> FrameTable {
     let table = try_read(name, options).unwrap_or_else(|error| panic!("{error}"));

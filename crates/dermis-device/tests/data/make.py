@@ -1,11 +1,11 @@
-"""Makes the files beside it: small tables of frames as SciPy, openpyxl, pandas and pyarrow write them.
+"""Creates the files in this folder: small tables of frames, written by SciPy, openpyxl, pandas and pyarrow.
 
 Made with Python 3.11, numpy 2.4.6, scipy 1.17.1, pandas 3.1.1, openpyxl 3.1.5 and pyarrow 26.0.1:
 
     python make.py
 
-Every file holds the same six frames of twelve readings in volts, FRAMES[frame, channel], 20 ms apart, unless its line
-below says otherwise. The test module `foreign` computes the same numbers.
+Unless a comment below says otherwise, every file has the same six frames of twelve readings in volts, FRAMES[frame, channel],
+20 ms apart. The test module `foreign` computes the same numbers.
 """
 
 import datetime as dt
@@ -25,18 +25,18 @@ START = dt.datetime(2024, 3, 1, 14, 7, 12)
 
 
 def matlab():
-    # One array, not compressed.
+    # A single uncompressed array.
     scipy.io.savemat("plain.mat", {"frames": FRAMES})
-    # Compressed, single precision, with times, text and a calibration beside it.
+    # Compressed, single precision, with times, text and a calibration.
     scipy.io.savemat(
         "with_times.mat",
         {"v": FRAMES.astype(np.float32), "time_s": TIMES_S, "operator": "nobody", "gain": np.eye(3)},
         do_compression=True,
     )
-    # Channels x frames in a structure, as EIDORS keeps measurements, compressed.
+    # Channels x frames in a compressed structure, as EIDORS stores measurements.
     data = {"name": "run 1", "meas": FRAMES.T, "time": TIMES_S, "elec": {"z_contact": 0.01 * np.ones((4, 1))}}
     scipy.io.savemat("structure.mat", {"vi": data}, do_compression=True)
-    # Whole microvolts, complex readings, drives x measurements, one frame as a column.
+    # Whole microvolts, complex readings, drives x measurements, and a single frame as a column.
     scipy.io.savemat(
         "kinds.mat",
         {
@@ -47,9 +47,9 @@ def matlab():
             "column": FRAMES[:1].T,
         },
     )
-    # What cannot be read: text and cells alone.
+    # Nothing readable: only text and cells.
     scipy.io.savemat("words.mat", {"label": "abc", "cells": np.array([[1, "a"]], dtype=object)})
-    # As a big-endian machine writes it: by hand, as SciPy writes the machine's own order; it reads it back below.
+    # Big-endian file, built by hand because SciPy writes the machine's own byte order. SciPy reads it back below.
     body = b"".join(
         (
             struct.pack(">IIII", 6, 8, 6, 0),
@@ -65,7 +65,7 @@ def matlab():
 
 
 def excel():
-    # As pandas writes a table: an index, numeric headers.
+    # A table as pandas writes it, with an index and numeric headers.
     pd.DataFrame(FRAMES).to_excel("pandas.xlsx", sheet_name="Sheet1")
     # Dates, names with units in millivolts, a title, an offset, an empty cell, and other sheets.
     book = openpyxl.Workbook()
@@ -86,7 +86,7 @@ def excel():
     settings.append(["amplitude (mA)", "frequency (Hz)"])
     settings.append([1.0, 10000])
     book.save("book.xlsx")
-    # Formulas that no program has worked out, and a cell with an error.
+    # Formulas without calculated values, and a cell with an error.
     book = openpyxl.Workbook()
     sheet = book.active
     for frame in range(COUNT):
@@ -113,14 +113,14 @@ def parquet():
     full.to_parquet("pandas.parquet", row_group_size=4)
     # An index of times.
     table.set_index(pd.Index(TIMES_S, name="time_s")).to_parquet("index.parquet")
-    # pyarrow: zstd, one list a frame, in single precision, with counts.
+    # pyarrow: zstd, one list per frame, in single precision, with counts.
     lists = pa.array(FRAMES.astype(np.float32).tolist(), pa.list_(pa.float32()))
     pq.write_table(pa.table({"frame": list(range(COUNT)), "voltages": lists}), "lists.parquet", compression="zstd")
-    # The same with one frame a reading short.
+    # The same, with one frame a reading short.
     short = FRAMES.tolist()
     short[3] = short[3][:-1]
     pq.write_table(pa.table({"voltages": pa.array(short)}), "short.parquet", compression="gzip")
-    # Whole numbers, dates in milliseconds, lz4.
+    # Integers, dates in milliseconds, lz4.
     whole = {name: np.round(FRAMES[:, c] * 1e6).astype(np.int32) for c, name in enumerate(names)}
     when = pa.array(stamps, pa.timestamp("ms", tz="UTC"))
     pq.write_table(pa.table({"when": when, **whole}), "whole.parquet", compression="lz4")

@@ -1,5 +1,5 @@
-//! Tables written in every way that spreadsheets, loggers and libraries write them, whole and damaged: what is read is what
-//! was written, or an error.
+//! Tables in every style that spreadsheets, loggers and libraries use, intact or damaged. The result is either the
+//! original table or an error.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -8,7 +8,7 @@ use dermis_device::{Format, FrameSelect, FrameTable, ReadOptions, decode_with};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
-/// How a table is written.
+/// Style of a table.
 #[derive(Debug, Clone)]
 struct Way {
     separator: &'static str,
@@ -114,10 +114,10 @@ fn ways() -> impl Strategy<Value = Way> {
             let is_comma = separator.trim() == ",";
             Way {
                 separator,
-                // Commas between commas cannot be told apart, unless cells are quoted.
+                // Decimal commas between commas are ambiguous, unless cells are quoted.
                 has_comma: has_comma && (!is_comma || quoted),
                 header,
-                // A date with a blank in it is two cells between blanks.
+                // With blanks as separators, a date that contains a blank is two cells.
                 leading: if is_spaced && leading == Leading::Dates { Leading::Seconds } else { leading },
                 has_trailing: has_trailing && !is_spaced,
                 encoding,
@@ -135,7 +135,7 @@ fn ways() -> impl Strategy<Value = Way> {
     )
 }
 
-/// Rows of readings: volts below 0.1, volts of either sign, counts of a converter, or of every size.
+/// Rows of readings: volts below 0.1, volts of either sign, ADC counts, or values of any magnitude.
 fn readings() -> impl Strategy<Value = Vec<Vec<Option<f64>>>> {
     let cell = |kind: usize| {
         let value = match kind {
@@ -196,7 +196,7 @@ impl Way {
             Leading::Milliseconds => Some("time_ms"),
             Leading::Dates => Some("timestamp"),
         };
-        // Between blanks a name without letters or with a blank is none.
+        // With blanks as separators, a name must have letters and no blanks.
         let lead = lead.map(|lead| match (self.separator.trim().is_empty() && self.separator != "\t", lead) {
             (true, "") => "index",
             (true, "Time (s)") => "time_s",
@@ -215,7 +215,7 @@ impl Way {
             Leading::None => None,
             Leading::Seconds => Some("s"),
             Leading::Milliseconds => Some("ms"),
-            // Between blanks there is no empty cell.
+            // With blanks as separators, there are no empty cells.
             _ if self.separator.trim().is_empty() && self.separator != "\t" => return vec![row(lead, &name)],
             _ => Some(""),
         };
@@ -294,7 +294,7 @@ impl Way {
     }
 }
 
-/// Frames that were read are a beginning of those written, or the whole.
+/// Checks that the frames are the first ones that were written, or all of them.
 fn holds(table: &FrameTable, rows: &[Vec<Option<f64>>]) -> Result<(), String> {
     if table.channels() != rows[0].len() || table.frames() > rows.len() {
         return Err(format!("{} instead of {} x {}", table.understood(), rows.len(), rows[0].len()));
@@ -313,7 +313,7 @@ fn holds(table: &FrameTable, rows: &[Vec<Option<f64>>]) -> Result<(), String> {
     Ok(())
 }
 
-/// The same few hundred tables with every run; `PROPTEST_CASES=20000 PROPTEST_RNG_SEED=7` makes as many others.
+/// The same few hundred tables in every run; `PROPTEST_CASES=20000 PROPTEST_RNG_SEED=7` makes that many others.
 fn cases() -> ProptestConfig {
     let mut config = ProptestConfig { failure_persistence: None, ..ProptestConfig::default() };
     if std::env::var_os("PROPTEST_CASES").is_none() {
@@ -333,7 +333,8 @@ proptest! {
         let content = way.write(&rows);
         let shown = || String::from_utf8_lossy(&content).into_owned();
         match (way.read(&content, rows[0].len()), way.damage) {
-            // Times without a name are taken for readings where nobody says how many there are: the count shows it.
+            // Times without a name are taken for readings if the number of channels isn't given. The channel count
+            // shows it.
             (Ok(table), _) if way.has_unnamed_times() && !way.is_told => {
                 prop_assert_eq!(table.channels(), rows[0].len() + 1, "{}", shown());
             }
@@ -351,12 +352,12 @@ proptest! {
             }
             (Ok(table), damage) => {
                 let result = if damage == Damage::CutOff {
-                    // The last number may be cut; what stands before it is right.
+                    // The last number may be cut off; everything before it is right.
                     holds_but_last(&table, &rows)
                 } else {
                     holds(&table, &rows)
                 };
-                // A cell that was missing has no mark to exchange.
+                // A missing cell has no decimal mark to exchange.
                 if let Err(error) = result {
                     return Err(TestCaseError::fail(format!("{damage:?}: {error}\n{}", shown())));
                 }
@@ -367,7 +368,7 @@ proptest! {
     }
 }
 
-/// As [`holds`], without the last row.
+/// As [`holds`], but ignores the last row.
 fn holds_but_last(table: &FrameTable, rows: &[Vec<Option<f64>>]) -> Result<(), String> {
     if table.frames() < rows.len() {
         return holds(table, rows);

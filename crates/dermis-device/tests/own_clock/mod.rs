@@ -1,5 +1,5 @@
-//! Connections whose time limits hang on what the device does and not on the speed of the machine: a device counts as
-//! silent only after the test has said that it stalls, and for a dialogue no time passes.
+//! Connections whose timeouts depend on the device's actions and not on the machine's speed. A device counts as silent
+//! only after the test stalls it, and no time passes for a dialogue.
 
 use std::io;
 use std::sync::Arc;
@@ -9,29 +9,29 @@ use std::time::Duration;
 use dermis_device::stream::{Connect, Dialogue, Inbox, Link};
 use dermis_device::{HostStamp, Layout};
 
-/// What a test tells a connection, and learns of it.
+/// Signals between a test and a connection.
 #[derive(Debug, Clone, Default)]
 pub struct Events {
     connections: Arc<AtomicU64>,
-    /// The connection that stalls, counted from 1.
+    /// The stalled connection, counted from 1.
     stalled: Arc<AtomicU64>,
     processed: Arc<AtomicU64>,
 }
 
 impl Events {
-    /// From now on the device counts as silent on the connection that it has now. What it wrote before still arrives.
+    /// Makes the device count as silent on its current connection from now on. Earlier bytes still arrive.
     pub fn stall(&self) {
         self.stalled.store(self.connections.load(Ordering::SeqCst), Ordering::SeqCst);
     }
 
-    /// Bytes that the host has read and made frames of, over all connections.
+    /// Number of bytes that the host has read and processed, over all connections.
     #[allow(dead_code, reason = "not every test waits for them")]
     pub fn processed(&self) -> u64 {
         self.processed.load(Ordering::SeqCst)
     }
 }
 
-/// Connections by another, with these events.
+/// Wraps another kind of connection and reports these events.
 pub struct EventConnect<C> {
     pub inner: C,
     pub events: Events,
@@ -53,7 +53,7 @@ struct EventLink {
     inner: Box<dyn Link>,
     events: Events,
     number: u64,
-    /// Bytes of the last read, which the dialogue has taken when the next one is asked for.
+    /// Number of bytes in the last read. The dialogue has processed them when the next read begins.
     read: u64,
 }
 
@@ -61,7 +61,7 @@ impl Link for EventLink {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         self.events.processed.fetch_add(std::mem::take(&mut self.read), Ordering::SeqCst);
         loop {
-            // Looked at before reading: what was written before the stall is read first.
+            // Check before reading, so that bytes from before the stall are read first.
             let is_stalled = self.events.stalled.load(Ordering::SeqCst) == self.number;
             let count = self.inner.read(buffer)?;
             if count > 0 || is_stalled {
@@ -76,7 +76,7 @@ impl Link for EventLink {
     }
 }
 
-/// A dialogue for which no time passes: it neither asks again nor gives up.
+/// A dialogue for which no time passes: it neither repeats requests nor gives up.
 pub struct Timeless<D>(pub D);
 
 impl<D: Dialogue> Dialogue for Timeless<D> {

@@ -1,4 +1,4 @@
-//! A stand-in for a Sciospec instrument behind a socket: it executes what it is told and measures what it was told to.
+//! A stand-in for a Sciospec instrument behind a socket. It executes commands and measures as configured.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -11,7 +11,7 @@ use dermis_device::{Frame, Layout, Source, SourceEvent, open_sciospec, open_stre
 
 const FRAMES: usize = 20;
 
-/// What was set when the instrument was started, and whether it was stopped.
+/// Settings at the instrument's start, and whether it was stopped.
 #[derive(Debug, Default, PartialEq)]
 struct Told {
     injections: Vec<(u8, u8)>,
@@ -63,7 +63,7 @@ fn command(stream: &mut TcpStream) -> Vec<u8> {
     bytes
 }
 
-/// A frame of sixteen electrodes; channels 17 to 32 are sent as well.
+/// A frame of sixteen electrodes; channels 17 to 32 are sent too.
 fn measured(frame: usize, injections: &[(u8, u8)]) -> Vec<u8> {
     let mut bytes = Vec::new();
     for injection in injections {

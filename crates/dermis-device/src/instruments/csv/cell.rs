@@ -1,6 +1,6 @@
 //! One cell of a text table: a number, a missing reading, a complex reading, or neither.
 
-/// The mark between whole and broken part.
+/// Mark between integer and fractional part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::instruments) enum Decimal {
     Point,
@@ -35,9 +35,9 @@ const POWERS: [f64; 23] = [
 /// Largest mantissa that a double holds exactly.
 const EXACT: u64 = 1 << 53;
 
-/// The number at the start of `bytes`, and the bytes it takes. The value is the double nearest to the decimal: a mantissa
-/// and a power of ten that are both exact give it by one product or quotient (Clinger 1990), and the rest goes through the
-/// standard library.
+/// The number at the start of `bytes`, and its length in bytes. The value is the double nearest to the decimal number.
+/// If mantissa and power of ten are both exact, a single product or quotient gives it (Clinger 1990). Other numbers go
+/// through the standard library.
 #[inline]
 pub(in crate::instruments) fn leading_number(bytes: &[u8], mark: u8) -> Option<(f64, usize)> {
     let is_negative = bytes.first() == Some(&b'-');
@@ -58,7 +58,7 @@ pub(in crate::instruments) fn leading_number(bytes: &[u8], mark: u8) -> Option<(
             at += 1;
         }
         power -= (at - fraction) as i32;
-        // "1," is a number and a separator.
+        // "1," is a number followed by a separator.
         if mark == b',' && at == fraction {
             at -= 1;
         }
@@ -92,7 +92,7 @@ pub(in crate::instruments) fn leading_number(bytes: &[u8], mark: u8) -> Option<(
     Some((if is_negative { -value } else { value }, at))
 }
 
-/// A cell's value, NaN for a missing reading, or what it should have been.
+/// A cell's value, NaN for a missing reading. The error says what was expected.
 pub(in crate::instruments) fn number(cell: &str, decimal: Decimal) -> Result<f64, &'static str> {
     match leading_number(cell.as_bytes(), decimal.mark()) {
         Some((value, length)) if length == cell.len() => {
@@ -103,7 +103,7 @@ pub(in crate::instruments) fn number(cell: &str, decimal: Decimal) -> Result<f64
     if MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word)) {
         return Ok(f64::NAN);
     }
-    // The minus sign of typesetting.
+    // Typographic minus sign.
     if let Some(rest) = cell.strip_prefix('\u{2212}') {
         return number(rest, decimal).map(|value| -value);
     }
@@ -114,11 +114,11 @@ pub(in crate::instruments) fn number(cell: &str, decimal: Decimal) -> Result<f64
     }
 }
 
-/// Both parts of a complex cell: `a+bj`, `bj`, with `i` for `j`, in parentheses or not; a part may be `nan`.
+/// Both parts of a complex cell: `a+bj` or `bj`, with `i` or `j`, with or without parentheses. A part may be `nan`.
 pub(in crate::instruments) fn complex(cell: &str) -> Option<[f64; 2]> {
     let bare = cell.strip_prefix('(').and_then(|cell| cell.strip_suffix(')')).unwrap_or(cell);
     let body = bare.strip_suffix(['j', 'i', 'J', 'I'])?;
-    // The last sign that is not of an exponent.
+    // The last sign that doesn't belong to an exponent.
     let mut signs = body.char_indices().filter(|(at, c)| "+-".contains(*c) && !body[..*at].ends_with(['e', 'E']));
     let (real, imaginary) = body.split_at(signs.next_back().map_or(0, |(at, _)| at));
     // NumPy writes `1+-2j`.

@@ -1,28 +1,28 @@
-//! What the columns of a table of frames are: readings, their parts, the frames' times and numbers, or nothing of use.
+//! Roles of the columns in a table of frames: readings or parts of them, times, frame numbers, or nothing useful.
 
 use super::scan::Table;
 use super::sketch::Kind;
 use crate::{DeviceError, FrameItem, FrameSelect};
 use std::path::Path;
 
-/// What one column is.
+/// Role of a column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Role {
-    /// A reading; times this it is in volts (or ohms).
+    /// A reading. Multiply by `scale` for volts (or ohms).
     Reading { scale: f64 },
-    /// Seconds, where the unit is known.
+    /// A time, with its unit in seconds if known.
     Time { unit_s: Option<f64> },
     /// A date or a time of day.
     Stamp,
-    /// The frame's number.
+    /// The frame number.
     Sequence,
-    /// One of the clocks of `dermis export`.
+    /// One of the clock columns that `dermis export` writes.
     Clock,
-    /// Counts rows or holds words.
+    /// A row count or words; ignored.
     LeftOut,
 }
 
-/// Which part of a complex reading a column is.
+/// Part of a complex reading in a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Part {
     Real,
@@ -31,7 +31,7 @@ pub(super) enum Part {
     Phase,
 }
 
-/// The columns before the readings that `dermis export` writes.
+/// Columns that `dermis export` writes before the readings.
 const CLOCKS: [&str; 3] = ["device_time_ns", "host_monotonic_ns", "host_wall_ns"];
 
 const TIMES: [&str; 20] = [
@@ -82,7 +82,7 @@ const COUNTS: [&str; 22] = [
     "record",
 ];
 
-/// A column's name without its unit, and the unit: `Time (s)` is `time` and `s`, `ch1_mV` is `ch1` and `mV`.
+/// Splits a column's name from its unit: `Time (s)` becomes `time` and `s`, `ch1_mV` becomes `ch1` and `mV`.
 pub(super) fn split_unit(name: &str) -> (String, Option<&str>) {
     let name = name.trim();
     let bracket = |open: char, close: char| {
@@ -121,7 +121,7 @@ fn time_unit_s(unit: &str) -> Option<f64> {
     })
 }
 
-/// What makes volts of the unit, or ohms.
+/// Factor from a unit to volts or ohms.
 pub(super) fn scale_of(unit: &str) -> Option<f64> {
     Some(match unit {
         "V" | "v" | "volt" | "volts" | "Volt" | "Volts" | "Ohm" | "ohm" | "ohms" | "Ohms" | "\u{3a9}" | "\u{2126}" => {
@@ -135,7 +135,7 @@ pub(super) fn scale_of(unit: &str) -> Option<f64> {
     })
 }
 
-/// What makes radians of the unit.
+/// Factor from a unit to radians.
 pub(super) fn angle(unit: &str) -> Option<f64> {
     Some(match unit {
         "deg" | "°" | "degree" | "degrees" | "Deg" | "grad" | "Grad" => std::f64::consts::PI / 180.0,
@@ -145,7 +145,7 @@ pub(super) fn angle(unit: &str) -> Option<f64> {
     })
 }
 
-/// Which part of a complex reading a name speaks of.
+/// Part of a complex reading that a name refers to.
 pub(super) fn part_of(name: &str) -> Option<Part> {
     if name.starts_with('|') && name[1..].contains('|') {
         return Some(Part::Magnitude);
@@ -160,7 +160,7 @@ pub(super) fn part_of(name: &str) -> Option<Part> {
     })
 }
 
-/// The columns that a user chose for readings: names, indices from 0, half-open ranges.
+/// Columns that the user chose as readings: names, indices from 0, half-open ranges.
 pub(super) fn chosen(table: &Table, columns: &FrameSelect, file: &Path) -> Result<Option<Vec<usize>>, DeviceError> {
     let FrameSelect::Listed(items) = columns else { return Ok(None) };
     let count = table.sketch.columns;
@@ -188,7 +188,7 @@ pub(super) fn chosen(table: &Table, columns: &FrameSelect, file: &Path) -> Resul
     Ok(Some(chosen))
 }
 
-/// What every column is, and notes on those that are no readings.
+/// Determines every column's role, and adds notes on columns that aren't readings.
 pub(super) fn roles(table: &Table, chosen: Option<&[usize]>, wanted: &[usize], notes: &mut Vec<String>) -> Vec<Role> {
     let columns = table.sketch.columns;
     let numeric = table.sketch.kinds.iter().filter(|kind| **kind == Kind::Number).count();
@@ -208,7 +208,7 @@ pub(super) fn roles(table: &Table, chosen: Option<&[usize]>, wanted: &[usize], n
         let what = if table.sketch.kinds[column] == Kind::Words { "words" } else { "numbers of rows" };
         notes.push(format!("{} left out: {what}", called(table, column)));
     }
-    // A first column without a name: numbers of rows, or times. Frames of as many readings have none.
+    // An unnamed first column holds row numbers or times, unless a frame has as many readings with it as expected.
     let readings = roles.iter().filter(|role| matches!(role, Role::Reading { .. })).count();
     let is_unnamed = table.name(0).is_none_or(|name| name.is_empty() || name.to_lowercase().starts_with("unnamed"));
     if matches!(roles[0], Role::Reading { .. }) && readings > 1 && is_unnamed && !wanted.contains(&readings) {
@@ -227,7 +227,7 @@ pub(super) fn roles(table: &Table, chosen: Option<&[usize]>, wanted: &[usize], n
     roles
 }
 
-/// How a column is called in messages.
+/// Description of a column for messages.
 pub(super) fn called(table: &Table, column: usize) -> String {
     match table.name(column) {
         Some(name) if !name.is_empty() => format!("column `{name}`"),
@@ -235,7 +235,7 @@ pub(super) fn called(table: &Table, column: usize) -> String {
     }
 }
 
-/// Whole numbers that go up by one.
+/// True for integers that increase by one.
 fn is_count(values: &[f64]) -> bool {
     values.first().is_some_and(|first| *first >= 0.0 && first.fract() == 0.0)
         && values.windows(2).all(|pair| pair[1] == pair[0] + 1.0)
@@ -248,7 +248,7 @@ fn role_by_name(table: &Table, column: usize, numeric: usize) -> Role {
         Kind::Number => {}
     }
     let Some(name) = table.name(column) else { return Role::Reading { scale: 1.0 } };
-    // A table of one column has readings, whatever it is called.
+    // A single column holds readings, whatever its name.
     if numeric == 1 {
         return Role::Reading { scale: 1.0 };
     }
@@ -275,14 +275,14 @@ fn role_by_name(table: &Table, column: usize, numeric: usize) -> Role {
     Role::Reading { scale: unit.and_then(scale_of).unwrap_or(1.0) }
 }
 
-/// True of names of times, counts and clocks.
+/// True for the names of times, counts and clocks.
 pub(super) fn is_clock_or_count(name: &str) -> bool {
     let (base, _) = split_unit(name);
     let is_count = COUNTS.contains(&base.as_str()) || name == "sequence" || CLOCKS.contains(&name);
     is_count || time_unit(name, None).is_some()
 }
 
-/// Whether a name speaks of times, and their unit in seconds, where the name or `unit` states it.
+/// `Some` for the name of a time column. The inner value is the time unit in seconds, if the name or `unit` states it.
 pub(super) fn time_unit(name: &str, unit: Option<&str>) -> Option<Option<f64>> {
     let (base, own) = split_unit(name);
     if !TIMES.contains(&base.as_str()) && !base.starts_with("time ") {

@@ -1,4 +1,4 @@
-//! Every row of a text table as numbers, once it is known what the table is like.
+//! Reads every row of a text table as numbers, once its structure is known.
 
 use std::path::Path;
 
@@ -11,31 +11,31 @@ use crate::instruments::times::{Stamp, stamp};
 use crate::{DeviceError, ReadOptions};
 
 pub(super) const EXPECTED: &str = "a text table of numbers";
-/// Most columns of a table: more than 1024 electrodes give with any pattern in use.
+/// Maximum number of columns: more than any common pattern yields with 1024 electrodes.
 pub(super) const MOST_COLUMNS: usize = 1 << 21;
-/// Most bytes of a line for each of its columns: numbers written out in full with blanks around.
+/// Maximum bytes of a line per column: enough for numbers written out in full, with blanks around them.
 const MOST_CELL_BYTES: usize = 1100;
-/// A column of integers that no double holds.
+/// Name of a column whose integers are too large for a double.
 pub(in crate::instruments) const WALL_NS: &str = "host_wall_ns";
 
-/// A table, read.
+/// A table with its contents.
 #[derive(Debug)]
 pub(in crate::instruments) struct Table {
     pub(super) sketch: Sketch,
-    /// Rows x columns, row-major; NaN where a cell is empty or no number.
+    /// Rows x columns, row-major. NaN for cells that are empty or not numbers.
     pub(super) values: Vec<f64>,
-    /// Imaginary part of every cell up to the last complex one; empty without any.
+    /// Imaginary parts of all cells up to the last complex one; empty if no cell is complex.
     pub(super) imaginary: Vec<f64>,
-    /// Dates, times of day and `host_wall_ns`: column, and one for each row.
+    /// Columns of dates, times of day and `host_wall_ns`: column index, and one value per row.
     pub(super) stamps: Vec<(usize, Vec<Option<Stamp>>)>,
-    /// Rows between blank lines, where they are equally many everywhere.
+    /// Number of rows between blank lines, if it is the same everywhere.
     pub(super) rows_in_group: Option<usize>,
     pub(super) encoding: Option<&'static str>,
 }
 
 impl Table {
-    /// Builds a table from named columns, as binary files hold them. `values` is row-major, NaN in columns without numbers;
-    /// `stamps` lists the columns of moments.
+    /// Builds a table from the named columns of a binary file. `values` is row-major, with NaN in columns without
+    /// numbers. `stamps` lists the columns of dates and times.
     pub(in crate::instruments) fn of_columns(
         names: Vec<String>,
         kinds: Vec<Kind>,
@@ -50,17 +50,17 @@ impl Table {
         self.values.len() / self.sketch.columns
     }
 
-    /// Name of a column, where there is a header.
+    /// Name of a column, if there is a header.
     pub(super) fn name(&self, column: usize) -> Option<&str> {
         self.sketch.header.as_ref().and_then(|(_, names)| names.get(column)).map(String::as_str)
     }
 }
 
-/// Why there is no table.
+/// Reason why a text yields no table.
 pub(super) enum Refusal {
-    /// The lines are of another kind; they may hold frames nevertheless.
+    /// The lines aren't rows of a table, but may still hold frames.
     OtherLines,
-    /// What is wrong, and where.
+    /// An error with its place.
     Error(DeviceError),
 }
 
@@ -70,7 +70,7 @@ impl From<DeviceError> for Refusal {
     }
 }
 
-/// The lines with cells, by their number from 1: no blank lines and no comments.
+/// The lines that hold cells, with their numbers from 1. Blank lines and comments are skipped.
 pub(super) fn lines<'a>(text: &'a str, skip_rows: usize) -> impl Iterator<Item = Line<'a>> {
     numbered(text, skip_rows).filter(|(_, line)| !line.is_empty() && !is_comment(line))
 }
@@ -85,12 +85,12 @@ fn is_comment(line: &str) -> bool {
     line.starts_with(['#', '%']) || is_separator_note(line)
 }
 
-/// `sep=;`, which tells Excel.
+/// True for `sep=;`, a hint for Excel.
 fn is_separator_note(line: &str) -> bool {
     line.len() == 5 && line.get(..4).is_some_and(|start| start.eq_ignore_ascii_case("sep="))
 }
 
-/// Looks at a text and finds what its table is like.
+/// Infers the structure of a text's table.
 pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<Sketch, Refusal> {
     let mut lines = lines(text, options.skip_rows).peekable();
     let empty = || DeviceError::Empty { file: file.to_owned() };
@@ -128,16 +128,16 @@ pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<S
     })
 }
 
-/// Reads a whole text.
+/// Reads the whole text.
 pub(super) fn scan(text: &Text, file: &Path, options: &ReadOptions) -> Result<Table, Refusal> {
     let sketch = sketch(&text.text, file, options)?;
     let has_comma = |error: &DeviceError| {
-        // A count that has grown to 1,000 is no fraction.
+        // A count that has reached 1,000 is not a fraction.
         matches!(error, DeviceError::Cell { found, .. } if found.contains(',') && !looks_like_thousands(found, Decimal::Comma))
     };
     let can_have_comma = sketch.decimal == Decimal::Point && sketch.separator != Separator::Mark(b',');
     match rows(text, sketch.clone(), file, options) {
-        // The first rows held whole numbers alone.
+        // Decimal commas may have gone unnoticed because the first rows had only integers.
         Err(error) if can_have_comma && has_comma(&error) => {
             rows(text, Sketch { decimal: Decimal::Comma, ..sketch }, file, options).map_err(|_| error.into())
         }
@@ -158,7 +158,7 @@ fn rows(text: &Text, sketch: Sketch, file: &Path, options: &ReadOptions) -> Resu
             groups.end(std::mem::take(&mut in_group));
         } else if !is_comment(text_of_line) {
             if in_group == 0 && reader.values.is_empty() {
-                // As many rows as fit if all are as long as this one.
+                // Number of rows if all are as long as this one.
                 reader.values.reserve(sketch.columns * (1 + text.text.len() / (text_of_line.len() + 1)));
             }
             reader.row(line, text_of_line)?;
@@ -173,7 +173,7 @@ fn rows(text: &Text, sketch: Sketch, file: &Path, options: &ReadOptions) -> Resu
     Ok(Table { sketch, values, imaginary, stamps, rows_in_group: groups.size(), encoding: text.encoding })
 }
 
-/// Runs of rows between blank lines.
+/// Groups of rows between blank lines.
 #[derive(Default)]
 struct Groups {
     count: usize,
@@ -196,7 +196,7 @@ impl Groups {
     }
 }
 
-/// Takes rows one by one.
+/// Collects rows one by one.
 struct Rows<'a> {
     file: &'a Path,
     sketch: &'a Sketch,
@@ -265,7 +265,7 @@ impl Rows<'_> {
                 break;
             }
             at = end + 1;
-            // A separator at the very end: an empty cell, or none where all lines end so.
+            // A separator at the very end adds an empty cell, unless all lines end with one.
             if at == bytes.len() && !is_spaced {
                 if !has_trailing {
                     if count == columns {
@@ -283,7 +283,7 @@ impl Rows<'_> {
         Err(DeviceError::Ragged { file: file.to_owned(), line, expected: columns, found: count })
     }
 
-    /// A cell that is no plain number.
+    /// Reads a cell that isn't a plain number.
     fn slow(&mut self, line: usize, column: usize, cell: &str) -> Result<(), DeviceError> {
         let fail = |expected| {
             let file = self.file.to_owned();

@@ -1,25 +1,25 @@
-//! What stands between the cells of a line.
+//! Separators between the cells of a line.
 
-/// What stands between cells.
+/// Separator between cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Separator {
-    /// One mark: a comma, a semicolon, a tab, a bar.
+    /// A single character: comma, semicolon, tab or bar.
     Mark(u8),
-    /// Any number of blanks.
+    /// One or more blanks.
     Spaces,
 }
 
 impl Separator {
-    /// In the order in which they are tried.
+    /// All separators, in the order in which they are tried.
     pub(super) const ALL: [Self; 5] =
         [Self::Mark(b'\t'), Self::Mark(b';'), Self::Mark(b','), Self::Mark(b'|'), Self::Spaces];
 
-    /// The cells of a line, without surrounding blanks and double quotes; marks between quotes are none.
+    /// The cells of a line, without surrounding blanks and double quotes. Separators inside quotes don't count.
     pub(super) fn cells(self, line: &str) -> Cells<'_> {
         Cells { line, at: Some(0), separator: self }
     }
 
-    /// The cell that begins at `start`, trimmed and without quotes, and where it ends.
+    /// The cell that begins at `start`, trimmed and unquoted, and the position of its end.
     pub(super) fn cell_at(self, line: &str, start: usize) -> (&str, usize) {
         let bytes = line.as_bytes();
         let mut is_quoted = false;
@@ -39,7 +39,7 @@ impl Separator {
 /// The cells of one line.
 pub(super) struct Cells<'a> {
     line: &'a str,
-    /// Where the next cell begins; none after the last.
+    /// Start of the next cell; `None` after the last.
     at: Option<usize>,
     separator: Separator,
 }

@@ -1,24 +1,25 @@
-//! What a text table is like, told from its first lines: separator, decimal mark, where rows begin, what the columns are
-//! called and what each holds.
+//! The structure of a text table, inferred from its first lines: separator, decimal mark, first row, and the names and
+//! kinds of the columns.
 
 use super::cell::{Decimal, complex, number};
 use super::separator::Separator;
 use crate::instruments::times::stamp;
 
-/// Rows that are looked at.
+/// Maximum number of rows to inspect.
 const MOST_LINES: usize = 200;
-/// Fewest rows that are looked at, however long.
+/// Number of rows that are always inspected, whatever their length.
 const FEWEST_LINES: usize = 8;
-/// Bytes that are looked at beyond these.
+/// Total bytes after which no further row is inspected.
 const MOST_BYTES: usize = 1 << 18;
-/// Fewest consecutive whole numbers that are a header by themselves: no frame reads 0, 1, 2, ..., 7.
+/// Minimum run of consecutive integers that is always a header: no frame reads 0, 1, 2, ..., 7.
 const SURE_COUNT: usize = 8;
-/// Fewest consecutive whole numbers that are a header where all readings below have a broken part.
+/// Minimum run of consecutive integers that is a header if all readings below it have a fractional part.
 const LIKELY_COUNT: usize = 3;
-/// Fewest consecutive whole numbers that are a header unless the row below counts on, as in a table made by hand.
+/// Minimum run of consecutive integers that is a header unless the row below continues the count, as in a hand-made
+/// table.
 const SINGLE_COUNT: usize = 4;
 
-/// What a column holds.
+/// Kind of content in a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::instruments) enum Kind {
     /// Numbers, missing or complex readings.
@@ -29,7 +30,7 @@ pub(in crate::instruments) enum Kind {
     Words,
 }
 
-/// What one cell looks like.
+/// Appearance of a single cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Look {
     Number,
@@ -37,7 +38,7 @@ enum Look {
     Complex,
     Stamp,
     Word,
-    /// A word with a number in it that belongs to another notation: `V1:0.2`, `(0.1`.
+    /// A word that contains a number in some other notation: `V1:0.2`, `(0.1`.
     Tangled,
 }
 
@@ -66,43 +67,43 @@ impl Look {
     }
 }
 
-/// A line with cells, by its number from 1.
+/// A line with cells, and its number from 1.
 pub(super) type Line<'a> = (usize, &'a str);
 
-/// What a text table is like.
+/// Structure of a text table.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Sketch {
     pub separator: Separator,
     pub decimal: Decimal,
-    /// Cells in every row, without the empty one behind a separator at the line's end.
+    /// Cells per row. A separator at the end of a line adds no cell.
     pub columns: usize,
     pub kinds: Vec<Kind>,
-    /// Names in the header, and its line.
+    /// Line number and column names of the header.
     pub header: Option<(usize, Vec<String>)>,
-    /// Units in a line of their own below the names.
+    /// Units from a separate line below the names.
     pub units: Option<Vec<String>>,
-    /// Number of the first row's line.
+    /// Line number of the first row.
     pub first_line: usize,
-    /// Lines before the table that are no header.
+    /// Number of lines before the table, without the header.
     pub passed_over: usize,
-    /// Lines end in a separator.
+    /// True if every line ends in a separator.
     pub has_trailing: bool,
 }
 
-/// Why a text is no table that can be read.
+/// Reason why a text isn't a readable table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum NoTable {
     /// No line has a number.
     NoNumbers,
-    /// Its lines are of another kind: words, labels or brackets around the numbers.
+    /// The lines contain words, labels or brackets around the numbers.
     OtherLines,
-    /// The header has another number of names than the first row has cells.
+    /// The header's number of names differs from the first row's number of cells.
     Header { line: usize, names: usize, cells: usize },
-    /// A row before the others has another number of cells.
+    /// A row above the others has a different number of cells.
     Row { line: usize, cells: usize, usual: usize },
-    /// Decimal commas between commas: the line, and a cell.
+    /// Decimal commas in a table separated by commas: the line and a cell.
     CommaBetweenCommas { line: usize, cell: String },
-    /// Marks between thousands: the line, and a cell.
+    /// Thousands separators: the line and a cell.
     Thousands { line: usize, cell: String },
 }
 
@@ -110,7 +111,7 @@ struct Candidate {
     separator: Separator,
     decimal: Decimal,
     looks: Vec<Vec<Look>>,
-    /// Cells of most lines with numbers.
+    /// Most frequent number of cells in lines with numbers.
     width: usize,
     score: usize,
 }
@@ -120,7 +121,7 @@ impl Candidate {
         let looks: Vec<Vec<Look>> =
             lines.iter().map(|(_, line)| separator.cells(line).map(|cell| Look::of(cell, decimal)).collect()).collect();
         let with_numbers = || looks.iter().filter(|cells| is_row(cells));
-        // Of equally frequent widths the first one's.
+        // Ties go to the width that comes first.
         let widths: Vec<usize> = with_numbers().map(Vec::len).collect();
         let frequency = |width: usize| widths.iter().filter(|other| **other == width).count();
         let width = widths.iter().copied().rev().max_by_key(|width| frequency(*width)).unwrap_or(0);
@@ -129,14 +130,14 @@ impl Candidate {
         Self { separator, decimal, looks, width, score }
     }
 
-    /// Most rows have as many cells, and more than one.
+    /// True if most rows have the same number of cells, and more than one.
     fn is_regular(&self) -> bool {
         let rows = || self.looks.iter().filter(|cells| is_row(cells));
         self.width > 1 && 2 * rows().filter(|cells| cells.len() == self.width).count() > rows().count()
     }
 }
 
-/// Cells of a row: some readings, and no more words than other cells.
+/// True for the cells of a row: at least one reading, and at most half of the cells are words.
 fn is_row(cells: &[Look]) -> bool {
     let words = cells.iter().filter(|look| look.is_word()).count();
     cells.iter().any(|look| look.is_reading()) && 2 * words <= cells.len()
@@ -158,8 +159,8 @@ impl Sketch {
         }
     }
 
-    /// Looks at the first `lines` with cells; `comment` is the last comment before them, `wanted` says how many
-    /// readings a frame has, where that is known.
+    /// Infers the structure from the first `lines` with cells. `comment` is the last comment before them. `wanted`
+    /// lists the possible numbers of readings in a frame, if known.
     pub(super) fn of<'a>(
         lines: impl Iterator<Item = Line<'a>>,
         comment: Option<Line<'a>>,
@@ -188,9 +189,9 @@ impl Sketch {
         if 2 * tangled.max(wordy) > rows.len() {
             return Err(NoTable::OtherLines);
         }
-        // A numeric header is a row by its looks.
+        // A numeric header looks like a row.
         let numeric_header = rows.first().copied().filter(|&first| {
-            // Below names it is a frame.
+            // Directly below names it is a frame.
             if first > 0 && looks[first - 1].len() == width && is_names(&looks[first - 1]) {
                 return false;
             }
@@ -201,7 +202,7 @@ impl Sketch {
             Some(header) => *rows.iter().find(|&&row| row > header).ok_or(NoTable::NoNumbers)?,
             None => *rows.first().ok_or(NoTable::NoNumbers)?,
         };
-        // Frames without a single reading before the first one with some.
+        // Include leading frames in which every reading is missing.
         while first > 0
             && numeric_header.is_none_or(|header| first - 1 > header)
             && looks[first - 1].len() == width
@@ -209,7 +210,7 @@ impl Sketch {
         {
             first -= 1;
         }
-        // A row of another width before them is damaged; a few cells are a title.
+        // An earlier row with a different width is damaged, unless it is short enough to be a title.
         let damaged = |index: &usize| is_row(&looks[*index]) && 2 * looks[*index].len() >= width;
         if let Some(index) = (0..first).filter(|index| Some(*index) != numeric_header).find(damaged) {
             return Err(NoTable::Row { line: lines[index].0, cells: looks[index].len(), usual: width });
@@ -224,7 +225,7 @@ impl Sketch {
             Some(header) => Some((header, names_of(lines[header].1))),
             None => first.checked_sub(1).map(|above| (above, names_of(lines[above].1))),
         };
-        // A name stands over the last cell: it is a channel without readings.
+        // If the last column has a name, it is a channel without readings.
         has_trailing &= !head.as_ref().is_some_and(|(_, names)| names.len() == width && !names[width - 1].is_empty());
         let columns = width - usize::from(has_trailing);
         let kinds: Vec<Kind> = (0..columns).map(|column| kind_of(body.iter().map(|&row| looks[row][column]))).collect();
@@ -267,13 +268,13 @@ impl Sketch {
         Ok(sketch)
     }
 
-    /// Takes the line above the rows for a header if its names fit; a line of few cells is a title.
+    /// Uses the line above the rows as the header if its names fit. A line with few cells is a title.
     fn take_header(&mut self, line: usize, mut names: Vec<String>) -> Result<(), NoTable> {
         let columns = self.columns;
         if names.len() == columns + 1 && names.last().is_some_and(String::is_empty) {
             names.pop();
         }
-        // R names no column of row names.
+        // R writes no name above its column of row names.
         let has_row_names = columns > 2 && names.len() + 1 == columns && self.kinds[0] != Kind::Number;
         if has_row_names {
             names.insert(0, String::new());
@@ -289,18 +290,18 @@ impl Sketch {
     }
 }
 
-/// Separator and decimal mark that make the most numbers of the lines; of equal ones the first.
+/// The separator and decimal mark that yield the most numbers. Ties go to the first.
 fn best_candidate(lines: &[Line]) -> Option<Candidate> {
     let is_quoted = lines.iter().any(|(_, line)| line.contains('"'));
     let mut best: Option<Candidate> = None;
     for separator in Separator::ALL {
-        // Two tabs enclose an empty cell; a run of blanks is one separator.
+        // Two tabs in a row enclose an empty cell, but a run of blanks is a single separator.
         let is_tabbed = |best: &Candidate| best.separator == Separator::Mark(b'\t') && best.is_regular();
         if separator == Separator::Spaces && best.as_ref().is_some_and(is_tabbed) {
             continue;
         }
         for decimal in [Decimal::Point, Decimal::Comma] {
-            // A comma is a separator or a decimal mark, unless cells are quoted.
+            // A comma can't be both separator and decimal mark unless cells are quoted.
             if separator == Separator::Mark(b',') && decimal == Decimal::Comma && !is_quoted {
                 continue;
             }
@@ -313,12 +314,12 @@ fn best_candidate(lines: &[Line]) -> Option<Candidate> {
     best
 }
 
-/// Names: no cell is a reading, and one is a word.
+/// True for names: at least one cell is a word and none is a reading.
 fn is_names(looks: &[Look]) -> bool {
     !looks.iter().any(|look| look.is_reading()) && looks.iter().any(|look| look.is_word())
 }
 
-/// A line of units below the names: `s;V;V`, `(s),(mV)`.
+/// True for a line of units below the names: `s;V;V`, `(s),(mV)`.
 fn are_units(names: &[String]) -> bool {
     let units =
         ["s", "ms", "us", "µs", "ns", "v", "mv", "uv", "µv", "nv", "ohm", "kohm", "a", "ma", "hz", "deg", "rad", ""];
@@ -339,12 +340,12 @@ fn kind_of(looks: impl Iterator<Item = Look>) -> Kind {
     match (words, stamps, others) {
         (true, false, false) => Kind::Words,
         (false, true, false) => Kind::Stamp,
-        // What is no number in a column of numbers is an error that names its place.
+        // Anything else in a column of numbers becomes an error that names its place.
         _ => Kind::Number,
     }
 }
 
-/// Whole numbers that count on from 0 or 1, behind at most three cells that are none: what pandas writes over columns
+/// True for consecutive integers from 0 or 1, after up to three other cells. pandas writes such a header for columns
 /// without names.
 fn is_numeric_header(line: &str, below: &[&str], separator: Separator, decimal: Decimal) -> bool {
     let cells: Vec<&str> = separator.cells(line).collect();
@@ -369,8 +370,9 @@ fn is_numeric_header(line: &str, below: &[&str], separator: Separator, decimal: 
             || (counted.len() >= LIKELY_COUNT && all_broken()))
 }
 
-/// A cell that shows that decimal commas stand between commas, which nobody can tell apart: whole numbers alone, of which
-/// every second one is a fraction cut off, by zeros before it or by one length that is longer than the others.
+/// A cell showing that both decimal mark and separator are commas, which makes the table ambiguous. All cells must be
+/// integers. The second of each pair must look like the digits of a fraction: at least one starts with a zero, or all
+/// have the same length and the first ones are shorter.
 fn comma_between_commas<'a>(sketch: &Sketch, rows: impl Iterator<Item = &'a str>) -> Option<String> {
     if sketch.separator != Separator::Mark(b',')
         || sketch.decimal == Decimal::Comma
@@ -395,11 +397,12 @@ fn comma_between_commas<'a>(sketch: &Sketch, rows: impl Iterator<Item = &'a str>
     (is_fraction && sketch.columns >= 4).then(|| seconds().next().map_or_else(String::new, |cell| (*cell).to_owned()))
 }
 
-/// Fewest cells that show marks between thousands.
+/// Number of cells needed to recognise thousands separators.
 const SURE_THOUSANDS: usize = 3;
 
-/// A row and a cell that show marks between thousands: in one column, whole numbers below 1000 without the mark, and others
-/// that all have three digits behind it. Fractions would have it everywhere, or other counts of digits.
+/// A row and a cell showing thousands separators. Their column has integers below 1000 without the mark, and other
+/// numbers with exactly three digits after it. With decimal marks, all cells would have the mark, or the number of
+/// digits would vary.
 fn thousands(sketch: &Sketch, rows: &[&str]) -> Option<(usize, String)> {
     #[derive(Default)]
     struct Column {
@@ -429,7 +432,7 @@ fn thousands(sketch: &Sketch, rows: &[&str]) -> Option<(usize, String)> {
     found.first.filter(|_| marked >= SURE_THOUSANDS)
 }
 
-/// One to three digits, the mark, and three digits: `1,234`, but not `0,234`.
+/// True for one to three digits, the mark and three digits: `1,234`, but not `0,234`.
 pub(super) fn looks_like_thousands(cell: &str, decimal: Decimal) -> bool {
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
     cell.trim_start_matches('-').split_once(decimal.mark() as char).is_some_and(|(before, behind)| {

@@ -116,7 +116,7 @@ fn exported_frames_are_read_back_with_numbers_and_times() {
 #[test]
 fn complex_readings_stand_in_one_cell_as_numpy_and_matlab_write_them() {
     let decoded = |text: &str| decode(text.as_bytes(), Path::new("made.csv"));
-    // numpy.savetxt with and without a delimiter, MATLAB's writematrix, and a plain number among them.
+    // numpy.savetxt with and without a delimiter, MATLAB's writematrix, and a plain number among complex ones.
     for text in [
         "(1.5e+00+2.0e-01j),(-3e0+-4e0j)\n5,nan-1j\n",
         " (1.5+0.2j) (-3-4j)\n (5+0j) (nan-1j)\n",
@@ -135,7 +135,7 @@ fn complex_readings_stand_in_one_cell_as_numpy_and_matlab_write_them() {
         let message = decoded(&format!("3,4\n{broken}\n")).unwrap_err().to_string();
         assert!(message.starts_with("made.csv:2: column 2"), "{broken}: {message}");
     }
-    // Positions are no complex numbers.
+    // Positions can't be complex.
     assert!(message("1,2\n1+2j,3\n").contains("expected a number"), "{}", message("1,2\n1+2j,3\n"));
 }
 
@@ -158,17 +158,17 @@ fn a_header_of_numbers_is_no_frame() {
     let text = format!("{}\n{}\n{}\n", header.join(","), row(1), row(2));
     let table = read_for(&text, &[]).unwrap();
     assert_eq!((table.frames(), table.values()[0]), (2, 0.01));
-    // As pandas writes it, with its index.
+    // pandas writes it like this, with its index.
     let indexed = format!(",{}\n0,{}\n1,{}\n", header.join(","), row(1), row(2));
     let table = read_for(&indexed, &[]).unwrap();
     assert_eq!((table.frames(), table.channels(), table.values()[0]), (2, 10, 0.01));
     assert!(table.understood().contains("it counts the rows"), "{}", table.understood());
-    // Counts of a converter under it; rows that count on are a table made by hand.
+    // ADC counts below it. If the rows continue the count, the table was made by hand.
     let counts = read_for("0,1,2,3\n17,18,4,9\n20,19,5,9\n", &[]).unwrap();
     assert_eq!((counts.frames(), counts.values()[0]), (2, 17.0));
     assert_eq!(read_for("1,2,3,4\n5,6,7,8\n", &[]).unwrap().frames(), 2);
     assert_eq!(read_for("1,2,3\n7,5,6\n", &[]).unwrap().frames(), 2);
-    // A header alone is no frame.
+    // A header alone isn't a frame.
     assert!(read_for(&format!("{}\n", header.join(",")), &[]).unwrap_err().contains("found none"));
 }
 
@@ -191,10 +191,10 @@ fn marks_between_thousands_are_refused_with_their_place() {
             "{message}"
         );
     }
-    // Counts that grow later.
+    // Counts reach a thousand late in the file.
     let late: String = (0..300).map(|row| if row < 250 { "5;7\n" } else { "1,001;1,120\n" }).collect();
     assert!(read_for(&late, &[]).unwrap_err().starts_with("made.csv:251: column 1: expected a number"));
-    // Fractions have as many digits everywhere, or as many as they need.
+    // Fractions have the same number of digits everywhere, or as many as they need.
     for text in
         ["0;1,234\n1;2,345\n2;3,456\n", "1;1,234\n2,5;2,345\n2;3,456\n1,25;4,567\n", "5;0,125\n7;1,250\n0,1;3\n"]
     {

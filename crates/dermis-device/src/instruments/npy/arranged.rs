@@ -1,28 +1,28 @@
-//! Elements put in row-major order while they are read, so that no array is held twice.
+//! Reorders elements to row-major while they are read, so the array isn't in memory twice.
 
 use super::element::Element;
 
-/// The elements of an array, row-major, filled as they come.
+/// Elements of an array in row-major order, filled as they arrive.
 pub(in crate::instruments) struct Arranged {
     values: Vec<f64>,
-    /// None where elements come in row-major order.
+    /// `None` if the elements already arrive in row-major order.
     place: Option<Place>,
     part: Vec<f64>,
 }
 
-/// Where the next element of a column-major array belongs.
+/// Position of the next element of a column-major array.
 struct Place {
     shape: Vec<usize>,
-    /// Distance of neighbours along each dimension.
+    /// Stride along each dimension, in elements.
     strides: Vec<usize>,
     index: Vec<usize>,
     at: usize,
 }
 
 impl Arranged {
-    /// For an array whose elements number `count`, the product of its lengths.
+    /// For an array of `count` elements, the product of its dimensions.
     pub(in crate::instruments) fn new(shape: &[usize], count: usize, is_column_major: bool) -> Self {
-        // Vectors have one order.
+        // Vectors have the same layout in both orders.
         let is_vector = shape.iter().filter(|length| **length > 1).count() <= 1;
         if !is_column_major || is_vector || count == 0 {
             return Self { values: Vec::with_capacity(count), place: None, part: Vec::new() };
@@ -35,7 +35,7 @@ impl Arranged {
         Self { values: vec![0.0; count], place: Some(place), part: Vec::new() }
     }
 
-    /// Takes the next elements; `imaginary` takes the second halves of complex ones.
+    /// Appends elements. `imaginary` receives the imaginary parts of complex ones.
     pub(in crate::instruments) fn take(&mut self, element: Element, bytes: &[u8], imaginary: Option<&mut Self>) {
         let Some(place) = &mut self.place else {
             let mut none = Vec::new();

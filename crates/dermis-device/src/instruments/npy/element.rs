@@ -1,9 +1,9 @@
-//! Kinds of elements.
+//! Element types of NumPy arrays.
 
-/// What a header must say.
+/// Types that can be read, for messages.
 pub(super) const EXPECTED: &str = "'<' or '>' with f2, f4, f8, c8, c16, i1 to i8, u1 to u8, or |b1";
 
-/// A kind of number, and its byte order.
+/// A number type with its byte order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::instruments) struct Element {
     kind: Kind,
@@ -28,7 +28,7 @@ enum Kind {
 }
 
 impl Element {
-    /// Of NumPy's name, `<f8`.
+    /// Parses NumPy's name, such as `<f8`.
     pub(in crate::instruments) fn parse(name: &str) -> Option<Self> {
         let (order, kind) = name.split_at_checked(1)?;
         let kind = match kind {
@@ -55,7 +55,7 @@ impl Element {
         }
     }
 
-    /// Bytes of an element.
+    /// Size of an element in bytes.
     pub(in crate::instruments) fn size(self) -> usize {
         match self.kind {
             Kind::C16 => 16,
@@ -70,7 +70,7 @@ impl Element {
         matches!(self.kind, Kind::C16 | Kind::C8)
     }
 
-    /// Appends the elements of `bytes`, which holds whole ones.
+    /// Appends the elements in `bytes`, whose length must be a multiple of the element size.
     pub(in crate::instruments) fn decode(self, bytes: &[u8], values: &mut Vec<f64>, imaginary: &mut Vec<f64>) {
         macro_rules! numbers {
             ($number:ty, $size:literal) => {{

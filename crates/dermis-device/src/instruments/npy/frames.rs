@@ -1,4 +1,4 @@
-//! Which dimensions of an array count frames, and which make one.
+//! Decides which dimensions of an array count frames, and which make up a frame.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub(super) fn of(array: Array, file: &Path, options: &ReadOptions) -> Result<Fra
         }
         [count] => (count, None),
         [_, count] if wanted(count) => (count, None),
-        // One frame, drives by measurements.
+        // A single frame, drives x measurements.
         [_, count] if wanted(total) && count > 0 => (total, None),
         [frames, count] if options.looks_transposed(frames, count) => {
             return Err(DeviceError::Transposed { file: file.to_owned(), frames, channels: count });
@@ -62,7 +62,7 @@ pub(super) fn of(array: Array, file: &Path, options: &ReadOptions) -> Result<Fra
     Ok(frames.with_notes(notes))
 }
 
-/// Readings of a frame that is wrapped over several rows, where the skin's channels say so.
+/// Readings in a frame that is wrapped over several rows, if the skin's channel count implies that.
 fn wrapped(rows: usize, count: usize, options: &ReadOptions) -> Option<usize> {
     let fits = |wanted: &&usize| count > 0 && wanted.is_multiple_of(count) && rows.is_multiple_of(**wanted / count);
     options.channels.iter().find(fits).copied()
@@ -72,7 +72,7 @@ fn shape_text(shape: &[usize]) -> String {
     shorten(&shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x "))
 }
 
-/// The last dimension becomes the first.
+/// Moves the last dimension to the front.
 fn last_axis_first(array: Array) -> Array {
     let Some((&last, before)) = array.shape.split_last() else { return array };
     let turn = |values: Vec<f64>| -> Vec<f64> {

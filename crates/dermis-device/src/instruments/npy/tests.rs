@@ -119,7 +119,7 @@ fn what_is_written_reads_back_the_same() {
     assert_eq!(read(&path).unwrap().values.len(), 2, "a refused write must leave the old file");
 }
 
-/// Frames of an array of this shape whose elements count from 0, for a skin of the channels.
+/// Frames from an array of this shape with elements 0, 1, 2, ..., for a skin with these channel counts.
 fn shaped(shape: &str, count: usize, channels: &[usize]) -> Result<FrameTable, String> {
     let data: Vec<u8> = (0..count as u32).flat_map(u32::to_le_bytes).collect();
     let options = ReadOptions::default().with_channels(channels.iter().copied());
@@ -142,7 +142,7 @@ fn shapes_are_frames_as_the_skin_says() {
         assert_eq!((table.frames(), table.channels()), (frames, 8), "{shape}");
         assert!(table.values().iter().enumerate().all(|(index, value)| *value == index as f64));
     }
-    // Real and imaginary parts, as exported.
+    // Real and imaginary parts as `dermis export` writes them.
     let table = shaped("(3, 2, 4)", 24, &[4]).unwrap();
     assert_eq!((table.frames(), table.channels()), (3, 4));
     assert_eq!(table.imaginary_row(1), Some([12.0, 13.0, 14.0, 15.0].as_slice()));

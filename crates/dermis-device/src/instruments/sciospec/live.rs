@@ -1,36 +1,37 @@
-//! A Sciospec EIT16, EIT32 or larger over its serial (USB-FS) port or network socket, live.
+//! Live readings from a Sciospec EIT16, EIT32 or larger, over its serial (USB-FS) port or network socket.
 //!
-//! Every message is `[tag][length][data][tag]`. A command is answered by `18 01 CODE 18`. Measured data come as messages
-//! of tag `B4`: the group of sixteen channels, the two electrodes of the injection, the row of the frequency list, a time
-//! stamp, and sixteen complex potentials against the common ground, single precision, all big-endian. The instrument is
-//! told injections, amplitude, frequency and rate of the skin and started; it is stopped when the connection is closed.
+//! Every message is `[tag][length][data][tag]`. A command is answered by `18 01 CODE 18`. Measurements arrive in
+//! messages with tag `B4`: the group of sixteen channels, the two electrodes of the injection, the row of the
+//! frequency list, a time stamp, and sixteen complex potentials against the common ground, single precision, all
+//! big-endian. The host sets the skin's injections, amplitude, frequency and rate, and starts the instrument. It stops
+//! the instrument when the connection is closed.
 //!
-//! The manufacturer's manual is not public. This follows what two independent open-source clients agree on, the Python
-//! packages sciopy (University of Rostock) and eit_app (TU Braunschweig). What they leave open is left alone: the time
-//! stamp's unit, so that frames have the host's clock alone, and gain and range of the converter, which stay as a reset
-//! leaves them. Potentials are taken for volts, as in the instrument's `.eit` files.
+//! The manufacturer's manual is not public. This module follows what two independent open-source clients agree on: the
+//! Python packages sciopy (University of Rostock) and eit_app (TU Braunschweig). Where they leave something open, it
+//! isn't used. The unit of the time stamp is unknown, so frames only have the host's clock. Gain and converter range
+//! stay at their reset values. Potentials are assumed to be in volts, as in the instrument's `.eit` files.
 
 use std::time::Duration;
 
 use crate::stream::{Dialogue, Inbox};
 use crate::{DeviceError, HostStamp, Layout};
 
-/// Channels in a message of data.
+/// Number of channels in a data message.
 const GROUP: usize = 16;
-/// Bytes of data in such a message: group, injection, row, time stamp, potentials.
+/// Bytes of data in a data message: group, injection, row, time stamp, potentials.
 const DATA: usize = 1 + 2 + 2 + 4 + GROUP * 8;
-/// Longest wait for the answer to a command. A serial line of 9600 bits/s brings it in 5 ms.
+/// Longest wait for the answer to a command. A serial line at 9600 bits/s delivers it in 5 ms.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// Most electrodes of an instrument.
+/// Maximum number of electrodes of an instrument.
 const MOST_ELECTRODES: usize = 256;
 
-/// Tags of messages.
+/// Message tags.
 const ANSWER: u8 = 0x18;
 const SET: u8 = 0xb0;
 const OUTPUT: u8 = 0xb2;
 const MEASURE: u8 = 0xb4;
 
-/// Codes of answers.
+/// Answer codes.
 const NOT_EXECUTED: u8 = 0x81;
 const NOT_KNOWN: u8 = 0x82;
 const EXECUTED: u8 = 0x83;
@@ -38,18 +39,18 @@ const READY: u8 = 0x84;
 const BOOTED: u8 = 0x04;
 const HELD_UP: u8 = 0x92;
 
-/// What the instrument is told before it measures.
+/// Settings that the instrument gets before it measures.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LiveSetup {
-    /// Electrodes of the skin, plugged into the instrument's channels from 1 on.
+    /// Number of electrodes of the skin. They are plugged into the instrument's channels from 1 on.
     pub electrodes: usize,
-    /// Electrode (from 0) at which the current enters and electrode at which it leaves, for each injection; no pair twice.
+    /// Electrodes (from 0) where the current enters and leaves, for each injection. No pair may occur twice.
     pub injections: Vec<(usize, usize)>,
-    /// Amplitude of the current.
+    /// Amplitude of the current in amperes.
     pub amplitude_a: f64,
-    /// Frequency of the current; as the instrument's reset leaves it without one.
+    /// Frequency of the current. `None` leaves it at its reset value.
     pub frequency_hz: Option<f64>,
-    /// Frames in a second; as the instrument's reset leaves it without one.
+    /// Frame rate. `None` leaves it at its reset value.
     pub frames_per_s: Option<f64>,
 }
 
@@ -66,7 +67,7 @@ impl LiveSetup {
                 return Err(format!("{text}: expected two electrodes of {count}, and no pair twice"));
             }
         }
-        // What both clients allow: 100 nA to 10 mA.
+        // Range that both clients allow: 100 nA to 10 mA.
         if !(1e-7..=1e-2).contains(&self.amplitude_a) {
             return Err(format!("{} A; expected 1e-7 to 0.01 A", self.amplitude_a));
         }
@@ -77,13 +78,13 @@ impl LiveSetup {
         Ok(())
     }
 
-    /// Commands in the order in which they are sent, with what each is for.
+    /// Commands in the order in which they are sent, with their purposes.
     fn commands(&self) -> Vec<Command> {
         let mut commands = vec![
-            // A host that was unplugged may have left it measuring.
+            // If the previous host was unplugged, the instrument may still be measuring.
             Command::new("stop", MEASURE, &[0x00]).or_refused(),
             Command::new("reset its setup", SET, &[0x01]),
-            // Until it is stopped.
+            // The instrument measures until it is stopped.
             Command::new("measure without end", SET, &[0x02, 0, 0]),
         ];
         let mut with =
@@ -93,14 +94,14 @@ impl LiveSetup {
         }
         if let Some(hertz) = self.frequency_hz {
             let hertz = (hertz as f32).to_be_bytes();
-            // From, to, one frequency, linear.
+            // Start, stop, one frequency, linear.
             with("set its frequency", 0x04, &[&hertz[..], &hertz, &[0, 1, 0]].concat());
         }
         with("set its amplitude", 0x05, &self.amplitude_a.to_be_bytes());
         for (source, sink) in &self.injections {
             with("set an injection", 0x06, &[*source as u8 + 1, *sink as u8 + 1]);
         }
-        // Older instruments know no other mode, and not the command either.
+        // Older instruments don't know this command, and have no other mode.
         commands.push(Command::new("measure against ground", SET, &[0x08, 1, 1]).or_refused());
         commands.extend([1, 2, 3].map(|option| Command::new("state what it measures", OUTPUT, &[option, 1])));
         commands.push(Command::new("start", MEASURE, &[0x01]));
@@ -112,7 +113,7 @@ impl LiveSetup {
 struct Command {
     name: &'static str,
     bytes: Vec<u8>,
-    /// Refused, it changes nothing.
+    /// True if refusing the command does no harm.
     may_be_refused: bool,
 }
 
@@ -130,35 +131,35 @@ impl Command {
     }
 }
 
-/// The instrument, as a [`Dialogue`].
+/// A Sciospec instrument as a [`Dialogue`].
 #[derive(Debug)]
 pub struct SciospecHost {
     setup: LiveSetup,
     commands: Vec<Command>,
-    /// The command that is waited for; behind the last, the instrument measures.
+    /// Index of the command whose answer is awaited. After the last one, the instrument measures.
     at: usize,
-    /// When it was sent, since the connection was made; none before the first look at the clock.
+    /// When that command was sent, since the connection was made. `None` before the first tick.
     sent: Option<Duration>,
     received: Vec<u8>,
     frame: Assembly,
     sequence: u64,
 }
 
-/// A frame in progress.
+/// A partially received frame.
 #[derive(Debug, Default)]
 struct Assembly {
     real_v: Vec<f64>,
     imaginary_v: Vec<f64>,
-    /// Messages that came, injection by group.
+    /// Which messages have arrived, injection x group.
     has: Vec<bool>,
     begun: Option<HostStamp>,
 }
 
 impl SciospecHost {
-    /// A host that sets the instrument up so.
+    /// A host that applies this setup to the instrument.
     ///
     /// # Errors
-    /// [`DeviceError::Refused`] for a setup that no instrument takes.
+    /// [`DeviceError::Refused`] for a setup that no instrument supports.
     pub fn new(setup: LiveSetup) -> Result<Self, DeviceError> {
         setup.check().map_err(|reason| DeviceError::Refused { order: "Sciospec setup".to_owned(), reason })?;
         let commands = setup.commands();
@@ -187,7 +188,7 @@ impl SciospecHost {
         match code {
             EXECUTED => {}
             NOT_EXECUTED | NOT_KNOWN if command.may_be_refused => {}
-            // It says so by itself after being switched on.
+            // The instrument sends these by itself after being switched on.
             BOOTED | READY => return Ok(()),
             NOT_EXECUTED => return Err(format!("the instrument did not {}", command.name)),
             NOT_KNOWN => return Err(format!("the instrument does not know the command to {}", command.name)),
@@ -205,7 +206,7 @@ impl SciospecHost {
         let [group, source, sink, ..] = *data else { return };
         let (groups, electrodes) = (self.groups(), self.setup.electrodes);
         let group = usize::from(group).wrapping_sub(1);
-        // Groups of channels that are not plugged in are sent as well.
+        // The instrument also sends groups of channels that aren't plugged in.
         if group >= groups {
             return;
         }
@@ -233,7 +234,7 @@ impl SciospecHost {
         }
         self.frame.has[place] = true;
         let (numbers, _) = data[DATA - GROUP * 8..].as_chunks::<4>();
-        // A reading that is no number is missing.
+        // NaN and infinite readings are missing.
         let volt = |raw: &[u8; 4]| Some(f64::from(f32::from_be_bytes(*raw))).filter(|v| v.is_finite());
         let first = injection * electrodes + group * GROUP;
         for (channel, pair) in numbers.chunks_exact(2).take(electrodes - group * GROUP).enumerate() {
@@ -267,7 +268,7 @@ impl Dialogue for SciospecHost {
             let is_message = match tag {
                 ANSWER => length == 1,
                 MEASURE => usize::from(length) == DATA,
-                // Answers to what was not asked.
+                // Unexpected answers.
                 SET..=0xb3 | 0xb5..=0xbe | 0xd1 | 0xd2 => !self.is_measuring(),
                 _ => false,
             };
@@ -289,7 +290,7 @@ impl Dialogue for SciospecHost {
             }
         }
         self.received.extend_from_slice(&received[from..]);
-        // Before the first answer a connection may begin within a message.
+        // Until the first answer, the bytes may begin within a message.
         if skipped > 0 && self.at > 0 {
             inbox.bad_because(format!("{skipped} bytes that belong to no message"));
         }
@@ -333,7 +334,7 @@ mod tests {
         1e-3 * (1 + injection) as f32 + 1e-5 * electrode as f32 + 1e-7 * frame as f32
     }
 
-    /// A message of data as the instrument sends it.
+    /// A data message from the instrument.
     fn data(frame: usize, injection: usize, group: usize) -> Vec<u8> {
         let mut bytes = vec![MEASURE, DATA as u8, group as u8 + 1, injection as u8 + 1, (injection as u8 + 1) % 32 + 1];
         bytes.extend([0, 1, 0, 0, 0, 7]);
@@ -346,7 +347,7 @@ mod tests {
         bytes
     }
 
-    /// An instrument that executes every command but those that `refuses` says, and what it was told.
+    /// An instrument that executes every command unless `refuses` returns a code, and that records all commands.
     struct Instrument {
         refuses: fn(&[u8]) -> Option<u8>,
         told: Vec<Vec<u8>>,
@@ -383,7 +384,7 @@ mod tests {
         assert_eq!(told[0], [0xb4, 1, 0, 0xb4]);
         assert_eq!(told[1], [0xb0, 1, 1, 0xb0]);
         assert_eq!(told[2], [0xb0, 3, 2, 0, 0, 0xb0]);
-        // 10 and 10,000 in single, 0.001 in double precision.
+        // 10 and 10,000 in single precision, 0.001 in double precision.
         assert_eq!(told[3], [0xb0, 5, 3, 0x41, 0x20, 0, 0, 0xb0]);
         assert_eq!(told[4], [0xb0, 12, 4, 0x46, 0x1c, 0x40, 0, 0x46, 0x1c, 0x40, 0, 0, 1, 0, 0xb0]);
         assert_eq!(told[5], [0xb0, 9, 5, 0x3f, 0x50, 0x62, 0x4d, 0xd2, 0xf1, 0xa9, 0xfc, 0xb0]);

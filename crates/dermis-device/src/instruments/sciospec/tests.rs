@@ -1,6 +1,6 @@
 use super::*;
 
-/// A file of four electrodes in which reading `i` is `i + 0.5 j`, shifted by `offset`.
+/// A file with four electrodes. Reading `i` is `i + 0.5 j`, shifted by `offset`.
 fn made(second: f64, offset: f64) -> String {
     let mut text =
         format!("14\n2\nmade\n2024.02.29. 23:59:{second:06.3}\n5000.0\n5000.0\n1\n1\n0.001\n10.0\n0\n1\n1\n");
@@ -151,7 +151,8 @@ fn headers_without_channels_take_them_from_the_first_row() {
     assert_eq!(measurement.setup.channels, [1, 2, 3, 4]);
 }
 
-/// Two injections of three electrodes at three frequencies; readings are injection, frequency and electrode in digits.
+/// Two injections with three electrodes at three frequencies. The digits of a reading are injection, frequency and
+/// electrode.
 fn swept(head: &str) -> String {
     let mut text = head.to_owned();
     for (injection, pair) in ["1 2", "2 3"].iter().enumerate() {

@@ -1,22 +1,22 @@
-//! Frames that come in parts, joined.
+//! Assembly of frames that arrive in parts.
 
 use dermis_wire::{Frame as WireFrame, Part};
 
 use crate::{Frame, HostStamp};
 
-/// A frame of which parts have come.
+/// A partially received frame.
 #[derive(Debug, Default)]
 pub(super) struct Assembly {
     sequence: u32,
-    /// Readings so far; 0 where nothing has begun.
+    /// Number of readings received; 0 before the first part.
     next: u16,
     begun: Option<HostStamp>,
     frame: Frame,
 }
 
 impl Assembly {
-    /// Takes a part whose first byte came at `at`; true when the frame is whole. A part that does not continue what has
-    /// come ends it: the next whole frame's number tells that this one is missing.
+    /// Adds a part whose first byte arrived at `at`. Returns true when the frame is complete. A part that doesn't
+    /// continue the frame in progress discards it; the next complete frame's number shows the gap.
     pub(super) fn take(&mut self, part: &Part<'_>, at: HostStamp) -> bool {
         if part.first == 0 {
             self.frame.clear();
@@ -30,12 +30,12 @@ impl Assembly {
         self.next == part.total
     }
 
-    /// Number of the frame at the device, and when its first byte came.
+    /// The device's frame number, and the arrival of the frame's first byte.
     pub(super) fn of(&self) -> (u32, Option<HostStamp>) {
         (self.sequence, self.begun)
     }
 
-    /// Moves the whole frame into `out`, all but number and host times.
+    /// Moves the completed frame into `out`, without its number and host times.
     pub(super) fn move_into(&mut self, out: &mut Frame) {
         std::mem::swap(&mut self.frame, out);
         self.forget();
@@ -46,7 +46,7 @@ impl Assembly {
     }
 }
 
-/// Appends readings to a frame; what is stated once for a frame is that of its first readings.
+/// Appends readings to a frame. Values given once per frame come from its first readings.
 pub(super) fn fill(out: &mut Frame, readings: &WireFrame<'_>) {
     let began_ns = *out.device_time_ns.get_or_insert(readings.device_time_ns);
     out.gain.get_or_insert(readings.gain);

@@ -1,47 +1,46 @@
-//! Which frames did not come: the device's sequence numbers, which wrap and start anew, against the host's, which do
-//! not.
+//! Counts lost frames. The device's sequence numbers wrap and restart; the host's don't.
 
 use crate::HostStamp;
 use crate::stream::Inbox;
 
-/// Frames in a row with numbers of the past after which the device is taken to count anew.
+/// Number of consecutive frames with old numbers after which the device is assumed to have restarted its count.
 const STUBBORN: u32 = 16;
 
-/// Sequence numbers: the device's, which wrap, and the host's, which do not.
+/// Tracks the sequence numbers of device and host.
 #[derive(Debug, Default)]
 pub(super) struct Count {
-    /// What the device's next number should be.
+    /// The device's next expected number.
     expected: Option<u32>,
     /// The host's next number.
     next: u64,
-    /// The device was reset, or may have been: its numbers start anew.
+    /// Set after a reset, or a possible one, of the device's count.
     anew: Option<Anew>,
-    /// Numbers of the past in a row.
+    /// Number of consecutive frames with old numbers.
     repeats: u32,
-    /// Arrival of the last frame.
+    /// Arrival of the last frame on the monotonic clock, in nanoseconds.
     last_ns: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Anew {
-    /// Known by another boot number.
+    /// The boot number changed.
     Certain,
-    /// The device has none; believed where its numbers go back.
+    /// The device has no boot number. Assume a reset only if its sequence numbers go back.
     IfBack,
 }
 
 impl Count {
-    /// The device was reset.
+    /// Records that the device was reset.
     pub(super) fn is_anew(&mut self) {
         self.anew = Some(Anew::Certain);
     }
 
-    /// The device may have been reset.
+    /// Records that the device may have been reset.
     pub(super) fn may_be_anew(&mut self) {
         self.anew = Some(Anew::IfBack);
     }
 
-    /// The host's number of a frame, after counting those before it that did not come; none if it has come before.
+    /// The host's number for a frame, or `None` for a duplicate or late frame. Counts the frames lost before it.
     pub(super) fn number(&mut self, sequence: u32, frames_per_s: f32, at: HostStamp, inbox: &Inbox) -> Option<u64> {
         let ahead = sequence.wrapping_sub(self.expected.unwrap_or(sequence));
         let back = ahead >= 1 << 31;
@@ -56,8 +55,8 @@ impl Count {
             return None;
         }
         let missed = if anew {
-            // What the device would have sent since the last frame, of which this frame is one; its numbers say nothing
-            // of that.
+            // After a reset the sequence numbers don't tell how many frames are missing. Estimate that from the frame
+            // rate and the time since the last frame, and don't count this frame.
             let elapsed_s = at.monotonic_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
             ((elapsed_s * f64::from(frames_per_s)).round() as u64).saturating_sub(1)
         } else {

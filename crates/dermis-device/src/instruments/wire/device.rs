@@ -1,45 +1,45 @@
-//! The device's side of the wire: answers hello and commands, and packs frames while the host wants them. Twins stand
-//! behind it on a socket; firmware does the same with memory of fixed size.
+//! The device's side of the wire protocol: answers hello and commands, and packs frames while the host wants them.
+//! Twins use it on a socket; firmware does the same with fixed-size memory.
 
 use dermis_wire::{Command, Decoder, Describe, Element, Features, List, Message, Numbers, Reply, ReplyStatus};
 use dermis_wire::{Request, Status, encode, encoded_len};
 
 use crate::Frame;
 
-/// Longest command that is taken, as on the line.
+/// Longest accepted command in bytes, as encoded.
 const LONGEST_COMMAND: usize = 4096;
 
-/// What a device says of itself.
+/// A device's description of itself.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceInfo {
     /// Make and model.
     pub device: String,
     /// Serial number.
     pub serial: String,
-    /// Version of its firmware.
+    /// Firmware version.
     pub firmware: String,
     /// Measurement protocol.
     pub protocol: String,
-    /// Differs with every start of the device; not 0.
+    /// Boot number: nonzero, and different after every start of the device.
     pub boot: u32,
-    /// Electrodes that it drives and measures.
+    /// Number of electrodes.
     pub electrodes: u16,
-    /// Readings in each frame.
+    /// Number of readings in a frame.
     pub channels: u16,
-    /// Frames a second.
+    /// Frame rate in frames per second.
     pub frames_per_s: f32,
-    /// Amplitude of the drive current, amperes.
+    /// Drive current amplitude in amperes.
     pub amplitude_a: f32,
-    /// Frequency of the drive, hertz.
+    /// Drive frequency in hertz.
     pub frequency_hz: f32,
-    /// Whether readings are magnitudes without a sign.
+    /// True if readings are unsigned magnitudes.
     pub magnitude: bool,
 }
 
-/// The device's side of a conversation over the wire. It obeys start, stop and single shot and sends readings as f32 in
-/// volts. Amplitude, frequency and rate are fixed: whatever is asked for, the answer is what it has, the nearest that
-/// it can come; its one gain has code 0. Self-test and impedance check are answered where [`WireDevice::set_measured`]
-/// has said with what. It has no other protocol than its own.
+/// The device's side of a conversation over the wire. It obeys start, stop and single shot, and sends readings as f32
+/// in volts. Amplitude, frequency and rate are fixed; a request for another value is answered with the actual one. The
+/// only gain has code 0. Self-test and impedance check return the values from [`WireDevice::set_measured`]. The device
+/// only knows its own measurement protocol.
 #[derive(Debug)]
 pub struct WireDevice {
     info: DeviceInfo,
@@ -72,8 +72,8 @@ impl WireDevice {
         }
     }
 
-    /// What it measures of itself from now on: the answers to a self-test and to an impedance check (ohm, one an
-    /// electrode, NaN where open). Where one is empty, the device does not have that command.
+    /// Sets the answers to self-test and impedance check (ohms, one value per electrode, NaN where open). An empty
+    /// answer means that the device doesn't have that command.
     pub fn set_measured(&mut self, self_test: &[f32], impedances_ohm: &[f32]) {
         self.self_test.clear();
         self.self_test.extend_from_slice(self_test);
@@ -81,7 +81,7 @@ impl WireDevice {
         self.impedances_ohm.extend_from_slice(impedances_ohm);
     }
 
-    /// A host has connected, or gone: nothing is sent until it asks.
+    /// Resets the state when a host connects or disconnects. Nothing is sent until a host asks for it.
     pub fn reset_link(&mut self) {
         self.decoder.reset();
         self.running = false;
@@ -93,12 +93,12 @@ impl WireDevice {
         self.running
     }
 
-    /// True while frames flow, or one was asked for.
+    /// True while frames flow or a single shot is pending.
     pub fn wants_frames(&self) -> bool {
         self.running || self.shots > 0
     }
 
-    /// Takes bytes from the host; answers go to `send`.
+    /// Handles bytes from the host. Answers are appended to `send`.
     pub fn receive(&mut self, bytes: &[u8], send: &mut Vec<u8>) {
         let mut rest = bytes;
         loop {
@@ -121,7 +121,7 @@ impl WireDevice {
         }
     }
 
-    /// Packs a frame, if the host wants one now. Its number is the frame's own, wrapped.
+    /// Packs a frame if the host wants one. Its number on the wire is the frame's own, wrapped to 32 bits.
     pub fn frame(&mut self, frame: &Frame, status: Status, send: &mut Vec<u8>) {
         if !self.wants_frames() {
             return;
@@ -134,7 +134,7 @@ impl WireDevice {
         self.imaginary.clear();
         self.imaginary.extend(frame.imaginary.iter().map(|value| *value as f32));
         self.times_ns.clear();
-        // The wire has room for 4.29 s.
+        // The wire's u32 nanoseconds cover 4.29 s.
         self.times_ns.extend(frame.channel_times_ns.iter().map(|time_ns| u32::try_from(*time_ns).unwrap_or(u32::MAX)));
         let message = Message::Frame(dermis_wire::Frame {
             sequence: frame.sequence as u32,
@@ -149,7 +149,7 @@ impl WireDevice {
         push(&message, &mut self.buffer, send);
     }
 
-    /// Describes itself; `nonce` is 0 unless a host has asked.
+    /// Sends the description. `nonce` is 0 unless it answers a host's hello.
     pub fn describe(&mut self, nonce: u32, send: &mut Vec<u8>) {
         let known = (0..Command::COUNT).filter(|code| self.has(*code)).fold(0, |bits, code| bits | (1 << code));
         let running = if self.running { Features::RUNNING } else { Features::default() };
@@ -176,7 +176,7 @@ impl WireDevice {
         push(&message, &mut self.buffer, send);
     }
 
-    /// Whether it has the command of this code.
+    /// True if the device has the command with this code.
     fn has(&self, code: u8) -> bool {
         match code {
             AMPLITUDE => self.info.amplitude_a > 0.0,
@@ -187,7 +187,7 @@ impl WireDevice {
         }
     }
 
-    /// Does what a command asks for; the numbers to answer with.
+    /// Carries out a command. Returns the numbers for the reply.
     fn obey(&mut self, code: u8, argument: f32) -> Result<&[f32], ReplyStatus> {
         let sensible = argument > 0.0 && argument.is_finite();
         match code {
@@ -222,7 +222,7 @@ impl WireDevice {
     }
 }
 
-/// Codes of the commands that it may have, as on the wire.
+/// Codes of the optional commands on the wire.
 const AMPLITUDE: u8 = 2;
 const FREQUENCY: u8 = 3;
 const GAIN: u8 = 4;
@@ -233,13 +233,13 @@ const SINGLE_SHOT: u8 = 8;
 const SELF_TEST: u8 = 9;
 const IMPEDANCE: u8 = 10;
 
-/// What a host has asked, owned, so that it outlives the decoder's borrow.
+/// A request from the host. Owned, so it outlives the decoder's borrow.
 enum Asked {
     Hello { nonce: u32, speaks: bool },
     Command { tag: u16, code: u8, argument: f32 },
 }
 
-/// The number that a command comes with, 0 for those without.
+/// A command's numeric argument, or 0 if it has none.
 fn argument_of(command: &Command<'_>) -> f32 {
     match *command {
         Command::Amplitude(value) | Command::Frequency(value) | Command::Rate(value) => value,
@@ -248,7 +248,7 @@ fn argument_of(command: &Command<'_>) -> f32 {
     }
 }
 
-/// Appends a message; one that the format cannot hold is not sent.
+/// Appends a message. A message that the format can't hold is dropped.
 fn push(message: &Message<'_>, buffer: &mut [u8], send: &mut Vec<u8>) {
     match encode(message, buffer) {
         Ok(bytes) => send.extend_from_slice(bytes),

@@ -1,5 +1,5 @@
-//! The host's side: hello, describe, settings, start, frames, calls in between; and exact counting of what did not
-//! come.
+//! The host's side of the wire protocol: hello, description, settings, start, frames and calls in between. Counts lost
+//! frames exactly.
 
 use std::sync::PoisonError;
 use std::time::Duration;
@@ -15,9 +15,9 @@ use super::order::{Call, Controlled, Description, Order, WireControl, reason};
 use crate::stream::{Dialogue, Inbox};
 use crate::{HostStamp, Layout};
 
-/// Time between two attempts to get an answer.
+/// Time before a request without an answer is repeated.
 const AGAIN: Duration = Duration::from_millis(500);
-/// Longest wait for a description.
+/// Longest wait for the device's description.
 const LONGEST: Duration = Duration::from_secs(3);
 
 /// The host's side of a conversation over the wire, as a [`Dialogue`].
@@ -25,28 +25,28 @@ const LONGEST: Duration = Duration::from_secs(3);
 pub struct WireHost {
     decoder: Decoder<Vec<u8>>,
     stage: Stage,
-    /// When, after the connection was made, something was asked last.
+    /// Time of the last request, since the connection was made.
     asked: Duration,
-    /// When the present stage or order began.
+    /// Start of the current stage or order.
     since: Duration,
     now: Duration,
     nonce: u32,
     tag: u16,
-    /// What is asked of the device before frames flow, and whether they shall.
+    /// Orders for the device before frames flow.
     setup: Vec<Order>,
     start: bool,
-    /// What of that is asked in this conversation.
+    /// The part of the setup that this conversation sends.
     planned: Vec<Order>,
-    /// The device as it was once it was set.
+    /// The device's description after it was set up.
     set: Option<Description>,
     known: Option<Description>,
-    /// Boot number and channels of the device whose frames are handed on.
+    /// Boot number and channel count of the device whose frames are being delivered.
     streamed: Option<(u32, u16)>,
     control: Option<Controlled>,
     flight: Option<Flight>,
     count: Count,
     assembly: Assembly,
-    /// When the packet in progress began, if its first byte came earlier.
+    /// Arrival of the current packet's first byte, if that came in an earlier read.
     begun: Option<HostStamp>,
 }
 
@@ -54,9 +54,9 @@ pub struct WireHost {
 enum Stage {
     /// Waiting for the answer to hello.
     Greeting,
-    /// Waiting for the reply to an order of the setup.
+    /// Waiting for the reply to an order from the setup.
     Setting(usize),
-    /// Waiting for the answer to a second hello, as its channels may be others now.
+    /// Waiting for the answer to a second hello: the setup may have changed the number of channels.
     Confirming,
     /// Waiting for the reply to start.
     Starting,
@@ -64,17 +64,17 @@ enum Stage {
     Open,
 }
 
-/// An order that waits for its reply.
+/// An order waiting for its reply.
 #[derive(Debug)]
 struct Flight {
     order: Order,
-    /// Of a list, the part that was sent.
+    /// Index of the first list entry that was sent.
     first: usize,
-    /// A call's answer; none for those of the setup.
+    /// The call to answer; `None` for orders from the setup.
     call: Option<Call>,
 }
 
-/// What a message means for the conversation, owned, so that it outlives the decoder's borrow.
+/// Meaning of a message for the conversation. Owned, so it outlives the decoder's borrow.
 enum Heard {
     Nothing,
     Bad,
@@ -83,7 +83,7 @@ enum Heard {
 }
 
 impl WireHost {
-    /// A conversation that has not begun; it starts the device as it is set.
+    /// A new conversation that starts the device with its present settings.
     pub fn new() -> Self {
         Self {
             decoder: Decoder::new(vec![0; encoded_len(MOST_PACKET)]),
@@ -91,7 +91,7 @@ impl WireHost {
             asked: Duration::ZERO,
             since: Duration::ZERO,
             now: Duration::ZERO,
-            // Differs between hosts that follow each other on one device.
+            // Tells successive hosts of one device apart.
             nonce: HostStamp::now().wall_ns as u32,
             tag: 0,
             setup: Vec::new(),
@@ -108,9 +108,9 @@ impl WireHost {
         }
     }
 
-    /// One that sets the device first, with every connection on which it is not as it was set, and takes calls.
-    /// Settings that the device does not have, and those that the wire cannot hold, are left out. Without `start` it
-    /// waits for calls.
+    /// A conversation that sets up the device before starting it, and that takes calls. The setup is sent on every
+    /// connection where the device isn't already set up. Settings that the device doesn't support or the wire can't
+    /// hold are skipped. Without `start` the host waits for calls.
     pub fn with_control(setup: Vec<Order>, start: bool) -> (Self, WireControl) {
         let (control, controlled) = WireControl::pair();
         (Self { setup, start, control: Some(controlled), ..Self::new() }, control)
@@ -143,9 +143,9 @@ impl WireHost {
         }
     }
 
-    /// What must be asked of the device before it starts: nothing if it is as this host has set it, as after a lost
-    /// connection over which it went on measuring; else the setup, as far as it has such settings, of a device that
-    /// stands still.
+    /// Orders to send before the start. None if the device still has the settings that this host gave it, for instance
+    /// because it kept measuring while the connection was down. Otherwise a running device is stopped first, and then
+    /// gets the part of the setup that it supports.
     fn plan(&self) -> Vec<Order> {
         let Some(known) = &self.known else { return Vec::new() };
         if self.set.as_ref().is_some_and(|set| is_still(set, known)) {
@@ -157,14 +157,14 @@ impl WireHost {
         runs.then_some(Order::Stop).into_iter().chain(settings).collect()
     }
 
-    /// Goes on with the plan at order `index`, then starts.
+    /// Continues the plan at order `index`, then starts the device.
     fn set_up(&mut self, index: usize, send: &mut Vec<u8>) -> Result<(), String> {
         if let Some(order) = self.planned.get(index).cloned() {
             self.enter(Stage::Setting(index));
             self.order(order, 0, None, send);
             return Ok(());
         }
-        // What was set shows in its description: other channels, the nearest amplitude.
+        // The description shows the effect of the settings: a new number of channels, the nearest available amplitude.
         if self.stage != Stage::Confirming && !self.planned.is_empty() {
             self.enter(Stage::Confirming);
             self.say_hello(send);
@@ -181,7 +181,7 @@ impl WireHost {
     }
 }
 
-/// Whether a device is as it was, but for frames that flow and their number a second.
+/// True if the settings are unchanged. The frame rate may differ, and frames may or may not flow.
 fn is_still(set: &Description, known: &Description) -> bool {
     let settings = |d: &Description| (d.boot, d.channels, d.protocol.clone(), d.amplitude_a, d.frequency_hz);
     known.boot != 0 && settings(set) == settings(known)
@@ -209,7 +209,7 @@ impl Dialogue for WireHost {
         let mut rest = bytes;
         let mut stamp = self.begun.unwrap_or(at);
         while let Some(message) = self.decoder.feed(&mut rest) {
-            // Frames before the answer to hello are of an earlier conversation.
+            // Frames before the answer to hello belong to an earlier conversation.
             let greeting = self.stage == Stage::Greeting;
             let frames_per_s = self.known.as_ref().map_or(0.0, |known| known.frames_per_s);
             let channels = self.known.as_ref().map_or(0, |known| usize::from(known.channels));
@@ -233,7 +233,7 @@ impl Dialogue for WireHost {
             stamp = at;
             match heard {
                 Heard::Nothing => {}
-                // Before frames flow, the end of a packet whose beginning was not heard is nothing to count.
+                // Before frames flow, the tail of a packet whose start was missed doesn't count as damage.
                 Heard::Bad if self.stage == Stage::Open => inbox.bad(1),
                 Heard::Bad => {}
                 Heard::Described { answer, known } => self.described(answer, known, send)?,
@@ -282,7 +282,7 @@ impl Dialogue for WireHost {
 }
 
 impl WireHost {
-    /// The device has described itself, in answer to this conversation's hello or unasked.
+    /// Handles a description that answers this conversation's hello or was sent unprompted.
     fn described(&mut self, answer: bool, known: Description, send: &mut Vec<u8>) -> Result<(), String> {
         if !answer && self.stage == Stage::Greeting {
             return Ok(());
@@ -308,8 +308,8 @@ impl WireHost {
         if settled { self.settle(false) } else { Ok(()) }
     }
 
-    /// The device is set, `anew` if it was not before: it must have the channels that frames had so far, and may count
-    /// anew.
+    /// Checks the device after setup. It must have as many channels as earlier frames. `anew` means that this
+    /// connection has just set it up; its frame numbers may then have restarted.
     fn settle(&mut self, anew: bool) -> Result<(), String> {
         let Some(known) = &self.known else { return Ok(()) };
         match self.streamed {
@@ -325,7 +325,7 @@ impl WireHost {
         Ok(())
     }
 
-    /// The order in flight has been answered.
+    /// Handles the reply to the order in flight.
     fn replied(&mut self, status: ReplyStatus, values: Vec<f32>, send: &mut Vec<u8>) -> Result<(), String> {
         let Some(Flight { order, first, call }) = self.flight.take() else { return Ok(()) };
         if status == ReplyStatus::Done
@@ -336,7 +336,7 @@ impl WireHost {
         }
         if let Some(call) = call {
             let result = if status == ReplyStatus::Done { Ok(values) } else { Err(reason(status)) };
-            // Who has called may have given up.
+            // The caller may have given up.
             let _ = call.answer.try_send(result);
             return Ok(());
         }
@@ -351,7 +351,7 @@ impl WireHost {
         Ok(())
     }
 
-    /// Asks again, or gives up.
+    /// Repeats the order in flight, or gives up on it.
     fn wait_for_reply(&mut self, waited: Duration, again: bool, send: &mut Vec<u8>) -> Result<(), String> {
         let Some(flight) = &self.flight else { return Ok(()) };
         let (patience, can_be_repeated) = (flight.order.patience(), flight.order.can_be_repeated());
@@ -367,16 +367,16 @@ impl WireHost {
         Ok(())
     }
 
-    /// Nobody waits for what is in flight any longer.
+    /// Drops the order in flight and tells its caller why.
     fn give_up(&mut self, why: &str) {
         if let Some(Flight { call: Some(call), .. }) = self.flight.take() {
-            // Who has called may have given up.
+            // The caller may have given up.
             let _ = call.answer.try_send(Err(why.to_owned()));
         }
     }
 }
 
-/// A reply, if it is that to the last order.
+/// A reply, if it answers the last order.
 fn replied(reply: &Reply<'_>, tag: u16) -> Heard {
     if reply.tag != tag {
         return Heard::Nothing;
@@ -384,7 +384,7 @@ fn replied(reply: &Reply<'_>, tag: u16) -> Heard {
     Heard::Replied { status: reply.status, values: reply.values.iter().collect() }
 }
 
-/// Hands on a frame that came in one piece.
+/// Delivers a frame that came in one piece.
 fn take(count: &mut Count, frame: &WireFrame<'_>, frames_per_s: f32, at: HostStamp, inbox: &mut Inbox) {
     let Some(number) = count.number(frame.sequence, frames_per_s, at, inbox) else { return };
     inbox.take(|out| {
@@ -395,7 +395,7 @@ fn take(count: &mut Count, frame: &WireFrame<'_>, frames_per_s: f32, at: HostSta
     });
 }
 
-/// Joins a part to those before it, and hands on the frame that is whole with it.
+/// Joins a part to the earlier ones, and delivers the frame once it is complete.
 fn join(
     assembly: &mut Assembly,
     count: &mut Count,
@@ -417,7 +417,7 @@ fn join(
     });
 }
 
-/// Appends a message; every message of this side is short.
+/// Appends a message. All messages from the host are short.
 fn push(message: &Message<'_>, send: &mut Vec<u8>) {
     let mut buffer = [0; 256];
     if let Ok(bytes) = encode(message, &mut buffer) {

@@ -1,5 +1,5 @@
-//! Instruments that speak dermis's own wire (`dermis-wire`, specified in the book): the host's side of the
-//! conversation, and the device's, with which twins and tests stand behind a real port. Neither knows the port.
+//! dermis's own wire protocol (`dermis-wire`, specified in the book): the host's side of the conversation, and the
+//! device's side, which lets twins and tests act as an instrument on a real port. Neither side knows the port.
 
 mod assembly;
 mod count;

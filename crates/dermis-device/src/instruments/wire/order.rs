@@ -1,4 +1,4 @@
-//! What a host can ask of a device on the wire: settings before frames flow, and calls at any time, from any thread.
+//! Orders from a host to a device on the wire: settings before frames flow, and calls at any time from any thread.
 
 use std::fmt;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
@@ -9,43 +9,43 @@ use dermis_wire::{Command, Describe, Features, List, ReplyStatus};
 
 use crate::DeviceError;
 
-/// Measurements of a list that go into one packet.
+/// Number of list entries in one packet.
 pub(super) const LIST_PART: usize = 50;
-/// For the answer to a setting.
+/// Longest wait for the reply to a setting.
 const SHORT: Duration = Duration::from_secs(3);
-/// For the answer to what a device must measure first.
+/// Longest wait for a reply that requires a measurement.
 const LONG: Duration = Duration::from_secs(30);
 
 /// A command, in SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Order {
-    /// Measure this list: electrode where the current enters, where it leaves, where the voltage is taken, against
-    /// which; from 0, or [`dermis_wire::NO_ELECTRODE`].
+    /// Measure this list of electrodes: current in, current out, voltage, reference. Electrodes count from 0;
+    /// [`dermis_wire::NO_ELECTRODE`] means none.
     Protocol(Vec<[u8; 4]>),
-    /// Measure a list that the device knows by name.
+    /// Measure a list that the device stores under this name.
     ProtocolName(String),
-    /// Amplitude of the drive current, amperes.
+    /// Drive current amplitude in amperes.
     AmplitudeA(f32),
-    /// Frequency of the drive, hertz.
+    /// Drive frequency in hertz.
     FrequencyHz(f32),
-    /// Gain by the device's own code, or left to the device.
+    /// Gain, as the device's own code; `None` leaves it to the device.
     Gain(Option<u8>),
-    /// Frames a second.
+    /// Frame rate in frames per second.
     FramesPerS(f32),
-    /// Let frames flow.
+    /// Start sending frames.
     Start,
-    /// No more frames.
+    /// Stop sending frames.
     Stop,
-    /// One frame.
+    /// Send one frame.
     SingleShot,
-    /// Test yourself.
+    /// Run a self-test.
     SelfTest,
     /// Measure contact impedances.
     ElectrodeImpedance,
 }
 
 impl Order {
-    /// The command on the wire; of a list, the part that begins at `first`.
+    /// The command on the wire. A list is sent in parts; this one begins at `first`.
     pub(super) fn command(&self, first: usize) -> Command<'_> {
         match self {
             Self::Protocol(list) => {
@@ -65,7 +65,7 @@ impl Order {
         }
     }
 
-    /// Where the part of a list that follows `first` begins, if one does.
+    /// Start of the next part of a list, or `None` after the last one.
     pub(super) fn next_part(&self, first: usize) -> Option<usize> {
         match self {
             Self::Protocol(list) => Some(first + LIST_PART).filter(|next| *next < list.len()),
@@ -73,7 +73,7 @@ impl Order {
         }
     }
 
-    /// Whether asking twice does no more than asking once.
+    /// True if repeating the order is harmless.
     pub(super) fn can_be_repeated(&self) -> bool {
         !matches!(self, Self::SingleShot | Self::SelfTest | Self::ElectrodeImpedance)
     }
@@ -82,7 +82,7 @@ impl Order {
         if self.can_be_repeated() { SHORT } else { LONG }
     }
 
-    /// What the wire cannot hold.
+    /// Refuses orders that the wire can't hold.
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Protocol(list) if list.is_empty() || list.len() > usize::from(u16::MAX) => {
@@ -113,7 +113,7 @@ impl fmt::Display for Order {
     }
 }
 
-/// What a device has said of itself, owned. Fields as in [`dermis_wire::Describe`].
+/// A device's description of itself, owned. The fields are those of [`dermis_wire::Describe`].
 #[derive(Debug, Clone, PartialEq)]
 #[expect(missing_docs, reason = "the wire's description has them")]
 pub struct Description {
@@ -156,13 +156,13 @@ impl Description {
         }
     }
 
-    /// Whether the device obeys an order.
+    /// True if the device supports the order.
     pub fn obeys(&self, order: &Order) -> bool {
-        // The code of a command does not depend on its arguments.
+        // A command's code doesn't depend on its arguments.
         self.commands & (1 << order.command(0).code()) != 0
     }
 
-    /// All of it that matters to a user, in a line.
+    /// Summary for users, in one line.
     pub fn identity(&self) -> String {
         let Self { device, serial, firmware, electrodes, channels, frames_per_s, .. } = self;
         format!(
@@ -171,7 +171,7 @@ impl Description {
     }
 }
 
-/// An order and where its answer goes.
+/// An order and the channel for its answer.
 #[derive(Debug)]
 pub(super) struct Call {
     pub(super) order: Order,
@@ -180,8 +180,7 @@ pub(super) struct Call {
 
 /// Calls to a device whose frames another thread reads.
 ///
-/// Every call waits for the device's reply, and no longer than is good: three seconds for a setting, thirty for what
-/// must be measured.
+/// Every call waits for the device's reply, up to three seconds for a setting and thirty for a measurement.
 #[derive(Debug, Clone)]
 pub struct WireControl {
     calls: Sender<Call>,
@@ -202,25 +201,25 @@ impl WireControl {
         (Self { calls: sender, known: Arc::clone(&known) }, Controlled { calls, known })
     }
 
-    /// What the device has said of itself last.
+    /// The device's latest description of itself.
     pub fn description(&self) -> Option<Description> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Has the device do something; the numbers of its reply: what was set for an amplitude (A), a frequency (Hz) or a
-    /// rate (frames/s), what was measured for a self-test (as the device's manual says) or the impedance check (ohm for
-    /// each electrode, NaN or infinite where open), none for others.
+    /// Sends an order and waits for the numbers in its reply. Amplitude (A), frequency (Hz) and rate (frames/s) return
+    /// the value that was set. A self-test returns its measurements (see the device's manual). The impedance check
+    /// returns one value per electrode in ohms, NaN or infinite where open. Other orders return nothing.
     ///
     /// # Errors
-    /// [`DeviceError::Refused`] with the device's reason, or that there was no answer.
+    /// [`DeviceError::Refused`] with the device's reason, or because there was no answer.
     pub fn call(&self, order: Order) -> Result<Vec<f32>, DeviceError> {
         self.ask(order)?.wait()
     }
 
-    /// The same without waiting for the answer.
+    /// Sends an order without waiting for the answer.
     ///
     /// # Errors
-    /// [`DeviceError::Refused`] for what the wire cannot hold, and where the connection has been closed.
+    /// [`DeviceError::Refused`] if the wire can't hold the order, or the connection has been closed.
     pub fn ask(&self, order: Order) -> Result<Question, DeviceError> {
         let (answer, answers) = sync_channel(1);
         let question = Question { order: order.clone(), answers };
@@ -231,7 +230,7 @@ impl WireControl {
     }
 }
 
-/// An order that has been given and not yet answered.
+/// An order that was sent but not answered yet.
 #[derive(Debug)]
 pub struct Question {
     order: Order,
@@ -239,19 +238,19 @@ pub struct Question {
 }
 
 impl Question {
-    /// The answer, as [`WireControl::call`].
+    /// Waits for the answer; see [`WireControl::call`].
     ///
     /// # Errors
-    /// As there.
+    /// As [`WireControl::call`].
     pub fn wait(self) -> Result<Vec<f32>, DeviceError> {
-        // The conversation answers within its own patience; a little more for a thread that is between two reads.
+        // The conversation has its own time limit. Wait a little longer, because its thread may be between two reads.
         match self.answers.recv_timeout(self.order.patience() + SHORT) {
             Ok(result) => result.map_err(|reason| self.refused(reason)),
             Err(_) => Err(self.refused("no answer: the device is not connected".to_owned())),
         }
     }
 
-    /// The answer, if it is there.
+    /// The answer, if it has arrived.
     pub fn answer(&self) -> Option<Result<Vec<f32>, DeviceError>> {
         let result = self.answers.try_recv().ok()?;
         Some(result.map_err(|reason| self.refused(reason)))
@@ -262,7 +261,7 @@ impl Question {
     }
 }
 
-/// A reply's status in words.
+/// Describes a reply's status in words.
 pub(super) fn reason(status: ReplyStatus) -> String {
     match status {
         ReplyStatus::Done => "done",
