@@ -190,11 +190,11 @@ fn ratios_are_given_under_each_definition() {
 #[test]
 fn frames_that_cannot_be_used_are_refused() {
     let files =
-        [("one.csv", "1,2,3\n"), ("ragged.csv", "1,2\n3\n"), ("word.csv", "1,2\n3,x\n"), ("inf.csv", "1,inf\n")];
+        [("one.csv", "1,2,3\n"), ("ragged.csv", "1,2,3\n4,5\n"), ("word.csv", "1,2\n3,x\n"), ("inf.csv", "1,inf\n")];
     let desk = Desk::with(&files);
     let table = [
         ("one.csv", "expected at least 2, got 1"),
-        ("ragged.csv", "ragged.csv:2: expected 2 values as in the other rows, found 1"),
+        ("ragged.csv", "ragged.csv:2: expected 3 values as in the other rows, found 2"),
         ("word.csv", "word.csv:2: column 2"),
         ("inf.csv", "inf.csv:1: column 2: expected a finite number or nan"),
         ("none.csv", "none.csv: cannot read"),

@@ -35,22 +35,6 @@ pub struct Array {
     pub imaginary: Option<Vec<f64>>,
 }
 
-impl Array {
-    /// Frames in rows. One dimension is a single frame, two are frames x channels. With more, all dimensions after the
-    /// first make up a frame, for instance drives x measurements. Three dimensions with a second one of length 2 are
-    /// frames x (real, imaginary) x channels, as `dermis export` writes complex readings.
-    ///
-    /// # Errors
-    /// [`DeviceError::Field`] for a single number, [`DeviceError::Empty`], [`DeviceError::Infinite`].
-    pub fn into_frames(self, file: &Path) -> Result<FrameTable, DeviceError> {
-        self.into_frames_with(file, &ReadOptions::default())
-    }
-
-    pub(super) fn into_frames_with(self, file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
-        frames::of(self, file, options)
-    }
-}
-
 /// True if a file begins like a NumPy array.
 pub(super) fn is_npy(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];

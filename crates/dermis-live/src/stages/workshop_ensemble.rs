@@ -205,10 +205,10 @@ fn member(prepared: &Prepared, tolerances: &Tolerances, number: u64) -> Result<M
     }
     let centres = &prepared.basis.positions;
     let inside = prepared.map.inside_pixels();
+    let local: Vec<f64> = centres.iter().map(|centre| conductance * field.at([centre[0], centre[1]])).collect();
     let mut jacobian = Mat::from_fn(voltages.len(), inside.len(), |channel, pixel| {
         let column = columns[inside[pixel] as usize];
-        let local = conductance * field.at([centres[pixel][0], centres[pixel][1]]);
-        if column == usize::MAX { 0.0 } else { local * pixels.row(channel)[column] }
+        if column == usize::MAX { 0.0 } else { local[pixel] * pixels.row(channel)[column] }
     });
     let mut gains = dice(6);
     for (channel, voltage) in voltages.iter_mut().enumerate() {

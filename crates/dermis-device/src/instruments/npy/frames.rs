@@ -6,8 +6,28 @@ use super::Array;
 use crate::error::shorten;
 use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
+impl Array {
+    /// Frames in rows. One dimension is a single frame, two are frames x channels. With more, all dimensions after the
+    /// first make up a frame, for instance drives x measurements. Three dimensions with a second one of length 2 are
+    /// frames x (real, imaginary) x channels, as `dermis export` writes complex readings.
+    ///
+    /// # Errors
+    /// [`DeviceError::Field`] for a single number, [`DeviceError::Empty`], [`DeviceError::Infinite`].
+    pub fn into_frames(self, file: &Path) -> Result<FrameTable, DeviceError> {
+        self.into_frames_with(file, &ReadOptions::default())
+    }
+
+    pub(in crate::instruments) fn into_frames_with(
+        self,
+        file: &Path,
+        options: &ReadOptions,
+    ) -> Result<FrameTable, DeviceError> {
+        of(self, file, options)
+    }
+}
+
 /// Frames of an array; see [`Array::into_frames`].
-pub(super) fn of(array: Array, file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
+fn of(array: Array, file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let array = if options.transpose { last_axis_first(array) } else { array };
     let wanted = |count: usize| options.channels.contains(&count);
     let (total, is_real) = (array.values.len(), array.imaginary.is_none());
