@@ -15,12 +15,10 @@ use dermis_skin::{
 };
 use serde::Serialize;
 
-use self::body_model::{BodyModel, Data};
+use self::body_model::{BodyModel, Data, ELECTRODES};
 use self::hypothesis::{Hypothesis, Shape, score};
 use crate::Error;
 
-/// Numbers of electrodes to try when the skin is unknown.
-const ELECTRODES: std::ops::RangeInclusive<usize> = 4..=128;
 /// Largest frame searched, in readings.
 const MOST_READINGS: usize = 1 << 16;
 /// Most candidates in the answer.
@@ -257,9 +255,6 @@ fn correlation(predicted: &[f64], measured: &[f64], of: impl Fn(f64) -> f64) -> 
     let scale = (pp * mm).sqrt();
     if scale > 0.0 { pm / scale } else { 0.0 }
 }
-
-/// A hypothesis with its correlation.
-type Scored = (f64, Hypothesis);
 
 /// A hypothesis about one of several bodies, with its correlation.
 struct Fit {

@@ -18,7 +18,8 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use serde::Serialize;
 
-use self::regions::regions;
+pub use self::regions::Region;
+use self::regions::{length_m, regions};
 use crate::Error;
 
 /// Elements of the mesh that conductances are estimated on: finer than 16 to 64 electrodes can resolve.
@@ -32,8 +33,6 @@ const MODEL_ERROR: f64 = 1e-3;
 const SPREAD: f64 = 0.35;
 /// Prior deviation of the mean, as good as the uniform fit.
 const MEAN_SPREAD: f64 = 0.3;
-/// Correlation length of the conductance, in radii of a disc with the sheet's area.
-const LENGTH: f64 = 0.12;
 /// Most steps.
 const STEPS: usize = 10;
 /// Stop after a step that changes no element by more than this.
@@ -46,21 +45,6 @@ const LEAST_CORRELATION: f64 = 0.8;
 const ENOUGH_FRAMES: usize = 4;
 /// Most channels: the covariance takes 8 bytes per pair.
 const MOST_CHANNELS: usize = 6000;
-
-/// A region that differs from the sheet around it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Region {
-    /// Centre, metres.
-    pub x_m: f64,
-    /// Centre, metres.
-    pub y_m: f64,
-    /// Radius of a disc with its area, metres.
-    pub radius_m: f64,
-    /// Its conductance, siemens.
-    pub conductance_s: f64,
-    /// Standard deviation of the conductance, siemens.
-    pub sigma_s: f64,
-}
 
 /// Result of [`conductance`].
 #[derive(Clone, Debug, Serialize)]
@@ -307,11 +291,6 @@ impl Posterior {
             sigma_s,
         })
     }
-}
-
-/// Correlation length of the conductance, metres.
-fn length_m(mesh: &Mesh) -> f64 {
-    LENGTH * (mesh.measures().iter().sum::<f64>() / std::f64::consts::PI).sqrt()
 }
 
 /// Prior covariance of log conductance between elements.

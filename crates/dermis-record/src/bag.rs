@@ -3,6 +3,7 @@
 //! those of the recorder.
 
 mod array;
+mod collector;
 mod mcap_file;
 #[cfg(feature = "sqlite")]
 mod sqlite;
@@ -15,54 +16,12 @@ use dermis_device::{DeviceError, FrameTable, Layout, ReadOptions};
 
 use crate::Error;
 use array::ArrayKind;
+use collector::Collector;
 
 /// Most files in a split bag.
 const MOST_FILES: usize = 10_000;
 /// Number of skipped messages to describe one by one.
 const DESCRIBED: usize = 3;
-
-/// A topic of a recording.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Topic {
-    kind: String,
-    messages: u64,
-}
-
-/// Collects the messages of all files.
-struct Collector {
-    wanted: Option<String>,
-    topics: BTreeMap<String, Topic>,
-    /// Time and readings of the frames in each suitable topic.
-    frames: BTreeMap<String, Vec<(i64, Vec<f64>)>>,
-    held: u64,
-    bad: Vec<String>,
-}
-
-impl Collector {
-    /// Adds a topic as announced by its file.
-    fn topic(&mut self, name: &str, kind: &str) {
-        self.topics.entry(name.to_owned()).or_insert_with(|| Topic { kind: kind.to_owned(), messages: 0 });
-    }
-
-    /// Adds a message; returns false if there is no room for more.
-    fn message(&mut self, topic: &str, at_ns: i64, data: &[u8]) -> bool {
-        let Some(known) = self.topics.get_mut(topic) else { return true };
-        known.messages += 1;
-        if self.wanted.as_deref().is_some_and(|wanted| wanted != topic) {
-            return true;
-        }
-        let Some(kind) = ArrayKind::of(&known.kind) else { return true };
-        let number = known.messages;
-        match kind.read(data) {
-            Some(values) => {
-                self.held += 8 * values.len() as u64;
-                self.frames.entry(topic.to_owned()).or_default().push((at_ns, values));
-            }
-            None => self.bad.push(format!("message {number} of {topic} is malformed")),
-        }
-        self.held <= MOST_BYTES
-    }
-}
 
 /// True if a folder is a bag, or holds the files of one.
 pub(crate) fn is_bag(path: &Path) -> bool {

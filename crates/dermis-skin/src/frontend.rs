@@ -14,7 +14,7 @@ use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::layer::Layer;
 use crate::magnetic::{Coils, Elements};
-use crate::mesh_file::MeshFile;
+use crate::mesh_source::MeshFile;
 
 /// Maximum number of outline vertices, more than any drawing needs.
 const MOST_VERTICES: usize = 2000;

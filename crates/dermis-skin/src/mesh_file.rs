@@ -5,59 +5,17 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use dermis_tomo::mesh::{CellKind, Contact, ElectrodeGroups, ElectrodedMesh, read_msh};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::check::{Checker, MM};
 use crate::error::Error;
 use crate::frontend::{Electrodes, RimElectrode, Shape};
+use crate::mesh_source::{LengthUnit, MeshFile};
 use crate::parts::read_bytes_beside;
 
 /// Key in skin files.
 const FIELD: &str = "frontend.shape.mesh";
 /// Maximum width of a mesh: wider than any skin, but narrower than a 10 mm skin whose millimetres are read as metres.
 const WIDEST_M: f64 = 5.0;
-
-/// A flat mesh whose rim is the outline of a skin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct MeshFile {
-    /// Gmsh MSH file, version 2.2 or 4.1, next to the skin file.
-    pub file: String,
-    /// Unit of the coordinates. Default: metres, but a mesh wider than 5 m is then refused.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unit: Option<LengthUnit>,
-    /// Prefix of the groups of rim edges that are electrodes; a number follows the prefix. Used if the skin file has
-    /// no electrodes itself.
-    #[serde(default = "electrode")]
-    pub electrodes: String,
-}
-
-fn electrode() -> String {
-    "electrode".into()
-}
-
-/// A unit of lengths.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum LengthUnit {
-    /// Metres.
-    M,
-    /// Centimetres.
-    Cm,
-    /// Millimetres.
-    Mm,
-}
-
-impl LengthUnit {
-    fn metres(self) -> f64 {
-        match self {
-            Self::M => 1.0,
-            Self::Cm => 1e-2,
-            Self::Mm => MM,
-        }
-    }
-}
 
 impl MeshFile {
     /// The outline, and the electrodes if `wanted`.

@@ -14,7 +14,7 @@ const EXAMPLE: &str = "\
 Examples:
   dermis body check arm/arm.toml
   dermis body draw arm/arm.toml --out arm.svg --joint elbow=0.7
-  dermis run arm/arm.toml --headless --frames 50
+  dermis run arm/arm.toml --headless --frames 50 --speed 0
 
 `dermis body demo FOLDER` writes such an arm.";
 
@@ -65,7 +65,9 @@ enum Action {
         width_px: u32,
     },
     /// Write a demonstration: an arm with four skins, each played by its twin.
-    #[command(after_help = "Example:\n  dermis body demo my-arm\n  dermis run my-arm/arm.toml --headless --frames 50")]
+    #[command(
+        after_help = "Example:\n  dermis body demo my-arm\n  dermis run my-arm/arm.toml --headless --frames 50 --speed 0"
+    )]
     Demo {
         /// Output folder, created if needed.
         #[arg(value_name = "FOLDER")]

@@ -36,7 +36,7 @@ Examples:
   dermis run healing-square --no-open --port 8080
   dermis run healing-square --headless --frames 100
   dermis run --source recording.mcap --speed 0
-  dermis run arm/arm.toml --headless --frames 50
+  dermis run arm/arm.toml --headless --frames 50 --speed 0
 
 In place of a skin a body file runs all skins of a robot (`dermis body demo arm` writes one): every patch by the source
 that the file names, as JSON lines, with touches in the frames of patch, link and root, net wrenches, and once a second a

@@ -5,8 +5,13 @@ use dermis_tomo::eit::ForwardModel;
 use rayon::prelude::*;
 
 use super::hypothesis::{Arrangement, Cell, DEPARTURE, Hypothesis, Nesting, Pairs, Read, Reading, Shape, score};
-use super::{ELECTRODES, Scored};
 use crate::Error;
+
+/// Numbers of electrodes to try when the skin is unknown.
+pub(super) const ELECTRODES: std::ops::RangeInclusive<usize> = 4..=128;
+
+/// A hypothesis with its correlation.
+pub(super) type Scored = (f64, Hypothesis);
 
 /// Limit on the readings compared in one search; takes a few seconds.
 const MOST_WORK: usize = 4_000_000_000;

@@ -3,9 +3,10 @@
 
 use dermis_tomo::mesh::Mesh;
 use faer::Mat;
+use serde::Serialize;
 
-use super::{Region, length_m};
-
+/// Correlation length of the conductance, in radii of a disc with the sheet's area.
+const LENGTH: f64 = 0.12;
 /// Number of neighbourhoods to test.
 const NEIGHBOURHOODS: usize = 300;
 /// Minimum difference of a neighbourhood's mean, in standard deviations.
@@ -19,6 +20,21 @@ const CORE: f64 = 0.7;
 const RIM: f64 = 0.5;
 /// Most regions in a report.
 const MOST: usize = 12;
+
+/// A region that differs from the sheet around it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Region {
+    /// Centre, metres.
+    pub x_m: f64,
+    /// Centre, metres.
+    pub y_m: f64,
+    /// Radius of a disc with its area, metres.
+    pub radius_m: f64,
+    /// Its conductance, siemens.
+    pub conductance_s: f64,
+    /// Standard deviation of the conductance, siemens.
+    pub sigma_s: f64,
+}
 
 /// Finds the regions, largest difference first. `deviations_of` returns standard deviations of weighted means of log
 /// conductance; each column of its argument holds one mean's weights over the elements.
@@ -118,4 +134,9 @@ fn region(
         conductance_s,
         sigma_s: conductance_s * deviations_of(&weights)[0],
     }
+}
+
+/// Correlation length of the conductance, metres.
+pub(super) fn length_m(mesh: &Mesh) -> f64 {
+    LENGTH * (mesh.measures().iter().sum::<f64>() / std::f64::consts::PI).sqrt()
 }

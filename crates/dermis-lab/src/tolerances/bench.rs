@@ -10,7 +10,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
-use dermis_skin::{Dice, Reads, Skin};
+use dermis_skin::{Dice, Reads, Skin, Tolerances};
 use dermis_touch::Observation;
 use dermis_touch::locator::PokeSight;
 use dermis_twin::from_skin::MeshSizes;
@@ -18,8 +18,9 @@ use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PressRange, TwinKit};
 
+use super::cause::Cause;
 use super::workshop::Built;
-use super::{Cause, Tolerances, places, workshop};
+use super::{places, workshop};
 use crate::Error;
 use crate::twin_bench::distance_mm;
 

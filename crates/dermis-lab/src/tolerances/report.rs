@@ -2,13 +2,13 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use dermis_skin::{Dice, Skin};
+use dermis_skin::{Dice, Skin, Tolerances};
 use dermis_tomo::mesh::PixelGrid;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::bench::{Bench, Press, Reader};
-use super::{Cause, Tolerances, causes};
+use super::cause::{Cause, causes};
 use crate::Error;
 
 /// Number of places over the skin. Each sample presses some of them.

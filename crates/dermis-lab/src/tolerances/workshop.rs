@@ -1,10 +1,11 @@
 //! One skin as a workshop builds it: draws the errors and applies them to the skin file's numbers or next to them.
 
-use dermis_skin::{CoilPlaces, ContactLaw, Dice, Layer, Skin, Winding, built_electrodes};
+use dermis_skin::{CoilPlaces, ContactLaw, Dice, Layer, Skin, Tolerances, Winding, built_electrodes};
 use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::{AsBuilt, Frontend, TwinKit};
 
-use super::{Cause, Tolerances, causes, conductivity};
+use super::cause::{Cause, causes};
+use super::conductivity;
 use crate::Error;
 
 const MM: f64 = 1e-3;

@@ -8,7 +8,7 @@ use dermis_device::open_regular;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::Collector;
+use super::collector::Collector;
 use crate::Error;
 use crate::scan::MOST_BYTES;
 

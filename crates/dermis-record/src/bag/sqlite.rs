@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rusqlite::{Connection, OpenFlags};
 
-use super::Collector;
+use super::collector::Collector;
 use crate::Error;
 
 /// Hands every message to the collector, ordered by time.

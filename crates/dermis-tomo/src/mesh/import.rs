@@ -31,8 +31,8 @@ pub fn read_msh(
     contact_impedance: &[f64],
 ) -> Result<ElectrodedMesh, MeshError> {
     let mut file = MshFile::default();
-    if binary::is_binary(bytes) {
-        binary::read(&mut file, bytes)?;
+    if MshFile::is_binary(bytes) {
+        file.read_binary(bytes)?;
     } else {
         let text = std::str::from_utf8(bytes).map_err(|error| {
             let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();

@@ -3,8 +3,20 @@
 use super::{Lines, MshFile, Version, dimension_of};
 use crate::mesh::MeshError;
 
+impl MshFile {
+    /// True if the bytes are of a binary file.
+    pub(super) fn is_binary(bytes: &[u8]) -> bool {
+        is_binary(bytes)
+    }
+
+    /// Reads a binary file.
+    pub(super) fn read_binary(&mut self, bytes: &[u8]) -> Result<(), MeshError> {
+        read(self, bytes)
+    }
+}
+
 /// True if the header says that the file is binary.
-pub(super) fn is_binary(bytes: &[u8]) -> bool {
+fn is_binary(bytes: &[u8]) -> bool {
     let mut lines = bytes.split(|&byte| byte == b'\n');
     let is_msh = lines.next().is_some_and(|line| line.trim_ascii() == b"$MeshFormat");
     let format = lines.next().unwrap_or_default();
@@ -12,7 +24,7 @@ pub(super) fn is_binary(bytes: &[u8]) -> bool {
 }
 
 /// Reads a file for which [`is_binary`] is true.
-pub(super) fn read(file: &mut MshFile, bytes: &[u8]) -> Result<(), MeshError> {
+fn read(file: &mut MshFile, bytes: &[u8]) -> Result<(), MeshError> {
     let mut input = Bytes { bytes, at: 0, line: 0, is_big: false };
     input.line();
     let format = input.line().unwrap_or_default();
