@@ -111,6 +111,6 @@ fn it_is_told_the_setup_and_every_frame_comes() {
     let told = instrument.join().expect("it ran");
     assert_eq!((told.amplitude_a, told.frequency_hz, told.stopped), (2e-3, 5e3, true));
     assert_eq!((told.injections.len(), told.injections[15]), (16, (16, 4)));
-    let without_skin = open_stream(&selector, StreamOptions::default()).err().expect("a skin is needed").to_string();
+    let without_skin = open_stream(&selector, StreamOptions::default()).expect_err("a skin is needed").to_string();
     assert!(without_skin.contains("#sciospec") && without_skin.contains("a skin"), "{without_skin}");
 }

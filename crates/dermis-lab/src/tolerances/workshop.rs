@@ -98,9 +98,12 @@ pub(super) fn build(
     Ok(built)
 }
 
+/// What a built skin does when pressed, what reads it, and the gain of each channel.
+type BuiltTwin = (Box<dyn Frontend>, Instrument, Vec<f64>);
+
 /// A skin built within its file's tolerances, number `number`: what it does when pressed, what reads it, and the gain of
 /// each channel.
-pub(crate) fn frontend_of(skin: &Skin, number: u64) -> Result<(Box<dyn Frontend>, Instrument, Vec<f64>), Error> {
+pub(crate) fn frontend_of(skin: &Skin, number: u64) -> Result<BuiltTwin, Error> {
     let channels = skin.protocol()?.channel_count();
     let causes = causes(&skin.tolerances, skin);
     let built = build(skin, channels, &skin.tolerances, &causes, [number, 0])?;
