@@ -24,6 +24,7 @@ use dermis_device::{FileSpec, FrameTable, ReadOptions};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceSample};
 use report::{print_experts, print_forces, print_pokes};
 
+use super::calendar::date_of;
 use super::circuit::print_circuit;
 use super::extent::Extent;
 use super::reading::ReadArguments;
@@ -405,20 +406,6 @@ fn write_skin(head: &str, skin: &Skin, file: &Path) -> anyhow::Result<()> {
 fn today() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     date_of(seconds / 86_400)
-}
-
-/// Date of a day counted from 1970-01-01, using a calendar whose years begin in March (H. Hinnant, chrono-Compatible
-/// Low-Level Date Algorithms, civil_from_days; for days from 1970 on).
-fn date_of(days: u64) -> String {
-    let shifted = days + 719_468;
-    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    let year = year_of_era + era * 400 + u64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02}")
 }
 
 #[cfg(test)]

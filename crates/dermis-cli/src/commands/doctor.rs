@@ -131,8 +131,8 @@ type Examined = (Box<dyn Source>, Option<Vec<f32>>);
 type OpenedLive = (StreamSource, Option<Vec<f32>>);
 
 /// Opens an instrument with its current settings. An instrument on the wire is first asked for its contact
-/// impedances, because it cannot measure them while frames flow; one of Sciospec is told the skin's injections. The inner
-/// error is the instrument's own objection.
+/// impedances, because it cannot measure them while frames flow. A Sciospec instrument is told the skin's injections.
+/// The inner error is the instrument's own objection.
 fn open_live(
     selector: &SourceSelector,
     options: StreamOptions,

@@ -1,4 +1,5 @@
-//! `dermis run` and `dermis body` with a body file: frames, joints, isolation of failures, everything in one recording.
+//! `dermis run` and `dermis body` with a body file: frames, joints, isolated failures, and one recording of
+//! everything.
 
 use std::path::Path;
 use std::process::Command;

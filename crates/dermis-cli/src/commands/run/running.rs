@@ -16,6 +16,7 @@ use dermis_page::Announcer;
 use dermis_page::feed::{PageFeed, RecordingView};
 use dermis_page::message::Notice;
 
+use super::super::calendar::date_of;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 
@@ -295,34 +296,10 @@ impl Running {
 /// taken.
 fn free_name() -> PathBuf {
     let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    let [year, month, day] = date(seconds / 86_400);
+    let date = date_of(seconds / 86_400);
     let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
-    let stem = format!("dermis-{year}-{month:02}-{day:02}-{hour:02}{minute:02}{second:02}Z");
+    let stem = format!("dermis-{date}-{hour:02}{minute:02}{second:02}Z");
     let numbered = (2..).map(|number: u32| format!("{stem}-{number}.mcap"));
     let mut names = std::iter::once(format!("{stem}.mcap")).chain(numbered).map(PathBuf::from);
     names.find(|name| !name.exists()).unwrap_or_default()
-}
-
-/// Year, month and day of a number of days since 1970-01-01, computed with years that begin in March.
-fn date(days: u64) -> [u64; 3] {
-    let days = days + 719_468;
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    [era * 400 + year_of_era + u64::from(month <= 2), month, day]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn days_have_their_dates() {
-        assert_eq!(date(0), [1970, 1, 1]);
-        assert_eq!(date(11_016), [2000, 2, 29]);
-        assert_eq!(date(20_782), [2026, 11, 25]);
-    }
 }

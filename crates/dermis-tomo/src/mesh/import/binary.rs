@@ -4,62 +4,52 @@ use super::{Lines, MshFile, Version, dimension_of};
 use crate::mesh::MeshError;
 
 impl MshFile {
-    /// True if the bytes are of a binary file.
+    /// True if the header says that the file is binary.
     pub(super) fn is_binary(bytes: &[u8]) -> bool {
-        is_binary(bytes)
+        let mut lines = bytes.split(|&byte| byte == b'\n');
+        let is_msh = lines.next().is_some_and(|line| line.trim_ascii() == b"$MeshFormat");
+        let format = lines.next().unwrap_or_default();
+        is_msh && format.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).nth(1) == Some(b"1")
     }
 
-    /// Reads a binary file.
+    /// Reads a file for which [`MshFile::is_binary`] is true.
     pub(super) fn read_binary(&mut self, bytes: &[u8]) -> Result<(), MeshError> {
-        read(self, bytes)
-    }
-}
-
-/// True if the header says that the file is binary.
-fn is_binary(bytes: &[u8]) -> bool {
-    let mut lines = bytes.split(|&byte| byte == b'\n');
-    let is_msh = lines.next().is_some_and(|line| line.trim_ascii() == b"$MeshFormat");
-    let format = lines.next().unwrap_or_default();
-    is_msh && format.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).nth(1) == Some(b"1")
-}
-
-/// Reads a file for which [`is_binary`] is true.
-fn read(file: &mut MshFile, bytes: &[u8]) -> Result<(), MeshError> {
-    let mut input = Bytes { bytes, at: 0, line: 0, is_big: false };
-    input.line();
-    let format = input.line().unwrap_or_default();
-    let words: Vec<&str> = format.split_ascii_whitespace().collect();
-    let version = words.first().and_then(|word| Version::of(word));
-    let (Some(version), Some(&"8")) = (version, words.get(2)) else {
-        return Err(input.error(format!("expected version 2.2 or 4.1 (\"4.1 1 8\"), got {format:?}")));
-    };
-    input.is_big = match input.take::<4>("the number one")? {
-        [1, 0, 0, 0] => false,
-        [0, 0, 0, 1] => true,
-        other => return Err(input.error(format!("{other:?} is the number one in no order of bytes"))),
-    };
-    input.close("$EndMeshFormat")?;
-    while let Some(section) = input.line() {
-        match (section.as_str(), version) {
-            ("", _) => {}
-            ("$PhysicalNames", _) => {
-                let text = input.section("$EndPhysicalNames")?;
-                let text = std::str::from_utf8(text).map_err(|_| input.error("names that are no text"))?;
-                let text = format!("{text}\n$EndPhysicalNames\n");
-                file.read_names(&mut Lines::new(&text))?;
+        let mut input = Bytes { bytes, at: 0, line: 0, is_big: false };
+        input.line();
+        let format = input.line().unwrap_or_default();
+        let words: Vec<&str> = format.split_ascii_whitespace().collect();
+        let version = words.first().and_then(|word| Version::of(word));
+        let (Some(version), Some(&"8")) = (version, words.get(2)) else {
+            return Err(input.error(format!("expected version 2.2 or 4.1 (\"4.1 1 8\"), got {format:?}")));
+        };
+        input.is_big = match input.take::<4>("the number one")? {
+            [1, 0, 0, 0] => false,
+            [0, 0, 0, 1] => true,
+            other => return Err(input.error(format!("{other:?} is the number one in no order of bytes"))),
+        };
+        input.close("$EndMeshFormat")?;
+        while let Some(section) = input.line() {
+            match (section.as_str(), version) {
+                ("", _) => {}
+                ("$PhysicalNames", _) => {
+                    let text = input.section("$EndPhysicalNames")?;
+                    let text = std::str::from_utf8(text).map_err(|_| input.error("names that are no text"))?;
+                    let text = format!("{text}\n$EndPhysicalNames\n");
+                    self.read_names(&mut Lines::new(&text))?;
+                }
+                ("$Entities", Version::V4) => entities(self, &mut input)?,
+                ("$Nodes", Version::V4) => nodes(self, &mut input)?,
+                ("$Elements", Version::V4) => elements(self, &mut input)?,
+                ("$Nodes", Version::V2) => old_nodes(self, &mut input)?,
+                ("$Elements", Version::V2) => old_elements(self, &mut input)?,
+                (other, _) if other.starts_with('$') && !other.starts_with("$End") => {
+                    input.section(&format!("$End{}", &other[1..]))?;
+                }
+                (other, _) => return Err(input.error(format!("expected a section, got {:?}", super::shortened(other)))),
             }
-            ("$Entities", Version::V4) => entities(file, &mut input)?,
-            ("$Nodes", Version::V4) => nodes(file, &mut input)?,
-            ("$Elements", Version::V4) => elements(file, &mut input)?,
-            ("$Nodes", Version::V2) => old_nodes(file, &mut input)?,
-            ("$Elements", Version::V2) => old_elements(file, &mut input)?,
-            (other, _) if other.starts_with('$') && !other.starts_with("$End") => {
-                input.section(&format!("$End{}", &other[1..]))?;
-            }
-            (other, _) => return Err(input.error(format!("expected a section, got {:?}", super::shortened(other)))),
         }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Points: tag, x y z, groups. Others: tag, six bounds, groups, boundary.
