@@ -19,7 +19,7 @@ mod workshop;
 pub use cause::{Cause, causes};
 pub use dermis_skin::Tolerances;
 pub use report::{Extent, PlaceError, ToleranceReport, ToleranceRow, run};
-pub(crate) use workshop::frontend_of;
+pub(crate) use workshop::built_twin;
 
 #[cfg(test)]
 mod tests;

@@ -19,7 +19,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
 use crate::Error;
-use crate::tolerances::frontend_of;
+use crate::tolerances::built_twin;
 
 /// Frames of the untouched skin in the baseline.
 pub const BASELINE_FRAMES: usize = 32;
@@ -266,7 +266,7 @@ fn press(
     }
     let rate_hz = skin.backend.frame_rate_hz();
     let (mut frontend, mut instrument, gains) = match built {
-        Some(number) => frontend_of(&skin, number)?,
+        Some(number) => built_twin(&skin, number)?,
         None => {
             let (frontend, instrument, _) = TwinKit::of(&skin)?.twin.into_parts();
             (frontend, instrument, vec![1.0; channels])

@@ -14,7 +14,7 @@ use dermis_skin::{Dice, Reads, Skin, Tolerances};
 use dermis_touch::Observation;
 use dermis_touch::locator::PokeSight;
 use dermis_twin::from_skin::MeshSizes;
-use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
+use dermis_twin::instrument::{Instrument, InstrumentOptions};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PressRange, TwinKit};
 
@@ -331,12 +331,7 @@ impl Bench {
             let (frontend, instrument, _) = TwinKit::built(&built.skin, &built.as_built)?.twin.into_parts();
             (Body::Built(frontend), *instrument.options())
         };
-        let noise = Noise {
-            floor_v: built.noise * options.noise.floor_v,
-            proportional: built.noise * options.noise.proportional,
-        };
-        let options = InstrumentOptions { noise, ..options };
-        let instrument = Instrument::new(options, self.prepared.channels(), noise_seed)?;
+        let instrument = built.instrument(options, noise_seed)?;
         let instrument = match &body {
             Body::Drawn(drawn) => drawn.frontend.lock().unwrap_or_else(PoisonError::into_inner).wired(instrument)?,
             Body::Built(frontend) => frontend.wired(instrument)?,

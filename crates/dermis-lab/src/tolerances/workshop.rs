@@ -98,21 +98,26 @@ pub(super) fn build(
     Ok(built)
 }
 
-/// What a built skin does when pressed, what reads it, and the gain of each channel.
+impl Built {
+    /// The instrument of a skin as drawn, with this skin's noise.
+    pub fn instrument(&self, drawn: InstrumentOptions, seed: u64) -> Result<Instrument, Error> {
+        let Noise { floor_v, proportional } = drawn.noise;
+        let noise = Noise { floor_v: self.noise * floor_v, proportional: self.noise * proportional };
+        Ok(Instrument::new(InstrumentOptions { noise, ..drawn }, self.gains.len(), seed)?)
+    }
+}
+
+/// The frontend of a built skin, the instrument that reads it, and the gain of each channel.
 type BuiltTwin = (Box<dyn Frontend>, Instrument, Vec<f64>);
 
-/// A skin built within its file's tolerances, number `number`: what it does when pressed, what reads it, and the gain of
-/// each channel.
-pub(crate) fn frontend_of(skin: &Skin, number: u64) -> Result<BuiltTwin, Error> {
+/// Builds skin number `number` within its file's tolerances.
+pub(crate) fn built_twin(skin: &Skin, number: u64) -> Result<BuiltTwin, Error> {
     let channels = skin.protocol()?.channel_count();
     let causes = causes(&skin.tolerances, skin);
     let built = build(skin, channels, &skin.tolerances, &causes, [number, 0])?;
-    let (frontend, instrument, _) = TwinKit::built(&built.skin, &built.as_built)?.twin.into_parts();
-    let drawn = *instrument.options();
-    let noise =
-        Noise { floor_v: built.noise * drawn.noise.floor_v, proportional: built.noise * drawn.noise.proportional };
-    let seed = dermis_twin::from_skin::seed_of(skin);
-    let instrument = Instrument::new(InstrumentOptions { noise, ..drawn }, channels, seed)?;
+    let (frontend, drawn, _) = TwinKit::built(&built.skin, &built.as_built)?.twin.into_parts();
+    let instrument = built.instrument(*drawn.options(), dermis_twin::from_skin::seed_of(skin))?;
+    let instrument = frontend.wired(instrument)?;
     Ok((frontend, instrument, built.gains))
 }
 
