@@ -247,7 +247,7 @@ impl<F: PressFit> Estimator<F> {
                     break;
                 }
                 match self.fit.seek(self.negative).first() {
-                    Some(next) if starts.len() < self.fit.most_presses() => starts.push(next.press),
+                    Some(next) if starts.len() < self.fit.most_presses() => starts.push(*next),
                     _ => break,
                 }
             }
@@ -301,7 +301,7 @@ impl<F: PressFit> Estimator<F> {
     /// all leave the skin.
     fn roughly(&mut self, null: &Cost) -> Option<Explanation> {
         self.fit.fit_nothing()?;
-        let peak = self.fit.seek(self.negative).first()?.press;
+        let peak = *self.fit.seek(self.negative).first()?;
         let cost = self.fit.fit_loads(&[peak])?;
         let mut of = Explanation { presses: self.fit.presses(), cost };
         for press in &mut of.presses {
@@ -319,7 +319,7 @@ impl<F: PressFit> Estimator<F> {
         if best.presses.is_empty() && self.fit.fit_nothing().is_none() {
             return Vec::new();
         }
-        self.fit.seek(self.negative).into_iter().map(|found| found.press).collect()
+        self.fit.seek(self.negative)
     }
 
     /// Splits one press in a direction; `None` if a half would be off the skin.

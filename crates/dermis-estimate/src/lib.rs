@@ -16,5 +16,5 @@ mod spots;
 pub use anchor::Anchor;
 pub use estimator::{Estimate, Estimator};
 pub use evidence::Evidence;
-pub use press::{Cost, Effort, Press, PressFit, Proposal};
+pub use press::{Cost, Effort, Press, PressFit};
 pub use spots::SpotFit;

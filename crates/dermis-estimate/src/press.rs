@@ -80,15 +80,6 @@ impl Cost {
     }
 }
 
-/// A press that would improve the fit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Proposal {
-    /// Start for its fit.
-    pub press: Press,
-    /// Drop in the residual if the others stay as they are.
-    pub gain: f64,
-}
-
 /// How thoroughly presses are fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
@@ -121,7 +112,7 @@ pub trait PressFit {
 
     /// Presses that would explain most of the last fit's residual, the best first; of either sign if `negative` is
     /// set.
-    fn seek(&self, negative: bool) -> Vec<Proposal>;
+    fn seek(&self, negative: bool) -> Vec<Press>;
 
     /// Gain of the best of these proposals, without listing them.
     fn most_gain(&self, negative: bool) -> f64;

@@ -3,7 +3,7 @@
 use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotProposal};
 use dermis_tomo::mesh::PixelGrid;
 
-use crate::press::{Cost, Effort, Press, PressFit, Proposal};
+use crate::press::{Cost, Effort, Press, PressFit};
 
 /// Fits spots by their tabulated responses ([`SpotModel`]).
 #[derive(Clone, Debug)]
@@ -105,13 +105,12 @@ impl PressFit for SpotFit {
         Some(self.cost(&outcome, 0))
     }
 
-    fn seek(&self, negative: bool) -> Vec<Proposal> {
-        let found = self.model.seek(&self.filter, negative, &self.scratch);
-        let proposal = |found: SpotProposal| {
+    fn seek(&self, negative: bool) -> Vec<Press> {
+        let start = |found: SpotProposal| {
             let (position_m, radius_m, load) = (found.position_m, found.radius_m, found.amplitude);
-            Proposal { press: Press { position_m, radius_m, load, ..Press::default() }, gain: found.gain }
+            Press { position_m, radius_m, load, ..Press::default() }
         };
-        found.into_iter().map(proposal).collect()
+        self.model.seek(&self.filter, negative, &self.scratch).into_iter().map(start).collect()
     }
 
     fn most_gain(&self, negative: bool) -> f64 {
