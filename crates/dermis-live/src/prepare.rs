@@ -62,35 +62,10 @@ impl Prepared {
         let protocol = skin.protocol()?;
         let mesh_error = |source| Error::Mesh { skin: skin.name.clone(), source };
         let map = PixelMap::new(skin.grid()?, &body.mesh.mesh).map_err(mesh_error)?;
-        if skin.modality == Modality::Mit {
-            let (voltages, jacobian) =
-                MagneticModel::of(&skin)?.linearised(&map.inside_centres_m(), map.grid().pixel_m)?;
-            let basis = pixel_basis(&map);
-            return Ok(Self {
-                skin,
-                body,
-                protocol,
-                map,
-                voltages,
-                jacobian,
-                basis,
-                problem: OnceLock::new(),
-                workshop_error: OnceLock::new(),
-            });
-        }
-        let conductance = skin.sheet_conductance_s();
-        let sigma = vec![conductance; body.mesh.mesh.element_count()];
-        let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
-        let solution = model.solve(&sigma)?;
-        let (voltages, mut jacobian) = match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
-            None => (solution.voltages(), solution.jacobian_to_pixels(&map)),
-            Some(circuit) => {
-                let response = circuit.readout().response(&solution, conductance)?;
-                let effective = ForwardModel::new(body.mesh.clone(), response.effective)?;
-                (response.voltages, effective.solve(&sigma)?.jacobian_to_pixels(&map))
-            }
+        let (voltages, jacobian) = match skin.modality {
+            Modality::Mit => MagneticModel::of(&skin)?.linearised(&map.inside_centres_m(), map.grid().pixel_m)?,
+            Modality::Eit => electric_model(&skin, &body, &protocol, &map)?,
         };
-        jacobian.values.iter_mut().for_each(|value| *value *= conductance);
         let basis = pixel_basis(&map);
         Ok(Self {
             skin,
@@ -213,6 +188,29 @@ impl Prepared {
     pub fn prior(&self) -> Prior {
         prior_of(&self.skin.imaging.prior, self.half_width_m())
     }
+}
+
+/// Voltages at rest, volts, and volts per relative change of each inside pixel, with the readout circuit if it is known.
+fn electric_model(
+    skin: &Skin,
+    body: &SkinBody,
+    protocol: &Protocol,
+    map: &PixelMap,
+) -> Result<(Vec<f64>, Jacobian), Error> {
+    let conductance = skin.sheet_conductance_s();
+    let sigma = vec![conductance; body.mesh.mesh.element_count()];
+    let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
+    let solution = model.solve(&sigma)?;
+    let (voltages, mut jacobian) = match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
+        None => (solution.voltages(), solution.jacobian_to_pixels(map)),
+        Some(circuit) => {
+            let response = circuit.readout().response(&solution, conductance)?;
+            let effective = ForwardModel::new(body.mesh.clone(), response.effective)?;
+            (response.voltages, effective.solve(&sigma)?.jacobian_to_pixels(map))
+        }
+    };
+    jacobian.values.iter_mut().for_each(|value| *value *= conductance);
+    Ok((voltages, jacobian))
 }
 
 /// Weights exp(-d^2 / 2 sigma^2) of the cells within four sigma of a position, in runs of consecutive cells. Each run

@@ -49,7 +49,8 @@ impl Reconstructor {
 
     /// Takes into account how far the skin that gave this reference is from its file.
     pub fn take_reference(&mut self, prepared: &Prepared, reference: &Reference) {
-        let built = built_error(prepared, reference.misfit);
+        // A calibration that places touches by itself needs no model of errors.
+        let built = self.refinement.refines().then(|| built_error(prepared, reference.misfit)).flatten();
         self.refinement.set_built(built.as_ref());
         self.touches.set_built(built);
     }

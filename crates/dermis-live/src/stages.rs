@@ -15,6 +15,7 @@ pub mod placement;
 pub(crate) mod press_frames;
 pub mod refinement;
 mod sandwich_contacts;
+pub mod spot_model;
 pub mod touch_refinement;
 pub mod touches;
 pub(crate) mod workshop_ensemble;

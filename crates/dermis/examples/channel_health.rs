@@ -5,7 +5,7 @@
 //! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [twins] [frames]`
 
 use dermis::live::stages::health::wiring;
-use dermis::live::stages::touch_refinement::spot_model;
+use dermis::live::stages::spot_model::spot_model;
 use std::time::Instant;
 
 use dermis::lab::twin_bench::Rig;

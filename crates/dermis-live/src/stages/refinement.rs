@@ -11,7 +11,8 @@ use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
 use crate::stages::gone::Gone;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
-use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, membrane_pressure_pa, spot_model};
+use crate::stages::spot_model::{Membrane, assumed_deviations, spot_model_under};
+use crate::stages::touch_refinement::SpotStage;
 use crate::stages::workshop_error::BuiltError;
 
 /// Refines the contacts of one skin.
@@ -80,13 +81,14 @@ impl Refinement {
     /// A refinement for this noise of the channels (model volts).
     ///
     /// # Errors
-    /// See [`spot_model`]; a mesh that cannot be made.
+    /// A membrane that cannot be solved; no positive noise; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, noise: &[f64]) -> Result<Self, Error> {
         if is_sandwich(prepared) {
             return Ok(Self::by(By::Patches(Box::new(PatchStage::new(prepared, noise)?))));
         }
-        let whole = Box::new(spot_model(prepared, noise)?);
-        let membrane_pa = membrane_pressure_pa(prepared)?;
+        let membrane = Membrane::of(prepared)?;
+        let whole = Box::new(spot_model_under(prepared, noise, membrane.as_ref())?);
+        let membrane_pa = membrane.map(|membrane| membrane.pressure_pa);
         let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone(), membrane_pa)));
         let (noise, left_out, drift) = (noise.to_vec(), Vec::new(), Box::new(Drift::new(prepared)));
         Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift, membrane_pa, built_share: 0.0 }))
@@ -99,7 +101,9 @@ impl Refinement {
             return Self::new(prepared, &vec![0.0; prepared.channels()]);
         }
         let (noise, left_out, drift) = (Vec::new(), Vec::new(), Box::new(Drift::new(prepared)));
-        let (whole, membrane_pa) = (Box::new(assumed_spot_model(prepared)?), membrane_pressure_pa(prepared)?);
+        let membrane = Membrane::of(prepared)?;
+        let whole = Box::new(spot_model_under(prepared, &assumed_deviations(prepared), membrane.as_ref())?);
+        let membrane_pa = membrane.map(|membrane| membrane.pressure_pa);
         Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift, membrane_pa, built_share: 0.0 }))
     }
 

@@ -1,32 +1,19 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use std::sync::Arc;
-
 use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, SpotFit};
-use dermis_skin::{Layer, LiquidLayer};
-use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
-use dermis_tomo::membrane::{Membrane, MembraneSpec};
+use dermis_skin::Layer;
+use dermis_tomo::inverse::SpotModel;
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::Contact;
 use dermis_touch::force::ForceReading;
-use faer::Mat;
 
-use crate::Error;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::force_law::ForceLaw;
 use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
+use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 
-/// Largest number of presses fitted to one frame.
-const MOST_SPOTS: usize = 8;
-/// Largest radius of a spot, relative to half the shorter side.
-const LARGEST_RADIUS: f64 = 0.6;
-/// Typical radius, relative to half the shorter side.
-const TYPICAL_RADIUS: f64 = 0.12;
-/// Smallest radius, relative to half the shorter side.
-const SMALLEST_RADIUS: f64 = 0.05;
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
 /// ended but are still part of the baseline.
 const CLEARLY_EXPLAINED: f64 = 0.005;
@@ -60,9 +47,6 @@ const SPOTS_ERROR: f64 = 0.001;
 const IN_PROPORTION_ERROR: f64 = 0.005;
 const TANK_ERROR: f64 = 0.005;
 const PATCHES_ERROR: f64 = 0.04;
-/// Highest frame rate at which fits correct for large changes. A fit takes 2 ms with 16 electrodes, and 13 ms with 32
-/// electrodes and three touches.
-const MOST_FRAMES_PER_S: f64 = 60.0;
 
 /// The highest amplitude that a press has reached.
 #[derive(Clone, Copy, Debug)]
@@ -386,126 +370,4 @@ fn from_law((force_n, sigma_n): (f64, f64)) -> ForceReading {
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
-/// The tabulated responses to spots for these channel deviations (volts).
-///
-/// # Errors
-/// No positive deviation; a membrane that cannot be solved.
-pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, Error> {
-    let polarity = prepared.skin.imaging.polarity.sign();
-    let jacobian = prepared.jacobian.as_mat();
-    let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
-    let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
-    let spread = match &prepared.skin.frontend.layer {
-        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => Some(membrane(prepared, layer)?.0),
-        _ => None,
-    };
-    let response = spread.as_ref().map(|spread| &pressed * spread);
-    let positions: Vec<[f64; 2]> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
-    let (half_width, pixel_m) = (prepared.half_width_m(), prepared.map.grid().pixel_m);
-    let options = SpotOptions {
-        smallest_radius_m: SMALLEST_RADIUS * half_width,
-        largest_radius_m: LARGEST_RADIUS * half_width,
-        typical_radius_m: TYPICAL_RADIUS * half_width,
-        most_spots: MOST_SPOTS,
-    };
-    let response = response.as_ref().unwrap_or(&pressed);
-    let model = SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?;
-    // Usual presses remove a third of the layer or more, so a linear model isn't enough.
-    let layer = &prepared.skin.frontend.layer;
-    let is_continuous = matches!(layer, Layer::Liquid(_) | Layer::Sheet(_)) && !layer.is_open_tank();
-    if is_continuous && may_look_beyond(prepared) {
-        let response = change_response(prepared)?;
-        let spread = spread.as_ref().map(|spread| spread.as_ref());
-        return Ok(model.with_large_changes(response, pressed.as_ref(), spread, &positions, polarity)?);
-    }
-    Ok(model)
-}
-
-/// True if there is time to correct for large changes, and no readout circuit between model and channels.
-fn may_look_beyond(prepared: &Prepared) -> bool {
-    let backend = &prepared.skin.backend;
-    backend.circuit.is_none() && backend.frame_rate_hz() <= MOST_FRAMES_PER_S
-}
-
-/// The change of the model's voltages when the conductance of each pixel changes by the given shares.
-fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
-    let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
-    let (map, conductance_s) = (prepared.map.clone(), prepared.skin.sheet_conductance_s());
-    let rest = prepared.voltages.clone();
-    Ok(Arc::new(move |changes: &[f64]| {
-        let mut conductances = map.to_elements(changes).ok()?;
-        conductances.iter_mut().for_each(|value| *value = conductance_s * (1.0 + *value));
-        let mut differences = model.voltages(&conductances).ok()?;
-        differences.iter_mut().zip(&rest).for_each(|(value, rest)| *value -= rest);
-        Some(differences)
-    }))
-}
-
-/// See [`membrane`].
-pub(crate) fn membrane_spread(prepared: &Prepared, layer: &LiquidLayer) -> Result<Mat<f64>, Error> {
-    Ok(membrane(prepared, layer)?.0)
-}
-
-/// The pressure of a load of amplitude 1 on the skin's membrane, pascal; `None` without a membrane.
-///
-/// # Errors
-/// A membrane that cannot be solved.
-pub(crate) fn membrane_pressure_pa(prepared: &Prepared) -> Result<Option<f64>, Error> {
-    match &prepared.skin.frontend.layer {
-        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => Ok(Some(membrane(prepared, layer)?.1)),
-        _ => Ok(None),
-    }
-}
-
-/// Like [`spot_model`], before any noise has been measured.
-pub(crate) fn assumed_spot_model(prepared: &Prepared) -> Result<SpotModel, Error> {
-    let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
-    spot_model(prepared, &vec![prepared.skin.touch.assumed_noise_share * largest; prepared.channels()])
-}
-
-/// Response of the depth of a liquid under a closed membrane at all pixels (rows) to a load on one (columns): `T lap
-/// w = -p + c - rho gz w`, with `w = 0` at the rim and constant volume. The unit is chosen so that a typical spot in
-/// the middle makes 1 there. The liquid's weight narrows dents that are wider than `sqrt(T / rho |gz|)`, 78 mm for
-/// water under 60 N/m; the depth is only a scale factor. Also returns the pressure of a load of amplitude 1, pascal.
-fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<(Mat<f64>, f64), Error> {
-    let mesh = &prepared.body.mesh.mesh;
-    // Gravity along the skin changes the rest shape, not the response.
-    let spec = MembraneSpec {
-        tension_n_per_m: layer.tension_n_per_m,
-        density_kg_per_m3: layer.density_kg_per_m3,
-        gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
-    };
-    // A membrane too slack to hold the liquid beneath it must be held in some other way; ignore the weight, as only
-    // the shape of the response is needed.
-    let weightless = MembraneSpec { density_kg_per_m3: 0.0, ..spec };
-    let mut membrane = Membrane::new(mesh, spec).or_else(|_| Membrane::new(mesh, weightless))?;
-    let pixels = prepared.map.inside_count();
-    let mut loads = vec![vec![0.0; mesh.nodes().len()]; pixels];
-    for (element, nodes) in mesh.elements().enumerate() {
-        for (pixel, share) in prepared.map.overlaps_of_element(element) {
-            let force = share * mesh.measures()[element] / nodes.len() as f64;
-            nodes.iter().for_each(|&node| loads[pixel][node as usize] += force);
-        }
-    }
-    let mut spread = Mat::zeros(pixels, pixels);
-    for (column, load) in loads.iter().enumerate() {
-        membrane.deflect(load);
-        let at = membrane.deflection_m();
-        let per_element: Vec<f64> = mesh
-            .elements()
-            .map(|nodes| nodes.iter().map(|&node| at[node as usize]).sum::<f64>() / nodes.len() as f64)
-            .collect();
-        let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
-        for (row, value) in prepared.map.to_inside(&per_element).map_err(named)?.into_iter().enumerate() {
-            spread[(row, column)] = value;
-        }
-    }
-    let radius = TYPICAL_RADIUS * prepared.half_width_m();
-    let centre = |p: &[f64; 3]| (-(p[0] * p[0] + p[1] * p[1]) / (2.0 * radius * radius)).exp();
-    let middle: Vec<f64> = prepared.basis.positions.iter().map(centre).collect();
-    let shape = &spread * faer::ColRef::from_slice(&middle);
-    let largest = shape.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    Ok((faer::Scale(1.0 / largest) * spread, 1e-3 * layer.depth_mm / largest))
 }

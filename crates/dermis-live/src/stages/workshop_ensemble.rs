@@ -13,7 +13,7 @@
 
 use std::sync::Arc;
 
-use dermis_skin::{Dice, Layer, Tolerances, built_electrodes};
+use dermis_skin::{Dice, Tolerances, built_electrodes};
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::mesh::{Outline, PixelMap};
 use faer::linalg::solvers::Solve;
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{misfit, scale_to_model};
-use crate::stages::touch_refinement::membrane_spread;
+use crate::stages::spot_model::Membrane;
 use crate::stages::workshop_error::{BuiltError, WorkshopError};
 
 /// Number of skins in the ensemble. Their root mean square has a relative error of `1 / sqrt(2 * 24)` = 14 %.
@@ -41,7 +41,7 @@ const COSINES: usize = 64;
 /// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much.
 const AS_DRAWN: f64 = 0.004;
 
-/// A skin with errors: voltages at rest, and volts per relative change of each inside pixel.
+/// A skin with errors: voltages at rest, and model volts per relative change of each inside pixel.
 struct Member {
     voltages: Vec<f64>,
     jacobian: Mat<f64>,
@@ -74,15 +74,13 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     let spots = spots(prepared, &places_m)?;
     let responses = &nominal.jacobian * &spots;
     let uniform: Vec<f64> = nominal.jacobian.row_iter().map(|row| row.iter().sum()).collect();
-    let at_rest = Against::of(prepared, &nominal.voltages)?;
     let drawn: Vec<_> = (1..=MEMBERS)
         .into_par_iter()
         .filter_map(|number| {
             // Skip combinations of errors that cannot be built.
             let member = member(prepared, tolerances, number).ok()?;
-            let against = Against::of(prepared, &member.voltages).ok()?;
-            let fit: Vec<[f64; 5]> = member_errors(&member, &against, &at_rest, &spots, &responses, &uniform);
-            Some((fit, against.misfit(&nominal.voltages)))
+            let errors = member_errors(&member, &spots, &responses, &uniform);
+            Some((errors, misfit(&nominal.voltages, &member.voltages)))
         })
         .collect();
     let count = drawn.len().max(1) as f64;
@@ -102,32 +100,9 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     Ok(WorkshopError { places_m, spacing_m, squares, misfit_2, law })
 }
 
-/// A baseline with the factors that convert it to the model's volts.
-struct Against {
-    baseline: Vec<f64>,
-    scale: Vec<f64>,
-}
-
-impl Against {
-    fn of(prepared: &Prepared, voltages: &[f64]) -> Result<Self, Error> {
-        Ok(Self { baseline: voltages.to_vec(), scale: scale_to_model(prepared, voltages)? })
-    }
-
-    fn misfit(&self, model: &[f64]) -> f64 {
-        misfit(model, &self.baseline)
-    }
-}
-
 /// Apparent changes of x, y (m), load and the logarithm of the radius for a spot of load 1 at each position, and
 /// the share of its energy that remains.
-fn member_errors(
-    member: &Member,
-    against: &Against,
-    at_rest: &Against,
-    spots: &Mat<f64>,
-    responses: &Mat<f64>,
-    uniform: &[f64],
-) -> Vec<[f64; 5]> {
+fn member_errors(member: &Member, spots: &Mat<f64>, responses: &Mat<f64>, uniform: &[f64]) -> Vec<[f64; 5]> {
     let places = spots.ncols() / PARAMETERS;
     let channels = member.voltages.len();
     // One of every PARAMETERS columns is the spot itself; the others are its derivatives.
@@ -136,11 +111,9 @@ fn member_errors(
     (0..places)
         .map(|place| {
             let first = PARAMETERS * place;
-            let error = Mat::from_fn(channels, 1, |c, _| {
-                against.scale[c] * built[(c, place)] - at_rest.scale[c] * responses[(c, first + LOAD)]
-            });
+            let error = Mat::from_fn(channels, 1, |c, _| built[(c, place)] - responses[(c, first + LOAD)]);
             let derivatives = Mat::from_fn(channels, PARAMETERS + 1, |c, k| {
-                at_rest.scale[c] * if k < PARAMETERS { responses[(c, first + k)] } else { uniform[c] }
+                if k < PARAMETERS { responses[(c, first + k)] } else { uniform[c] }
             });
             let variance = error.col(0).squared_norm_l2() / channels as f64;
             let mut normal = derivatives.transpose() * &derivatives;
@@ -210,11 +183,12 @@ fn member(prepared: &Prepared, tolerances: &Tolerances, number: u64) -> Result<M
         let column = columns[inside[pixel] as usize];
         if column == usize::MAX { 0.0 } else { local[pixel] * pixels.row(channel)[column] }
     });
-    let mut gains = dice(6);
-    for (channel, voltage) in voltages.iter_mut().enumerate() {
-        let gain = 1.0 + 0.01 * tolerances.gain_percent * gains.normal();
-        *voltage *= gain;
-        jacobian.row_mut(channel).iter_mut().for_each(|value| *value *= gain);
+    let mut dice = dice(6);
+    let gains: Vec<f64> = voltages.iter().map(|_| 1.0 + 0.01 * tolerances.gain_percent * dice.normal()).collect();
+    voltages.iter_mut().zip(&gains).for_each(|(voltage, gain)| *voltage *= gain);
+    let scale = scale_to_model(prepared, &voltages)?;
+    for (channel, (gain, scale)) in gains.iter().zip(scale).enumerate() {
+        jacobian.row_mut(channel).iter_mut().for_each(|value| *value *= gain * scale);
     }
     Ok(Member { voltages, jacobian })
 }
@@ -271,8 +245,8 @@ fn spots(prepared: &Prepared, places_m: &[[f64; 2]]) -> Result<Mat<f64>, Error> 
             axis => value * off[axis] / radius_m,
         }
     });
-    Ok(match &prepared.skin.frontend.layer {
-        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => membrane_spread(prepared, layer)? * spots,
-        _ => spots,
+    Ok(match Membrane::of(prepared)? {
+        Some(membrane) => membrane.spread * spots,
+        None => spots,
     })
 }

@@ -5,7 +5,7 @@ use dermis::live::imager::Imager;
 use dermis::live::prepare::Prepared;
 use dermis::live::reference::Reference;
 use dermis::live::stages::refinement::Refinement;
-use dermis::live::stages::touch_refinement::spot_model;
+use dermis::live::stages::spot_model::spot_model;
 use dermis::live::stages::touches::TouchStage;
 use dermis::skin::Skin;
 use dermis::twin::TwinKit;
