@@ -283,7 +283,7 @@ def test_what_is_left(skin, model, pipe, values, number, text):
         lambda: dermis.Pipeline(model, calibration=number),
         lambda: model.image(model.voltages(), model.voltages(), prior=text, hyperparameter=number),
         lambda: model.image(model.voltages(), model.voltages(), prior={text: number}, hyperparameter={text: number}),
-        lambda: model.order(values),
+        lambda: dermis.find_order(model, values),
         lambda: dermis.Twin(skin, seed=number),
         lambda: dermis.Skin(number),
         lambda: dermis.Network.load(text),

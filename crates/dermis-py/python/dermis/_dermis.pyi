@@ -8,6 +8,8 @@ from typing import Any, Literal, TypeAlias, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._tables import FileFrames
+
 __version__: str
 
 _Path: TypeAlias = str | PathLike[str]
@@ -274,13 +276,6 @@ class Recording:
     def to_pandas(self) -> Any: ...
     def to_arrow(self) -> Any: ...
     def to_xarray(self) -> Any: ...
-
-class FileFrames(tuple[_Floats, _Floats | None]):
-    frames: _Floats
-    times_s: _Floats | None
-    sequences: NDArray[np.uint64] | None
-    wall_ns: NDArray[np.int64] | None
-    understood: str
 
 def read_frames(
     path: _Path,

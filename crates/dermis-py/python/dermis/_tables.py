@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import html
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from typing_extensions import disjoint_base
+else:
+
+    def disjoint_base(cls):
+        """Marks a class whose instances have a layout of their own, for type checkers."""
+        return cls
+
 
 _FIELDS = (
     *("x_mm", "y_mm", "force_n", "amplitude", "area_mm2", "sigma_x_mm", "sigma_y_mm", "radius_mm"),
@@ -18,13 +28,14 @@ touch_dtype = np.dtype([("id", "u8"), ("phase", "U5"), *((name, "f8") for name i
 _recorded_dtype = np.dtype([("sequence", "u8"), ("wall_ns", "i8"), *touch_dtype.descr])
 
 
-class FileFrames(tuple):
+@disjoint_base
+class FileFrames(tuple[NDArray[np.float64], NDArray[np.float64] | None]):
     """Frames of a file and their times, with further attributes of the file."""
 
-    frames: np.ndarray
-    times_s: np.ndarray | None
-    sequences: np.ndarray | None
-    wall_ns: np.ndarray | None
+    frames: NDArray[np.float64]
+    times_s: NDArray[np.float64] | None
+    sequences: NDArray[np.uint64] | None
+    wall_ns: NDArray[np.int64] | None
     understood: str
 
     def __new__(cls, frames: Any, times_s: Any, sequences: Any, wall_ns: Any, understood: str) -> FileFrames:
