@@ -12,7 +12,6 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -24,7 +23,7 @@ TIMED_POKES, TIMED_FRAMES = 400, 4000
 HANDLES_SESSIONS = True
 TOLD = (
     "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press; of the "
-    "six points a guessed hexagon, and the single touches alone"
+    "six points a guessed hexagon"
 )
 
 
@@ -132,21 +131,34 @@ HEXAGON_M = 0.03 * np.column_stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.
 
 
 def points(told):
-    """The touched points. Calibrates on the single touches, and assigns every detected touch to the nearest point."""
-    single = told.targets.sum(1) == 1
-    one = SimpleNamespace(
-        frames=told.frames[single], targets=HEXAGON_M[told.targets[single].argmax(1)], session=np.zeros(single.sum(), int),
-        skin=None, outline_mm=f"{DISC_MM:.0f}",
-    )  # fmt: skip
-    skin = Skin(one, "place")
+    """The touched points. Assigns every detected touch to the nearest point."""
+    touched = told.targets.sum(1) > 0
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder)
+        rows = [(number, *HEXAGON_M[point]) for number, pattern in enumerate(told.targets[touched]) for point in np.flatnonzero(pattern)]
+        write(path / "frames.csv", told.frames[touched])
+        write(path / "positions.csv", np.array(rows), "group,x_m,y_m")
+        call(
+            "calibrate", "--outline-mm", f"{DISC_MM:.0f}", "--channels", told.frames.shape[1], "--write-skin", "skin.toml",
+            "--differences", "--frames", "frames.csv", "--positions", "positions.csv", "--out", "calibration.json", folder=path,
+        )  # fmt: skip
+        skin, calibration = ((path / name).read_bytes() for name in ("skin.toml", "calibration.json"))
 
     def answer(frames):
-        skin.reconstruct(frames, None)
         found = np.zeros((len(frames), 6))
-        with open(skin.path / "touches.csv", encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                place = np.array([float(row["x_mm"]), float(row["y_mm"])]) / 1e3
-                found[int(row["frame"]), np.linalg.norm(HEXAGON_M - place, axis=1).argmin()] = 1
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder)
+            (path / "skin.toml").write_bytes(skin)
+            (path / "calibration.json").write_bytes(calibration)
+            write(path / "judged.csv", frames)
+            call(
+                "reconstruct", "skin.toml", "--differences", "--calibration", "calibration.json", "--frames", "judged.csv",
+                "--touches", "touches.csv", folder=path,
+            )  # fmt: skip
+            with open(path / "touches.csv", encoding="utf-8", newline="") as file:
+                for row in csv.DictReader(file):
+                    place = np.array([float(row["x_mm"]), float(row["y_mm"])]) / 1e3
+                    found[int(row["frame"]), np.linalg.norm(HEXAGON_M - place, axis=1).argmin()] = 1
         return found, np.full(found.shape, 0.5)
 
     answer.calls_per_s = math.nan

@@ -66,7 +66,8 @@ fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -
     let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
     let step = differences.len().div_ceil(MOST_LOOKED_AT).max(1);
     let load_share = load_shares(pokes.loads.as_ref().map(|(_, loads)| &loads[..]));
-    let looked_at = (0..differences.len()).step_by(step);
+    let is_single = |i: &usize| pokes.further_m.get(*i).is_none_or(Vec::is_empty);
+    let looked_at = (0..differences.len()).step_by(step).filter(is_single);
     let poked = looked_at.map(|i| MeasuredPoke {
         difference: &differences[i],
         truth_m: pokes.positions_m[i],
@@ -165,7 +166,7 @@ mod tests {
             rest.iter().enumerate().map(|(k, v)| v * factor(k)).collect::<Vec<f64>>()
         };
         let frames: Vec<Vec<f64>> = (0..30).map(wild).collect();
-        let pokes = Pokes { positions_m: grid(30, 0.01, [-0.03, -0.02]), loads: None };
+        let pokes = Pokes { positions_m: grid(30, 0.01, [-0.03, -0.02]), further_m: Vec::new(), loads: None };
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
         assert!(calibration.correction().is_none());
@@ -186,7 +187,7 @@ mod tests {
         frames.iter_mut().for_each(|frame| frame[7] = f64::NAN);
         frames[3..6].iter_mut().for_each(|frame| frame[40] = f64::NAN);
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
-        let pokes = Pokes { positions_m, loads: None };
+        let pokes = Pokes { positions_m, further_m: Vec::new(), loads: None };
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
         assert!(calibration.review().dead_channels.contains(&7));
         let folder = tempfile::tempdir().unwrap();
@@ -204,7 +205,7 @@ mod tests {
         let positions_m = grid(36, 0.02, [-0.05, -0.05]);
         let frames = pressed(&prepared, &positions_m, |poke| if poke % 9 == 4 { 0.1 } else { 30.0 });
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
-        let pokes = Pokes { positions_m, loads: None };
+        let pokes = Pokes { positions_m, further_m: Vec::new(), loads: None };
         let seen = seen_by_model(&prepared, measured, &pokes).unwrap();
         for (poke, sight) in seen.iter().enumerate() {
             assert_eq!(matches!(sight, PokeSight::Nothing(_)), poke % 9 == 4, "{poke}: {sight:?}");

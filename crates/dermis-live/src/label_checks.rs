@@ -237,7 +237,7 @@ mod tests {
         let rest = prepared.voltages.clone();
         let check = |positions_m: Vec<[f64; 2]>| {
             let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
-            check_labels(&prepared, measured, &Pokes { positions_m, loads: None }).unwrap()
+            check_labels(&prepared, measured, &Pokes { positions_m, further_m: Vec::new(), loads: None }).unwrap()
         };
         let right = check(places.clone());
         assert!(right.p_value.unwrap() <= 0.01 && right.lag_rows.is_none() && right.turned.is_none(), "{right:?}");

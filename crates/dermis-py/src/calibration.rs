@@ -81,7 +81,7 @@ pub fn calibrate(
         }
         None => None,
     };
-    let pokes = Pokes { positions_m, loads };
+    let pokes = Pokes { positions_m, further_m: Vec::new(), loads };
     let fit = move || {
         let measured = PokeFrames::Readings { baselines: &baselines, frames: &frames };
         Ok(fit_calibration(&prepared, measured, &pokes, &CalibrationOptions::default())?)

@@ -325,7 +325,7 @@ impl Arguments {
         let mut reader = ChannelReader::new(tables[0].layout(), &prepared.protocol, reads, "the twin")?;
         let [baselines, frames] = tables.each_ref().map(|table| reader.read_table(table));
         let positions_m = presses.iter().map(|press| press[0].centre_m).collect();
-        let pokes = Pokes { positions_m, loads: None };
+        let pokes = Pokes { positions_m, further_m: Vec::new(), loads: None };
         let busy = busy("fitting the calibration".into());
         let (baselines, frames) = (baselines?, frames?);
         let measured = PokeFrames::Readings { baselines: &baselines, frames: &frames };

@@ -142,6 +142,7 @@ impl Presses {
         let loads = self.pokes.loads.as_ref();
         let pokes = Pokes {
             positions_m: rows.iter().map(|&row| self.pokes.positions_m[row]).collect(),
+            further_m: Vec::new(),
             loads: loads.map(|(quantity, loads)| (*quantity, rows.iter().map(|&row| loads[row]).collect())),
         };
         let frames = pick(&self.pressed);

@@ -426,7 +426,7 @@ impl Bench {
         seen: &[PokeSight],
     ) -> Result<(Reconstructor, Reference), Error> {
         let (positions_m, frames): (Vec<[f64; 2]>, Vec<Vec<f64>>) = poked.iter().cloned().unzip();
-        let pokes = Pokes { positions_m, loads: None };
+        let pokes = Pokes { positions_m, further_m: Vec::new(), loads: None };
         // Drop a frame if the numbers are equal, or the baselines would be taken as belonging to the pokes one by
         // one.
         let baseline = if frames.len() == baseline.len() { &baseline[1..] } else { baseline };

@@ -5,7 +5,7 @@ use dermis_touch::{PlaceHypotheses, PlaceModes};
 
 use crate::Error;
 use crate::reference::Reference;
-use crate::stages::placement::{Placement, SecondTouch};
+use crate::stages::placement::{FurtherTouch, MOST_FURTHER, Placement};
 
 /// Below this correlation with the best position's signature, a frame may not be a single touch.
 const LEAST_SCORE: f64 = 0.5;
@@ -130,16 +130,18 @@ impl MatchedFinder {
             doubtful: touch.score < LEAST_SCORE,
             vague: false,
             other_place: None,
-            second: None,
+            further: [None; MOST_FURTHER],
         };
         if let Some(MatchedPair { positions_m, amplitudes, left }) = self.pair(touch.score)? {
             self.forget();
             let [position_m, other_m] = positions_m;
-            let second = Some(SecondTouch { position_m: other_m, share: amplitudes[1] / amplitudes[0] });
             // Residual energy relative to the weaker touch alone.
             let of_weaker = left * (1.0 + (amplitudes[0] / amplitudes[1]).powi(2));
             let covariance_m2 = self.error.covariance_m2(of_weaker);
-            return Ok(Some(Placement { position_m, covariance_m2, second, doubtful: false, ..placed }));
+            let share = amplitudes[1] / amplitudes[0];
+            let mut further = placed.further;
+            further[0] = Some(FurtherTouch { position_m: other_m, covariance_m2, share, load: None });
+            return Ok(Some(Placement { position_m, covariance_m2, further, doubtful: false, ..placed }));
         }
         self.calibration.probabilities(&self.scores, &mut self.probabilities);
         let told = self.hypotheses.follow(time_ns, &self.probabilities);
@@ -284,7 +286,7 @@ mod tests {
     fn two_presses_are_two_and_one_is_one() {
         let mut desk = Desk::new(Prepared::new(Skin::open("hydrogel-disc").unwrap()).unwrap());
         let singles: Vec<Placement> = (0..60).map(|n| desk.place(60_000_000_000 * n as u64, &[n], 1000 + n)).collect();
-        assert!(singles.iter().all(|found| found.second.is_none()), "{singles:?}");
+        assert!(singles.iter().all(|found| found.further[0].is_none()), "{singles:?}");
         let (mut pairs, mut both) = (0, 0);
         for (a, b) in (0..60).flat_map(|a| (0..a).map(move |b| (a, b))) {
             let truth = [desk.places[a], desk.places[b]];
@@ -294,7 +296,7 @@ mod tests {
             }
             let found = desk.place(60_000_000_000 * (100 + pairs), &[a, b], 2000 + 60 * a + b);
             pairs += 1;
-            let Some(second) = found.second else { continue };
+            let Some(second) = found.further[0] else { continue };
             let near = |[p, q]: [[f64; 2]; 2]| distance_mm(p, truth[0]).max(distance_mm(q, truth[1])) < 15.0;
             let (p, q) = (found.position_m, second.position_m);
             both += u64::from(near([p, q]) || near([q, p]));

@@ -1,14 +1,15 @@
-//! Locates the single touch of a frame on a calibrated skin.
+//! Locates the touches of a frame on a calibrated skin.
 
-use dermis_touch::locator::{PlaceCorrection, TypicalAmplitude};
+use dermis_touch::locator::{
+    FusedLocator, FusedScratch, Located, Part, PlaceCorrection, Superposition, SuperpositionScratch, TypicalAmplitude,
+};
 use dermis_touch::{LoadQuantity, TouchLoad};
 
 use super::matched::MatchedFinder;
-use super::place_locator::{PlaceLocator, PlaceScratch};
 use super::poke_calibration::{Calibration, SmallestAmplitude};
 use crate::Error;
 use crate::reference::Reference;
-use crate::stages::placement::Placement;
+use crate::stages::placement::{FurtherTouch, MOST_FURTHER, Placement};
 
 /// Above this novelty a frame may not be a single touch, and several contacts in the image count against it.
 const MOST_NOVELTY: f64 = 3.0;
@@ -27,8 +28,13 @@ pub enum PlacementFinder {
 /// A locator with its memory.
 #[derive(Clone, Debug)]
 pub struct LearntFinder {
-    locator: PlaceLocator,
-    scratch: PlaceScratch,
+    locator: FusedLocator,
+    scratch: FusedScratch,
+    /// Explains frames by several touches.
+    superposition: Option<(Superposition, SuperpositionScratch)>,
+    /// Memory for the touches of a frame, and for a frame with one of them.
+    parts: Vec<Part>,
+    frame: Vec<f64>,
     /// Corrects the model's positions, if the model locates touches.
     correction: Option<PlaceCorrection>,
     /// Divisor for amplitudes.
@@ -93,7 +99,19 @@ impl LearntFinder {
         let correction = calibration.correction().cloned();
         let typical = calibration.typical_amplitude(half_width_m)?;
         let load = calibration.load_quantity();
-        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude, half_width_m })
+        let superposition = calibration.superposition()?.map(|found| (found, SuperpositionScratch::default()));
+        Ok(Self {
+            scratch: locator.scratch(),
+            superposition,
+            parts: Vec::new(),
+            frame: Vec::new(),
+            correction,
+            typical,
+            load,
+            locator,
+            smallest_amplitude,
+            half_width_m,
+        })
     }
 
     /// Uses the mean of the locator's posterior even if that has several modes: with a posterior learned from few
@@ -102,17 +120,65 @@ impl LearntFinder {
         if difference.iter().all(|v| !v.is_finite() || *v == 0.0) {
             return Ok(None);
         }
-        let located = self.locator.locate(difference, &mut self.scratch)?;
+        let located = self.locator.predict_into(difference, &mut self.scratch)?;
         let sigma_m = located.sigma_x_m.max(located.sigma_y_m);
         if !self.smallest_amplitude.is_touch(located.amplitude, sigma_m) {
             return Ok(None);
         }
+        self.parts.clear();
+        if let Some((superposition, scratch)) = &mut self.superposition {
+            self.parts.extend_from_slice(superposition.explain(difference, scratch)?);
+            if self.parts.is_empty() {
+                return Ok(None);
+            }
+        }
+        if self.parts.len() < 2 {
+            return Ok(Some(self.placement(&located)));
+        }
+        let first = self.place_part(difference, 0)?;
+        let mut further = [None; MOST_FURTHER];
+        for (number, place) in (1..self.parts.len()).zip(&mut further) {
+            let found = self.place_part(difference, number)?;
+            let share = match (found.amplitude, first.amplitude) {
+                (Some(amplitude), Some(strongest)) => amplitude / strongest,
+                _ => self.parts[number].share / self.parts[0].share,
+            };
+            *place = Some(FurtherTouch {
+                position_m: found.position_m,
+                covariance_m2: found.covariance_m2,
+                share,
+                load: found.load,
+            });
+        }
+        Ok(Some(Placement { further, doubtful: false, ..first }))
+    }
+
+    /// Locates one of the touches of a frame, with the others removed.
+    fn place_part(&mut self, difference: &[f64], number: usize) -> Result<Placement, Error> {
+        if let Some((superposition, _)) = &self.superposition {
+            superposition.without_others(difference, &self.parts, number, &mut self.frame);
+        }
+        let located = self.locator.predict_into(&self.frame, &mut self.scratch)?;
+        let mut placement = self.placement(&located);
+        // A frame that resembles its touch less than usual, since the others are removed imperfectly.
+        placement.covariance_m2.iter_mut().flatten().for_each(|value| *value *= located.novelty.max(1.0));
+        // What the sum leaves of the other touches may outweigh this one.
+        let own_m = self.parts[number].position_m;
+        let distance_m = |place_m: [f64; 2]| (located.x_m - place_m[0]).hypot(located.y_m - place_m[1]);
+        if self.parts.iter().any(|part| distance_m(part.position_m) < distance_m(own_m)) {
+            placement.position_m = own_m;
+        }
+        Ok(placement)
+    }
+
+    fn placement(&self, located: &Located) -> Placement {
+        let sigma_m = located.sigma_x_m.max(located.sigma_y_m);
         let load = self.load.zip(located.load);
         let position_m = [located.x_m, located.y_m];
-        Ok(Some(Placement {
+        Placement {
             amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
-            doubtful: located.novelty > MOST_NOVELTY,
+            doubtful: self.superposition.is_none() && located.novelty > MOST_NOVELTY,
             vague: sigma_m > VAGUE * self.half_width_m,
             position_m,
             covariance_m2: [
@@ -120,7 +186,7 @@ impl LearntFinder {
                 [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
             ],
             other_place: None,
-            second: None,
-        }))
+            further: [None; MOST_FURTHER],
+        }
     }
 }

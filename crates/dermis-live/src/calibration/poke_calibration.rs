@@ -3,20 +3,23 @@
 //! sister skins, with many on the pokes alone.
 
 mod frames;
+mod groups;
 mod map;
 mod stored;
 mod strength;
 
 pub(crate) use frames::differences_of;
 pub use frames::{PokeFrames, set_channels};
+pub use groups::PokeGroup;
+use groups::split;
 
 use std::path::Path;
 
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
-    Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, LocatorError, MIN_EXAMPLES, PlaceCorrection,
-    PokeSight, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
+    Examples, FusedLocator, FusedOptions, FusedReport, LabelledFrame, LeaveOneOut, LocatorError, MIN_EXAMPLES,
+    PlaceCorrection, PokeSight, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, Superposition, TypicalAmplitude,
 };
 use frames::without_silence;
 use map::signature_map;
@@ -24,7 +27,6 @@ use serde::{Deserialize, Serialize};
 pub(super) use strength::SmallestAmplitude;
 use strength::{TouchStrength, Weighed};
 
-use super::place_locator::PlaceLocator;
 use super::poke_check::{Sound, check_pokes};
 use super::pokes::{LoadQuantity, Pokes};
 use crate::Error;
@@ -94,10 +96,12 @@ pub struct Calibration {
     frames: Vec<Vec<f64>>,
     positions_m: Vec<[f64; 2]>,
     loads: Option<Vec<f64>>,
-    locator: PlaceLocator,
+    locator: Box<FusedLocator>,
     /// Corrects the positions of the skin's model, if these are better than the locator's. The model then locates
     /// touches, and the locator estimates their load.
     by_model: Option<PlaceCorrection>,
+    /// Pokes with several touches, which only teach how touches add up.
+    groups: Vec<PokeGroup>,
     /// Number of pokes used in the fit.
     pokes: usize,
     strength: TouchStrength,
@@ -130,6 +134,10 @@ impl Calibration {
         pokes: &Pokes,
         options: &CalibrationOptions<'_>,
     ) -> Result<Self, Error> {
+        if let Some(parts) = split(measured, pokes)? {
+            let alone = Self::fit_with(prepared, parts.singles(), &parts.pokes, options)?;
+            return Ok(Self { groups: parts.groups(prepared)?, ..alone });
+        }
         let (reference, mut differences) = differences_of(prepared, measured)?;
         let scatter = measured.rest_scatter();
         let unsound_channels = scatter.as_ref().map_or_else(Vec::new, |scatter| scatter.unsound(None));
@@ -183,8 +191,9 @@ impl Calibration {
             frames: kept.iter().map(|&i| without_silence(&differences[i], &dead_channels)).collect(),
             positions_m: places(&kept),
             loads: pokes.loads.as_ref().map(|(_, loads)| kept.iter().map(|&i| loads[i]).collect()),
-            locator: PlaceLocator::Fused(Box::new(fused)),
+            locator: Box::new(fused),
             by_model: None,
+            groups: Vec::new(),
             pokes: rows.len(),
             strength: TouchStrength::of(amplitudes?, &resting, matches!(measured, PokeFrames::Readings { .. })),
             review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter },
@@ -229,12 +238,9 @@ impl Calibration {
         self.by_model.as_ref().map_or_else(|| self.locator.leave_one_out(), PlaceCorrection::leave_one_out)
     }
 
-    /// The experts' results on the pokes and the use of physics and sister skins; `None` for a file of version 1.
-    pub fn experts(&self) -> Option<&FusedReport> {
-        match &self.locator {
-            PlaceLocator::Fused(fused) => Some(fused.report()),
-            PlaceLocator::Single(_) => None,
-        }
+    /// The experts' results on the pokes and the use of physics and sister skins.
+    pub fn experts(&self) -> &FusedReport {
+        self.locator.report()
     }
 
     /// Channels to exclude from frames taken with these baselines, one for each frame: those that the calibration
@@ -267,6 +273,9 @@ impl Calibration {
         let mut silent = self.clone();
         let mut gone = self.frames.clone();
         set_channels(&mut silent.frames, channels, 0.0);
+        for group in &mut silent.groups {
+            set_channels(std::slice::from_mut(&mut group.frame), channels, 0.0);
+        }
         set_channels(&mut gone, channels, f64::NAN);
         let mut examples = Examples::new(self.channels, gone.concat(), self.positions_m.clone())?;
         examples = examples.with_channel_noise(noise.to_vec())?;
@@ -276,7 +285,7 @@ impl Calibration {
         let fused = fit_best(&examples, &signature_map(prepared, true)?, &[], prepared)?;
         let amplitudes =
             gone.iter().map(|frame| Ok(fused.predict(frame)?.amplitude)).collect::<Result<Vec<f64>, Error>>()?;
-        silent.locator = PlaceLocator::Fused(Box::new(fused));
+        silent.locator = Box::new(fused);
         silent.by_model = None;
         silent.strength = TouchStrength::of(amplitudes, &[], true);
         Ok(silent)
@@ -302,41 +311,39 @@ impl Calibration {
         &self.skin
     }
 
-    /// Thresholds that separate a touch from rest. A file of version 1 lacks some of them.
-    fn strength(&self) -> Result<TouchStrength, Error> {
-        if self.strength.weak.is_some() {
-            return Ok(self.strength);
-        }
-        let mut finder = self.locator.scratch();
-        let amplitudes = self
-            .frames
-            .iter()
-            .map(|f| Ok(self.locator.locate(f, &mut finder)?.amplitude))
-            .collect::<Result<_, Error>>()?;
-        Ok(TouchStrength::of_all(amplitudes))
-    }
-
     /// The locator for single touches.
-    pub(super) fn locator(&self) -> &PlaceLocator {
+    pub(super) fn locator(&self) -> &FusedLocator {
         &self.locator
     }
 
+    /// How touches add up, learned from all pokes. `None` if the model locates touches, or with too few pokes.
+    ///
+    /// # Errors
+    /// As [`Superposition::fit`].
+    pub(super) fn superposition(&self) -> Result<Option<Superposition>, Error> {
+        if self.by_model.is_some() {
+            return Ok(None);
+        }
+        let singles = self.frames.iter().zip(&self.positions_m);
+        let singles = singles.map(|(frame, place_m)| LabelledFrame { frame, touches_m: std::slice::from_ref(place_m) });
+        let groups = self.groups.iter();
+        let groups = groups.map(|group| LabelledFrame { frame: &group.frame, touches_m: &group.touches_m });
+        let labelled: Vec<LabelledFrame<'_>> = singles.chain(groups).collect();
+        Ok(Superposition::fit(&labelled, self.locator.channel_weights())?)
+    }
+
     /// Amplitude that the locator gives a typical poke, over a skin whose shorter side is twice `half_width_m`,
-    /// metres. `None` for a file of version 1, whose touches keep the amplitudes of images, and if no poke has an
-    /// amplitude.
+    /// metres. `None` if no poke has an amplitude.
     ///
     /// # Errors
     /// As [`TypicalAmplitude::fit`].
     pub(super) fn typical_amplitude(&self, half_width_m: f64) -> Result<Option<TypicalAmplitude>, Error> {
-        if matches!(self.locator, PlaceLocator::Single(_)) {
-            return Ok(None);
-        }
         let mut scratch = self.locator.scratch();
         let load_share = load_shares(self.loads.as_deref());
         let (mut places_m, mut amplitudes) = (Vec::new(), Vec::new());
         for i in (0..self.frames.len()).step_by(self.frames.len().div_ceil(MOST_TYPICAL).max(1)) {
             // Skip pokes that cannot be located.
-            let Ok(located) = self.locator.locate(&self.frames[i], &mut scratch) else { continue };
+            let Ok(located) = self.locator.predict_into(&self.frames[i], &mut scratch) else { continue };
             let amplitude = located.amplitude / load_share(i);
             if amplitude.is_finite() && amplitude > 0.0 {
                 places_m.push(self.positions_m[i]);
@@ -386,13 +393,12 @@ impl Calibration {
         prepared: &Prepared,
         session_noise: Option<&[f64]>,
     ) -> Result<SmallestAmplitude, Error> {
-        let strength = self.strength()?;
         // Noise that is zero everywhere has no amplitude.
-        let noise = session_noise.and_then(|noise| self.locator.locate(noise, &mut self.locator.scratch()).ok());
+        let noise = session_noise.and_then(|noise| self.locator.predict(noise).ok());
         let noise = noise.map(|located| (located.amplitude, self.channels));
         let usual_error_m = self.locator.leave_one_out().median_error_m;
         let hold_sigma = prepared.skin.touch.hold_sigma;
-        let smallest = strength.smallest(hold_sigma, noise, usual_error_m, prepared.half_width_m());
+        let smallest = self.strength.smallest(hold_sigma, noise, usual_error_m, prepared.half_width_m());
         let placed = if self.by_model.is_some() { smallest.anywhere } else { smallest.placed };
         Ok(SmallestAmplitude { placed, ..smallest })
     }
@@ -457,16 +463,13 @@ fn fit_best(
     for sister in sisters {
         let refuse = |got: String| Error::Frames {
             what: format!("calibration to start from, of skin {}", sister.skin),
-            expected: format!("one of {} channels made by this version", prepared.channels()),
+            expected: format!("one of {} channels", prepared.channels()),
             got,
-        };
-        let PlaceLocator::Fused(known) = &sister.locator else {
-            return Err(refuse("one of an earlier version: calibrate that skin again".into()));
         };
         if sister.channels != prepared.channels() {
             return Err(refuse(format!("{} channels", sister.channels)));
         }
-        let fitted = FusedLocator::fit_with_prior(examples, map, &options, known)?;
+        let fitted = FusedLocator::fit_with_prior(examples, map, &options, &sister.locator)?;
         let better = |best: &FusedLocator| fitted.report().fused.median_m < best.report().fused.median_m;
         if best.as_ref().is_none_or(better) {
             best = Some(fitted);

@@ -1,14 +1,22 @@
-//! The position of a frame's single touch according to a calibration.
+//! The positions of a frame's touches according to a calibration.
 
+use dermis_touch::locator::MOST_TOUCHES;
 use dermis_touch::{PlaceHypothesis, TouchLoad};
 
-/// A second touch of a frame.
+/// Maximum number of touches in a frame other than the strongest.
+pub const MOST_FURTHER: usize = MOST_TOUCHES - 1;
+
+/// Another touch of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SecondTouch {
+pub struct FurtherTouch {
     /// Position, metres.
     pub position_m: [f64; 2],
-    /// Strength relative to the first, 0 to 1.
+    /// Its covariance, m^2.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Strength relative to the first.
     pub share: f64,
+    /// Depth or force, if the calibration's pokes had depths or forces.
+    pub load: Option<TouchLoad>,
 }
 
 /// The position of a touch according to a calibration, replacing the image's own.
@@ -28,6 +36,6 @@ pub struct Placement {
     pub vague: bool,
     /// Another possible position, if the frame cannot decide.
     pub other_place: Option<PlaceHypothesis>,
-    /// The second touch, if the frame shows two. The position above is then the stronger one's.
-    pub second: Option<SecondTouch>,
+    /// The other touches, if the frame shows several. The position above is then the strongest one's.
+    pub further: [Option<FurtherTouch>; MOST_FURTHER],
 }

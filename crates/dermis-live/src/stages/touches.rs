@@ -11,7 +11,7 @@ use crate::Error;
 use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::model_error::ModelError;
-use crate::stages::placement::{Placement, SecondTouch};
+use crate::stages::placement::Placement;
 use crate::stages::workshop_error::BuiltError;
 
 /// After a gap in the frames this long, nanoseconds, a touch cannot be distinguished from another at the same
@@ -119,8 +119,8 @@ impl TouchStage {
         self.track_contacts(time_ns)
     }
 
-    /// Finds the contacts of an image. A `placement` is a calibration's position of the frame's only touch, or of its
-    /// two, with the strength if known. It replaces the image's contacts. The strongest of these provides its area
+    /// Finds the contacts of an image. A `placement` is a calibration's positions of the frame's touches, with
+    /// their strengths if known. It replaces the image's contacts. The strongest of these provides its area
     /// and, if the strength is unknown, its amplitude.
     ///
     /// # Errors
@@ -136,7 +136,7 @@ impl TouchStage {
         Ok(())
     }
 
-    /// Replaces the contacts found by a placement: the only touch of the frame, or its two.
+    /// Replaces the contacts found by a placement: the only touch of the frame, or all of them.
     fn place_only(&mut self, placement: Placement, image: &[f32]) {
         self.contacts.truncate(1);
         if self.contacts.is_empty() {
@@ -155,8 +155,12 @@ impl TouchStage {
         self.is_placed = true;
         // The calibration has judged the whole frame, so the image's threshold does not apply.
         only.strength = ContactStrength::Strong;
-        let second = placement.second.map(|SecondTouch { position_m, share }| only.share_at(position_m, share));
-        self.contacts.extend(second);
+        let strongest = *only;
+        self.contacts.extend(placement.further.iter().flatten().map(|touch| Contact {
+            covariance_m2: touch.covariance_m2,
+            load: touch.load,
+            ..strongest.share_at(touch.position_m, touch.share)
+        }));
     }
 
     /// Drops contacts that a fit has found weaker than the skin file or the frame allows.

@@ -36,6 +36,7 @@ mod regression;
 mod rows;
 mod state;
 mod suggest;
+mod superposition;
 mod turn;
 mod turn_search;
 
@@ -49,3 +50,4 @@ pub use fused::*;
 pub use live::LocatorScratch;
 pub use model::Locator;
 pub use state::LOCATOR_VERSION;
+pub use superposition::{LabelledFrame, MOST_TOUCHES, Part, Superposition, SuperpositionScratch};

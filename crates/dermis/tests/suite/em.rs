@@ -90,7 +90,7 @@ fn every_element_is_found_by_the_model_and_by_the_measured_jacobian() {
         places.iter().map(one).collect()
     };
     // As published: each of the 25 elements once, 25 x 28. Then again with more force, to be located.
-    let pokes = Pokes { positions_m: places.clone(), loads: None };
+    let pokes = Pokes { positions_m: places.clone(), further_m: Vec::new(), loads: None };
     let calibration = Calibration::fit(&prepared, &rest, &settled(1.5, 10), &pokes).unwrap();
     let frames = settled(2.0, 1);
     let mut pixels = prepared;

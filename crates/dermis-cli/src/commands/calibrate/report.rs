@@ -69,7 +69,7 @@ pub(super) fn print_experts(
     no_physics: bool,
     out: &mut dyn Write,
 ) -> std::io::Result<()> {
-    let Some(report) = calibration.experts() else { return Ok(()) };
+    let report = calibration.experts();
     if calibration.correction().is_some() {
         writeln!(
             out,

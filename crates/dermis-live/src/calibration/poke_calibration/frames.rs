@@ -29,6 +29,13 @@ impl PokeFrames<'_> {
         }
     }
 
+    /// The frames of the pressed skin, or their differences.
+    pub(super) fn frames(&self) -> &[Vec<f64>] {
+        match self {
+            PokeFrames::Readings { frames, .. } | PokeFrames::Differences(frames) => frames,
+        }
+    }
+
     /// True if each poke has its own baseline.
     pub(super) fn has_pairs(&self) -> bool {
         matches!(self, PokeFrames::Readings { baselines, frames } if are_pairs(baselines, frames))

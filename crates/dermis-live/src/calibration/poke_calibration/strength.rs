@@ -58,11 +58,6 @@ impl TouchStrength {
         }
     }
 
-    /// Thresholds from the amplitudes of pokes alone; all of them count as touches.
-    pub fn of_all(pokes: Vec<f64>) -> Self {
-        Self { weak: quantile(pokes, 0.0), in_noise: true, ..Self::default() }
-    }
-
     /// The amplitudes below which a frame shows no touch. The basis is half the amplitude of weak pokes, or
     /// `hold_sigma` sigmas of the noise if that is less. It is raised above rest, both in the calibration's own
     /// frames and in the current session (`noise`: the amplitude of its noise and the number of channels, if known).

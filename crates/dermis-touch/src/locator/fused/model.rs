@@ -3,7 +3,7 @@
 use super::fusion::Cells;
 use super::report::FusedReport;
 use super::state::FusedState;
-use crate::locator::data::SuggestedPoke;
+use crate::locator::data::{LeaveOneOut, SuggestedPoke};
 use crate::locator::error::LocatorError;
 
 /// A fitted locator of two experts. Serialisable; deserialising checks version, lengths and values.
@@ -20,6 +20,11 @@ impl FusedLocator {
         &self.state.report
     }
 
+    /// Accuracy of each example as located by the others.
+    pub fn leave_one_out(&self) -> &LeaveOneOut {
+        &self.state.report.left_out
+    }
+
     /// Number of channels a frame must have.
     pub fn channels(&self) -> usize {
         self.state.features.weights.len()
@@ -28,6 +33,11 @@ impl FusedLocator {
     /// The positions at which touches are searched for, metres.
     pub fn positions_m(&self) -> &[[f64; 2]] {
         self.state.forward.positions_m()
+    }
+
+    /// Weight of each channel; 0 if it is never used.
+    pub fn channel_weights(&self) -> &[f64] {
+        &self.state.features.weights
     }
 
     /// Positions where more pokes would help most; see
