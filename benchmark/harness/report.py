@@ -9,9 +9,9 @@ TOLD = {
     "Judged: single presses of the same session. Errors in mm.",
     "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of `hydrogel-damage` was pressed "
     "15 times along a line whose length is not published: places and errors are numbers of presses.",
-    "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and so many of the damaged one. *unchanged*: the old pokes alone; "
-    "*alone*: the new ones alone; *pooled*: both, without a mark which is which; *own*: both, marked, what to do with them left to the "
-    "method. Judged: other presses of the damaged skin. Errors in mm.",
+    "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and the given number of pokes of the damaged one. *unchanged*: only old pokes; "
+    "*alone*: only new ones; *pooled*: both, unmarked; *own*: both, marked, and the method decides how to use them. "
+    "Judged: other presses of the damaged skin. Errors in mm.",
     "lines": "Told: the 15 presses of the uncut membrane. Judged: the same line after cuts, and healed. Errors in numbers of presses, mean "
     "over the runs.",
     "several": "Told: presses of a gel disc with which of six points were touched; *singles*: one point at a time, of another batch; "
@@ -81,6 +81,23 @@ def table(head, rows):
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
+def amount(cell):
+    """The number in a cell: infinite for `none`, NaN for a dash."""
+    text = cell.split(" (")[0].rstrip(" %").replace(",", "")
+    return {"none": math.inf, "-": math.nan}.get(text) if text in ("none", "-") else float(text)
+
+
+def best_plain(head, lines, plain, by, better=min):
+    """Of the plain methods in a group of lines, keeps only the best. All cells before the method's name define the group."""
+    method, column = head.index("method"), head.index(by)
+    best = {}
+    for line in lines:
+        if line[method] in plain and not math.isnan(amount(line[column])):
+            best.setdefault(tuple(line[:method]), []).append(line)
+    chosen = [better(group, key=lambda line: amount(line[column])) for group in best.values()]
+    return [line for line in lines if line[method] not in plain or any(line is other for other in chosen)]
+
+
 HEAD = ["median", "90th percentile", "inside 1 sigma", "inside 2.5 sigma", "negative log likelihood", "misses", "too many"]
 
 
@@ -91,7 +108,7 @@ def cells(score):
     ]  # fmt: skip
 
 
-def place_summary(rows, times):
+def place_summary(rows, times, plain=()):
     """Summary over the skins: geometric means of errors, ranges of shares, means of likelihoods."""
     lines = []
     for (size, method), group in gathered(sorted(rows, key=lambda row: int(row["size"])), "size", "method").items():
@@ -110,21 +127,23 @@ def place_summary(rows, times):
             number(sum(skin["false"] for skin in skins)), number(mean(speed), 2),
         ])  # fmt: skip
     head = ["pokes", "method", "skins", *HEAD, "calls per second"]
-    return table(head, lines)
+    return table(head, best_plain(head, lines, plain, "median"))
 
 
-def depths(rows):
+def depths(rows, plain=()):
     """Puts the root mean square first: most presses of a set have the same depth, so the median says little."""
     lines = [[*key, number(score["rms"]), *cells(score)] for key, score in ((key, averaged(group)) for key, group in gathered(rows, "set", "method").items())]
-    return table(["set", "method", "root mean square", *HEAD], lines)
+    head = ["set", "method", "root mean square", *HEAD]
+    return table(head, best_plain(head, lines, plain, "root mean square"))
 
 
-def by_set(rows, keys=("set", "size", "method")):
+def by_set(rows, keys=("set", "size", "method"), plain=()):
     lines = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in key] + cells(averaged(group)) for key, group in gathered(rows, *keys).items()]
-    return table([{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD, lines)
+    head = [{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD
+    return table(head, best_plain(head, lines, plain, "median"))
 
 
-def points(rows):
+def points(rows, plain=()):
     lines = [
         [row["part"], row["size"], row["method"], percent(row["patterns"]), percent(row["doubles"]), percent(row["points"]), percent(row["count"]),
          number(row["misses"]), number(row["false"]), number(row["quiet_false"])]
@@ -132,18 +151,19 @@ def points(rows):
     ]  # fmt: skip
     head = ["told", "presses", "method", "patterns right", "doubles right", "points right", "number right", "misses", "false touches",
             "false touches on 100 untouched frames"]  # fmt: skip
-    return table(head, lines)
+    return table(head, best_plain(head, lines, plain, "patterns right", max))
 
 
-def levels(rows):
+def levels(rows, plain=()):
     lines = []
     for (method,), group in gathered(rows, "method").items():
         scores = {row["size"]: row["score"] for row in group}
         lines.append([method, *(number(scores.get(str(level), math.nan)) for level in range(1, 8)), number(mean(list(scores.values())) if len(scores) == 7 else math.nan)])
-    return table(["method", *(f"level {level}" for level in range(1, 8)), "mean"], lines)
+    head = ["method", *(f"level {level}" for level in range(1, 8)), "mean"]
+    return table(head, best_plain(head, lines, plain, "mean", max))
 
 
-def alarms(rows):
+def alarms(rows, plain=()):  # noqa: ARG001  No single score ranks watches: all are shown.
     lines = [
         [row["method"], number(row["false"]), number(row["false_frames"]), *("not found" if math.isnan(late) else f"{late:.0f}" for late in row["delays"])]
         for row in rows
@@ -167,24 +187,25 @@ def section(name, body):
     return f"### {TITLES[name]}\n\n{TOLD[name]}\n\n{body}"
 
 
-def tables(rows, times, is_full=True):
-    """All tables. Without `is_full`, only places over the skins, for the book's page."""
+def tables(rows, times, is_full=True, plain=()):
+    """All tables. Without `is_full`, places are only summarised over the skins. Of the methods in `plain`, each group of lines shows
+    the best."""
     of = lambda *names: [row for row in rows if row["task"] in names]  # noqa: E731
     parts = []
     if of("place"):
-        body = "Over the skins: errors are geometric means, shares means with the smallest and the largest skin.\n\n" + place_summary(of("place"), times)
+        body = "Over the skins: errors are geometric means, shares means with the smallest and the largest skin.\n\n" + place_summary(of("place"), times, plain)
         parts.append(section("place", body + ("\nEach skin, mean over the draws:\n\n" + by_set(of("place")) if is_full else "")))
     if of("session"):
-        parts.append(section("session", by_set(of("session"))))
+        parts.append(section("session", by_set(of("session"), plain=plain)))
     pairs = [row for row in of("damaged") if row["strategy"]]
     if pairs:
-        parts.append(section("damaged", by_set(sorted(pairs, key=lambda row: int(row["size"])), ("size", "strategy", "method"))))
+        parts.append(section("damaged", by_set(sorted(pairs, key=lambda row: int(row["size"])), ("size", "strategy", "method"), plain)))
     runs = [row for row in of("damaged", "healed") if not row["strategy"]]
     if runs:
-        parts.append(section("lines", by_set(runs, ("task", "method"))))
+        parts.append(section("lines", by_set(runs, ("task", "method"), plain)))
     for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
         if of(name):
-            parts.append(section(name, body(of(name))))
+            parts.append(section(name, body(of(name), plain=plain)))
     if of("place") and times:
         parts.append(section("speed", speeds(times)))
     return "\n".join(parts)

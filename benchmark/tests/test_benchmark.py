@@ -369,3 +369,11 @@ def test_the_marked_part_of_a_page_is_replaced_alone(tmp_path):
     page.write_text("no marks")
     with pytest.raises(ValueError, match="no lines"):
         report.between_marks(page, "new")
+
+
+def test_short_tables_keep_the_best_plain_method_of_each_group():
+    head = ["pokes", "method", "median"]
+    lines = [["10", "mean", "1,200"], ["10", "near", "9 %"], ["10", "mine", "none"], ["50", "mean", "-"], ["50", "near", "0.5 (0 to 1)"]]
+    assert report.best_plain(head, lines, {"mean", "near"}, "median") == [lines[1], lines[2], lines[4]]
+    assert report.best_plain(head, lines, {"mean", "near"}, "median", max) == [lines[0], lines[2], lines[4]]
+    assert report.best_plain(head, lines, (), "median") == lines
