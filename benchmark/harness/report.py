@@ -189,8 +189,10 @@ def section(name, body):
 
 def tables(rows, times, is_full=True, plain=()):
     """All tables. Without `is_full`, places are only summarised over the skins. Of the methods in `plain`, each group of lines shows
-    the best."""
-    of = lambda *names: [row for row in rows if row["task"] in names]  # noqa: E731
+    the best; tasks that only they entered are left out."""
+    kind = lambda row: (row["task"], bool(row.get("strategy")))  # noqa: E731
+    entered = {kind(row) for row in rows if row["method"] not in plain}
+    of = lambda *names: [row for row in rows if row["task"] in names and kind(row) in entered]  # noqa: E731
     parts = []
     if of("place"):
         body = "Over the skins: errors are geometric means, shares means with the smallest and the largest skin.\n\n" + place_summary(of("place"), times, plain)

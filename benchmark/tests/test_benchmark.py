@@ -377,3 +377,12 @@ def test_short_tables_keep_the_best_plain_method_of_each_group():
     assert report.best_plain(head, lines, {"mean", "near"}, "median") == [lines[1], lines[2], lines[4]]
     assert report.best_plain(head, lines, {"mean", "near"}, "median", max) == [lines[0], lines[2], lines[4]]
     assert report.best_plain(head, lines, (), "median") == lines
+
+
+def test_short_tables_leave_out_tasks_that_only_plain_methods_entered():
+    row = {"set": "s", "size": "15", "median": 1.0, "p90": 2.0, "rms": 1.0, "inside_1": 0.7, "inside_2.5": 1.0, "nll": 1.0, "misses": 0,
+           "false": 0, "frames": 10}  # fmt: skip
+    rows = [row | {"task": task, "method": method} for task, method in (("session", "mean"), ("unlabelled", "mean"), ("unlabelled", "mine"))]
+    assert "New session" in report.tables(rows, {}, is_full=False)
+    short = report.tables(rows, {}, is_full=False, plain={"mean"})
+    assert "New session" not in short and "| mean |" in short and "| mine |" in short
