@@ -86,7 +86,8 @@ def table(head, rows):
 def amount(cell):
     """The number in a cell: infinite for `none`, NaN for a dash."""
     text = cell.split(" (")[0].rstrip(" %").replace(",", "")
-    return {"none": math.inf, "-": math.nan}.get(text) if text in ("none", "-") else float(text)
+    special = {"none": math.inf, "-": math.nan}
+    return special[text] if text in special else float(text)
 
 
 def best_plain(head, lines, plain, by, better=min):
