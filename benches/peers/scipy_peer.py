@@ -44,7 +44,7 @@ class Model:
         everything = sp.coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(self.size, self.size)).tocsc() + abs(contact)
         everything.sort_indices()
         self.indices, self.indptr = everything.indices, everything.indptr
-        # Where each stiffness entry goes among the sorted values of the pattern.
+        # Position of each stiffness entry among the sorted values of the pattern.
         keys = np.repeat(np.arange(self.size), np.diff(self.indptr)) * self.size + self.indices
         slots = np.searchsorted(keys, columns * self.size + rows)
         self.assemble = sp.csr_matrix((stiffness.ravel(), (slots, np.repeat(np.arange(m), 9))), shape=(len(keys), m))

@@ -22,8 +22,8 @@ LIMIT_S = 600
 TIMED_POKES, TIMED_FRAMES = 400, 4000
 HANDLES_SESSIONS = True
 TOLD = (
-    "also a guessed outline (a square of 100 mm), or for the gel disc the skin file that ships and the frame before each press; of the "
-    "six points a guessed hexagon"
+    "a guessed outline (a square of 100 mm), and for the gel disc the skin file that ships and the frame before each press. For "
+    "the six points it gets a guessed hexagon"
 )
 
 

@@ -5,29 +5,31 @@ from pathlib import Path
 
 MARKS = ("<!-- benchmark:begin -->", "<!-- benchmark:end -->")
 TOLD = {
-    "place": "Told: the labelled pokes of the skin, as differences from the untouched skin; no outline, no electrode, no protocol. "
-    "Judged: single presses of the same session. Errors in mm.",
-    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of `hydrogel-damage` was pressed "
-    "15 times along a line whose length is not published: places and errors are numbers of presses.",
-    "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and so many of the damaged one. *unchanged*: the old pokes alone; "
-    "*alone*: the new ones alone; *pooled*: both, without a mark which is which; *own*: both, marked, what to do with them left to the "
-    "method. Judged: other presses of the damaged skin. Errors in mm.",
-    "lines": "Told: the 15 presses of the uncut membrane. Judged: the same line after cuts, and healed. Errors in numbers of presses, mean "
-    "over the runs.",
-    "several": "Told: presses of a gel disc with which of six points were touched; *singles*: one point at a time, of another batch; "
-    "*all*: every pattern, of another batch; *within*: every pattern, half of the judged batch. Judged: all 63 patterns, and 100 "
-    "untouched frames (differences of neighbouring frames before presses). False touches count in both, and are listed apart.",
-    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no pressed frame. Errors in mm.",
-    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two or three depths. "
-    "Errors in mm.",
-    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training phantoms at the challenge's "
-    "levels 1 to 7 (none to twelve of 32 electrodes lost), by its own score: 1 is perfect, nothing labelled scores 0.264. These are "
-    "not the challenge's 21 evaluation frames.",
-    "watch": "Told: 64 frames of the untouched skin, eight seconds apart, then every frame in turn. Judged: alarms. When something "
-    "happened is not published; the frames were read off the recording, by steps above three times the median: 490 to 505, after which the "
-    "levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after an event "
-    "belong to it; what follows the second is not judged. A false alarm is a run of frames.",
-    "speed": "One frame at a time on one core, at the largest number of pokes. Preparing is what happens between labels and the first frame.",
+    "place": "Told: the labelled pokes of the skin, as differences from the untouched skin; no outline, electrodes or "
+    "protocol. Judged: single presses of the same session. Errors in mm.",
+    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of "
+    "`hydrogel-damage` was pressed 15 times along a line of unknown length, so places and errors are numbers of presses.",
+    "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and the given number of pokes of the damaged one. "
+    "*unchanged*: only old pokes; *alone*: only new ones; *pooled*: both, unmarked; *own*: both, marked, and the method decides "
+    "how to use them. Judged: other presses of the damaged skin. Errors in mm.",
+    "lines": "Told: the 15 presses of the uncut membrane. Judged: the same line after cuts, and healed. Errors in "
+    "numbers of presses, mean over the runs.",
+    "several": "Told: presses of a gel disc, and which of six points they touched; *singles*: one point at a time, "
+    "from another batch; *all*: every pattern, from another batch; *within*: every pattern, from half of the judged batch. Judged: "
+    "all 63 patterns, and 100 untouched frames (differences of neighbouring frames before presses).",
+    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no "
+    "pressed frame. Errors in mm.",
+    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two "
+    "or three depths. Errors in mm.",
+    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training "
+    "phantoms at the challenge's levels 1 to 7 (none to twelve of 32 electrodes lost), by its score: 1 is perfect, an empty label "
+    "0.264. The challenge's 21 evaluation frames are others.",
+    "watch": "Told: 64 frames of the untouched skin, eight seconds apart, then every frame in turn. Judged: alarms. "
+    "The publication gives no times of events. Steps above three times the median show two: frames 490 to 505, after which the "
+    "levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after an event belong to it; what "
+    "follows the second is not judged. A false alarm is a run of frames.",
+    "speed": "One frame at a time on one core, at the largest number of pokes. Preparation lies between the labels "
+    "and the first frame.",
 }
 TITLES = {
     "place": "Place", "session": "New session", "damaged": "Damaged", "lines": "Cut and healed", "several": "Several touches",
@@ -81,6 +83,24 @@ def table(head, rows):
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
+def amount(cell):
+    """The number in a cell: infinite for `none`, NaN for a dash."""
+    text = cell.split(" (")[0].rstrip(" %").replace(",", "")
+    special = {"none": math.inf, "-": math.nan}
+    return special[text] if text in special else float(text)
+
+
+def best_plain(head, lines, plain, by, better=min):
+    """Of the plain methods in a group of lines, keeps only the best. All cells before the method's name define the group."""
+    method, column = head.index("method"), head.index(by)
+    best = {}
+    for line in lines:
+        if line[method] in plain and not math.isnan(amount(line[column])):
+            best.setdefault(tuple(line[:method]), []).append(line)
+    chosen = [better(group, key=lambda line: amount(line[column])) for group in best.values()]
+    return [line for line in lines if line[method] not in plain or any(line is other for other in chosen)]
+
+
 HEAD = ["median", "90th percentile", "inside 1 sigma", "inside 2.5 sigma", "negative log likelihood", "misses", "too many"]
 
 
@@ -91,7 +111,7 @@ def cells(score):
     ]  # fmt: skip
 
 
-def place_summary(rows, times):
+def place_summary(rows, times, plain=()):
     """Summary over the skins: geometric means of errors, ranges of shares, means of likelihoods."""
     lines = []
     for (size, method), group in gathered(sorted(rows, key=lambda row: int(row["size"])), "size", "method").items():
@@ -110,21 +130,23 @@ def place_summary(rows, times):
             number(sum(skin["false"] for skin in skins)), number(mean(speed), 2),
         ])  # fmt: skip
     head = ["pokes", "method", "skins", *HEAD, "calls per second"]
-    return table(head, lines)
+    return table(head, best_plain(head, lines, plain, "median"))
 
 
-def depths(rows):
+def depths(rows, plain=()):
     """Puts the root mean square first: most presses of a set have the same depth, so the median says little."""
     lines = [[*key, number(score["rms"]), *cells(score)] for key, score in ((key, averaged(group)) for key, group in gathered(rows, "set", "method").items())]
-    return table(["set", "method", "root mean square", *HEAD], lines)
+    head = ["set", "method", "root mean square", *HEAD]
+    return table(head, best_plain(head, lines, plain, "root mean square"))
 
 
-def by_set(rows, keys=("set", "size", "method")):
+def by_set(rows, keys=("set", "size", "method"), plain=()):
     lines = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in key] + cells(averaged(group)) for key, group in gathered(rows, *keys).items()]
-    return table([{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD, lines)
+    head = [{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD
+    return table(head, best_plain(head, lines, plain, "median"))
 
 
-def points(rows):
+def points(rows, plain=()):
     lines = [
         [row["part"], row["size"], row["method"], percent(row["patterns"]), percent(row["doubles"]), percent(row["points"]), percent(row["count"]),
          number(row["misses"]), number(row["false"]), number(row["quiet_false"])]
@@ -132,18 +154,19 @@ def points(rows):
     ]  # fmt: skip
     head = ["told", "presses", "method", "patterns right", "doubles right", "points right", "number right", "misses", "false touches",
             "false touches on 100 untouched frames"]  # fmt: skip
-    return table(head, lines)
+    return table(head, best_plain(head, lines, plain, "patterns right", max))
 
 
-def levels(rows):
+def levels(rows, plain=()):
     lines = []
     for (method,), group in gathered(rows, "method").items():
         scores = {row["size"]: row["score"] for row in group}
         lines.append([method, *(number(scores.get(str(level), math.nan)) for level in range(1, 8)), number(mean(list(scores.values())) if len(scores) == 7 else math.nan)])
-    return table(["method", *(f"level {level}" for level in range(1, 8)), "mean"], lines)
+    head = ["method", *(f"level {level}" for level in range(1, 8)), "mean"]
+    return table(head, best_plain(head, lines, plain, "mean", max))
 
 
-def alarms(rows):
+def alarms(rows, plain=()):  # noqa: ARG001  No single score ranks watches: all are shown.
     lines = [
         [row["method"], number(row["false"]), number(row["false_frames"]), *("not found" if math.isnan(late) else f"{late:.0f}" for late in row["delays"])]
         for row in rows
@@ -167,24 +190,27 @@ def section(name, body):
     return f"### {TITLES[name]}\n\n{TOLD[name]}\n\n{body}"
 
 
-def tables(rows, times, is_full=True):
-    """All tables. Without `is_full`, only places over the skins, for the book's page."""
-    of = lambda *names: [row for row in rows if row["task"] in names]  # noqa: E731
+def tables(rows, times, is_full=True, plain=()):
+    """All tables. Without `is_full`, places are only summarised over the skins. Of the methods in `plain`, each group of lines shows
+    the best; tasks that only they entered are left out."""
+    kind = lambda row: (row["task"], bool(row.get("strategy")))  # noqa: E731
+    entered = {kind(row) for row in rows if row["method"] not in plain}
+    of = lambda *names: [row for row in rows if row["task"] in names and kind(row) in entered]  # noqa: E731
     parts = []
     if of("place"):
-        body = "Over the skins: errors are geometric means, shares means with the smallest and the largest skin.\n\n" + place_summary(of("place"), times)
+        body = "Over the skins: errors are geometric means, shares means with the smallest and the largest skin.\n\n" + place_summary(of("place"), times, plain)
         parts.append(section("place", body + ("\nEach skin, mean over the draws:\n\n" + by_set(of("place")) if is_full else "")))
     if of("session"):
-        parts.append(section("session", by_set(of("session"))))
+        parts.append(section("session", by_set(of("session"), plain=plain)))
     pairs = [row for row in of("damaged") if row["strategy"]]
     if pairs:
-        parts.append(section("damaged", by_set(sorted(pairs, key=lambda row: int(row["size"])), ("size", "strategy", "method"))))
+        parts.append(section("damaged", by_set(sorted(pairs, key=lambda row: int(row["size"])), ("size", "strategy", "method"), plain)))
     runs = [row for row in of("damaged", "healed") if not row["strategy"]]
     if runs:
-        parts.append(section("lines", by_set(runs, ("task", "method"))))
+        parts.append(section("lines", by_set(runs, ("task", "method"), plain)))
     for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
         if of(name):
-            parts.append(section(name, body(of(name))))
+            parts.append(section(name, body(of(name), plain=plain)))
     if of("place") and times:
         parts.append(section("speed", speeds(times)))
     return "\n".join(parts)

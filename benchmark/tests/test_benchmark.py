@@ -369,3 +369,20 @@ def test_the_marked_part_of_a_page_is_replaced_alone(tmp_path):
     page.write_text("no marks")
     with pytest.raises(ValueError, match="no lines"):
         report.between_marks(page, "new")
+
+
+def test_short_tables_keep_the_best_plain_method_of_each_group():
+    head = ["pokes", "method", "median"]
+    lines = [["10", "mean", "1,200"], ["10", "near", "9 %"], ["10", "mine", "none"], ["50", "mean", "-"], ["50", "near", "0.5 (0 to 1)"]]
+    assert report.best_plain(head, lines, {"mean", "near"}, "median") == [lines[1], lines[2], lines[4]]
+    assert report.best_plain(head, lines, {"mean", "near"}, "median", max) == [lines[0], lines[2], lines[4]]
+    assert report.best_plain(head, lines, (), "median") == lines
+
+
+def test_short_tables_leave_out_tasks_that_only_plain_methods_entered():
+    row = {"set": "s", "size": "15", "median": 1.0, "p90": 2.0, "rms": 1.0, "inside_1": 0.7, "inside_2.5": 1.0, "nll": 1.0, "misses": 0,
+           "false": 0, "frames": 10}  # fmt: skip
+    rows = [row | {"task": task, "method": method} for task, method in (("session", "mean"), ("unlabelled", "mean"), ("unlabelled", "mine"))]
+    assert "New session" in report.tables(rows, {}, is_full=False)
+    short = report.tables(rows, {}, is_full=False, plain={"mean"})
+    assert "New session" not in short and "| mean |" in short and "| mine |" in short

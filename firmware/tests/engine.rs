@@ -167,8 +167,7 @@ fn every_command_is_answered() {
     // A count of 7.8 uV is 0.2 ohm at 39 uA.
     assert!((mean_ohm - 400.0).abs() < 0.2 && (most_ohm - 400.0).abs() < 0.2, "{mean_ohm} {most_ohm} ohm");
 
-    // Neighbours drive: 15/16 of a resistor lies between them, of which another electrode, three further on, sees 1 -
-    // 2/16.
+    // Neighbours drive: 15/16 of a resistor lies between them. An electrode three further on sees 1 - 2/16 of that.
     let expected_ohm = CONTACT_OHM + ring_ohm(3, 3, 4) - ring_ohm(6, 3, 4);
     bench.chips.borrow_mut().analog.open = Some(9);
     let ohms = call(&mut bench, Order::ElectrodeImpedance).unwrap();

@@ -34,8 +34,8 @@
 //!
 //! # Frames
 //! The *patch's* frame is the skin's: x right, y up, z out of the skin towards whatever touches it, origin at the
-//! centre of the sheet. The *link's* frame is that of the URDF file, and the *root's* frame is that of the link which
-//! no joint carries. `a_from_b` transforms coordinates in b to coordinates in a. Lengths are metres, angles radians.
+//! centre of the sheet. The *link's* frame is defined by the URDF file; the *root* is the link without a parent
+//! joint. `a_from_b` transforms coordinates in b to coordinates in a. Lengths are metres, angles radians.
 //! Forces and wrenches act on the sensor: a press pushes against the outward normal.
 
 mod body;

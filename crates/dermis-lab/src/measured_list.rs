@@ -29,11 +29,11 @@ pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     Ok(protocol.into_iter().chain([amplitude]).chain(frequency).collect())
 }
 
-/// What makes a Sciospec instrument inject as a skin file says: every pair of electrodes once, in the protocol's order. It
-/// reads every electrode against ground, and the skin's channels are worked out from that.
+/// The setup of a Sciospec instrument for a skin: every driving pair once, in the protocol's order. The instrument
+/// reads every electrode against ground, from which the skin's channels are computed.
 ///
 /// # Errors
-/// A skin whose protocol does not work out, or drives more than two electrodes at once.
+/// A skin with an invalid protocol, or one that drives more than two electrodes at once.
 pub fn sciospec_setup_of(skin: &Skin) -> Result<LiveSetup, Error> {
     let protocol = skin.protocol()?;
     let mut injections: Vec<(usize, usize)> = Vec::new();

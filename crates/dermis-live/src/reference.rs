@@ -211,13 +211,13 @@ fn signs(prepared: &Prepared) -> Vec<f64> {
     prepared.voltages.iter().map(|v| if rectified { v.signum() } else { 1.0 }).collect()
 }
 
-/// Whether a baseline can be compared with the model.
+/// True if a baseline can be compared with the model.
 fn scale_is_known(prepared: &Prepared) -> bool {
     !prepared.skin.backend.differences && prepared.skin.backend.wiring.is_known()
 }
 
-/// Root mean square of the difference between a baseline and the model, by the gain that brings them together and
-/// without signs, over that of the model.
+/// Relative root mean square difference between a baseline and the model, without signs and after the best common
+/// gain.
 pub(crate) fn misfit(model: &[f64], baseline: &[f64]) -> f64 {
     let pairs = || model.iter().zip(baseline).filter(|(_, b)| b.is_finite()).map(|(m, b)| (m.abs(), b.abs()));
     let (cross, square) = pairs().fold((0.0, 0.0), |(cross, square), (m, b)| (cross + m * b, square + b * b));

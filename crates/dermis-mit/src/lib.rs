@@ -11,7 +11,7 @@
 //! assert!((skin_depth_m(conductivity_s_per_m, relative_permeability, 1e6)? - 66e-6).abs() < 1e-6);
 //! let ball = Sphere { radius_m, conductivity_s_per_m, relative_permeability };
 //! let perfect_m3 = -2.0 * std::f64::consts::PI * radius_m.powi(3);
-//! // The skin is 0.7 % of the radius, by three halves of which the answer is less.
+//! // The skin depth is 0.7 % of the radius and lowers the response by three halves of that.
 //! assert!((ball.polarizability_m3(1e6)?.re / perfect_m3 - 1.0).abs() < 0.015);
 //! # Ok::<(), MitError>(())
 //! ```

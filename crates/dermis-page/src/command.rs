@@ -44,9 +44,9 @@ pub enum Command {
 pub struct Press {
     /// Identifies the press: unique among all open pages, stable from press to release.
     pub pointer_id: u64,
-    /// Position to the right of the centroid.
+    /// Position to the right of the skin's origin.
     pub x_mm: f64,
-    /// Position above the centroid.
+    /// Position above the skin's origin.
     pub y_mm: f64,
     /// Radius of the indenter.
     pub radius_mm: f64,

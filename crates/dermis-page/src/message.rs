@@ -9,7 +9,7 @@ pub struct Answer {
     pub id: u64,
     /// True if it was carried out.
     pub ok: bool,
-    /// What was done, or the reason for refusing it.
+    /// The result, or the reason for a refusal.
     pub text: String,
 }
 

@@ -3,8 +3,8 @@
 
 use serde::Serialize;
 
-/// The skin as drawn by the page. Lengths are millimetres in the skin's frame (x right, y up, origin at the
-/// centroid).
+/// The skin as drawn by the page. Lengths are millimetres in the skin's frame (x right, y up, origin as in the
+/// skin file).
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Scene {
     /// True if the skin is watched for damage.

@@ -1,4 +1,4 @@
-//! What the page shows for one frame: the image, the touches, selected channels, timing and state. These are plain
+//! The content of the page for one frame: the image, the touches, selected channels, timing and state. These are plain
 //! values; an [`Update`] that is kept and refilled for each frame allocates nothing once its vectors have grown.
 
 use std::borrow::Cow;
@@ -85,9 +85,9 @@ pub struct DamageRow {
     pub id: u64,
     /// `suspected`, `confirmed`, `covered`, `healing` or `healed`.
     pub state: &'static str,
-    /// Centre, to the right of the skin's centroid.
+    /// Centre, to the right of the skin's origin.
     pub x_mm: f64,
-    /// Centre, above the skin's centroid.
+    /// Centre, above the skin's origin.
     pub y_mm: f64,
     /// Length of a cut; 0 for a spot.
     pub length_mm: f64,
@@ -188,16 +188,16 @@ pub enum TouchPhase {
     End,
 }
 
-/// One touch. Positions are in the skin's frame: x right, y up, origin at the centroid.
+/// One touch. Positions are in the skin's frame: x right, y up, origin as in the skin file.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct TouchView {
     /// Permanent number of the touch.
     pub id: u64,
     /// Phase.
     pub phase: TouchPhase,
-    /// Position to the right of the centroid, millimetres.
+    /// Position to the right of the skin's origin, millimetres.
     pub x_mm: f64,
-    /// Position above the centroid, millimetres.
+    /// Position above the skin's origin, millimetres.
     pub y_mm: f64,
     /// Amplitude in the image's unit.
     pub amplitude: f64,
@@ -219,9 +219,9 @@ pub struct TouchView {
 /// An alternative position of a touch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct OtherPlaceView {
-    /// Position to the right of the centroid, millimetres.
+    /// Position to the right of the skin's origin, millimetres.
     pub x_mm: f64,
-    /// Position above the centroid, millimetres.
+    /// Position above the skin's origin, millimetres.
     pub y_mm: f64,
     /// Probability that the touch is here instead.
     pub probability: f64,

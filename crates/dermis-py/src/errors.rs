@@ -214,7 +214,7 @@ fn kind_of_twin(error: &dermis::twin::TwinError) -> Kind {
     }
 }
 
-/// The kind of an error by its type, or that of the first cause that has one.
+/// The kind of an error by its type, or the kind of its first cause that has one.
 fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Kind> {
     None.or_else(|| cause.downcast_ref().map(kind_of_lab))
         .or_else(|| cause.downcast_ref().map(kind_of_live))

@@ -119,7 +119,7 @@ print("begun", flush=True)
 try:
     work()
 except KeyboardInterrupt:
-    # What works on behind has the lock of nobody.
+    # The interrupted work may continue in the background, but holds no lock.
     assert dermis.Skin("em-8").channel_count == 28
     print("interrupted", flush=True)
 """

@@ -65,7 +65,7 @@ pub struct Backend {
     pub electronics: Electronics,
 }
 
-/// What is known about the readout circuit.
+/// Knowledge about the readout circuit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum CircuitChoice {

@@ -48,7 +48,7 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-/// Outline of a skin, centred on the origin.
+/// Outline of a skin. Discs, squares and rectangles are centred on the origin; polygons keep their coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Shape {

@@ -218,7 +218,7 @@ pub struct NoisyChannel {
     pub noise_mv: f64,
 }
 
-/// Counts of what faults can refer to.
+/// Numbers of electrodes, channels and coils that faults can name.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Parts {
     pub electrodes: usize,

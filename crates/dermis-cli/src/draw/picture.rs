@@ -61,7 +61,7 @@ impl Polyline {
 /// Polylines of one style drawn together: filled first, then stroked with round ends and joins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
-    /// What the shape represents, as the name of a group.
+    /// Group that the shape belongs to.
     pub class: &'static str,
     /// The polylines.
     pub lines: Vec<Polyline>,
@@ -99,7 +99,7 @@ pub enum Anchor {
 /// One line of text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Text {
-    /// What the text represents, as the name of a group.
+    /// Group that the text belongs to.
     pub class: &'static str,
     /// The text.
     pub words: String,

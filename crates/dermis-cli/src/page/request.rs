@@ -46,8 +46,8 @@ impl Reply {
     }
 }
 
-/// The requests in order, without those that a later one makes pointless: of hyperparameters and tares only the last
-/// counts. The senders of the others get a reply.
+/// The requests in order, without superseded ones: only the last hyperparameter and the last tare count. The senders of
+/// the others get a reply.
 pub fn coalesced(requests: impl IntoIterator<Item = Request>) -> Vec<Request> {
     let kind = |command: &Command| match command {
         Command::Hyperparameter(_) => Some((0, 0)),

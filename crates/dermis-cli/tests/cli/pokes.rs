@@ -62,7 +62,7 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     // Frames at rest that are not in the baseline: a touch in at most one of fifteen.
     reconstruct("b2.npy#16..31", &["--calibration", "c.json"]);
     assert!(rows(&desk, "touches.csv").len() <= 1);
-    // With pokes alone, some of which nobody felt, noise is still no touch, and a press that the pokes see is one.
+    // Without physics, and with some pokes that left no signal, noise is still no touch, and a clear press is one.
     let alone =
         ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "a.json", "--no-physics"];
     let said = desk.done(&[&["calibrate", "em-8"], &alone[..]].concat());

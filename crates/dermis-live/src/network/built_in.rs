@@ -1,5 +1,5 @@
-//! Trained networks that ship with dermis, embedded from the crate's `models/`. `docs/src/learning.md` has the
-//! commands that made them.
+//! Trained networks that ship with dermis, embedded from the crate's `models/`, whose `README.md` has the commands
+//! that made them.
 
 use dermis_learn::{LearnError, Model};
 

@@ -17,7 +17,7 @@ const ELECTRODE_PER_S: f64 = 1.7e-5;
 const ELECTRODE_REACH: f64 = 1.0;
 /// The weights are updated each time the age doubles. Below this age, in seconds, there is no drift.
 const LEAST_S: f64 = 8.0;
-/// Time for the baseline to catch up after a touch ends, seconds.
+/// Time after a touch ends from which drift no longer counts as noise, seconds: the baseline has caught up by then.
 const CAUGHT_UP_S: f64 = 5.0;
 
 /// Largest uniform drift, as a share of the voltages.

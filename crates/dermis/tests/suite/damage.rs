@@ -203,8 +203,8 @@ fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still
             line.run(40);
             assert_eq!((line.pipeline.damage().proposal, line.pipeline.damage().intact), (None, Some(1)));
         }
-        // Whether or not the proposal is accepted, damage is found in the right place. A cut may leave lobes, which
-        // are recorded too.
+        // Damage is found in the right place with and without the proposed baseline. A cut may leave lobes, which are
+        // recorded too.
         let half = [8.0, 6.0];
         line.cut([place_mm[0] - half[0], place_mm[1] - half[1]], [place_mm[0] + half[0], place_mm[1] + half[1]]);
         line.run(80);

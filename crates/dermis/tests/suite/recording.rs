@@ -1,4 +1,4 @@
-//! Recordings: what is written comes back bit for bit, damage is survived and counted, names are safe.
+//! Recordings: readings come back bit for bit, damage is survived and counted, names are safe.
 
 use std::fs;
 use std::io::Cursor;

@@ -308,8 +308,8 @@ impl WireHost {
         if settled { self.settle(false) } else { Ok(()) }
     }
 
-    /// Checks the device after setup. It must have as many channels as earlier frames. `anew` means that this
-    /// connection has just set it up; its frame numbers may then have restarted.
+    /// Checks the device after setup. It must have as many channels as earlier frames. `anew`: this connection has
+    /// just set it up, so its frame numbers may have restarted.
     fn settle(&mut self, anew: bool) -> Result<(), String> {
         let Some(known) = &self.known else { return Ok(()) };
         match self.streamed {
