@@ -7,7 +7,7 @@ import re
 import pytest
 
 import dermis
-from dermis import eit, lerobot, mit, plot
+from dermis import contacts, eit, lerobot, mit, mujoco, plot, rerun
 
 numpydoc = pytest.importorskip("numpydoc.validate", reason="numpydoc is not installed")
 
@@ -19,7 +19,7 @@ SHORT = 1
 
 def public():
     """All public names, with the dotted path to each."""
-    for module in (dermis, eit, lerobot, mit, plot):
+    for module in (dermis, contacts, eit, lerobot, mit, mujoco, plot, rerun):
         for name in getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")]):
             value = getattr(module, name)
             if not callable(value) or inspect.ismodule(value) or getattr(value, "__module__", "").startswith(("numpy", "typing")):
