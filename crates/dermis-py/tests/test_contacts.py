@@ -35,6 +35,8 @@ contact_impedance_ohm_m2 = 1e-3
 [backend]
 instrument = "any"
 current_ma = 1.0
+drive = "adjacent"
+measure = "adjacent"
 """
     )
 
@@ -62,7 +64,7 @@ def test_without_a_fade_the_whole_load_acts_in_the_next_frame(flat):
     assert [press["force_n"] for press in sudden.truth] == pytest.approx([10])
     sudden.step()
     fading.step(1e-3)
-    assert fading.truth[0]["force_n"] < 5
+    assert fading.truth[0]["force_n"] < 8
     with pytest.raises(InputError, match="fade_s: expected 0 to 60 seconds, got -1"):
         dermis.Twin(flat, fade_s=-1)
 

@@ -29,6 +29,9 @@ _TIE_S = 1e-9
 _MOST_MM = 1e5
 """Largest offset of a mount."""
 
+_NONE = Carried(np.empty(0, np.intp), *(np.empty(0) for _ in range(4)))
+"""No contacts."""
+
 
 @dataclass(frozen=True)
 class Patch:
@@ -101,7 +104,10 @@ class _Mounted:
     def mount_pose(self, data: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation and origin (millimetres) of the geom or body in the world."""
         turns, places = (data.xmat, data.xpos) if self.of_body else (data.geom_xmat, data.geom_xpos)
-        return turns[self.number].reshape(3, 3), 1e3 * places[self.number]
+        turn = turns[self.number].reshape(3, 3)
+        if not turn.any():
+            raise InputError("data: expected places of geoms; call mujoco.mj_forward first")
+        return turn, 1e3 * places[self.number]
 
     def pose(self, data: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation and origin (millimetres) of the patch in the world."""
@@ -337,8 +343,9 @@ class SkinSensor:
                 if self._covered[geoms[index, side]]:
                     sides.append((index, geoms[index, side]))
                     forces.append(sign * force)
-        places = positions_mm[[index for index, _ in sides]].reshape(-1, 3)
-        loads = np.array(forces).reshape(-1, 3)
+        if not sides:
+            return dict.fromkeys(self._mounted, _NONE)
+        places, loads = positions_mm[[index for index, _ in sides]], np.array(forces)
         found, nearest_mm = {}, np.full(len(sides), np.inf)
         for name, mounted in self._mounted.items():
             mine = np.array([n for n, (_, geom) in enumerate(sides) if mounted in self._covering[geom]], dtype=np.intp)

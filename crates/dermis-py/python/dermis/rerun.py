@@ -27,7 +27,7 @@ Lengths are in metres, in the patch's frame. The timelines are those of the fram
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,7 +128,7 @@ def save(
     # The frames' own clocks are the only timelines.
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    results, of = _results(source, skin, frames)
+    results, of, walls = _results(source, skin, frames)
     logger = SkinLog(
         of, stream, entity=entity, root_from_patch=root_from_patch, full_scale=full_scale, mm_per_n=mm_per_n
     )
@@ -138,7 +138,7 @@ def save(
     except Exception as error:
         raise FileError(f"{target}: {error}") from error
     try:
-        count = logger.log_all(results, frames=frames)
+        count = logger.log_all(results, frames=frames, wall_ns=walls)
         stream.disconnect()
         os.replace(partial, target)
     except BaseException:
@@ -200,12 +200,12 @@ def log(
     >>> log(dermis.open("twin:healing-square", frames=500, speed=1))                    # doctest: +SKIP
     500
     """
-    results, of = _results(source, skin, frames)
+    results, of, walls = _results(source, skin, frames)
     logger = SkinLog(
         of, stream, entity=entity, root_from_patch=root_from_patch, full_scale=full_scale, mm_per_n=mm_per_n
     )
     logger.send_blueprint()
-    return logger.log_all(results, frames=frames)
+    return logger.log_all(results, frames=frames, wall_ns=walls)
 
 
 class SkinLog:
@@ -265,25 +265,29 @@ class SkinLog:
         self._lost: dict[str, int] = {}
         self._draw_rest(root_from_patch)
 
-    def log(self, result: Result) -> None:
+    def log(self, result: Result, *, wall_ns: int | None = None) -> None:
         """Logs one result.
 
         Parameters
         ----------
         result : Result
             Of the skin's pipeline or session.
+        wall_ns : int, optional
+            Its wall clock; default: the result's, which in a replay is that of the replay.
         """
         rr = self._rerun
         if not isinstance(result, Result):
             raise InputError(f"result: expected a dermis.Result, got {type(result).__name__}")
-        self._set_times(result)
+        self._set_times(result, result.wall_ns if wall_ns is None else wall_ns)
         if result.ready:
             self._log_surface(result)
             self._log_touches(result)
         self._log_health(result)
         self._send("plots/left_out", rr.Scalars([float(len(result.health["channels"]))]))
 
-    def log_all(self, results: Iterable[Result], *, frames: int | None = None) -> int:
+    def log_all(
+        self, results: Iterable[Result], *, frames: int | None = None, wall_ns: Mapping[int, int] | None = None
+    ) -> int:
         """Logs results until they end.
 
         Parameters
@@ -292,18 +296,20 @@ class SkinLog:
             A session, or any other.
         frames : int, optional
             Stop after this many.
+        wall_ns : mapping, optional
+            Wall clock of frames by their sequence numbers; default: the results'.
 
         Returns
         -------
         int
             Number of results logged.
         """
-        count = 0
+        count, walls = 0, wall_ns or {}
         session = results if isinstance(results, Session) else None
         if frames == 0:
             return 0
         for result in results:
-            self.log(result)
+            self.log(result, wall_ns=walls.get(result.sequence))
             if session is not None:
                 self._log_counters(session.counters)
             count += 1
@@ -366,11 +372,11 @@ class SkinLog:
         for name, title in {**names, "left_out": "channels left out"}.items():
             self._send(f"plots/{name}", rr.SeriesLines(names=title), static=True)
 
-    def _set_times(self, result: Result) -> None:
+    def _set_times(self, result: Result, wall_ns: int) -> None:
         rr, stream = self._rerun, self._stream
         rr.set_time("frame", sequence=result.sequence, recording=stream)
         rr.set_time("time", duration=result.time_s, recording=stream)
-        rr.set_time("wall", timestamp=np.datetime64(result.wall_ns, "ns"), recording=stream)
+        rr.set_time("wall", timestamp=np.datetime64(wall_ns, "ns"), recording=stream)
 
     def _log_surface(self, result: Result) -> None:
         rr = self._rerun
@@ -467,8 +473,10 @@ class _PixelMesh:
         return self._weights * np.bincount(self._numbers, weights=values)
 
 
-def _results(source: Any, skin: Skin | str | None, frames: int | None) -> tuple[Iterable[Result], Skin]:
-    """The results of a source, and the skin that they are of."""
+def _results(
+    source: Any, skin: Skin | str | None, frames: int | None
+) -> tuple[Iterable[Result], Skin, dict[int, int]]:
+    """The results of a source, the skin that they are of, and if it is a recording, the wall clock of its frames."""
     if frames is not None and not (isinstance(frames, (int, np.integer)) and not isinstance(frames, bool) and frames >= 0):
         raise InputError(f"frames = {frames!r}: expected a whole number, 0 or more")
     if isinstance(source, Recording):
@@ -476,13 +484,25 @@ def _results(source: Any, skin: Skin | str | None, frames: int | None) -> tuple[
     if isinstance(source, (str, os.PathLike)):
         source = _dermis.open(source, skin)
     if isinstance(source, Session):
-        return source, source.skin
+        return source, source.skin, _recorded_wall_ns(source.source)
     if not isinstance(source, Iterable):
         expected = "a dermis.Session, a dermis.Recording, a source that dermis.open opens, or results"
         raise InputError(f"source: expected {expected}, got {type(source).__name__}")
     if skin is None:
         raise InputError("skin: expected the skin of these results, got none")
-    return source, Skin(skin)
+    return source, Skin(skin), {}
+
+
+def _recorded_wall_ns(source: str) -> dict[int, int]:
+    """The wall clock at which a recording's frames came in, by sequence number; empty for other sources."""
+    if ".mcap" not in source:
+        return {}
+    try:
+        _, wall_ns, sequences = Recording(source).times()
+    except FileError:
+        # An MCAP file of another program.
+        return {}
+    return dict(zip(sequences.tolist(), wall_ns.tolist()))
 
 
 def _turns(normals: NDArray[np.float64]) -> NDArray[np.float64]:
