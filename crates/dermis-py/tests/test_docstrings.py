@@ -27,8 +27,10 @@ def public():
             path = f"{module.__name__}.{name}"
             yield path, value
             if inspect.isclass(value) and not issubclass(value, BaseException):
+                # The fields of a dataclass are parameters of its class.
+                fields = getattr(value, "__dataclass_fields__", {})
                 for member, of in vars(value).items():
-                    if not member.startswith("_"):
+                    if not member.startswith("_") and member not in fields:
                         yield f"{path}.{member}", of
 
 

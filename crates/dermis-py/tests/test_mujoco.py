@@ -61,34 +61,33 @@ def run(model, data, sensor, seconds):
     return readings
 
 
-def test_place_and_force_on_the_liquid_disc(liquid, record_property):
+def test_place_and_force_on_the_liquid_disc(liquid):
     """Against MuJoCo's contacts: balls and bricks of 0.4 to 1 N over 80 % of the disc."""
     random = np.random.default_rng(5)
     errors_mm, ratios = [], []
-    for number in range(24):
-        angle, share = random.uniform(0, 2 * np.pi), 0.8 * np.sqrt(random.uniform())
-        x_mm, y_mm = 87 * share * np.cos(angle), 87 * share * np.sin(angle)
-        mass_kg = random.uniform(0.04, 0.1)
-        thing = ball(x_mm, y_mm, mass_kg) if number % 2 else brick(x_mm, y_mm, mass_kg)
-        model, data = scene(after=thing)
-        sensor = SkinSensor(model, data, Patch("palm", liquid, geom="plate", xyz_mm=TOP), seed=number)
-        run(model, data, sensor, 1.0)
-        touches, contacts = sensor.touches("palm"), sensor.reading("palm").contacts
-        assert contacts.force_n.sum() == pytest.approx(9.81 * mass_kg, rel=0.01)
-        weights = contacts.force_n / contacts.force_n.sum()
-        centre = np.array([contacts.x_mm @ weights, contacts.y_mm @ weights])
-        if len(touches) == 0:
-            errors_mm.append(np.inf)
-            ratios.append(0.0)
-            continue
-        forces = -touches.force_n[:, 2]
-        found = forces @ touches.position_mm[:, :2] / forces.sum()
-        errors_mm.append(float(np.hypot(*(found - centre))))
-        ratios.append(float(forces.sum() / contacts.force_n.sum()))
+    for thing in (ball, brick):
+        model, data = scene(after=thing(0, 0))
+        sensor = SkinSensor(model, data, Patch("palm", liquid, geom="plate", xyz_mm=TOP), seed=1)
+        for _ in range(12):
+            angle, share = random.uniform(0, 2 * np.pi), 0.8 * np.sqrt(random.uniform())
+            model.body_mass[2] = random.uniform(0.04, 0.1)
+            mujoco.mj_setConst(model, data)
+            mujoco.mj_resetData(model, data)
+            data.qpos[:2] = 0.087 * share * np.array([np.cos(angle), np.sin(angle)])
+            run(model, data, sensor, 1.0)
+            touches, contacts = sensor.touches("palm"), sensor.reading("palm").contacts
+            assert contacts.force_n.sum() == pytest.approx(9.81 * model.body_mass[2], rel=0.01)
+            weights = contacts.force_n / contacts.force_n.sum()
+            centre = np.array([contacts.x_mm @ weights, contacts.y_mm @ weights])
+            assert len(touches) > 0
+            forces = -touches.force_n[:, 2]
+            found = forces @ touches.position_mm[:, :2] / forces.sum()
+            errors_mm.append(float(np.hypot(*(found - centre))))
+            ratios.append(float(forces.sum() / contacts.force_n.sum()))
     print("position", np.round(errors_mm, 1), "force ratio", np.round(ratios, 2))
     assert np.median(errors_mm) < 3.0
-    assert abs(np.median(ratios) - 1.0) < 0.10
     assert np.median(np.abs(np.array(ratios) - 1.0)) < 0.10
+    assert np.quantile(np.abs(np.array(ratios) - 1.0), 0.9) < 0.15
 
 
 @pytest.mark.parametrize(("thing", "side"), [(ball, 1), (brick, 0)])

@@ -38,7 +38,7 @@ _REST_S = 120.0
 class Carried:
     """The contacts that a skin carries, on the sheet laid flat.
 
-    Attributes
+    Parameters
     ----------
     index : numpy.ndarray
         Shape (m,). Numbers of these contacts among those given.
@@ -178,7 +178,7 @@ def _frame_under(twin: Twin, pressing: Carried, radius_mm: float | None, dt_s: f
 class SpatialTouches:
     """Touches in space, in the frame of a patch, a link or the world.
 
-    Attributes
+    Parameters
     ----------
     id : numpy.ndarray
         Shape (n,). Identities.
@@ -259,7 +259,7 @@ def spatial(skin: Skin, touches: Any) -> SpatialTouches:
 class SkinReading:
     """One frame of a simulated skin.
 
-    Attributes
+    Parameters
     ----------
     patch : str
         Name of the patch.

@@ -82,7 +82,7 @@ class SkinObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.sensor = SkinSensor(model, data, patches, seed=seed)
         self.sensor.update()
         self._inside = {patch.name: self._inside_of(patch.name) for patch in self.sensor.patches}
-        felt = {patch.name: self._space_of(patch.name) for patch in self.sensor.patches}
+        felt: dict[str, spaces.Space[Any]] = {patch.name: self._space_of(patch.name) for patch in self.sensor.patches}
         before = env.observation_space
         parts = dict(before.spaces) if isinstance(before, spaces.Dict) else {"state": before}
         if "skin" in parts:

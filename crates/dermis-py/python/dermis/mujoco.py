@@ -40,7 +40,7 @@ class Patch:
     The patch's frame has x right, y up, z out of the skin, and its origin in the middle of the sheet; a bent skin curves
     away behind it.
 
-    Attributes
+    Parameters
     ----------
     name : str
         Name in readings.
@@ -76,7 +76,7 @@ class Patch:
 class _Mounted:
     """A patch on its geom or body, with its simulated skin."""
 
-    def __init__(self, patch: Patch, model: Any, seed: int | None) -> None:
+    def __init__(self, patch: Patch, model: Any, seed: int) -> None:
         if not (isinstance(patch.name, str) and patch.name):
             raise InputError(f"name = {patch.name!r}: expected a name for the patch")
         where = f"patch {patch.name!r}: "
@@ -91,10 +91,15 @@ class _Mounted:
             raise InputError(f"{where}body = {patch.body!r}: expected a body with geoms, this one has none")
         self.origin_mm = _three(f"{where}xyz_mm", patch.xyz_mm)
         self.rotation = _rotation(np.deg2rad(_three(f"{where}rpy_deg", patch.rpy_deg)))
-        options = {"radius_mm": patch.radius_mm, "reach_mm": patch.reach_mm}
         try:
             self.simulated = SimulatedSkin(
-                patch.skin, name=patch.name, seed=seed, calibration=patch.calibration, forces=patch.forces, **options
+                patch.skin,
+                name=patch.name,
+                seed=seed,
+                radius_mm=patch.radius_mm,
+                reach_mm=patch.reach_mm,
+                calibration=patch.calibration,
+                forces=patch.forces,
             )
         except (InputError, SkinError) as error:
             raise type(error)(f"{where}{error}") from error
@@ -183,6 +188,7 @@ class SkinSensor:
             raise InputError(f"seed = {seed!r}: expected a whole number, 0 or more")
         _check_unique(given, model)
         self._model, self._data = model, data
+        self._begun_s, self._last_s = 0.0, 0.0
         self._mounted = {
             patch.name: _Mounted(patch, model, int(seed) + number) for number, patch in enumerate(given)
         }

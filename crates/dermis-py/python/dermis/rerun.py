@@ -309,7 +309,7 @@ class SkinLog:
         if frames == 0:
             return 0
         for result in results:
-            self.log(result, wall_ns=walls.get(result.sequence))
+            self.log(result, wall_ns=walls.get(result.sequence) if walls else None)
             if session is not None:
                 self._log_counters(session.counters)
             count += 1
