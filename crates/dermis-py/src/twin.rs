@@ -67,7 +67,7 @@ pub fn radius_and_load(
 #[pymethods]
 impl PyTwin {
     #[new]
-    #[pyo3(signature = (skin, seed=None, *, fade_s=SceneOptions::default().fade_s))]
+    #[pyo3(signature = (skin, seed=None, *, fade_s=0.08))]
     fn new(py: Python<'_>, skin: &Bound<'_, PyAny>, seed: Option<u64>, fade_s: f64) -> PyResult<Self> {
         let mut skin = skin_of(skin)?;
         if !(0.0..=MOST_FADE_S).contains(&fade_s) {

@@ -1,4 +1,4 @@
-"""The sheet of a skin in space: flat in the plane z = 0, or bent around a cylinder along y, one radius behind the sheet.
+"""The sheet of a skin in space: flat in the plane z = 0, or bent around a cylinder along y, one radius behind it.
 
 All lengths of a call are in one unit.
 """

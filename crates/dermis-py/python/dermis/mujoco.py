@@ -1,8 +1,9 @@
 """Skins in MuJoCo: contacts press a skin's twin, and its pipeline finds the touches.
 
 :class:`SkinSensor` covers geoms or bodies of a model with patches of skin. MuJoCo's contact points and forces pass
-through the layer into pressure, the twin makes the frames that an instrument would send, noise included, and the pipeline
-makes touches, in the frame of the patch, its mount, or the world. :mod:`dermis.contacts` is the same without MuJoCo.
+through the layer into pressure, the twin makes the frames that an instrument would send, noise included, and the
+pipeline makes touches, in the frame of the patch, its mount, or the world. :mod:`dermis.contacts` is the same without
+MuJoCo.
 
 MuJoCo is imported only when a sensor is made.
 """
@@ -37,8 +38,8 @@ _NONE = Carried(np.empty(0, np.intp), *(np.empty(0) for _ in range(4)))
 class Patch:
     """A patch of skin on a geom or a body of a MuJoCo model.
 
-    The patch's frame has x right, y up, z out of the skin, and its origin in the middle of the sheet; a bent skin curves
-    away behind it.
+    The patch's frame has x right, y up, z out of the skin, and its origin in the middle of the sheet; a bent skin
+    curves away behind it.
 
     Parameters
     ----------
@@ -85,8 +86,12 @@ class _Mounted:
             raise InputError(f"{where}expected geom or body, got {got}")
         self.patch = patch
         self.of_body = patch.geom is None
-        self.number = _number(where, model, "body" if self.of_body else "geom", patch.body if self.of_body else patch.geom)
-        self.geoms = [g for g in range(model.ngeom) if (model.geom_bodyid[g] if self.of_body else g) == self.number]
+        if self.of_body:
+            self.number = _number(where, model, "body", patch.body)
+            self.geoms = np.flatnonzero(model.geom_bodyid == self.number).tolist()
+        else:
+            self.number = _number(where, model, "geom", patch.geom)
+            self.geoms = [self.number]
         if not self.geoms:
             raise InputError(f"{where}body = {patch.body!r}: expected a body with geoms, this one has none")
         self.origin_mm = _three(f"{where}xyz_mm", patch.xyz_mm)
@@ -174,7 +179,7 @@ class SkinSensor:
     def __init__(self, model: Any, data: Any, patches: Patch | Iterable[Patch], *, seed: int = 0) -> None:
         import mujoco
 
-        self._mujoco = mujoco
+        self._mujoco: Any = mujoco
         for name, value, kind in (("model", model, mujoco.MjModel), ("data", data, mujoco.MjData)):
             if not isinstance(value, kind):
                 raise InputError(f"{name}: expected a mujoco.{kind.__name__}, got {type(value).__name__}")

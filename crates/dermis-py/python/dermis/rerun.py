@@ -1,7 +1,7 @@
 """Sessions and recordings in the Rerun viewer (https://rerun.io).
 
-:func:`save` writes a file that the viewer opens, :func:`log` sends to a viewer that is running, and :class:`SkinLog` takes
-results one by one. The skin's surface is logged once; each frame adds its colours, touches with their standard
+:func:`save` writes a file that the viewer opens, :func:`log` sends to a viewer that is running, and :class:`SkinLog`
+takes results one by one. The skin's surface is logged once; each frame adds its colours, touches with their standard
 deviations, forces and health. rerun-sdk is imported only when something is logged.
 
 ========================  ===========================================================================================
@@ -20,8 +20,8 @@ entity                    content
 ``skin/health``           a line whenever the health changes, or frames are lost
 ========================  ===========================================================================================
 
-Lengths are in metres, in the patch's frame. The timelines are those of the frames: ``frame`` (sequence number), ``time``
-(seconds on the source's clock) and ``wall`` (the host's wall clock when the frame came in, also in recordings).
+Lengths are in metres, in the patch's frame. The timelines are those of the frames: ``frame`` (sequence number),
+``time`` (seconds on the source's clock) and ``wall`` (the host's wall clock when the frame came in, also in recordings).
 """
 
 from __future__ import annotations
@@ -52,8 +52,11 @@ _NOISE_SCALE = 10.0
 _MM_PER_N = 10.0
 """Default length of a force arrow."""
 
-_TOUCH_MM = 1.5
-"""Radius of a touch's point if it has no radius of its own."""
+_TOUCH_MM = 1.0
+"""Radius of a touch's point."""
+
+_ARROW_MM = 0.5
+"""Radius of a force arrow."""
 
 _FLAT_MM = 0.2
 """Half thickness of the ellipses of sigma: they lie in the skin and have no height."""
@@ -62,6 +65,7 @@ _SURFACE = np.array([235, 235, 235], dtype=np.float64)
 _ABOVE = np.array([200, 30, 30], dtype=np.float64)
 _BELOW = np.array([30, 60, 200], dtype=np.float64)
 _MARK = (20, 20, 20)
+_FORCE = (255, 170, 0)
 
 
 def save(
@@ -246,7 +250,7 @@ class SkinLog:
     ) -> None:
         import rerun
 
-        self._rerun = rerun
+        self._rerun: Any = rerun
         self.skin = Skin(skin)
         if stream is not None and not isinstance(stream, rerun.RecordingStream):
             raise InputError(f"stream: expected a rerun.RecordingStream, got {type(stream).__name__}")
@@ -353,7 +357,8 @@ class SkinLog:
         self._rerun.send_blueprint(self.blueprint(), recording=self._stream)
 
     def _send(self, entity: str, archetype: Any, *, static: bool = False) -> None:
-        self._rerun.log(f"{self.entity}/{entity}" if entity else self.entity, archetype, static=static, recording=self._stream)
+        path = f"{self.entity}/{entity}" if entity else self.entity
+        self._rerun.log(path, archetype, static=static, recording=self._stream)
 
     def _draw_rest(self, root_from_patch: ArrayLike | None) -> None:
         """What never changes: mount and rim."""
@@ -389,7 +394,7 @@ class SkinLog:
         if self._full_scale is None:
             self._scale = max(self._scale, peak if self._scale > 0.0 else _NOISE_SCALE * peak)
         if self._mesh is None:
-            self._mesh = _PixelMesh(inside, result.extent_mm, self.skin.cylinder_radius_m)
+            self._mesh = _PixelMesh(inside, result.extent_mm, self.skin)
             positions, normals = self._mesh.positions_m, self._mesh.normals
             mesh = rr.Mesh3D(vertex_positions=positions, vertex_normals=normals, triangle_indices=self._mesh.triangles)
             self._send("surface", mesh, static=True)
@@ -403,34 +408,34 @@ class SkinLog:
         table = result.touches[result.touches["phase"] != "end"]
         touches = spatial(self.skin, table)
         positions = 1e-3 * touches.position_mm
-        radii_mm = np.where(np.isfinite(table["radius_mm"]), table["radius_mm"], _TOUCH_MM)
-        labels = [
-            f"{touch['id']}" if np.isnan(touch["force_n"]) else f"{touch['id']}: {touch['force_n']:.2f} N" for touch in table
-        ]
-        points = rr.Points3D(positions, radii=1e-3 * np.minimum(radii_mm, _TOUCH_MM), colors=_MARK, labels=labels)
-        self._send("touches", points)
+        labels = [str(touch["id"]) + ("" if np.isnan(touch["force_n"]) else f": {touch['force_n']:.2f} N") for touch in table]
+        self._send("touches", rr.Points3D(positions, radii=1e-3 * _TOUCH_MM, colors=_MARK, labels=labels))
         sigmas = np.column_stack([table["sigma_x_mm"], table["sigma_y_mm"], np.full(len(table), _FLAT_MM)])
         known = np.isfinite(sigmas).all(axis=1)
         ellipses = rr.Ellipsoids3D(
             centers=positions[known],
             half_sizes=1e-3 * sigmas[known],
             quaternions=_turns(touches.normal[known]),
-            colors=_MARK,
+            colors=_FORCE,
+            line_radii=1e-3 * 0.5 * _FLAT_MM,
             fill_mode="densewireframe",
         )
         self._send("sigma", ellipses)
         forces_n = touches.force_n
         known = np.isfinite(forces_n).all(axis=1)
         vectors = 1e-3 * self._mm_per_n * forces_n[known]
-        self._send("forces", rr.Arrows3D(origins=positions[known] - vectors, vectors=vectors, colors=_MARK))
+        arrows = rr.Arrows3D(origins=positions[known] - vectors, vectors=vectors, radii=1e-3 * _ARROW_MM, colors=_FORCE)
+        self._send("forces", arrows)
         self._send("plots/force_n", rr.Scalars([float(table["force_n"].sum())]))
         self._send("plots/touches", rr.Scalars([float(len(table))]))
 
     def _log_health(self, result: Result) -> None:
         health = result.health
         parts = [f"frames {health['frame']}: touches unknown"] if health["frame"] else []
-        parts += [f"channels left out: {', '.join(f'{c} {why}' for c, why in health['channels'].items())}"] if health["channels"] else []
-        parts += [f"electrodes faulty: {', '.join(map(str, health['electrodes']))}"] if health["electrodes"] else []
+        if health["channels"]:
+            parts.append("channels left out: " + ", ".join(f"{n} {why}" for n, why in health["channels"].items()))
+        if health["electrodes"]:
+            parts.append("electrodes faulty: " + ", ".join(map(str, health["electrodes"])))
         state = "; ".join(parts) or ("sound" if result.ready else "learning the baseline")
         if state != self._state:
             self._say(state, "WARN" if parts else "INFO")
@@ -449,11 +454,12 @@ class SkinLog:
 class _PixelMesh:
     """The pixels of an image on the skin's surface: vertices at their corners, shared by neighbours."""
 
-    def __init__(self, inside: NDArray[np.bool_], extent_mm: Any, radius_m: float | None) -> None:
+    def __init__(self, inside: NDArray[np.bool_], extent_mm: Any, skin: Skin) -> None:
         rows, columns = inside.shape
         left, right, bottom, top = extent_mm
         row, column = np.nonzero(inside)
-        corners = np.stack([row, row, row + 1, row + 1]) * (columns + 1) + np.stack([column, column + 1, column + 1, column])
+        across, down = np.array([0, 1, 1, 0])[:, None], np.array([0, 0, 1, 1])[:, None]
+        corners = (row + down) * (columns + 1) + column + across
         used, numbers = np.unique(corners, return_inverse=True)
         a, b, c, d = numbers.reshape(4, -1)
         # Counter-clockwise as seen from outside, with row 0 at the top.
@@ -461,6 +467,10 @@ class _PixelMesh:
         x = left + (right - left) * (used % (columns + 1)) / columns
         y = top + (bottom - top) * (used // (columns + 1)) / rows
         sheet_m = 1e-3 * np.column_stack([x, y])
+        # Pixels on the rim reach beyond it.
+        beyond = ~skin.contains(sheet_m)
+        sheet_m[beyond] = _nearest(skin.outline, sheet_m[beyond])
+        radius_m = skin.cylinder_radius_m
         self.positions_m = _surface.points(radius_m, sheet_m)
         self.normals = _surface.normals(radius_m, sheet_m[:, 0])
         self._inside = (row, column)
@@ -477,7 +487,7 @@ def _results(
     source: Any, skin: Skin | str | None, frames: int | None
 ) -> tuple[Iterable[Result], Skin, dict[int, int]]:
     """The results of a source, the skin that they are of, and if it is a recording, the wall clock of its frames."""
-    if frames is not None and not (isinstance(frames, (int, np.integer)) and not isinstance(frames, bool) and frames >= 0):
+    if frames is not None and (isinstance(frames, bool) or not isinstance(frames, (int, np.integer)) or frames < 0):
         raise InputError(f"frames = {frames!r}: expected a whole number, 0 or more")
     if isinstance(source, Recording):
         source = source.path
@@ -505,6 +515,16 @@ def _recorded_wall_ns(source: str) -> dict[int, int]:
     return dict(zip(sequences.tolist(), wall_ns.tolist()))
 
 
+def _nearest(rim: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points of a closed line nearest to these, or these if they lie in one of its holes."""
+    along = np.roll(rim, -1, axis=0) - rim
+    off = points[:, None] - rim
+    share = np.clip(np.einsum("nkd,kd->nk", off, along) / np.maximum((along**2).sum(axis=1), 1e-30), 0.0, 1.0)
+    on = rim + share[:, :, None] * along
+    nearest = np.argmin(((points[:, None] - on) ** 2).sum(axis=2), axis=1)
+    return on[np.arange(len(points)), nearest]
+
+
 def _turns(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternions (x, y, z, w) about y that take z to each normal of a cylinder along y, shape (n, 4)."""
     half = 0.5 * np.arctan2(normals[:, 0], normals[:, 2])
@@ -527,7 +547,8 @@ def _transform(values: ArrayLike) -> NDArray[np.float64]:
     if transform.shape != (4, 4) or not np.isfinite(transform).all():
         raise InputError(f"root_from_patch: expected finite numbers of shape (4, 4), got shape {np.shape(values)}")
     turn = transform[:3, :3]
-    if not (np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0 and (transform[3] == [0, 0, 0, 1]).all()):
+    is_turn = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0
+    if not (is_turn and (transform[3] == [0, 0, 0, 1]).all()):
         raise InputError("root_from_patch: expected a rotation and a translation, with the last row 0 0 0 1")
     return transform
 
