@@ -249,5 +249,14 @@ def test_other_mistakes_are_named(liquid):
         sensor.touches("b")
 
 
+def test_a_simulation_that_has_diverged_is_named(liquid):
+    model, data = scene(after=ball(0, 0, 0.1))
+    sensor = SkinSensor(model, data, Patch("palm", liquid, geom="plate", xyz_mm=TOP))
+    mujoco.mj_step(model, data)
+    data.efc_force[:] = np.nan
+    with pytest.raises(InputError, match=r"patch 'palm': MuJoCo's contacts: forces_n\[0\]\[\d\] = nan: expected finite"):
+        sensor.update()
+
+
 def test_examples_of_the_docstrings_run():
     assert doctest.testmod(dermis.mujoco).failed == 0

@@ -361,7 +361,10 @@ class SkinSensor:
         for name, mounted in self._mounted.items():
             mine = np.array([n for n, (_, geom) in enumerate(sides) if mounted in self._covering[geom]], dtype=np.intp)
             local_mm, local_n = mounted.in_patch(self._data, places[mine], loads[mine])
-            pressing = carried(mounted.simulated.skin, local_mm, local_n, reach_mm=mounted.patch.reach_mm)
+            try:
+                pressing = carried(mounted.simulated.skin, local_mm, local_n, reach_mm=mounted.patch.reach_mm)
+            except InputError as error:
+                raise InputError(f"patch {name!r}: MuJoCo's contacts: {error}") from error
             numbers = mine[pressing.index]
             nearest_mm[numbers] = np.minimum(nearest_mm[numbers], np.abs(pressing.height_mm))
             found[name] = (numbers, pressing)
