@@ -49,6 +49,11 @@ impl SpotFit {
         self.model.channels_of(&self.starts, &mut self.scratch, volts);
     }
 
+    /// Largest change of the skin per unit of load under a press like this one.
+    pub fn largest_change(&mut self, press: &Press) -> f64 {
+        self.model.largest_change(press.position_m, press.radius_m, &mut self.scratch)
+    }
+
     fn cost(&self, outcome: &FitOutcome, presses: usize) -> Cost {
         let combinations = self.model.combinations() as f64;
         let freedom = (combinations - (4 * presses + 1) as f64).max(1.0);

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use dermis::live::prepare::Prepared;
 use dermis::skin::{BUILTIN_NAMES, Modality, Skin};
-use dermis::tomo::mesh::Outline;
-use numpy::PyArray2;
+use dermis::tomo::mesh::{Outline, Surface};
+use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::arrays::{array2, read_only};
+use crate::arrays::{Doubles, array1, array2, read_only};
 use crate::errors::{Fault, Kind};
 use crate::model::PyModel;
 pub use crate::skin_argument::{PySkin, skin_of};
@@ -117,6 +117,34 @@ impl PySkin {
     #[getter]
     fn bounds_m(&self) -> ([f64; 2], [f64; 2]) {
         self.skin.outline().bounds_m()
+    }
+
+    /// Radius of the cylinder that the sheet is bent around, metres, or None if it is flat. The axis runs along y, one
+    /// radius behind the middle of the sheet; positions on the skin are those of the sheet laid flat.
+    #[getter]
+    fn cylinder_radius_m(&self) -> Option<f64> {
+        match self.skin.surface() {
+            Surface::Flat => None,
+            Surface::Cylinder { radius_m } => Some(radius_m),
+        }
+    }
+
+    /// Tells which points lie on the skin, its rim included and its holes excluded.
+    ///
+    /// Parameters
+    /// ----------
+    /// points_m : array_like
+    ///     Shape (n, 2): positions on the sheet laid flat, metres.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (n,), bool.
+    fn contains<'py>(&self, py: Python<'py>, points_m: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        let (points, _) = Doubles::rows("points_m", points_m, 2, "x and y of each point")?;
+        let outline = self.skin.outline();
+        let inside = points.values()?.chunks_exact(2).map(|point| outline.contains([point[0], point[1]])).collect();
+        Ok(array1(py, inside))
     }
 
     /// The skin's mesh and forward model at rest.

@@ -5,6 +5,7 @@ use std::sync::Mutex;
 use dermis::skin::Skin;
 use dermis::twin::instrument::FrameFate;
 use dermis::twin::mechanics::{Indenter, Load, Shape};
+use dermis::twin::scene::{Scene, SceneOptions};
 use dermis::twin::{AnyTwin, Frontend as _, TouchTruth, TwinKit};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -16,6 +17,8 @@ use crate::work::{lock, run, run_interruptibly};
 
 /// Frame rate if the skin file gives none, frames per second, as in the command.
 const FRAMES_PER_S: f64 = 50.0;
+/// Longest fade, seconds.
+const MOST_FADE_S: f64 = 60.0;
 /// Steps without a frame after which to give up on an instrument that loses all frames.
 const MOST_LOST: usize = 10_000;
 
@@ -34,6 +37,9 @@ struct Running {
 ///     The skin.
 /// seed : int, optional
 ///     Seed of the instrument's noise; default: the skin file's. The same seed gives identical bits.
+/// fade_s : float
+///     Time in which a press fades in and out, seconds. With 0 the skin carries exactly the loads of the moment, as
+///     those of a simulator.
 #[pyclass(frozen, module = "dermis", name = "Twin")]
 pub struct PyTwin {
     skin: Skin,
@@ -61,16 +67,25 @@ pub fn radius_and_load(
 #[pymethods]
 impl PyTwin {
     #[new]
-    #[pyo3(signature = (skin, seed=None))]
-    fn new(py: Python<'_>, skin: &Bound<'_, PyAny>, seed: Option<u64>) -> PyResult<Self> {
+    #[pyo3(signature = (skin, seed=None, *, fade_s=0.08))]
+    fn new(py: Python<'_>, skin: &Bound<'_, PyAny>, seed: Option<u64>, fade_s: f64) -> PyResult<Self> {
         let mut skin = skin_of(skin)?;
+        if !(0.0..=MOST_FADE_S).contains(&fade_s) {
+            return Err(Fault::input("fade_s", format!("0 to {MOST_FADE_S} seconds"), fade_s).into());
+        }
         // Numbers in a skin file are signed.
         if seed.is_some_and(|seed| i64::try_from(seed).is_err()) {
             return Err(Fault::input("seed", "0 to 2^63 - 1", seed.unwrap_or_default()).into());
         }
         skin.twin.seed = seed.or(skin.twin.seed);
         let of = skin.clone();
-        let kit = run_interruptibly(py, "twin", move || Ok(TwinKit::of(&of)?))?;
+        let kit = run_interruptibly(py, "twin", move || {
+            let mut kit = TwinKit::of(&of)?;
+            // Any step of time is longer than the shortest fade.
+            let options = SceneOptions { fade_s: fade_s.max(f64::MIN_POSITIVE), ..SceneOptions::default() };
+            *kit.twin.scene_mut() = Scene::new(options, None)?.on(kit.twin.frontend().extent())?;
+            Ok(kit)
+        })?;
         let period_s = 1.0 / skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
         let running = Running { twin: kit.twin, time_s: 0.0, truth: Vec::new(), values: Vec::new() };
         Ok(Self { skin, period_s, press: kit.press, running: Mutex::new(running) })

@@ -7,7 +7,7 @@ import re
 import pytest
 
 import dermis
-from dermis import eit, lerobot, mit, plot
+from dermis import contacts, eit, lerobot, mit, mujoco, plot, rerun
 
 numpydoc = pytest.importorskip("numpydoc.validate", reason="numpydoc is not installed")
 
@@ -19,7 +19,7 @@ SHORT = 1
 
 def public():
     """All public names, with the dotted path to each."""
-    for module in (dermis, eit, lerobot, mit, plot):
+    for module in (dermis, contacts, eit, lerobot, mit, mujoco, plot, rerun):
         for name in getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")]):
             value = getattr(module, name)
             if not callable(value) or inspect.ismodule(value) or getattr(value, "__module__", "").startswith(("numpy", "typing")):
@@ -27,8 +27,10 @@ def public():
             path = f"{module.__name__}.{name}"
             yield path, value
             if inspect.isclass(value) and not issubclass(value, BaseException):
+                # The fields of a dataclass are parameters of its class.
+                fields = getattr(value, "__dataclass_fields__", {})
                 for member, of in vars(value).items():
-                    if not member.startswith("_"):
+                    if not member.startswith("_") and member not in fields:
                         yield f"{path}.{member}", of
 
 

@@ -3,8 +3,8 @@
 //! A spot changes the conductance by `u exp(-d^2 / (2 r^2))`. Channels respond to a large change like a dipole `2 u /
 //! (2 + u)` (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane), which gives u from the fitted
 //! amplitude. On a sheet, `ln (1 + du) = k p` with `k = c - G / E`; integrated over the spot, the force is `F = 2 pi
-//! r^2 / k int_0^1 ln (1 + u t) / t dt`. Under a membrane, the dent is proportional to the pressure: `F = 2 pi r^2
-//! p`, where p is the pressure of a Gaussian load that makes a dent of that depth.
+//! r^2 / k int_0^1 ln (1 + u t) / t dt`. Under a membrane, the dent is proportional to the pressure, and u is its depth
+//! where it is deepest: `F = 2 pi r^2 p`, where p is the pressure of a Gaussian load that makes a dent of that depth.
 
 use std::f64::consts::PI;
 
@@ -46,15 +46,18 @@ impl ForceLaw {
     }
 
     /// Force and its standard deviation, newtons; `None` if the press changes the skin in a way that the law
-    /// excludes.
-    pub fn read(&self, press: &Press, polarity: f64) -> Option<(f64, f64)> {
+    /// excludes. `largest` is the largest change that such a press makes per unit of load: 1 on a sheet.
+    pub fn read(&self, press: &Press, largest: f64, polarity: f64) -> Option<(f64, f64)> {
         let area = PI * press.radius_m * press.radius_m;
         let undone = |answered: f64| {
             (polarity * answered / (1.0 - 0.5 * polarity * answered).max(1.0 + 0.5 * LOWEST)).max(LOWEST)
         };
         let (force_n, law_share) = match self {
             Self::Sheet { per_pa } => (2.0 * area * logarithms(undone(press.load)) / per_pa, SHEET_SHARE),
-            Self::Membrane { pressure_pa } => (-2.0 * area * undone(press.load) * pressure_pa, MEMBRANE_SHARE),
+            // The channels answer the dent. A narrow load dents a membrane less than its amplitude says.
+            Self::Membrane { pressure_pa } => {
+                (-2.0 * area * undone(press.load * largest) / largest * pressure_pa, MEMBRANE_SHARE)
+            }
         };
         let share = press.significance().recip().hypot(law_share);
         (force_n > 0.0 && force_n.is_finite()).then_some((force_n, share * force_n))
@@ -85,8 +88,8 @@ mod tests {
         let press = Press { radius_m: 5e-3, load: 1e-4, ..Press::default() };
         // A gel of 60 kPa: du = -p / E over the spot.
         let gel = ForceLaw::Sheet { per_pa: -1.0 / 60e3 };
-        let (force_n, _) = gel.read(&press, -1.0).unwrap();
+        let (force_n, _) = gel.read(&press, 1.0, -1.0).unwrap();
         assert!((force_n / (2.0 * PI * 25e-6 * 1e-4 * 60e3) - 1.0).abs() < 1e-3, "{force_n}");
-        assert!(gel.read(&press, 1.0).is_none());
+        assert!(gel.read(&press, 1.0, 1.0).is_none());
     }
 }

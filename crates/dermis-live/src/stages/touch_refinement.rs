@@ -304,6 +304,7 @@ impl SpotStage {
                 continue;
             }
             let away = |contact: &&Contact| distance(contact.centroid_m, press.position_m);
+            let largest = self.estimator.fit_mut().largest_change(press);
             let nearest = self.of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied();
             let area_m2 = nearest.map_or(std::f64::consts::PI * press.radius_m.powi(2), |contact| contact.area_m2);
             let c = &press.covariance;
@@ -318,7 +319,7 @@ impl SpotStage {
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
                 significance: *sigma,
                 radius_m: Some(press.radius_m),
-                force: self.law.and_then(|law| law.read(press, self.polarity)).map(from_law),
+                force: self.law.and_then(|law| law.read(press, largest, self.polarity)).map(from_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,
                 ..Contact::even(press.position_m, value, area_m2)

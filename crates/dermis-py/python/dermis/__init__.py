@@ -51,7 +51,7 @@ from .errors import (
 )
 
 if _TYPE_CHECKING:
-    from . import eit, jax, lerobot, mit, plot, ray, torch
+    from . import contacts, eit, gymnasium, jax, lerobot, mit, mujoco, plot, ray, rerun, torch
 
 __all__ = [
     "Calibration",
@@ -87,7 +87,7 @@ __all__ = [
     "touch_dtype",
 ]
 
-_SUBMODULES = ("eit", "jax", "lerobot", "mit", "plot", "ray", "torch")
+_SUBMODULES = ("contacts", "eit", "gymnasium", "jax", "lerobot", "mit", "mujoco", "plot", "ray", "rerun", "torch")
 
 
 def __getattr__(name: str):

@@ -113,6 +113,21 @@ fn the_sandwich_places_presses_four_times_as_well_as_its_image() {
 }
 
 #[test]
+fn a_press_under_a_membrane_has_its_force_whatever_its_radius() {
+    // A narrow press is the deeper dent for its force, and large dents are not linear. Measured: 4 % too low, of which
+    // the membrane's memory is 5 %.
+    let mut rig = Rig::new("ionic-disc").unwrap();
+    for (radius_m, force_n) in [(0.005, 0.2), (0.01, 0.4), (0.01, 1.0), (0.02, 1.0)] {
+        let frame = rig.mean_frame(&[press([0.02, -0.03], radius_m, force_n)], 1).unwrap();
+        let image = rig.image(&frame).unwrap();
+        let found_n = rig.touches(&image).unwrap()[0].force.and_then(|force| force.nearest_n()).unwrap();
+        println!("{force_n} N on {radius_m} m: {found_n:.3} N");
+        assert!((found_n / force_n - 1.0).abs() < 0.1, "{force_n} N on {radius_m} m: {found_n} N");
+        rig.frames(&[], 30).unwrap();
+    }
+}
+
+#[test]
 fn patches_are_placed_no_worse() {
     // A 10 mm patch conducts as a whole, so its centre isn't the indenter's, which a fit of a smooth spot cannot
     // know.

@@ -137,6 +137,16 @@ impl LargeChanges {
         Some(())
     }
 
+    /// Largest change by a load of amplitude 1, which is 1 without a spread.
+    pub(super) fn largest(&self, position_m: [f64; 2], radius_m: f64, scratch: &mut LargeScratch) -> f64 {
+        if self.spread.is_none() {
+            return 1.0;
+        }
+        scratch.one.resize(self.positions_m.len(), 0.0);
+        self.one(position_m, radius_m, &mut scratch.one);
+        f64::from(scratch.one.iter().fold(0.0_f32, |most, v| most.max(v.abs())))
+    }
+
     /// Changes of all pixels by a load of amplitude 1.
     fn one(&self, [x, y]: [f64; 2], radius_m: f64, one: &mut [f32]) {
         one.fill(0.0);

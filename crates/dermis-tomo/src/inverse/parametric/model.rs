@@ -32,6 +32,8 @@ pub struct SpotModel {
     pub(super) lift: Mat<f64>,
     /// Nonlinear response to large spots, if known.
     pub(super) large: Option<Arc<LargeChanges>>,
+    /// The changes caused by spots, kept if fits no longer correct for large ones.
+    pub(super) loads: Option<Arc<LargeChanges>>,
 }
 
 impl SpotModel {
@@ -72,7 +74,7 @@ impl SpotModel {
         let volts = |channel: usize| if root(channel) > 0.0 { deviations[channel] } else { 0.0 };
         let lift = Mat::from_fn(response.nrows(), count, |c, k| volts(c) * basis[(c, k)]);
         let responses = Responses::new(table);
-        Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None })
+        Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None, loads: None })
     }
 
     /// The same model for spots that may be large. `response` gives the change of the channels. `jacobian` is
@@ -108,6 +110,7 @@ impl SpotModel {
         let reduced = &project * jacobian;
         let large = LargeChanges::new(response, &self.projection, reduced.as_ref(), spread, positions_m, sign);
         self.large = Some(Arc::new(large));
+        self.loads = self.large.clone();
         Ok(self)
     }
 
@@ -166,6 +169,7 @@ impl SpotModel {
             uniform: row(&self.uniform),
             lift: &self.lift * factor.L(),
             large: self.large.clone(),
+            loads: self.loads.clone(),
         })
     }
 
@@ -206,7 +210,8 @@ impl SpotModel {
         let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
         let responses = self.responses.combined(single.as_ref());
         // With few channels left, a correction for large changes does more harm than good.
-        Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: None })
+        let (options, loads) = (self.options, self.loads.clone());
+        Ok(Self { options, responses, projection, channels, uniform, lift, large: None, loads })
     }
 
     /// Number of channels of a frame.

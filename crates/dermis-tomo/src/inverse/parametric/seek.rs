@@ -141,6 +141,12 @@ impl SpotModel {
         self.large.is_some()
     }
 
+    /// Largest change caused by a spot of amplitude 1. A membrane makes it larger under a wide spot than under a narrow
+    /// one; on a sheet, and in models without large changes, it is 1.
+    pub fn largest_change(&self, position_m: [f64; 2], radius_m: f64, scratch: &mut FitScratch) -> f64 {
+        self.loads.as_ref().map_or(1.0, |loads| loads.largest(position_m, radius_m, &mut scratch.large))
+    }
+
     /// Sets the spots to their starts and evaluates their responses into the scratch.
     fn begin_from(&self, starts: &[Spot], scratch: &mut FitScratch) -> Option<()> {
         let length = self.combinations();
