@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::command::Command;
 use crate::message::{Answer, HubStats, Notice};
 use crate::scene::Scene;
-use crate::update::{ClassImage, Counter, DamageView, GuardView, HealthView, PipelineState, StageLatency, TouchView, Update};
+use crate::update::{
+    ClassImage, Counter, DamageView, GuardView, HealthView, PipelineState, StageLatency, TouchView, Update,
+};
 
 /// Version of the messages, included in each of them.
 pub const PROTOCOL_VERSION: u16 = 1;

@@ -66,12 +66,7 @@ impl GuardSettings {
         self.stale_after_ms.unwrap_or(periods_ms.clamp(LEAST_STALE_MS, MOST_MS))
     }
 
-    pub(crate) fn check(
-        &self,
-        health: &HealthSettings,
-        backend: &Backend,
-        checker: &Checker<'_>,
-    ) -> Result<(), Error> {
+    pub(crate) fn check(&self, health: &HealthSettings, backend: &Backend, checker: &Checker<'_>) -> Result<(), Error> {
         checker.within("guard.force_n", self.force_n.unwrap_or(1.0), 1e-6, 1e6)?;
         checker.within("guard.pressure_kpa", self.pressure_kpa.unwrap_or(1.0), 1e-6, 1e6)?;
         checker.within("guard.stale_after_ms", self.stale_after_ms.unwrap_or(1.0), 1.0, MOST_MS)?;
@@ -104,7 +99,7 @@ mod tests {
         assert!(Skin::parse(text, "plain").unwrap().guard.is_none());
         assert_eq!(with("").unwrap().guard, Some(GuardSettings::default()));
         let error = |table: &str| with(table).unwrap_err().to_string();
-        assert_eq!(error("force_n = -1.0"), "a page: guard.force_n = -1: expected 1e-6 to 1000000");
+        assert_eq!(error("force_n = -1.0"), "a page: guard.force_n = -1: expected 1e-6 to 1e6");
         assert!(error("hold_ms = nan").contains("guard.hold_ms = NaN: expected 0 to 60000"));
         assert!(error("[health]\nwatch = false").contains("health.watch = false: expected true with a [guard]"));
     }

@@ -108,16 +108,18 @@ fn a_press_stops_and_silence_is_stale_within_its_limit() {
     tell("press 10 5 1 8");
     std::thread::sleep(Duration::from_millis(1500));
     tell("press 10 5 6 8");
-    let is_force = |line: &Value| line["reasons"].as_array().is_some_and(|all| all.contains(&"force".into()));
-    let stop = verdicts.until("stop", |line| line["verdict"] == "stop" && is_force(line));
+    let has = |line: &Value, reason: &str| line["reasons"].as_array().is_some_and(|all| all.contains(&reason.into()));
+    let stop = verdicts.until("stop", |line| line["verdict"] == "stop" && has(line, "force"));
     assert_eq!((&stop["all"], &stop["safety_rated"]), (&"stop".into(), &false.into()));
     tell("release");
     verdicts.until("ok again", |line| line["verdict"] == "ok");
 
     // The instrument falls silent: no frame comes, but the verdict changes in time.
     drop(twin);
-    let stale = verdicts.until("stale", |line| line["verdict"] == "stale" && age_ms(line) > 0.9 * STALE_AFTER_MS as f64);
-    assert_eq!((&stale["reasons"], &stale["valid_ms"]), (&serde_json::json!(["no-frames"]), &400.0.into()));
+    let stale =
+        verdicts.until("stale", |line| line["verdict"] == "stale" && age_ms(line) > 0.9 * STALE_AFTER_MS as f64);
+    assert_eq!(stale["reasons"], serde_json::json!(["no-frames"]));
+    assert_eq!(stale["valid_ms"].as_f64(), Some(STALE_AFTER_MS as f64));
     let heartbeat = verdicts.until("a heartbeat", |_| true);
     assert_eq!(heartbeat["verdict"], "stale");
     for line in &verdicts.seen {
@@ -126,7 +128,7 @@ fn a_press_stops_and_silence_is_stale_within_its_limit() {
 
     let ended = Command::new("kill").args(["-INT", &live.0.id().to_string()]).status().expect("it is told to end");
     assert!(ended.success());
-    verdicts.until("the end", |line| line["reasons"] == serde_json::json!(["ended"]) && line["verdict"] == "stop");
+    verdicts.until("the end", |line| line["verdict"] == "stop" && has(line, "ended"));
     assert!(verdicts.next().is_none(), "the socket is closed");
     live.0.wait().expect("it ends");
 
@@ -144,7 +146,10 @@ fn a_press_stops_and_silence_is_stale_within_its_limit() {
             _ => {}
         }
     }
-    assert!(events.iter().any(|detail| detail == "ok") && events.iter().any(|detail| detail.contains("force")), "{events:?}");
+    assert!(
+        events.iter().any(|detail| detail == "ok") && events.iter().any(|detail| detail.contains("force")),
+        "{events:?}"
+    );
 }
 
 #[test]
@@ -162,10 +167,11 @@ fn patches_have_limits_of_their_own_and_bad_ones_are_refused_with_their_line() {
     assert!(of("left").iter().all(|line| line["guard"].is_object() && !has_touch_reason(line)));
     assert!(of("free").iter().all(|line| line["guard"].is_null()));
 
-    std::fs::write(desk.path().join("body.toml"), body.replace("guard = {}", "guard = { force_n = -1.0 }")).expect("a file");
+    std::fs::write(desk.path().join("body.toml"), body.replace("guard = {}", "guard = { force_n = -1.0 }"))
+        .expect("a file");
     let refused = run(desk.path(), &["body.toml", "--headless", "--frames", "1"]);
     assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));
-    let expected = "body.toml, line 8: patch right: healing-square: guard.force_n = -1: expected 1e-6 to 1000000";
+    let expected = "body.toml, line 8: patch right: healing-square: guard.force_n = -1: expected 1e-6 to 1e6";
     assert!(message(&refused).contains(expected), "{}", message(&refused));
 }
 

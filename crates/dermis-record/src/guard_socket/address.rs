@@ -59,7 +59,9 @@ mod tests {
         assert_eq!("tcp://localhost:80".parse::<GuardAddress>().unwrap().to_string(), "tcp://127.0.0.1:80");
         #[cfg(unix)]
         assert_eq!("unix:///run/a".parse(), Ok(GuardAddress::Unix(PathBuf::from("/run/a"))));
-        for text in ["", "7879", "tcp://0.0.0.0:1", "tcp://10.0.0.5:1", "tcp://127.0.0.1", "tcp://127.0.0.1:x", "unix://"] {
+        for text in
+            ["", "7879", "tcp://0.0.0.0:1", "tcp://10.0.0.5:1", "tcp://127.0.0.1", "tcp://127.0.0.1:x", "unix://"]
+        {
             let message = text.parse::<GuardAddress>().unwrap_err().to_string();
             assert!(message.starts_with(&format!("\"{text}\": expected tcp://127.0.0.1:PORT")), "{message}");
         }

@@ -10,7 +10,7 @@ use crate::touch::Touch;
 /// A frame as the guard sees it. Times are nanoseconds.
 #[derive(Clone, Copy, Debug)]
 pub struct GuardFrame<'a> {
-    /// The host's monotonic clock now.
+    /// The host's monotonic clock now; never earlier than for the frame before.
     pub now_ns: u64,
     /// The frame's arrival on the same clock.
     pub frame_ns: u64,

@@ -288,12 +288,13 @@ proptest! {
     fn no_sequence_gives_a_false_ok(frames in proptest::collection::vec(drawn(), 1..200)) {
         let faults = [ChannelFault { channel: 0, kind: ChannelFaultKind::Stuck, since_ns: 0, since_sequence: 0 }; 20];
         let mut guard = Guard::new(LIMITS);
-        let (mut frame_ns, mut wrong_ns) = (1_000 * MS, None::<u64>);
+        let (mut frame_ns, mut now_ns, mut wrong_ns) = (1_000 * MS, 0, None::<u64>);
         let mut seen_ns = None;
         for (number, drawn) in frames.into_iter().enumerate() {
             let [clock, no_baseline, untrusted, unseen, frame_fault] = drawn.flags;
             frame_ns += drawn.pause_ns;
-            let now_ns = frame_ns + drawn.wait_ns;
+            // Frames are judged one after another.
+            now_ns = (frame_ns + drawn.wait_ns).max(now_ns);
             let touches: Vec<Touch> =
                 drawn.force.map(|force_n| touch(Some(ForceReading::Valid { force_n }))).into_iter().collect();
             let kind = FrameFaultKind::Flipped;
@@ -316,7 +317,7 @@ proptest! {
                 seen_ns = Some(frame_ns);
             }
             let is_wrong = clock || no_baseline || untrusted || frame_fault || drawn.left_out > 0
-                || drawn.wait_ns > LIMITS.stale_after_ns
+                || now_ns - frame_ns > LIMITS.stale_after_ns
                 || (number > 0 && drawn.pause_ns > LIMITS.stale_after_ns)
                 || drawn.force.is_some_and(|force_n| force_n.is_nan() || force_n >= 5.0)
                 || seen_ns.is_none_or(|seen_ns| now_ns - seen_ns > LIMITS.stale_after_ns);

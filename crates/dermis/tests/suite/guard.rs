@@ -136,7 +136,10 @@ fn a_tare_forced_under_a_press_is_not_trusted_until_the_next_one() {
     line.verdicts(45, None);
     // The press is in the baseline and cannot be seen.
     let report = line.step(None);
-    assert!(report.verdict != GuardVerdict::Ok && report.reasons.contains(GuardReason::BaselineUntrusted), "{report:?}");
+    assert!(
+        report.verdict != GuardVerdict::Ok && report.reasons.contains(GuardReason::BaselineUntrusted),
+        "{report:?}"
+    );
     line.twin.scene_mut().release(1);
     assert_never_ok("released", &line.verdicts(20, None));
     line.pipeline.tare(true, "let the skin rest").unwrap();
