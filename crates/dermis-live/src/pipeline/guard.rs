@@ -49,7 +49,7 @@ impl Pipeline {
             is_baseline_trusted: is_trusted(self.baseline_records()) && damage.proposal.is_none(),
             is_seen: self.is_seen,
             health: self.health(),
-            channels: self.prepared.channels(),
+            readings: self.baseline.raw(),
             touches: running.map_or(&[], |running| running.reconstructor.touches.touches()),
             damages: damage.damages,
         });

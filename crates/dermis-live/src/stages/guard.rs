@@ -21,7 +21,8 @@ pub(crate) struct SeenFrame<'a> {
     /// The touches were seen in this frame.
     pub is_seen: bool,
     pub health: Health<'a>,
-    pub channels: usize,
+    /// Readings of all channels.
+    pub readings: &'a [f64],
     pub touches: &'a [Touch],
     pub damages: &'a [Damage],
 }
@@ -67,7 +68,7 @@ impl GuardStage {
             is_baseline_trusted: seen.is_baseline_trusted,
             is_seen: seen.is_seen,
             health: seen.health,
-            channels: seen.channels,
+            readings: seen.readings,
             touches: seen.touches,
             is_damaged: seen.damages.iter().any(is_there),
         })

@@ -27,8 +27,8 @@ pub struct GuardFrame<'a> {
     pub is_seen: bool,
     /// Known faults.
     pub health: Health<'a>,
-    /// Number of channels of the skin.
-    pub channels: usize,
+    /// Readings of all channels; NaN where missing.
+    pub readings: &'a [f64],
     /// Touches on the skin.
     pub touches: &'a [Touch],
     /// The skin has confirmed damage.
@@ -122,8 +122,13 @@ impl Guard {
         if frame.health.frame.is_some() {
             reasons.insert(GuardReason::FrameFault);
         }
+        // A missing reading counts at once; health waits for several before it leaves the channel out.
+        let left_out = &frame.health.channels;
+        let is_used = |channel: usize| left_out.binary_search_by_key(&channel, |fault| fault.channel as usize).is_err();
+        let readings = frame.readings.iter().enumerate();
+        let missing = readings.filter(|(channel, reading)| !reading.is_finite() && is_used(*channel)).count();
         // Without channels, a share of them means nothing.
-        let left_out = frame.health.channels.len() as f64 / frame.channels as f64;
+        let left_out = (left_out.len() + missing) as f64 / frame.readings.len() as f64;
         let is_allowed = left_out <= self.limits.most_left_out;
         if !is_allowed {
             reasons.insert(GuardReason::ChannelsLeftOut);

@@ -45,7 +45,7 @@ pub enum GuardReason {
     BaselineUntrusted,
     /// Frames are wrong as a whole: frozen, saturated, flipped, out of range or blank.
     FrameFault,
-    /// More channels are left out than allowed.
+    /// More channels are left out or have no reading than allowed.
     ChannelsLeftOut,
     /// The last image of the skin is too old, because readings since then are in doubt.
     InDoubt,

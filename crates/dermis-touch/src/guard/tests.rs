@@ -52,7 +52,7 @@ fn sound(frame_ns: u64) -> GuardFrame<'static> {
         is_baseline_trusted: true,
         is_seen: true,
         health: Health::default(),
-        channels: 208,
+        readings: &[1e-3; 208],
         touches: &[],
         is_damaged: false,
     }
@@ -152,7 +152,12 @@ fn faults_of_whole_frames_are_stale() {
 
 #[test]
 fn channels_left_out_are_stale_above_the_allowed_share() {
-    let fault = |channel| ChannelFault { channel, kind: ChannelFaultKind::Electrode, since_ns: 0, since_sequence: 0 };
+    let fault = |channel: u32| ChannelFault {
+        channel: 8 * channel,
+        kind: ChannelFaultKind::Electrode,
+        since_ns: 0,
+        since_sequence: 0,
+    };
     let faults: Vec<ChannelFault> = (0..26).map(fault).collect();
     let with = |most_left_out, count: usize| {
         let (mut guard, next_ns) = running(GuardLimits { most_left_out, ..LIMITS });
@@ -162,7 +167,19 @@ fn channels_left_out_are_stale_above_the_allowed_share() {
     assert_is(with(0.0, 1), GuardVerdict::Stale, GuardReason::ChannelsLeftOut);
     assert_eq!(with(0.125, 26).verdict, GuardVerdict::Ok);
     assert_is(with(0.12, 26), GuardVerdict::Stale, GuardReason::ChannelsLeftOut);
-    assert_is(judged(LIMITS, |frame| frame.channels = 0), GuardVerdict::Stale, GuardReason::ChannelsLeftOut);
+    assert_is(judged(LIMITS, |frame| frame.readings = &[]), GuardVerdict::Stale, GuardReason::ChannelsLeftOut);
+}
+
+#[test]
+fn missing_readings_count_before_they_are_left_out() {
+    let mut readings = [1e-3; 208];
+    readings[7] = f64::NAN;
+    let with = |most_left_out| {
+        let (mut guard, next_ns) = running(GuardLimits { most_left_out, ..LIMITS });
+        guard.judge(&GuardFrame { readings: &readings, ..sound(next_ns) })
+    };
+    assert_is(with(0.0), GuardVerdict::Stale, GuardReason::ChannelsLeftOut);
+    assert_eq!(with(0.01).verdict, GuardVerdict::Ok);
 }
 
 #[test]
@@ -260,6 +277,7 @@ struct Drawn {
     flags: [bool; 5],
     force: Option<f64>,
     left_out: usize,
+    missing: usize,
 }
 
 fn drawn() -> impl Strategy<Value = Drawn> {
@@ -271,14 +289,16 @@ fn drawn() -> impl Strategy<Value = Drawn> {
         [rare(), rare(), rare(), rare(), rare()],
         proptest::option::weighted(0.2, prop_oneof![4 => 0.0..10.0, 1 => Just(f64::NAN)]),
         prop_oneof![9 => Just(0_usize), 1 => 1_usize..20],
+        prop_oneof![9 => Just(0_usize), 1 => 1_usize..208],
     )
-        .prop_map(|(pause_ns, wait_ns, device_late_ns, flags, force, left_out)| Drawn {
+        .prop_map(|(pause_ns, wait_ns, device_late_ns, flags, force, left_out, missing)| Drawn {
             pause_ns,
             wait_ns,
             device_late_ns,
             flags,
             force,
             left_out,
+            missing,
         })
 }
 
@@ -286,7 +306,8 @@ proptest! {
     /// An independent statement of the contract: `ok` only if nothing is wrong now or was within the hold time.
     #[test]
     fn no_sequence_gives_a_false_ok(frames in proptest::collection::vec(drawn(), 1..200)) {
-        let faults = [ChannelFault { channel: 0, kind: ChannelFaultKind::Stuck, since_ns: 0, since_sequence: 0 }; 20];
+        let fault = |channel| ChannelFault { channel, kind: ChannelFaultKind::Stuck, since_ns: 0, since_sequence: 0 };
+        let faults: Vec<ChannelFault> = (0..20).map(fault).collect();
         let mut guard = Guard::new(LIMITS);
         let (mut frame_ns, mut now_ns, mut wrong_ns) = (1_000 * MS, 0, None::<u64>);
         let mut seen_ns = None;
@@ -299,6 +320,8 @@ proptest! {
                 drawn.force.map(|force_n| touch(Some(ForceReading::Valid { force_n }))).into_iter().collect();
             let kind = FrameFaultKind::Flipped;
             let fault = frame_fault.then_some(FrameFault { kind, since_ns: 0, since_sequence: 0 });
+            let mut readings = [1e-3; 208];
+            readings[..drawn.missing].fill(f64::NAN);
             let health = Health { frame: fault, channels: &faults[..drawn.left_out], electrodes: &[] };
             let report = guard.judge(&GuardFrame {
                 now_ns,
@@ -309,14 +332,14 @@ proptest! {
                 is_baseline_trusted: !untrusted,
                 is_seen: !unseen,
                 health,
-                channels: 208,
+                readings: &readings,
                 touches: &touches,
                 is_damaged: false,
             });
             if !unseen && !no_baseline {
                 seen_ns = Some(frame_ns);
             }
-            let is_wrong = clock || no_baseline || untrusted || frame_fault || drawn.left_out > 0
+            let is_wrong = clock || no_baseline || untrusted || frame_fault || drawn.left_out + drawn.missing > 0
                 || now_ns - frame_ns > LIMITS.stale_after_ns
                 || (number > 0 && drawn.pause_ns > LIMITS.stale_after_ns)
                 || drawn.force.is_some_and(|force_n| force_n.is_nan() || force_n >= 5.0)
