@@ -63,7 +63,8 @@ pub struct Pipeline {
     classes: Option<ClassStage>,
     /// `None` without limits in the skin file or from the user.
     guard: Option<GuardStage>,
-    /// The touches are those of the current frame. False if it is in doubt, and those of an earlier frame are repeated.
+    /// The touches are those of the current frame. False if it is in doubt, so that those of an earlier frame are
+    /// repeated, or if its image shows more than its touches.
     is_seen: bool,
     state: State,
     operators: Operators,
@@ -252,7 +253,7 @@ impl Pipeline {
         }
         self.baseline.observe(time_ns, &self.buffers.channels)?;
         let seen = self.see(time_ns, at, start)?;
-        self.is_seen = seen.believed;
+        self.is_seen = seen.believed && !self.running().is_some_and(|run| run.reconstructor.is_unexplained());
         self.gather_presses(time_ns, seen.believed);
         let is_level = is_sound && self.watch_levels(time_ns, at)?;
         let is_free = seen.believed && (self.watch_damage(time_ns, at, seen.touched)? || is_level);

@@ -22,8 +22,8 @@ pub struct GuardFrame<'a> {
     pub has_baseline: bool,
     /// The baseline is believed to be that of the untouched skin.
     pub is_baseline_trusted: bool,
-    /// The touches were seen in this frame. False if they are repeated from an earlier one, because this one is in
-    /// doubt.
+    /// The touches were seen in this frame and explain it. False if they are repeated from an earlier one, because
+    /// this one is in doubt, or if something is there that is no touch yet.
     pub is_seen: bool,
     /// Known faults.
     pub health: Health<'a>,

@@ -47,7 +47,8 @@ pub enum GuardReason {
     FrameFault,
     /// More channels are left out or have no reading than allowed.
     ChannelsLeftOut,
-    /// The last image of the skin is too old, because readings since then are in doubt.
+    /// The last understood image of the skin is too old: readings since then are in doubt, or show something that is
+    /// not recognised as a touch.
     InDoubt,
     /// The frame is older than the limit, or arrived late by the device's clock.
     Late,
