@@ -50,7 +50,7 @@ pub struct Body {
 pub struct Patch {
     /// Name, unique on the body.
     pub name: String,
-    /// The skin.
+    /// The skin, with the patch's own guard if it has one.
     pub skin: Skin,
     /// Source of its frames, as for `dermis run --source`.
     pub source: String,
@@ -258,12 +258,22 @@ impl Builder {
             Some(_) => Skin::open(name),
             None => Skin::open(&self.source.folder().join(name).display().to_string()),
         };
-        opened.map_err(|source| Error::Skin {
-            file: self.source.file.clone(),
-            line: self.source.line_of(&text.skin),
-            patch: text.name.get_ref().clone(),
-            source,
-        })
+        let failed = |line: usize| {
+            move |source| Error::Skin {
+                file: self.source.file.clone(),
+                line,
+                patch: text.name.get_ref().clone(),
+                source,
+            }
+        };
+        let skin = opened.map_err(failed(self.source.line_of(&text.skin)))?;
+        match &text.guard {
+            Some(guard) => {
+                let guarded = Skin { guard: Some(*guard.get_ref()), ..skin };
+                guarded.checked().map_err(failed(self.source.line_of(guard)))
+            }
+            None => Ok(skin),
+        }
     }
 
     /// The link and pose of a patch: from the patch, or else from its skin file.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use dermis_skin::GuardSettings;
 use serde::Deserialize;
 use toml::Spanned;
 
@@ -48,6 +49,7 @@ pub(crate) struct PatchText {
     pub baseline: Option<String>,
     pub calibration: Option<PathBuf>,
     pub forces: Option<PathBuf>,
+    pub guard: Option<Spanned<GuardSettings>>,
 }
 
 /// A body file's text, for converting positions of values into line numbers.

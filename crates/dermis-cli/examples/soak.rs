@@ -1,15 +1,17 @@
 //! A load test of the whole of `dermis run`. An instrument on a socket sends 208 channels at a fixed rate; image,
-//! touches, recording and page follow, with three viewers, one of which never reads.
+//! touches, recording and page follow, with three viewers, one of which never reads, and a reader of the guard's verdicts.
 //!
 //! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after `cargo
 //! build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if a frame was
 //! lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut` the skin
 //! is cut after that many seconds, then left alone for six while the cut is recognised.
 
+use std::collections::BTreeMap;
 use std::error::Error;
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::path::PathBuf;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,6 +19,7 @@ use std::time::{Duration, Instant};
 use std::{env, fs, thread};
 
 use dermis::lab::serve::device_info;
+use dermis::live::latency::LatencyHistogram;
 use dermis::skin::Skin;
 use dermis::twin::TwinKit;
 use dermis_device::instruments::wire::WireDevice;
@@ -55,13 +58,16 @@ fn main() -> Result<(), Failure> {
     fs::create_dir_all(&folder)?;
     let recording = folder.join("soak.mcap");
     let page = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-    let mut child = run(port, page.port(), &recording)?;
+    let socket = folder.join("guard");
+    let mut child = run(port, page.port(), &recording, &socket)?;
+    let reader = thread::spawn(move || read_verdicts(&socket));
     let outcome = tokio::runtime::Runtime::new()?.block_on(watch(page, &mut child, seconds, &sent));
     stop.store(true, Ordering::Relaxed);
     let ended = child.wait();
     let _ = device.join();
     fs::remove_dir_all(&folder)?;
     println!("dermis ended with {}", ended?);
+    println!("{}", reader.join().map_err(|_| "the guard's reader failed")??);
     outcome
 }
 
@@ -162,15 +168,46 @@ fn write_all(stream: &mut TcpStream, mut bytes: &[u8]) -> Result<(), Failure> {
 }
 
 /// Starts `dermis run` of the same build, next to this example's folder.
-fn run(device: u16, page: u16, recording: &PathBuf) -> Result<Child, Failure> {
+fn run(device: u16, page: u16, recording: &PathBuf, guard: &Path) -> Result<Child, Failure> {
     let examples = env::current_exe()?;
     let folder = examples.parent().and_then(|folder| folder.parent()).ok_or("no folder of builds")?;
     let source = format!("tcp:127.0.0.1:{device}");
     Ok(Command::new(folder.join("dermis"))
         .args(["run", SKIN, "--no-open", "--as-set", "--source", &source, "--port", &page.to_string(), "--record"])
         .arg(recording)
+        .arg("--guard")
+        .arg(format!("unix://{}", guard.display()))
         .stdout(Stdio::null())
         .spawn()?)
+}
+
+/// Reads the guard's verdicts until the socket closes, and returns their numbers and the time from a frame's first byte to
+/// the arrival of its verdict here.
+fn read_verdicts(socket: &Path) -> Result<String, Failure> {
+    let mut stream = UnixStream::connect(socket);
+    for _ in 0..600 {
+        if stream.is_ok() {
+            break;
+        }
+        thread::sleep(Duration::from_millis(100));
+        stream = UnixStream::connect(socket);
+    }
+    let mut latency = LatencyHistogram::new();
+    let (mut verdicts, mut last) = (BTreeMap::<String, u64>::new(), Value::Null);
+    for line in BufReader::new(stream?).lines() {
+        let line: Value = serde_json::from_str(&line?)?;
+        let now_ns = HostStamp::on_system_clock(HostStamp::now().monotonic_ns);
+        let (Some(verdict), Some(frame_ns)) = (line["verdict"].as_str(), line["frame_ns"].as_u64()) else { continue };
+        // Heartbeats repeat a frame's verdict.
+        if line["sequence"] == last {
+            continue;
+        }
+        last = line["sequence"].clone();
+        *verdicts.entry(verdict.to_owned()).or_default() += 1;
+        latency.record(Duration::from_nanos(now_ns.saturating_sub(frame_ns)));
+    }
+    let [p50_us, p99_us] = [0.5, 0.99].map(|share| latency.quantile_us(share));
+    Ok(format!("verdicts {verdicts:?}, first byte to verdict p50 {p50_us:.0} us, p99 {p99_us:.0} us"))
 }
 
 /// Runs three viewers, prints the messages to the first one, and judges them at the end.

@@ -2,6 +2,8 @@
 
 #[path = "run/body.rs"]
 mod body;
+#[path = "run/guard.rs"]
+mod guard;
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;

@@ -293,6 +293,7 @@ fn reconstruct_to(
             damage: dermis_live::stages::damage::DamageView::default(),
             circuit: None,
             anomalies: dermis_live::clock::FrameAnomalies::default(),
+            guard: None,
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;
         beside.iter_mut().try_for_each(|sink| sink.accept(&output))?;

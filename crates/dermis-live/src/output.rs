@@ -1,5 +1,6 @@
 //! The pipeline's results for one frame.
 
+use dermis_touch::guard::GuardReport;
 use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
 
@@ -45,4 +46,6 @@ pub struct Output<'a> {
     pub circuit: Option<&'a CircuitNews>,
     /// Anomalies of the frame's number or time.
     pub anomalies: FrameAnomalies,
+    /// The guard's verdict, if there is a guard.
+    pub guard: Option<GuardReport>,
 }

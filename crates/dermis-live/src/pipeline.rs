@@ -4,7 +4,9 @@
 //! health, damage and classes return decisions, which are applied here.
 
 mod baselines;
+mod calibrations;
 mod circuit;
+mod guard;
 mod hyperparameter;
 mod levels;
 mod operators;
@@ -16,12 +18,11 @@ use std::time::Duration;
 
 use dermis_device::{Frame, Layout};
 use dermis_learn::Model;
-use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
 use dermis_touch::{Baseline, BaselineChange, BaselineParams, BaselineState, Load, ReferenceRecord};
 
 use crate::Error;
-use crate::calibration::{Calibration, LoadQuantity, check_wiring};
+use crate::calibration::{Calibration, check_wiring};
 pub use crate::channel_noise::TARE_FRAMES;
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
@@ -32,6 +33,7 @@ use crate::reference::Reference;
 use crate::stages::circuit::CircuitStage;
 use crate::stages::classes::{ClassPace, ClassStage};
 use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
+use crate::stages::guard::GuardStage;
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
 use operators::Operators;
 pub use stage_latencies::StageLatencies;
@@ -59,6 +61,11 @@ pub struct Pipeline {
     circuit: Option<CircuitStage>,
     /// A network that classifies pixels, if any.
     classes: Option<ClassStage>,
+    /// `None` without limits in the skin file or from the user.
+    guard: Option<GuardStage>,
+    /// The touches are those of the current frame. False if it is in doubt, so that those of an earlier frame are
+    /// repeated, or if its image shows more than its touches.
+    is_seen: bool,
     state: State,
     operators: Operators,
     buffers: Buffers,
@@ -136,6 +143,7 @@ impl Pipeline {
         let (starting, watches) = rayon::join(starting, watches);
         let (starting, (health, levels, damage)) = (starting?, watches?);
         let image = vec![f32::NAN; prepared.map.grid().len()];
+        let guard = prepared.skin.guard.as_ref().map(|settings| GuardStage::new(settings, &prepared.skin));
         Ok(Self {
             choices: Choices { calibration, ..Choices::default() },
             reader,
@@ -146,6 +154,8 @@ impl Pipeline {
             levels,
             circuit,
             classes: None,
+            guard,
+            is_seen: false,
             state: State::Starting(Box::new(starting)),
             operators: Operators::after(0),
             buffers: Buffers { channels: Vec::new(), difference: Vec::new(), image },
@@ -187,8 +197,7 @@ impl Pipeline {
         };
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
             self.use_new_baseline(time_ns, at)?;
-            let took_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
-            self.timing.timed_from_ns = now_ns.saturating_add(took_ns);
+            self.timing.timed_from_ns = now_ns.saturating_add(nanoseconds(start.elapsed()));
         }
         // Waiting is measured by the host's clock alone, since the device's may have another origin and rate.
         let waited = Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns));
@@ -196,6 +205,7 @@ impl Pipeline {
             self.timing.latencies.queue.record(waited);
             self.timing.latencies.total.record(waited + start.elapsed());
         }
+        let guard = self.judge(frame, anomalies, now_ns.saturating_add(nanoseconds(start.elapsed())));
         let grid = self.prepared.map.grid();
         let (touches, events) = match &self.state {
             State::Running(running) => {
@@ -220,6 +230,7 @@ impl Pipeline {
             damage: self.damage(),
             circuit: self.circuit.as_ref().and_then(CircuitStage::news),
             anomalies,
+            guard,
         })
     }
 
@@ -242,6 +253,7 @@ impl Pipeline {
         }
         self.baseline.observe(time_ns, &self.buffers.channels)?;
         let seen = self.see(time_ns, at, start)?;
+        self.is_seen = seen.believed && !self.running().is_some_and(|run| run.reconstructor.is_unexplained());
         self.gather_presses(time_ns, seen.believed);
         let is_level = is_sound && self.watch_levels(time_ns, at)?;
         let is_free = seen.believed && (self.watch_damage(time_ns, at, seen.touched)? || is_level);
@@ -410,35 +422,6 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Estimates forces by a calibration from now on.
-    ///
-    /// # Errors
-    /// A calibration of another skin, or with invalid numbers; a skin whose circuit is still to be found, since that
-    /// changes amplitudes.
-    pub fn set_forces(&mut self, forces: ForceCalibration) -> Result<(), Error> {
-        forces.check(&self.prepared.skin.name)?;
-        if self.circuit.is_some() {
-            let what = format!("force calibration of skin {}", self.prepared.skin.name);
-            let expected = "the circuit itself in the skin file, with which forces were calibrated".into();
-            return Err(Error::Frames { what, expected, got: "backend.circuit = \"learn\"".into() });
-        }
-        if let State::Running(running) = &mut self.state {
-            running.reconstructor.touches.set_forces(Some(forces.clone()));
-        }
-        self.choices.forces = Some(forces);
-        Ok(())
-    }
-
-    /// Quantity of the touches' loads, if a calibration by pokes estimates them.
-    pub fn load_quantity(&self) -> Option<LoadQuantity> {
-        self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
-    }
-
-    /// True if a calibration without labels may locate touches, and may report alternative positions.
-    pub fn may_tell_other_places(&self) -> bool {
-        self.choices.calibration.is_none() && self.prepared.skin.backend.circuit.is_some()
-    }
-
     /// Current lambda, once there is a baseline.
     pub fn hyperparameter(&self) -> Option<f64> {
         self.running().map(|running| running.reconstructor.imager.hyperparameter())
@@ -490,4 +473,8 @@ impl Pipeline {
             State::Running(running) => Some(running),
         }
     }
+}
+
+fn nanoseconds(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -1,5 +1,7 @@
 //! Difference data to touches: image, contacts, refinement, tracks. Used for live and for recorded frames.
 
+use dermis_touch::ContactStrength;
+
 use crate::Error;
 use crate::calibration::PlacementFinder;
 use crate::imager::Imager;
@@ -28,6 +30,8 @@ pub struct Reconstructor {
     presses: Option<ElementPresses>,
     /// Images to touches.
     pub touches: TouchStage,
+    /// The last image showed something strong enough to begin a touch, but none was reported.
+    is_unexplained: bool,
 }
 
 impl Reconstructor {
@@ -44,7 +48,7 @@ impl Reconstructor {
         let touches = TouchStage::new(prepared, imager.noise_image())?;
         let elements = ElementContacts::new(prepared);
         let presses = if elements.is_some() { ElementPresses::new(prepared)? } else { None };
-        Ok(Self { imager, placement, refinement, elements, presses, touches })
+        Ok(Self { imager, placement, refinement, elements, presses, touches, is_unexplained: false })
     }
 
     /// Takes into account how far the skin that gave this reference is from its file.
@@ -81,6 +85,7 @@ impl Reconstructor {
         let correction = self.placement.as_ref().and_then(PlacementFinder::correction);
         let imposed = placement.filter(|_| correction.is_none());
         self.touches.find_contacts(image, imposed)?;
+        let is_strong = self.touches.contacts().iter().any(|contact| contact.strength == ContactStrength::Strong);
         if let (None, Some(elements), Some(fit)) = (imposed, &mut self.elements, self.imager.heights()) {
             elements.place(fit, self.touches.contacts_mut());
         }
@@ -106,7 +111,9 @@ impl Reconstructor {
             }
             (None, _) => {}
         }
-        self.touches.track_contacts(time_ns)
+        self.touches.track_contacts(time_ns)?;
+        self.is_unexplained = is_strong && !self.touches.contacts().is_empty() && self.touches.touches().is_empty();
+        Ok(())
     }
 
     /// The current frame (model volts, `NaN` where missing) with its fit.
@@ -127,6 +134,12 @@ impl Reconstructor {
     /// True while anything lies on the skin, including unconfirmed contacts and frames not yet explained.
     pub fn is_loaded(&self) -> bool {
         self.touches.is_loaded() || self.refinement.is_seeking()
+    }
+
+    /// True if the last image showed something strong enough to begin a touch, but no touch was reported: its search is
+    /// not finished, or nothing explains it.
+    pub fn is_unexplained(&self) -> bool {
+        self.is_unexplained
     }
 
     /// Reports that the stream was interrupted before the next frame: see [`TouchStage::interrupt`].

@@ -9,6 +9,7 @@ pub(crate) mod element_contacts;
 pub(crate) mod element_presses;
 pub(crate) mod force_law;
 pub(crate) mod gone;
+pub(crate) mod guard;
 pub mod health;
 mod model_error;
 pub mod placement;

@@ -10,6 +10,7 @@ use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_touch::guard::{GuardReason, GuardReport};
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFault};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
 
@@ -47,6 +48,8 @@ pub struct PageFeed {
     tared_at_ns: Option<u64>,
     records: usize,
     waiting_since_ns: Option<u64>,
+    /// The guard's report on the last frame.
+    report: Option<GuardReport>,
 }
 
 impl PageFeed {
@@ -76,6 +79,7 @@ impl PageFeed {
             tared_at_ns: None,
             records: 0,
             waiting_since_ns: None,
+            report: None,
         }
     }
 
@@ -90,7 +94,8 @@ impl PageFeed {
     }
 
     /// Takes over one frame's results. `now_ns` can be from any clock that never runs backwards, nanoseconds, but
-    /// must be from the same one in all calls.
+    /// must be from the same one in all calls. A guard's verdict ages on it, so with a guard it is the host's monotonic
+    /// clock.
     pub fn show(&mut self, output: &Output<'_>, now_ns: u64) {
         let update = &mut self.update;
         update.frame = output.sequence;
@@ -112,6 +117,21 @@ impl PageFeed {
         self.show_health(output);
         self.show_classes(output);
         damage::take(&output.damage, &mut self.update.damage);
+        self.report = output.guard;
+        self.show_guard(now_ns);
+    }
+
+    /// Shows the verdict of the last frame at this time; returns true if that changes what is shown.
+    fn show_guard(&mut self, now_ns: u64) -> bool {
+        let Some(report) = self.report.map(|report| report.at(now_ns)) else {
+            return self.update.guard.take().is_some();
+        };
+        let shown = self.update.guard.get_or_insert_default();
+        let is_new = shown.verdict != report.verdict.name();
+        shown.verdict = report.verdict.name();
+        shown.reasons.clear();
+        shown.reasons.extend(report.reasons.iter().map(GuardReason::name));
+        is_new
     }
 
     fn show_classes(&mut self, output: &Output<'_>) {
@@ -157,9 +177,10 @@ impl PageFeed {
     /// the source's own explanation.
     pub fn wait(&mut self, problem: Option<String>, now_ns: u64) -> bool {
         let since_ns = *self.waiting_since_ns.get_or_insert(now_ns);
+        let is_new_verdict = self.show_guard(now_ns);
         let source = match problem {
             Some(reason) => SourceState::Lost { reason },
-            None if now_ns.saturating_sub(since_ns) < SILENCE_NS => return false,
+            None if now_ns.saturating_sub(since_ns) < SILENCE_NS => return is_new_verdict,
             None => SourceState::Waiting { reason: "connected, but no frames come".into() },
         };
         let changed = self.update.state.source != source;
@@ -167,7 +188,7 @@ impl PageFeed {
             self.update.state.source = source;
             self.update.fps = 0.0;
         }
-        changed
+        changed || is_new_verdict
     }
 
     /// Takes over the losses and the state of the recording.

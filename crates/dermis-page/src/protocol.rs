@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::command::Command;
 use crate::message::{Answer, HubStats, Notice};
 use crate::scene::Scene;
-use crate::update::{ClassImage, Counter, DamageView, HealthView, PipelineState, StageLatency, TouchView, Update};
+use crate::update::{
+    ClassImage, Counter, DamageView, GuardView, HealthView, PipelineState, StageLatency, TouchView, Update,
+};
 
 /// Version of the messages, included in each of them.
 pub const PROTOCOL_VERSION: u16 = 1;
@@ -71,6 +73,7 @@ struct State<'a> {
     health: &'a HealthView,
     classes: Option<ClassState>,
     damage: Option<&'a DamageView>,
+    guard: Option<&'a GuardView>,
 }
 
 #[derive(Serialize)]
@@ -116,6 +119,7 @@ impl Encoded {
                 falls_back: *falls_back,
             }),
             damage: update.damage.as_ref(),
+            guard: update.guard.as_ref(),
         };
         let classes = update.classes.as_ref().map(|of| classes(update, of));
         Self { sequence, image: image(update), channels: channels(update), classes, state: json("state", state) }

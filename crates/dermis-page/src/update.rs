@@ -40,6 +40,19 @@ pub struct Update {
     pub classes: Option<ClassImage>,
     /// Damage and baselines, if the skin is watched for damage.
     pub damage: Option<DamageView>,
+    /// The guard's verdict, if the skin has a guard.
+    pub guard: Option<GuardView>,
+}
+
+/// Verdict of the guard.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct GuardView {
+    /// `ok`, `stale` or `stop`.
+    pub verdict: &'static str,
+    /// Why it is not `ok`.
+    pub reasons: Vec<&'static str>,
+    /// Always false: no part of dermis is safety-rated.
+    pub safety_rated: bool,
 }
 
 /// Channels and electrodes that are left out; numbers count from 1.
@@ -354,6 +367,7 @@ impl Update {
             (own, other) => own.clone_from(other),
         }
         self.damage.clone_from(&other.damage);
+        self.guard.clone_from(&other.guard);
     }
 
     /// Checks that the image fills its grid and that channel indices match the values.

@@ -3,6 +3,7 @@
 use dermis::device::HostStamp;
 use dermis::live::output::Output;
 use dermis::record::TouchEntry;
+use dermis::touch::guard::{GuardReason, GuardReport};
 use dermis::touch::{Touch, TouchEvent, TouchPhase};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -103,6 +104,7 @@ pub struct PyFrameResult {
     damages: Vec<Damage>,
     proposal: Option<&'static str>,
     watched: bool,
+    guard: Option<GuardReport>,
     shown: PyOnceLock<Py<PyArray2<f32>>>,
     table: PyOnceLock<Py<PyAny>>,
 }
@@ -152,6 +154,7 @@ impl PyFrameResult {
             damages: output.damage.damages.iter().map(damage).collect(),
             proposal: output.damage.proposal.map(|_| "a new baseline is proposed"),
             watched: output.damage.watched,
+            guard: output.guard,
             shown: PyOnceLock::new(),
             table: PyOnceLock::new(),
         }
@@ -248,6 +251,18 @@ impl PyFrameResult {
         health.set_item("channels", self.channels.iter().copied().collect::<std::collections::BTreeMap<_, _>>())?;
         health.set_item("electrodes", self.electrodes.clone())?;
         Ok(health)
+    }
+
+    /// The guard's ``verdict`` (``"ok"``, ``"stale"`` or ``"stop"``), its ``reasons``, and ``safety_rated``, which is
+    /// False; None if the skin file has no ``[guard]``.
+    #[getter]
+    fn guard<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let Some(report) = self.guard else { return Ok(None) };
+        let guard = PyDict::new(py);
+        guard.set_item("verdict", report.verdict.name())?;
+        guard.set_item("reasons", report.reasons.iter().map(GuardReason::name).collect::<Vec<_>>())?;
+        guard.set_item("safety_rated", false)?;
+        Ok(Some(guard))
     }
 
     /// ``watched``, a list of ``damages``, and a ``proposal`` of a new baseline, or None.

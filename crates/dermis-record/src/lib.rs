@@ -31,6 +31,7 @@
 //! | [`Recording`], [`read_frames`], [`read_frames_of`], [`Replay`], [`rerun`] | reading: directly, as a table, as a source, through a pipeline again |
 //! | [`export`](fn@export), [`sink`] | tables for other programs; JSON lines, images, touches |
 //! | [`recover`](fn@recover) | a complete recording from a broken one |
+//! | [`guard_socket`] | a guard's verdicts as lines on a socket |
 //!
 //! # Channels
 //! All messages are CDR, and the file contains their definitions (`ros2msg`).
@@ -40,7 +41,7 @@
 //! | `/dermis/frames` | `dermis_msgs/msg/Frame` | every raw frame, queued before it is processed |
 //! | `/dermis/baselines` | `dermis_msgs/msg/Baseline` | every baseline with its values, noise and reason |
 //! | `/dermis/touches` | `dermis_msgs/msg/Touches` | touches of frames that have any, or in which one ended |
-//! | `/dermis/events` | `dermis_msgs/msg/Event` | commands, gaps, faults |
+//! | `/dermis/events` | `dermis_msgs/msg/Event` | commands, gaps, faults, verdicts of the guard |
 //! | `/dermis/image` | `sensor_msgs/msg/Image` | the image (32FC1), at a limited rate |
 //! | `/dermis/points` | `sensor_msgs/msg/PointCloud2` | the image on the skin's surface, with its value in the field `pressure` |
 //! | `/dermis/touch_points` | `sensor_msgs/msg/PointCloud2` | touches in space |
@@ -70,6 +71,7 @@ mod error;
 mod export;
 mod file;
 mod frames;
+pub mod guard_socket;
 mod head;
 mod live;
 mod messages;

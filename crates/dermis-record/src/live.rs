@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use dermis_device::{Frame, HostStamp};
 use dermis_touch::damage::DamageEvent;
+use dermis_touch::guard::{GuardReason, GuardReport, GuardVerdict};
 
 use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, RecordingStop, SkinView};
 use crate::Error;
@@ -30,6 +31,8 @@ pub struct LiveRecording {
     /// gets as many images per frame as one that doesn't.
     time_ns: u64,
     health: HealthWatch,
+    /// The guard's last recorded verdict.
+    verdict: Option<GuardVerdict>,
     failure_told: bool,
 }
 
@@ -67,7 +70,7 @@ impl LiveRecording {
         }
         let handle = RecorderHandle::spawn(recorder, QUEUE)?;
         let health = HealthWatch::new(&pipeline.prepared().skin);
-        let live = Self { path, handle, last_sequence: None, time_ns: 0, health, failure_told: false };
+        let live = Self { path, handle, last_sequence: None, time_ns: 0, health, verdict: None, failure_told: false };
         live.baseline(pipeline, HostStamp::now().wall_ns);
         Ok(live)
     }
@@ -94,7 +97,7 @@ impl LiveRecording {
         self.handle.offer(frame);
     }
 
-    /// Records the results of the frame. New faults and recoveries become events. The first frame also records faults
+    /// Records the results of the frame. New faults, recoveries and verdicts of the guard become events. The first frame also records faults
     /// from before the recording, and the state of a search for the readout's circuit.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
@@ -104,6 +107,10 @@ impl LiveRecording {
         }
         for change in self.health.changes(output.health) {
             self.handle.offer_event(output.wall_ns, change.event, &change.detail, &change.numbers);
+        }
+        if let Some(report) = output.guard.filter(|report| self.verdict != Some(report.verdict)) {
+            self.verdict = Some(report.verdict);
+            self.handle.offer_event(output.wall_ns, "guard", &verdict_text(&report), &[output.sequence as f64]);
         }
         if let Some(news) = output.circuit {
             let numbers = [news.fit.score_before, news.fit.score, news.fit.frames as f64];
@@ -157,6 +164,13 @@ impl LiveRecording {
             }
         }
     }
+}
+
+/// A guard's verdict with its reasons: `stop: force`.
+fn verdict_text(report: &GuardReport) -> String {
+    let reasons: Vec<&str> = report.reasons.iter().map(GuardReason::name).collect();
+    let name = report.verdict.name();
+    if reasons.is_empty() { name.to_owned() } else { format!("{name}: {}", reasons.join(", ")) }
 }
 
 /// The fields of a damage event: its name, a description, and id, x, y, length (metres), direction (radians), depth

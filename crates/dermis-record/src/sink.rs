@@ -71,6 +71,7 @@ pub(crate) mod testing {
             damage,
             circuit: None,
             anomalies,
+            guard: None,
         }
     }
 }

@@ -74,6 +74,7 @@ impl Skin {
             touch: TouchSettings::default(),
             health: HealthSettings::default(),
             damage: DamageSettings::default(),
+            guard: None,
             tolerances: Tolerances::default(),
             twin: TwinSettings::default(),
             mount: None,

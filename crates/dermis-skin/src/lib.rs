@@ -28,6 +28,7 @@ mod electronics;
 mod error;
 mod frontend;
 mod geometry;
+mod guard;
 mod health;
 mod imaging;
 mod layer;
@@ -56,6 +57,7 @@ pub use electronics::{Electronics, ElectronicsNumbers, MultiplexerNumbers, Prese
 pub use error::Error;
 pub use frontend::{Bend, Electrodes, Frontend, Pad, PadRing, RimElectrode, Shape};
 pub use geometry::SkinBody;
+pub use guard::GuardSettings;
 pub use health::HealthSettings;
 pub use imaging::{GainMatch, HyperparameterChoice, Imaging, MixturePart, Polarity, PriorChoice, Solve, WeightChoice};
 pub use layer::{ContactLaw, ElementsLayer, Layer, LiquidLayer, Memory, PatchesLayer, SandwichLayer, SheetLayer};

@@ -11,6 +11,7 @@ use crate::check::Checker;
 use crate::damage::DamageSettings;
 use crate::error::Error;
 use crate::frontend::Frontend;
+use crate::guard::GuardSettings;
 use crate::health::HealthSettings;
 use crate::imaging::Imaging;
 use crate::layer::Layer;
@@ -47,6 +48,9 @@ pub struct Skin {
     /// Settings for telling damage from touch.
     #[serde(default, skip_serializing_if = "DamageSettings::is_default")]
     pub damage: DamageSettings,
+    /// Limits at which a machine should stop. `None`: no guard.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub guard: Option<GuardSettings>,
     /// Settings of its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
@@ -203,6 +207,7 @@ impl Skin {
         self.twin.check(Parts { electrodes, coils, channels }, &self.frontend.layer, checker)?;
         self.health.check(checker)?;
         self.damage.check(checker)?;
+        self.guard.as_ref().map_or(Ok(()), |guard| guard.check(&self.health, &self.backend, checker))?;
         self.tolerances.check("tolerances.", checker)?;
         self.imaging.check(elements, self.backend.circuit.is_some(), checker)?;
         self.touch.check(checker)?;
@@ -228,6 +233,7 @@ struct Written {
     health: HealthSettings,
     #[serde(default)]
     damage: DamageSettings,
+    guard: Option<GuardSettings>,
     #[serde(default)]
     twin: TwinSettings,
     #[serde(default)]
@@ -254,6 +260,7 @@ impl Written {
             touch: self.touch,
             health: self.health,
             damage: self.damage,
+            guard: self.guard,
             twin: self.twin,
             tolerances: self.tolerances,
             mount: self.mount,

@@ -35,6 +35,7 @@
 //! | [`Baseline`] | the reference of difference data: start, tare, drift |
 //! | [`PlaceHypotheses`] | two positions that explain a frame about equally well, followed over a press |
 //! | [`health`], [`damage`] | faulty channels and electrodes; damage as opposed to touch |
+//! | [`guard`] | one verdict per frame: go on, stop, or nobody can tell |
 //! | [`locator`], [`force`] | positions and forces from calibrations, with their uncertainty |
 //! | [`measure`], [`rhythm`], [`RunningStats`] | the measures that laboratories report; spectra; noise |
 //!
@@ -52,6 +53,7 @@ pub mod damage;
 mod error;
 mod finder;
 pub mod force;
+pub mod guard;
 pub mod health;
 mod hypotheses;
 mod kalman;

@@ -99,13 +99,15 @@ impl Session {
         let selector: SourceSelector = source.parse()?;
         let baseline = options.baseline.as_ref();
         let baseline = baseline.map(|spec| read_frames_of(&skin, spec, options.source.read.clone())).transpose()?;
-        let OpenedSource { source, twin, .. } = open_source(&selector, &skin, &options.source)?;
+        let OpenedSource { source, twin, is_file, .. } = open_source(&selector, &skin, &options.source)?;
         let calibration = match &options.calibration {
             Some(path) => Some(Calibration::parse(&instruments::read_bytes(path)?, path)?),
             None => None,
         };
         let forces = options.forces.as_deref().map(|path| load_forces(path, &skin)).transpose()?;
         let mut pipeline = Pipeline::new(Prepared::new(skin)?, source.layout(), calibration)?;
+        // Files and twins run at a speed of their own.
+        pipeline.watch_lag(twin.is_none() && !is_file);
         forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
         baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
         Ok(Self { twin, patience: options.patience, ..Self::of(source, pipeline) })

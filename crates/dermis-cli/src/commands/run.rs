@@ -21,8 +21,10 @@ use dermis::live::network::built_in;
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
 use dermis::live::stages::classes::ClassPace;
+use dermis::record::guard_socket::{GuardAddress, GuardPublisher, GuardSocket};
 use dermis::record::sink::{JsonLines, LinesFor, Sink};
-use dermis_device::Frame;
+use dermis::skin::GuardSettings;
+use dermis_device::{Frame, HostStamp};
 use dermis_learn::Model;
 
 use super::acquired::AcquiredFrames;
@@ -37,6 +39,7 @@ Examples:
   dermis run healing-square --headless --frames 100
   dermis run --source recording.mcap --speed 0
   dermis run arm/arm.toml --headless --frames 50 --speed 0
+  dermis run --headless --frames 50 --guard tcp://127.0.0.1:0
 
 In place of a skin a body file runs all skins of a robot (`dermis body demo arm` writes one): every patch by the source
 that the file names, as JSON lines, with touches in the frames of patch, link and root, net wrenches, and once a second a
@@ -92,6 +95,11 @@ pub struct Arguments {
     /// Run the other patches of a body if one can't be started.
     #[arg(long)]
     keep_going: bool,
+    /// Publish the guard's verdict on every frame (ok, stale, stop) as a line of JSON on this local socket:
+    /// tcp://127.0.0.1:PORT or unix://PATH. The limits are those of [guard] in the skin file; without that table any
+    /// touch stops. Not safety-rated.
+    #[arg(long, value_name = "ADDRESS")]
+    guard: Option<GuardAddress>,
 }
 
 impl Arguments {
@@ -107,6 +115,9 @@ impl Arguments {
         let (opened, mut pipeline, head) = self.input.open()?;
         self.classify_by_network(&mut pipeline)?;
         let is_twin = opened.twin.is_some();
+        let guard = self.open_guard(&mut pipeline)?;
+        // Files and twins run at a speed of their own.
+        pipeline.watch_lag(!is_twin && !opened.is_file);
         let mut run = Running::new(opened.twin, head, &pipeline);
         let page = if self.headless {
             None
@@ -128,7 +139,9 @@ impl Arguments {
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let name = acquisition.name().to_string();
         let requests = page.as_ref().map(|(_, requests)| requests);
-        let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, out);
+        let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, guard.as_ref(), out);
+        // Its readers are told to stop before the recording is finished, which takes longer.
+        drop(guard);
         run.stop_recording();
         if pipeline.waits() > 0 {
             tracing::info!(frames = pipeline.waits(), "frames waited for what was not worked out in time");
@@ -166,6 +179,7 @@ impl Arguments {
             record: self.record.clone(),
             lines: true,
             most_frames: self.frames,
+            guard: self.guard.clone(),
         };
         on_body::run(file, &options, self.only_touches, out)
     }
@@ -186,6 +200,22 @@ impl Arguments {
         Ok(())
     }
 
+    /// Opens the socket of the guard, if one is requested.
+    fn open_guard(&self, pipeline: &mut Pipeline) -> anyhow::Result<Option<GuardSocket>> {
+        let Some(address) = &self.guard else { return Ok(None) };
+        let skin = &pipeline.prepared().skin;
+        let name = skin.name.clone();
+        if skin.guard.is_none() {
+            super::hint(&format!("{name} has no [guard]: any touch stops"));
+            pipeline.set_guard(Some(GuardSettings::default()))?;
+        }
+        let before = pipeline.guard_before_frames(HostStamp::now().monotonic_ns);
+        let patches: Vec<_> = before.map(|report| (name, report)).into_iter().collect();
+        let socket = GuardSocket::open(address, &patches)?;
+        eprintln!("guard: {}", socket.address());
+        Ok(Some(socket))
+    }
+
     fn address(&self) -> SocketAddr {
         SocketAddr::new(self.host, self.port)
     }
@@ -202,6 +232,7 @@ impl Arguments {
         pipeline: &mut Pipeline,
         run: &mut Running,
         requests: Option<&Receiver<Request>>,
+        guard: Option<&GuardSocket>,
         out: &mut dyn Write,
     ) -> anyhow::Result<bool> {
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
@@ -211,7 +242,8 @@ impl Arguments {
         let lines = self.headless.then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
         let console = Console { lines, out, bar, done: 0, most: self.frames };
         let mut frames = AcquiredFrames::new(acquisition, Duration::from_millis(100));
-        let mut followed = Followed { run, console, requests, interrupted, wall_ns: 0, is_told_to_stop: false };
+        let guard = guard.map(|socket| socket.publisher(0));
+        let mut followed = Followed { run, console, requests, guard, interrupted, wall_ns: 0, is_told_to_stop: false };
         Driver::new(pipeline).run(&mut frames, &mut followed)?;
         let is_told_to_stop = followed.is_told_to_stop;
         run.end()?;
@@ -252,6 +284,7 @@ struct Followed<'a> {
     run: &'a mut Running,
     console: Console<'a>,
     requests: Option<&'a Receiver<Request>>,
+    guard: Option<GuardPublisher>,
     interrupted: &'static AtomicBool,
     /// Wall-clock time of the current frame.
     wall_ns: u64,
@@ -282,6 +315,10 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
     }
 
     fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
+        // First of all: everything else may wait.
+        if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
+            guard.publish(output.sequence, report);
+        }
         if let Some(lines) = &mut self.console.lines {
             lines.accept(output)?;
         }

@@ -14,6 +14,8 @@ use crate::stages::health::HealthStage;
 
 /// Number of frames averaged for the new baseline after a press in the old one has ended.
 const GONE_FRAMES: usize = 8;
+/// Reason for that baseline in the records.
+pub(super) const GONE_REASON: &str = "a press that the baseline held has gone";
 
 impl Pipeline {
     /// Starts to take the mean of the next frames as the new baseline. Returns their number.
@@ -86,7 +88,7 @@ impl Pipeline {
             Some(Gone::BesideOthers(volts)) => self.baseline.shift(as_measured(volts).into_iter()),
             // A search for touches in progress would block a tare that refuses under load, hence the force.
             Some(Gone::Alone) if self.baseline.state() == BaselineState::Ready && !is_touched => {
-                self.baseline.tare(GONE_FRAMES, TareGuard::Force, "a press that the baseline held has gone")?;
+                self.baseline.tare(GONE_FRAMES, TareGuard::Force, GONE_REASON)?;
             }
             Some(Gone::Alone) => {}
         }

@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use dermis_device::HostStamp;
+use dermis_touch::guard::GuardReport;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use dermis_touch::{Touch, TouchEvent, TouchPhase};
 
@@ -69,6 +70,9 @@ impl LineExtras for Plain {}
 /// which of them is the `intact` one (from 1), and a `proposal` of a new baseline (`reason`, `since_s`,
 /// `offset_sigma`). Its times are on the pipeline's clock.
 ///
+/// `guard` is present if the skin has a guard: `verdict` (`ok`, `stale` or `stop`), `reasons`, and `safety_rated`, which
+/// is always false.
+///
 /// Numbers have as many digits as it takes to read them back exactly. Every line is flushed, so that a reader sees it
 /// at once. The line is built in reused memory: nothing is allocated once the longest line has been written.
 #[derive(Debug)]
@@ -120,6 +124,7 @@ impl<W: Write + Send> JsonLines<W> {
         push_open(&mut self.line, output, extras);
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
+        push_guard(&mut self.line, output.guard);
         damage::push_damage(&mut self.line, &output.damage);
         push_clocks(&mut self.line, output, self.of_recording);
         extras.line(&mut self.line);
@@ -227,6 +232,24 @@ fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
         text,
         ",\"marks\":{{\"lost_before\":{lost_before},\"renumbered\":{renumbered},\"clock_jump_s\":{jump_s}}}"
     );
+}
+
+/// Appends the guard's verdict.
+fn push_guard(text: &mut String, report: Option<GuardReport>) {
+    let Some(report) = report else { return };
+    text.push_str(",\"guard\":{");
+    push_verdict(text, &report);
+    text.push('}');
+}
+
+/// Appends the fields of a guard's verdict to an object: `verdict`, `reasons` and `safety_rated`, which is false.
+pub(crate) fn push_verdict(text: &mut String, report: &GuardReport) {
+    let _ = write!(text, "\"verdict\":\"{}\",\"reasons\":[", report.verdict.name());
+    for (index, reason) in report.reasons.iter().enumerate() {
+        let comma = if index > 0 { "," } else { "" };
+        let _ = write!(text, "{comma}\"{}\"", reason.name());
+    }
+    text.push_str("],\"safety_rated\":false");
 }
 
 /// Appends a touch's object, without its closing brace.
@@ -372,6 +395,20 @@ mod tests {
         let output = Output { anomalies, ..output(1, &[0.0; 6], &[], &[]) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         assert_eq!(lines(&bytes)[0]["marks"], json!({"lost_before": 3, "renumbered": false, "clock_jump_s": -1.5}));
+    }
+
+    #[test]
+    fn the_guards_verdict_is_there_with_its_reasons() {
+        use dermis_touch::guard::{GuardReason, GuardReasons, GuardVerdict};
+        let mut reasons = GuardReasons::default();
+        reasons.insert(GuardReason::Held);
+        reasons.insert(GuardReason::Force);
+        let report = GuardReport { verdict: GuardVerdict::Stop, reasons, frame_ns: 0, stale_after_ns: 1 };
+        let mut bytes = Vec::new();
+        let output = Output { guard: Some(report), ..output(1, &[0.0; 6], &[], &[]) };
+        JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
+        let expected = json!({"verdict": "stop", "reasons": ["force", "held"], "safety_rated": false});
+        assert_eq!(lines(&bytes)[0]["guard"], expected);
     }
 
     #[test]

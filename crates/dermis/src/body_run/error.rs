@@ -28,6 +28,12 @@ pub enum BodyRunError {
         /// The cause.
         source: dermis_record::Error,
     },
+    /// The guard's socket could not be opened.
+    #[error("the guard's socket: {source}")]
+    Guard {
+        /// The cause.
+        source: dermis_record::Error,
+    },
     /// No patch is left to run.
     #[error("{body}: none of its {patches} patches can be started")]
     NoPatch {

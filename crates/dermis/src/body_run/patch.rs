@@ -12,6 +12,7 @@ use dermis_lab::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_record::LiveRecording;
+use dermis_record::guard_socket::GuardPublisher;
 use dermis_record::sink::{JsonLines, LinesFor};
 use dermis_touch::Touch;
 
@@ -78,6 +79,7 @@ pub(super) struct PatchThread {
     pub health: SharedHealth,
     pub reports: Sender<PatchReport>,
     pub stop: Arc<AtomicBool>,
+    pub guard: Option<GuardPublisher>,
     pub recording: Option<LiveRecording>,
     pub lines: bool,
     pub most_frames: Option<u64>,
@@ -114,6 +116,7 @@ impl PatchThread {
             }
         };
         self.loads.lose(self.number, format!("{name}: {}", state.name()));
+        self.guard.iter().for_each(GuardPublisher::end);
         let recorded = self.recording.take().map(LiveRecording::finish);
         let mut row = self.health.row();
         if let Some(end) = recorded {
@@ -172,6 +175,10 @@ impl PatchThread {
             recording.frame(frame);
         }
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
+        // First of all: everything else may wait.
+        if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
+            guard.publish(output.sequence, report);
+        }
         // The frame that completes the baseline has no touches yet.
         let is_ready = is_ready_before;
         if let Some(recording) = &mut self.recording {

@@ -16,8 +16,10 @@ use dermis_live::calibration::Calibration;
 use dermis_live::forces::parse_forces;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
+use dermis_record::guard_socket::{GuardAddress, GuardSocket};
 use dermis_record::{BodyHead, BodyRecording, LiveRecording, RecordingHead, SkinView, read_frames_of};
-use dermis_skin::Skin;
+use dermis_skin::{GuardSettings, Skin};
+use dermis_touch::guard::GuardReport;
 
 use super::error::BodyRunError;
 use super::joints::JointFeed;
@@ -30,6 +32,9 @@ use crate::source::{SourceOptions, TwinControl, open_source};
 const QUEUE: usize = 64;
 /// Reports that may queue for their reader.
 const REPORTS: usize = 1024;
+
+/// Time in which lines about a patch that was not started are valid, nanoseconds. They never say `ok`.
+const UNSTARTED_STALE_NS: u64 = 1_000_000_000;
 
 /// Minimum interval between recorded joint values: the rate of a fast robot's joint states.
 const JOINTS_EVERY: Duration = Duration::from_millis(10);
@@ -49,6 +54,8 @@ pub struct BodyRunOptions {
     pub lines: bool,
     /// Ends each patch after this many frames.
     pub most_frames: Option<u64>,
+    /// Publishes the guard's verdict on every frame on this socket. On patches without limits any touch stops.
+    pub guard: Option<GuardAddress>,
 }
 
 /// A running body.
@@ -61,6 +68,7 @@ pub struct BodyRun {
     joint_recorder: Option<JoinHandle<()>>,
     health: Vec<SharedHealth>,
     twins: Vec<Option<TwinControl>>,
+    guard: Option<GuardSocket>,
 }
 
 impl std::fmt::Debug for BodyRun {
@@ -115,7 +123,8 @@ impl BodyRun {
             Some(path) => start_recording(path, &body, &joints, &stop, &ready)?,
             None => (ready.iter().map(|_| None).collect(), None),
         };
-        let mut run = Self { body, joints, reports, stop, threads: Vec::new(), joint_recorder, health, twins };
+        let guard = options.guard.as_ref().map(|address| open_guard(address, &body, &ready)).transpose()?;
+        let mut run = Self { body, joints, reports, stop, threads: Vec::new(), joint_recorder, health, twins, guard };
         // Started last, so that no frame waits for another patch to be prepared.
         for ((number, OpenedPatch { source, waits, pipeline, residual_n, .. }), recording) in
             ready.into_iter().zip(recordings)
@@ -132,6 +141,7 @@ impl BodyRun {
                 health: run.health[number].clone(),
                 reports: send.clone(),
                 stop: run.stop.clone(),
+                guard: run.guard.as_ref().map(|socket| socket.publisher(number)),
                 recording,
                 lines: options.lines,
                 most_frames: options.most_frames,
@@ -158,6 +168,11 @@ impl BodyRun {
     /// True once no patch will yield anything more and every report has been taken.
     pub fn has_ended(&self) -> bool {
         self.threads.iter().all(JoinHandle::is_finished) && self.reports.is_empty()
+    }
+
+    /// Address of the guard's socket, if there is one.
+    pub fn guard_address(&self) -> Option<&GuardAddress> {
+        self.guard.as_ref().map(GuardSocket::address)
     }
 
     /// State of every patch, in the order of the body file.
@@ -234,8 +249,8 @@ fn open_patch(
         _ => None,
     };
     let opened = open_source(&selector, &patch.skin, &options.source)?;
-    // The mount doesn't affect what is prepared.
-    let skin = Skin { mount: None, ..patch.skin.clone() };
+    // Mount and guard don't affect what is prepared.
+    let skin = Skin { mount: None, guard: None, ..patch.skin.clone() };
     let shared = match prepared.iter().find(|(other, _)| *other == skin) {
         Some((_, shared)) => shared.clone(),
         None => {
@@ -248,12 +263,34 @@ fn open_patch(
     // JSON that has been parsed is valid text.
     let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     (head.calibration, head.forces) = (as_text(calibration_text), as_text(forces_text));
+    let guard = patch.skin.guard.or(options.guard.as_ref().map(|_| GuardSettings::default()));
+    head.skin_toml = Skin { mount: None, guard, ..patch.skin.clone() }.to_toml();
     let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration)?;
+    pipeline.set_guard(guard)?;
+    // Files and twins run at a speed of their own.
+    pipeline.watch_lag(opened.twin.is_none() && !opened.is_file);
     let residual_n = forces.as_ref().map(|forces| forces.residual_n);
     forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
     baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
     let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, residual_n, head };
     Ok((opened_patch, opened.twin))
+}
+
+/// Opens the guard's socket. A patch that was not started has no frames, so its verdict stays `stale`.
+fn open_guard(
+    address: &GuardAddress,
+    body: &Body,
+    ready: &[(usize, OpenedPatch)],
+) -> Result<GuardSocket, BodyRunError> {
+    let now_ns = HostStamp::now().monotonic_ns;
+    let report = |number: usize| {
+        let opened = ready.iter().find(|(ready, _)| *ready == number);
+        let report = opened.and_then(|(_, opened)| opened.pipeline.guard_before_frames(now_ns));
+        report.unwrap_or(GuardReport::before_frames(now_ns, UNSTARTED_STALE_NS))
+    };
+    let patches: Vec<_> =
+        body.patches.iter().enumerate().map(|(number, patch)| (patch.name.clone(), report(number))).collect();
+    GuardSocket::open(address, &patches).map_err(|source| BodyRunError::Guard { source })
 }
 
 /// A recorder for each patch, and the thread that records the joints.

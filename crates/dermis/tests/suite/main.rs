@@ -15,6 +15,7 @@ mod forces;
 mod frame_noise;
 mod fuzz;
 mod gel_damage;
+mod guard;
 mod healing_square;
 mod health;
 mod hostile;

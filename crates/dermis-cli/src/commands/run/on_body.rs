@@ -44,6 +44,9 @@ pub(super) fn run(
     let busy = busy(format!("preparing {} patches", body.patches.len()));
     let run = BodyRun::start(body, options)?;
     busy.finish();
+    if let Some(address) = run.guard_address() {
+        eprintln!("guard: {address}");
+    }
     let interrupted = interrupt::begin();
     let outcome = follow(&run, only_touches, interrupted, out);
     let health = run.finish();

@@ -1,0 +1,66 @@
+//! The guard's verdict on the current frame.
+
+use dermis_device::Frame;
+use dermis_skin::GuardSettings;
+use dermis_touch::guard::GuardReport;
+use dermis_touch::{ReferenceOrigin, ReferenceRecord};
+
+use super::Pipeline;
+use super::baselines::GONE_REASON;
+use crate::Error;
+use crate::clock::FrameAnomalies;
+use crate::stages::guard::{GuardStage, SeenFrame};
+
+impl Pipeline {
+    /// Uses a guard with these limits, as if they were in the skin file, or none.
+    ///
+    /// # Errors
+    /// Limits out of range, or a skin whose health is not watched, where a guard would miss faults.
+    pub fn set_guard(&mut self, settings: Option<GuardSettings>) -> Result<(), Error> {
+        let mut skin = self.prepared.skin.clone();
+        skin.guard = settings;
+        let skin = skin.checked()?;
+        self.guard = settings.map(|settings| GuardStage::new(&settings, &skin));
+        Ok(())
+    }
+
+    /// The guard's verdict before the first frame, at a time on the host's monotonic clock, if there is a guard.
+    pub fn guard_before_frames(&self, now_ns: u64) -> Option<GuardReport> {
+        self.guard.as_ref().map(|guard| guard.before_frames(now_ns))
+    }
+
+    /// Tells the guard that the device's clock keeps the host's pace, so that it can see frames that queued up on the
+    /// way. True for instruments; files and twins may run at any speed.
+    pub fn watch_lag(&mut self, watch: bool) {
+        if let Some(guard) = &mut self.guard {
+            guard.watch_lag(watch);
+        }
+    }
+
+    pub(super) fn judge(&mut self, frame: &Frame, anomalies: FrameAnomalies, now_ns: u64) -> Option<GuardReport> {
+        let mut guard = self.guard.take()?;
+        let damage = self.damage();
+        let running = self.running();
+        let report = guard.judge(&SeenFrame {
+            now_ns,
+            frame,
+            anomalies,
+            has_baseline: running.is_some(),
+            is_baseline_trusted: is_trusted(self.baseline_records()) && damage.proposal.is_none(),
+            is_seen: self.is_seen,
+            health: self.health(),
+            readings: self.baseline.raw(),
+            touches: running.map_or(&[], |running| running.reconstructor.touches.touches()),
+            damages: damage.damages,
+        });
+        self.guard = Some(guard);
+        Some(report)
+    }
+}
+
+/// False if the baseline comes from a forced tare, which hides whatever touched the skin. Damage adopted later is added
+/// to that baseline.
+fn is_trusted(records: &[ReferenceRecord]) -> bool {
+    let base = records.iter().rev().find(|record| record.origin != ReferenceOrigin::Damage);
+    base.is_none_or(|record| record.origin != ReferenceOrigin::ForcedTare || record.reason == GONE_REASON)
+}
