@@ -4,7 +4,7 @@ import { brief } from "./charts";
 import type { Image, Scene, State } from "./protocol";
 
 /** Style properties of SVG elements that come from the style sheet. */
-const LOOKS = ["display", "fill", "fill-opacity", "fill-rule", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linecap", "stroke-linejoin", "paint-order", "vector-effect", "font-weight", "font-size", "font-family", "text-anchor"];
+const LOOKS = ["display", "fill", "fill-opacity", "fill-rule", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linecap", "stroke-linejoin", "paint-order", "vector-effect", "font-weight", "font-size", "font-family", "text-anchor", "transform"];
 const MARGIN = 12;
 const LEGEND = 46;
 
