@@ -1,7 +1,6 @@
 // The live page: connects the connection, the picture, the traces and the controls. Messages only store the newest
 // data; drawing happens once per display frame.
 
-import "uplot/dist/uPlot.min.css";
 import "./page.css";
 import { AmplitudeStrip, ChannelStrip, MOST_TRACES, brief, parseChannels } from "./charts";
 import type { MapName, RangeMode } from "./colour";
