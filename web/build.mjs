@@ -25,10 +25,12 @@ const { outputFiles } = await build({
   target: ["es2022"],
   charset: "utf8",
   legalComments: "none",
-  banner: { js: licence, css: licence },
+  banner: { js: licence },
 });
 const files = new Map(outputFiles.map((file) => [file.path.split(/[\\/]/).pop(), Buffer.from(file.contents)]));
 for (const name of ["index.html", "icon.svg"]) files.set(name, await readFile(join(here, "public", name)));
+// Without its indentation.
+files.set("index.html", Buffer.from(files.get("index.html").toString().replace(/\n\s+/g, "\n")));
 
 if (demo) {
   // Only the page contains uPlot.

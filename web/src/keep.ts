@@ -4,7 +4,7 @@ import { brief } from "./charts";
 import type { Image, Scene, State } from "./protocol";
 
 /** Style properties of SVG elements that come from the style sheet. */
-const LOOKS = ["display", "fill", "fill-opacity", "fill-rule", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linecap", "stroke-linejoin", "paint-order", "vector-effect", "font-weight", "font-family"];
+const LOOKS = ["display", "fill", "fill-opacity", "fill-rule", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linecap", "stroke-linejoin", "paint-order", "vector-effect", "font-weight", "font-size", "font-family", "text-anchor", "transform"];
 const MARGIN = 12;
 const LEGEND = 46;
 
@@ -19,6 +19,9 @@ function save(blob: Blob, name: string): void {
 function nameOf(scene: Scene, frame: number, ending: string): string {
   return `${scene.skin.replace(/[^\w.-]+/g, "-")}-frame-${frame}.${ending}`;
 }
+
+/** The skin's name, and that its readings are simulated. */
+const nameIn = ({ skin, is_twin }: Scene) => (is_twin ? `${skin} (digital twin)` : skin);
 
 /** The drawing over the image, with the style sheet's properties written into it. */
 function drawing(overlay: SVGSVGElement, width: number, height: number): Promise<HTMLImageElement> {
@@ -73,7 +76,7 @@ export async function savePicture(scene: Scene, frame: number, stage: HTMLElemen
   context.textAlign = "right";
   context.fillText(brief(range[1]), MARGIN + box.width, top + 26);
   context.textAlign = "center";
-  context.fillText(`${unit}; ${scene.skin}, frame ${frame}`, MARGIN + box.width / 2, top + 26);
+  context.fillText(`${unit}; ${nameIn(scene)}, frame ${frame}`, MARGIN + box.width / 2, top + 26);
   const blob = await new Promise<Blob | null>((resolve) => canvas.toBlob(resolve, "image/png"));
   if (blob) save(blob, nameOf(scene, frame, "png"));
 }
@@ -82,7 +85,7 @@ export async function savePicture(scene: Scene, frame: number, stage: HTMLElemen
 export function saveTable(scene: Scene, image: Image, state: State | null): void {
   const { x_min_mm, x_max_mm, y_min_mm, y_max_mm } = scene.grid;
   const quantity = [scene.image_quantity, scene.image_unit && `in ${scene.image_unit}`].filter(Boolean).join(" ");
-  const lines = [`# skin ${scene.skin}, frame ${image.frame}; value: ${quantity}, at the pixel's middle`];
+  const lines = [`# skin ${nameIn(scene)}, frame ${image.frame}; value: ${quantity}, at the pixel's middle`];
   for (const touch of state?.touches ?? []) {
     if (touch.phase !== "end") lines.push(`# touch ${touch.id}: x ${touch.x_mm} mm, y ${touch.y_mm} mm, amplitude ${touch.amplitude}`);
   }

@@ -9,6 +9,9 @@ const SIDE = { least: 0.2, most: 0.75, step: 0.02 };
 const BOTTOM = { least: 90, most: 500, step: 20 };
 const THEMES: Theme[] = ["auto", "light", "dark"];
 
+/** Windows too low for the panels below the picture, unless they are asked for. */
+const LOW_WINDOW = matchMedia("(max-height: 850px)");
+
 const find = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
 const clamp = (value: number, { least, most }: { least: number; most: number }) => Math.min(Math.max(value, least), most);
 
@@ -20,13 +23,16 @@ export class Layout {
   constructor() {
     for (const box of this.boxes) box.addEventListener("change", () => this.put(box.dataset.panel!, !box.checked));
     find("theme").addEventListener("click", () => this.nextTheme());
+    find("fold").addEventListener("click", () => this.fold());
+    LOW_WINDOW.addEventListener("change", () => this.apply());
     find("layout-reset").addEventListener("click", () => this.reset());
     this.bindSplitter(find("split-side"), "side");
     this.bindSplitter(find("split-bottom"), "bottom");
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => document.dispatchEvent(new Event(THEME_EVENT)));
     document.addEventListener("click", (event) => {
-      const menu = find<HTMLDetailsElement>("panels");
-      if (!menu.contains(event.target as Node)) menu.open = false;
+      for (const menu of document.querySelectorAll<HTMLDetailsElement>(".menu[open]")) {
+        if (!menu.contains(event.target as Node)) menu.open = false;
+      }
     });
     this.apply();
   }
@@ -34,6 +40,15 @@ export class Layout {
   private put(panel: string, isAway: boolean): void {
     this.settings.away = this.settings.away.filter((one) => one !== panel);
     if (isAway) this.settings.away.push(panel);
+    this.changed();
+  }
+
+  private get isFolded(): boolean {
+    return this.settings.folded ?? LOW_WINDOW.matches;
+  }
+
+  private fold(): void {
+    this.settings.folded = !this.isFolded;
     this.changed();
   }
 
@@ -63,9 +78,11 @@ export class Layout {
       const isEmpty = !document.querySelector(`.${part} > .panel:not(.away, #damage-panel)`);
       this.main.classList.toggle(`no-${part}`, isEmpty);
     }
+    this.main.classList.toggle("folded", this.isFolded);
+    find("fold").setAttribute("aria-expanded", String(!this.isFolded));
     this.main.style.setProperty("--side", side === null ? "" : `${(100 * side).toFixed(1)}%`);
     this.main.style.setProperty("--bottom", bottom === null ? "" : `${bottom.toFixed(0)}px`);
-    find("split-side").setAttribute("aria-valuenow", String(Math.round(100 * (side ?? 0.44))));
+    find("split-side").setAttribute("aria-valuenow", String(Math.round(100 * (side ?? 0.4))));
     find("split-bottom").setAttribute("aria-valuenow", String(Math.round(bottom ?? 185)));
     document.documentElement.dataset.theme = theme;
     find("theme").textContent = `Theme: ${theme}`;

@@ -1,7 +1,6 @@
 // The live page: connects the connection, the picture, the traces and the controls. Messages only store the newest
 // data; drawing happens once per display frame.
 
-import "uplot/dist/uPlot.min.css";
 import "./page.css";
 import { AmplitudeStrip, ChannelStrip, MOST_TRACES, brief, parseChannels } from "./charts";
 import type { MapName, RangeMode } from "./colour";
@@ -19,6 +18,8 @@ import { View } from "./view";
 
 /** Charts and tables change at most this often; the picture follows every display frame. */
 const PANEL_PERIOD_MS = 50;
+/** Wider skins get the window's width, with the panels below them. */
+const WIDE = 1.8;
 /** Number of steps of the hyperparameter's slider, which is logarithmic. */
 const SLIDER_STEPS = 1000;
 
@@ -91,9 +92,11 @@ function begin(next: Scene): void {
   find("treat-controls").hidden = !next.is_treatable;
   amplitudes.begin();
   noise.begin(next.channel_labels, next.channel_unit);
-  find("amplitude-unit").textContent = next.image_unit;
+  find("amplitude-unit").textContent = next.amplitude_unit;
+  find("amplitude-head").title = next.amplitude_unit === next.image_unit ? "Peak of the image there" : `In ${next.amplitude_unit}: the calibration's, not the image's unit`;
   for (const id of ["channel-unit", "noise-unit"]) find(id).textContent = next.channel_unit;
   find("range-unit").textContent = [next.image_quantity, next.image_unit && `(${next.image_unit})`].filter(Boolean).join(" ");
+  document.querySelector("main")!.classList.toggle("wide", view.aspect > WIDE);
   for (const id of ["press-controls", "demo-controls"]) find(id).hidden = !next.is_twin;
   slider.disabled = !(next.hyperparameter_range[0] > 0 && next.hyperparameter_range[1] > next.hyperparameter_range[0]);
   view.stage.classList.toggle("twin", next.is_twin);
@@ -109,7 +112,7 @@ function showSolid(isSolid: boolean): void {
   presser.release();
   view.stage.classList.toggle("solid", isSolid);
   view.solid.show(isSolid);
-  const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: press ?";
+  const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius; keys: ?";
   find("stage-help").textContent = isSolid ? "Drag to turn. Presses are made on the flat picture." : scene?.is_twin ? help : "";
 }
 
@@ -170,7 +173,8 @@ function setText(id: string, text: string): void {
 function showClasses(seen: State["classes"]): void {
   find("classes-choice").hidden = !seen;
   const novelty = seen?.novelty ?? null;
-  setText("classes-state", !seen ? "" : seen.falls_back ? `unlike the training set (${novelty?.toFixed(2)}): thresholds` : novelty === null ? "network" : `network, novelty ${novelty.toFixed(2)}`);
+  setText("classes-state", !seen ? "" : seen.falls_back ? "by thresholds" : "by network");
+  if (novelty !== null) find("classes-state").title = `Novelty ${novelty.toFixed(2)}; above 1.5 the frame is unlike the training set, and thresholds decide`;
 }
 
 function chooseTool(tool: Tool): void {

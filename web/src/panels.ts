@@ -48,7 +48,7 @@ export function showTouches(touches: Touch[]): void {
   const texts = live.map((touch): [string, string[]] => {
     const sigmas = [touch.sigma_x_mm, touch.sigma_y_mm].map((sigma) => (sigma === null ? "–" : sigma.toFixed(placesOf(sigma))));
     const force = touch.force_n === null ? "–" : forceSign(touch.force_range) + touch.force_n.toPrecision(3);
-    return [String(touch.id), [String(touch.id), touch.x_mm.toFixed(placesOf(touch.sigma_x_mm)), touch.y_mm.toFixed(placesOf(touch.sigma_y_mm)), brief(touch.amplitude), touch.area_mm2.toFixed(0), sigmas.join(" × "), force]];
+    return [String(touch.id), [String(touch.id), touch.x_mm.toFixed(placesOf(touch.sigma_x_mm)), touch.y_mm.toFixed(placesOf(touch.sigma_y_mm)), sigmas.join(" × "), force, brief(touch.amplitude), touch.area_mm2.toFixed(0)]];
   });
   rows(find("touches"), new Map(texts)).forEach((row, index) => {
     const touch = live[index];
@@ -79,7 +79,9 @@ export function showCounters(counters: State["counters"]): void {
   made.forEach((row, index) => {
     row.dataset.counter = counters[index].name;
     explain(row, wordFor(counters[index].name));
-    row.classList.toggle("bad", counters[index].is_loss && counters[index].value > 0);
+    const { name, value, is_loss } = counters[index];
+    const kind = name === "dropped" ? "busy" : "bad";
+    row.className = is_loss && value > 0 ? kind : "";
   });
 }
 
@@ -108,6 +110,8 @@ export function showHealth({ frame, left_out, electrodes, channels }: Health, sc
     if (list.children[index] !== item) list.insertBefore(item, list.children[index] ?? null);
   });
   for (const item of present.values()) item.remove();
+  write(find("strip-health"), texts.length > 1 ? `${texts[0][1]}, and ${texts.length - 1} more` : texts[0][1]);
+  find("strip-health").classList.toggle("bad", texts[0][0] !== "sound");
   const lost = new Set(electrodes.map((fault) => String(fault.number)));
   for (const mark of document.querySelectorAll<SVGGElement>(".electrodes [data-electrode]")) {
     mark.classList.toggle("lost", lost.has(mark.dataset.electrode ?? ""));
@@ -115,11 +119,13 @@ export function showHealth({ frame, left_out, electrodes, channels }: Health, sc
 }
 
 export function showBadges(scene: Scene): void {
-  const texts = [scene.modality.toUpperCase(), scene.is_twin ? "digital twin" : "measured", `${scene.electrodes.length} electrodes`, `${scene.channel_labels.length} channels`, `${scene.grid.cols} × ${scene.grid.rows}`];
+  const source = scene.is_twin ? "digital twin" : "measured";
+  const texts = [source, scene.modality.toUpperCase(), `${scene.electrodes.length} electrodes`, `${scene.channel_labels.length} channels`, `${scene.grid.cols} × ${scene.grid.rows}`];
   find("badges").replaceChildren(
     ...texts.map((text) => {
       const badge = document.createElement("span");
       badge.className = "badge";
+      if (text === source) badge.classList.add("source", scene.is_twin ? "twin" : "real");
       badge.textContent = text;
       badge.title = wordForBadge(text);
       return badge;
@@ -145,6 +151,11 @@ export function showPipeline({ source, tare, baseline_age_s, recording, recorded
   }
 }
 
+function showNewest(item: HTMLElement): void {
+  write(find("newest"), item.textContent ?? "");
+  find("newest").className = `newest ${item.className}`;
+}
+
 export function showMessage(level: Notice["level"], text: string): void {
   const list = find("messages");
   const newest = list.firstElementChild as HTMLElement | null;
@@ -154,6 +165,7 @@ export function showMessage(level: Notice["level"], text: string): void {
     const times = Number(newest.dataset.times) + 1;
     newest.dataset.times = String(times);
     newest.textContent = `${time}  ${text} (${times} times)`;
+    showNewest(newest);
     return;
   }
   const item = document.createElement("li");
@@ -162,5 +174,6 @@ export function showMessage(level: Notice["level"], text: string): void {
   item.dataset.times = "1";
   item.textContent = `${time}  ${text}`;
   list.prepend(item);
+  showNewest(item);
   while (list.children.length > MOST_MESSAGES) list.lastElementChild!.remove();
 }

@@ -36,6 +36,8 @@ export interface Scene {
   channel_unit: string;
   image_quantity: string;
   image_unit: string;
+  /** Unit of touch amplitudes; another than the image's with a calibration. */
+  amplitude_unit: string;
   range_hint: [number, number] | null;
   hyperparameter_range: [number, number];
   press: {

@@ -13,10 +13,12 @@ export interface Settings {
   /** Height of the panels below, pixels. */
   bottom: number | null;
   theme: Theme;
+  /** True if the panels below are folded away; null: as the window has room. */
+  folded: boolean | null;
 }
 
 export function initialSettings(): Settings {
-  return { away: [], side: null, bottom: null, theme: "auto" };
+  return { away: [], side: null, bottom: null, theme: "auto", folded: null };
 }
 
 export function loadSettings(): Settings {
@@ -24,10 +26,11 @@ export function loadSettings(): Settings {
   try {
     const kept: unknown = JSON.parse(localStorage.getItem(KEY) ?? "{}");
     if (typeof kept !== "object" || kept === null) return settings;
-    const { away, side, bottom, theme } = kept as Record<string, unknown>;
+    const { away, side, bottom, theme, folded } = kept as Record<string, unknown>;
     if (Array.isArray(away)) settings.away = away.filter((name) => typeof name === "string");
     if (typeof side === "number" && side > 0 && side < 1) settings.side = side;
     if (typeof bottom === "number" && bottom > 0) settings.bottom = bottom;
+    if (typeof folded === "boolean") settings.folded = folded;
     if (theme === "light" || theme === "dark") settings.theme = theme;
   } catch {
     // Nothing was saved, or not by this page.

@@ -8,6 +8,15 @@ import { SolidView } from "./solid";
 
 const SVG = "http://www.w3.org/2000/svg";
 const TRAIL_POINTS = 120;
+/** Pixels of the window: around the skin, between the skin and its axes, ticks, and an axis label's height and width
+ * per character. */
+const MARGIN_PX = 10;
+const AXIS_PX = 6;
+const TICK_PX = 4;
+const LABEL_PX = 11;
+const DIGIT_PX = 7;
+/** Largest height of electrode numbers, as a share of the distance between two electrodes. */
+const NUMBER_SHARE = 0.45;
 /** Colours that distinguish touches, here and in their traces: those of Okabe and Ito, also for colour-blind eyes. */
 export const TOUCH_COLOURS = ["#e69f00", "#56b4e9", "#d55e00", "#cc79a7", "#009e73", "#0072b2", "#f0e442", "#999999"];
 
@@ -42,6 +51,15 @@ interface Drawn {
   otherLabel: SVGTextElement;
 }
 
+/** Smallest distance between two electrodes, millimetres. */
+function closest(electrodes: Electrode[]): number {
+  let least = Infinity;
+  electrodes.forEach(({ position_mm: [x, y] }, index) => {
+    for (const { position_mm } of electrodes.slice(0, index)) least = Math.min(least, Math.hypot(x - position_mm[0], y - position_mm[1]));
+  });
+  return Number.isFinite(least) ? least : 10;
+}
+
 /** y grows downwards in the drawing. */
 const path = (points: Point[], isClosed: boolean) => points.map(([x, y], index) => `${index ? "L" : "M"}${x} ${-y}`).join("") + (isClosed ? "Z" : "");
 
@@ -58,6 +76,9 @@ export class View {
   private colours = table("viridis");
   private scene: Scene | null = null;
   private rim: Rim | null = null;
+  private axisLayer = element("g", { class: "axes" });
+  /** Box around outline, image and electrodes, millimetres. */
+  private extent = { left: 0, right: 1, bottom: 0, top: 1 };
   private unit = 1;
 
   constructor(
@@ -81,22 +102,18 @@ export class View {
     const points = [...outline_mm.flat(), ...electrodes.flatMap((one) => [one.position_mm, ...one.outline_mm])];
     const xs = [grid.x_min_mm, grid.x_max_mm, ...points.map(([x]) => x)];
     const ys = [grid.y_min_mm, grid.y_max_mm, ...points.map(([, y]) => y)];
-    const [left, right, bottom, top] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    const size = Math.max(right - left, top - bottom);
-    const margin = 0.055 * size;
-    // Leave room for the axis labels.
-    const axis = 0.06 * size;
-    this.unit = size / 100;
-    this.overlay.style.setProperty("--unit", String(this.unit));
-    this.overlay.setAttribute("viewBox", `${left - margin - axis} ${-top - margin} ${right - left + 2 * margin + axis} ${top - bottom + 2 * margin + axis}`);
+    this.extent = { left: Math.min(...xs), right: Math.max(...xs), bottom: Math.min(...ys), top: Math.max(...ys) };
+    const { left, right, bottom, top } = this.extent;
+    this.unit = Math.max(right - left, top - bottom) / 100;
+    this.stage.style.setProperty("--aspect", this.aspect.toFixed(3));
+    this.overlay.style.setProperty("--number", String(NUMBER_SHARE * closest(electrodes)));
     this.drawn.clear();
     this.trails.clear();
     for (const layer of [this.touchLayer, this.trailLayer, this.pressLayer]) layer.replaceChildren();
     const outline = element("path", { class: "outline", d: outline_mm.map((ring) => path(ring, true)).join("") });
     const marks = element("g", { class: "electrodes" });
     marks.append(...electrodes.map((one) => this.electrode(one)));
-    const axes = this.axes([left, right], [bottom, top], margin);
-    this.overlay.replaceChildren(axes, outline, marks, this.trailLayer, this.touchLayer, this.pressLayer);
+    this.overlay.replaceChildren(this.axisLayer, outline, marks, this.trailLayer, this.touchLayer, this.pressLayer);
     this.range.begin(scene.range_hint);
     this.canvas.width = Math.max(grid.cols, 1);
     this.canvas.height = Math.max(grid.rows, 1);
@@ -104,6 +121,12 @@ export class View {
     this.rim = new Rim(scene);
     this.solid.begin(scene, touchColour);
     this.place();
+  }
+
+  /** Width over height of the skin. */
+  get aspect(): number {
+    const { left, right, bottom, top } = this.extent;
+    return (right - left) / (top - bottom);
   }
 
   /** Draws an image and returns the range of its colours. */
@@ -170,12 +193,14 @@ export class View {
     return [point.x, -point.y];
   }
 
-  /** Aligns the canvas with the image's grid in the drawing. */
+  /** Fits the skin with its axes into the stage, and aligns the canvases with the image's grid. */
   private place(): void {
-    const matrix = this.overlay.getScreenCTM();
-    if (!matrix || !this.scene) return;
-    const { grid, outline_mm } = this.scene;
     const stage = this.stage.getBoundingClientRect();
+    if (!this.scene || stage.width === 0 || stage.height === 0) return;
+    const { grid, outline_mm } = this.scene;
+    this.fit(stage.width, stage.height);
+    const matrix = this.overlay.getScreenCTM();
+    if (!matrix) return;
     // Clip along the outline, in window pixels from the image's corner.
     const rings = outline_mm.map((ring) => ring.map(([x, y]): Point => [(x - grid.x_min_mm) * matrix.a, (y - grid.y_max_mm) * matrix.d]));
     const clip = `path(evenodd, "${rings.map((ring) => path(ring, true)).join("")}")`;
@@ -189,38 +214,67 @@ export class View {
     }
   }
 
+  /** Sets the drawing's scale for a stage of this size, pixels, and draws the axes at that scale. */
+  private fit(width: number, height: number): void {
+    const { left, right, bottom, top } = this.extent;
+    const below = AXIS_PX + TICK_PX + LABEL_PX + MARGIN_PX / 2;
+    const step = (mm_per_px: number) => roundStep(Math.max(Math.max(right - left, top - bottom) / 8, 36 * mm_per_px));
+    const digits = (mm_per_px: number) => Math.max(2, ...[bottom, top].map((end) => label(end, step(mm_per_px)).length));
+    const aside = AXIS_PX + 2 * TICK_PX + DIGIT_PX * digits(this.unit / 4) + 2;
+    const mm_per_px = Math.max((right - left) / (width - aside - MARGIN_PX), (top - bottom) / (height - below - MARGIN_PX), 1e-9);
+    // What is left over goes to both sides.
+    const [x0, y0] = [
+      left - (aside + (width - aside - MARGIN_PX - (right - left) / mm_per_px) / 2) * mm_per_px,
+      -top - (MARGIN_PX + (height - below - MARGIN_PX - (top - bottom) / mm_per_px) / 2) * mm_per_px,
+    ];
+    this.overlay.setAttribute("viewBox", `${x0} ${y0} ${width * mm_per_px} ${height * mm_per_px}`);
+    this.overlay.style.setProperty("--px", String(mm_per_px));
+    this.axes(step(mm_per_px), mm_per_px);
+  }
+
   /** Millimetre scales along the lower and left edges. */
-  private axes([left, right]: Point, [bottom, top]: Point, margin: number): SVGGElement {
-    const group = element("g", { class: "axes" });
-    const step = roundStep(Math.max(right - left, top - bottom) / 8);
-    const [tick, size] = [this.unit, 2.8 * this.unit];
-    const [x0, y0] = [left - 0.8 * margin, -bottom + 0.8 * margin];
+  private axes(step: number, mm_per_px: number): void {
+    const { left, right, bottom, top } = this.extent;
+    const [tick, size] = [TICK_PX * mm_per_px, LABEL_PX * mm_per_px];
+    const [x0, y0] = [left - AXIS_PX * mm_per_px, -bottom + AXIS_PX * mm_per_px];
     const ticks = (low: number, high: number) => {
       const first = Math.ceil(low / step - 1e-9);
       return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, index) => (first + index) * step);
     };
     const lines = [`M${left} ${y0}H${right}M${x0} ${-bottom}V${-top}`];
+    const texts: SVGTextElement[] = [];
+    const text = (x: number, y: number, anchor: string, words: string) => texts.push(element("text", { x, y, "font-size": size, "text-anchor": anchor }, words));
     for (const x of ticks(left, right)) {
       lines.push(`M${x} ${y0}v${tick}`);
-      group.append(element("text", { x, y: y0 + tick + size, "font-size": size, "text-anchor": "middle" }, label(x, step)));
+      text(x, y0 + tick + size, "middle", label(x, step));
     }
     for (const y of ticks(bottom, top)) {
       lines.push(`M${x0} ${-y}h${-tick}`);
-      group.append(element("text", { x: x0 - 1.4 * tick, y: -y, dy: "0.34em", "font-size": size, "text-anchor": "end" }, label(y, step)));
+      text(x0 - 1.5 * tick, -y + 0.34 * size, "end", label(y, step));
     }
-    group.append(element("path", { d: lines.join("") }), element("text", { x: x0 - 1.4 * tick, y: y0 + tick + size, "font-size": size, "text-anchor": "end" }, "mm"));
-    return group;
+    const last = Math.floor(right / step + 1e-9) * step;
+    text(last - step / 2, y0 + tick + size, "middle", "mm");
+    this.axisLayer.replaceChildren(element("path", { d: lines.join("") }), ...texts);
   }
 
-  private electrode({ number, position_mm, outline_mm }: Electrode): SVGGElement {
-    const group = element("g", { "data-electrode": number });
+  private electrode({ number: electrode, position_mm, outline_mm }: Electrode): SVGGElement {
+    const group = element("g", { "data-electrode": electrode });
     const [x, y] = position_mm;
     if (outline_mm.length > 2) group.append(element("path", { d: path(outline_mm, true) }));
     else if (outline_mm.length === 2) group.append(element("path", { class: "segment", d: path(outline_mm, false) }));
     else group.append(element("circle", { cx: x, cy: -y, r: 1.1 * this.unit }));
-    // Put the number of a rim segment inside the skin, where nothing covers it.
-    const inward = outline_mm.length === 2 ? 1 - (4.2 * this.unit) / Math.max(Math.hypot(x, y), 5 * this.unit) : 1;
-    group.append(element("text", { class: "number", x: x * inward, y: -y * inward, "font-size": 3.1 * this.unit, dy: "0.36em" }, String(number)));
+    // Put the number of a rim segment inside the skin, across from the segment, where nothing covers it.
+    let [across, up] = [0, 0];
+    if (outline_mm.length === 2) {
+      const [[x0, y0], [x1, y1]] = outline_mm;
+      const [nx, ny] = [y1 - y0, x0 - x1];
+      const length = Math.hypot(nx, ny) * (nx * x + ny * y > 0 ? -1 : 1) || 1;
+      [across, up] = [nx / length, ny / length];
+    }
+    const number = element("text", { class: "number", x, y: -y }, String(electrode));
+    number.style.setProperty("--across", across.toFixed(3));
+    number.style.setProperty("--down", (-up).toFixed(3));
+    group.append(number);
     return group;
   }
 
@@ -231,9 +285,9 @@ export class View {
       drawn = {
         group: element("g", { class: "touch", "data-touch": touch.id }),
         circle: element("circle", { stroke: colour }),
-        label: element("text", { "font-size": 3.1 * this.unit }),
+        label: element("text", {}),
         other: element("circle", { class: "other", stroke: colour }),
-        otherLabel: element("text", { "font-size": 3.1 * this.unit }),
+        otherLabel: element("text", {}),
       };
       drawn.group.append(drawn.circle, drawn.label);
       this.touchLayer.append(drawn.group);
@@ -257,7 +311,7 @@ export class View {
     circle.setAttribute("cy", String(-y));
     circle.setAttribute("r", String(radius));
     // Put the label on the side with more room.
-    const isRight = x > 0;
+    const isRight = x > (this.extent.left + this.extent.right) / 2;
     label.setAttribute("x", String(isRight ? x - radius - this.unit : x + radius + this.unit));
     label.setAttribute("y", String(-y + this.unit));
     label.setAttribute("text-anchor", isRight ? "end" : "start");

@@ -108,6 +108,12 @@ export async function windowFromSkin(page, x_mm, y_mm) {
   }, [x_mm, y_mm]);
 }
 
+/** Opens a menu of the page, such as `view-menu`, or closes it. */
+export async function unfold(page, id, isOpen = true) {
+  const menu = page.locator(`#${id}`);
+  if ((await menu.evaluate(({ open }) => open)) !== isOpen) await menu.locator("summary").click();
+}
+
 /** Touches as listed in the table. */
 export async function touchRows(page) {
   return page.locator("#touches tr").evaluateAll((rows) => rows.map(({ dataset }) => ({ id: dataset.id, x_mm: Number(dataset.xMm), y_mm: Number(dataset.yMm) })));

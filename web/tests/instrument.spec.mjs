@@ -5,7 +5,7 @@ import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
-import { isDemo, keepPicture, openPage, pressAt, startBrowser, startPage, waitForRows } from "./browser.mjs";
+import { isDemo, keepPicture, openPage, pressAt, startBrowser, startPage, unfold, waitForRows } from "./browser.mjs";
 
 const axe = createRequire(import.meta.url).resolve("axe-core/axe.min.js");
 let server;
@@ -51,6 +51,7 @@ test("colours begin at zero, and the press that the skin is made for is plain to
     await keepPicture(page, "instrument-pressed");
     await page.mouse.up();
   }
+  await unfold(page, "view-menu");
   await page.locator("#colours").selectOption("signed");
   await page.waitForFunction(() => document.querySelector("#range-low").textContent === `-${document.querySelector("#range-high").textContent}`);
   await page.close();
@@ -68,6 +69,7 @@ test("the axes' numbers stand where those millimetres are", async () => {
   });
   assert.ok(off.length >= 3, `${off.length} ticks`);
   assert.ok(off.every((mm) => Math.abs(mm) < 1), `off by ${off} mm`);
+  await unfold(page, "view-menu");
   await page.locator("#axes").uncheck();
   assert.equal(await page.locator("#overlay .axes").isVisible(), false);
   await page.close();
@@ -81,12 +83,16 @@ test("panels go away, take other sizes, and are so when the page is opened again
     await page.waitForSelector("[data-connection='live']", { timeout: 60_000 });
   };
   await load();
+  // A window as low as this one leaves the room to the skin until the panels are asked for.
+  assert.equal(await page.locator("#noise-panel").isVisible(), false);
+  await page.locator("#fold").click();
+  assert.ok(await page.locator("#noise-panel").isVisible());
   const width = () => page.locator(".side").evaluate((side) => side.getBoundingClientRect().width);
   const first = await width();
-  await page.locator("#panels summary").click();
+  await unfold(page, "panels");
   await page.locator("[data-panel='noise-panel']").uncheck();
   await page.locator("[data-panel='traces-panel']").uncheck();
-  await page.keyboard.press("Escape");
+  await unfold(page, "panels", false);
   await page.locator("#split-side").focus();
   for (let step = 0; step < 5; step += 1) await page.keyboard.press("ArrowLeft");
   const wider = await width();
@@ -105,13 +111,14 @@ test("panels go away, take other sizes, and are so when the page is opened again
   assert.equal(await page.locator("#traces-panel").isVisible(), false);
   assert.ok(await page.locator("#messages-panel").isVisible());
   await keepPicture(page, "instrument-panels");
-  await page.locator("#panels summary").click();
+  await unfold(page, "panels");
   await page.locator("#layout-reset").click();
-  assert.ok(Math.abs((await width()) - first) < 3 && (await page.locator("#noise-panel").isVisible()), "as at first");
+  assert.ok(Math.abs((await width()) - first) < 3 && (await page.locator("#traces-panel").isVisible()), "as at first");
+  assert.equal(await page.locator("#fold").getAttribute("aria-expanded"), "false", "folded as at first");
   // Data left by another program under the page's name does no harm.
   await page.evaluate(() => localStorage.setItem("dermis-page", "[1, {"));
   await load();
-  assert.ok(await page.locator("#noise-panel").isVisible());
+  assert.ok(await page.locator("#traces-panel").isVisible());
   await context.close();
 });
 
@@ -121,6 +128,7 @@ test("light and dark follow the system until one is chosen", async () => {
   const isDark = (colour) => colour.match(/\d+/g).slice(0, 3).every((part) => Number(part) < 60);
   assert.ok(isDark(await ground()), await ground());
   await keepPicture(page, "instrument-dark");
+  await unfold(page, "panels");
   await page.locator("#theme").click();
   assert.equal(await page.locator("#theme").textContent(), "Theme: light");
   assert.ok(!isDark(await ground()), await ground());
@@ -179,6 +187,40 @@ test("what is seen is saved as a picture and as a table", async () => {
   await page.close();
 });
 
+test("the saved picture is the one on the screen, with every number at its electrode", async () => {
+  const { page } = await open({ deviceScaleFactor: 2 });
+  await calm(page);
+  await page.locator("#pause").click();
+  await page.waitForTimeout(300);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#keep-png").click()]);
+  const saved = await readFile(await download.path());
+  const screen = await page.locator("#stage").screenshot();
+  const boxes = await page.locator("#overlay .number").evaluateAll((texts) => {
+    const stage = document.querySelector("#stage").getBoundingClientRect();
+    return texts.map((text) => {
+      const { left, top, width, height } = text.getBoundingClientRect();
+      return [left - stage.left, top - stage.top, width, height];
+    });
+  });
+  assert.ok(boxes.length >= 4);
+  /** Red, green and blue around each number; `edge` is the picture's margin. */
+  const read = (bytes, edge) => page.evaluate(async ([base64, boxes, edge]) => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${base64}`;
+    await image.decode();
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [image.width, image.height];
+    const context = canvas.getContext("2d", { willReadFrequently: true });
+    context.drawImage(image, 0, 0);
+    return boxes.map(([left, top, width, height]) => [...context.getImageData(...[left + edge, top + edge, width, height].map((value) => Math.round(2 * value))).data]);
+  }, [bytes.toString("base64"), boxes, edge]);
+  const [shown, kept] = [await read(screen, 0), await read(saved, 12)];
+  const off = shown.map((pixels, index) => pixels.reduce((sum, value, at) => sum + Math.abs(value - kept[index][at]), 0) / pixels.length);
+  console.log(`the saved numbers differ by at most ${Math.max(...off).toFixed(1)} of 255 from the screen`);
+  assert.ok(off.every((one) => one < 25), `electrodes differ by ${off.map((one) => one.toFixed(0))}`);
+  await page.close();
+});
+
 for (const [name, width, height, fitsHeight] of [["1280x720", 1280, 720, true], ["phone", 390, 844, false]]) {
   test(`nothing is cut off at ${name}`, async () => {
     const { page } = await open({ viewport: { width, height }, ...(fitsHeight ? {} : { hasTouch: true, isMobile: true, deviceScaleFactor: 2 }) });
@@ -202,9 +244,11 @@ for (const colorScheme of ["light", "dark"]) {
     // The server's policy blocks scripts from elsewhere, but the test can inject one.
     await page.evaluate(await readFile(axe, "utf8"));
     await look("page");
-    await page.locator("#panels summary").click();
-    await look("panels");
-    await page.locator("#panels summary").click();
+    for (const menu of ["panels", "more", "view-menu"]) {
+      await unfold(page, menu);
+      await look(menu);
+      await unfold(page, menu, false);
+    }
     await page.keyboard.press("?");
     await look("help");
     await page.close();

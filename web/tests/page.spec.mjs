@@ -6,7 +6,7 @@ import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { isDemo, openPage, startBrowser, startServer, touchRows, waitForRows, windowFromSkin } from "./browser.mjs";
+import { isDemo, openPage, startBrowser, startServer, touchRows, unfold, waitForRows, windowFromSkin } from "./browser.mjs";
 
 /** Largest distance of a touch from the press; the twin's pixels, physics and smoothing shift it by a few mm. */
 const REACH_MM = 6;
@@ -34,7 +34,9 @@ test("electrodes carry their numbers, from 1", async () => {
 
 test("a press on the twin shows a touch where it pressed, which follows and ends", async () => {
   const { page } = opened;
+  await unfold(page, "view-menu");
   await page.locator("#trails").uncheck();
+  await unfold(page, "view-menu", false);
   // The twin's demonstration pauses during a press, but a press close to its last touch would be taken for that
   // touch, moved.
   if (!isDemo) await waitForRows(page, (now) => now.length === 0, 30_000);
@@ -87,6 +89,7 @@ test("tare is refused while something touches, and says so", async () => {
 
 test("the hyperparameter's slider reaches the pipeline and comes back", async () => {
   const { page } = opened;
+  await unfold(page, "more");
   const output = page.locator("#hyperparameter-value");
   const original = await output.textContent();
   await page.locator("#hyperparameter").focus();
@@ -95,6 +98,7 @@ test("the hyperparameter's slider reaches the pipeline and comes back", async ()
   await page.waitForTimeout(1500);
   assert.ok(Number(await output.textContent()) > Number(original), `from ${original} to ${await output.textContent()}`);
   for (let step = 0; step < 5; step += 1) await page.keyboard.press("ArrowLeft");
+  await unfold(page, "more", false);
 });
 
 test("figures, latency and counters are filled", async () => {
@@ -204,11 +208,13 @@ test("nothing is loaded from elsewhere and nothing complains", () => {
 
 test("a bent skin is drawn on its cylinder and turned; a flat one offers no such picture", async () => {
   const { page } = opened;
+  await unfold(page, "view-menu");
   if (!(await page.locator("#solid-choice").isVisible())) {
     assert.ok(await page.locator("#solid").isHidden());
     return;
   }
   await page.locator("#solid-box").check();
+  await unfold(page, "view-menu", false);
   const picture = () => page.locator("#solid").evaluate((canvas) => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     let [sum, count] = [0, 0];
@@ -225,6 +231,7 @@ test("a bent skin is drawn on its cylinder and turned; a flat one offers no such
   const turned = await picture();
   assert.ok(turned.middle > before.middle + 0.05, `dragged to the right: ${before.middle} to ${turned.middle}`);
   assert.ok(await page.locator("#overlay .press.down").count() === 0, "nothing was pressed");
+  await unfold(page, "view-menu");
   await page.locator("#solid-box").uncheck();
   assert.ok(await page.locator("#solid").isHidden());
 });

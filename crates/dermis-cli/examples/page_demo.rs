@@ -201,6 +201,7 @@ fn scene(grid: usize) -> Scene {
         channel_unit: "V".into(),
         image_quantity: "conductivity change".into(),
         image_unit: "S/m".into(),
+        amplitude_unit: "S/m".into(),
         range_hint: Some([-0.1, 0.8]),
         hyperparameter_range: [1e-4, 1.0],
         ..Scene::default()

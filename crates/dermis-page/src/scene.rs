@@ -32,8 +32,10 @@ pub struct Scene {
     pub channel_unit: String,
     /// Quantity shown by the image, such as `conductivity change`.
     pub image_quantity: String,
-    /// Unit of the image and of touch amplitudes, such as `S/m`; empty for a ratio.
+    /// Unit of the image, such as `S/m`; empty for a ratio.
     pub image_unit: String,
+    /// Unit of touch amplitudes: the image's, or with a calibration its typical pokes.
+    pub amplitude_unit: String,
     /// Initial colour range, which grows to the largest values seen. If `None`, it is taken from the first frames.
     pub range_hint: Option<[f32; 2]>,
     /// Smallest and largest hyperparameter that the page's slider offers; both positive.

@@ -1,6 +1,7 @@
 //! Builds the scene of a skin.
 
 use dermis_device::Layout;
+use dermis_live::calibration::{CalibratedImager, Calibration};
 use dermis_live::channels::ChannelReader;
 use dermis_live::imager::Imager;
 use dermis_live::prepare::Prepared;
@@ -16,13 +17,28 @@ use crate::scene::{ElectrodeView, GridView, PressLimits, Scene};
 const MM: f64 = 1e3;
 /// Peak of the image under a usual press, if nothing more is known about the skin.
 const USUAL_AMPLITUDE: f32 = 0.25;
+/// Places on the skin where a typical poke's image is computed; enough for a median.
+const POKED_PLACES: usize = 20;
 /// Smaller peaks are not worth a colour scale.
 const LEAST_AMPLITUDE: f32 = 1e-4;
 
-/// The constant properties of a running skin. `press` gives the limits for pressing its twin, if it is one.
-pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
+/// The constant properties of a running skin. `press` gives the limits for pressing its twin, if it is one. The
+/// `calibration` is the one that its touches are located by.
+pub fn scene(prepared: &Prepared, press: Option<PressRange>, calibration: Option<&Calibration>) -> Scene {
     let grid = prepared.map.grid();
-    let typical = press.and_then(|_| typical_amplitude(prepared));
+    let correction = calibration.and_then(Calibration::correction);
+    // Without a model, images are made with the Jacobian that the pokes measured, and count in typical pokes.
+    let measured = calibration.filter(|_| correction.is_none());
+    let typical = match (measured, press, correction) {
+        (Some(calibration), _, _) => poked_amplitude(prepared, calibration),
+        (None, Some(_), _) => typical_amplitude(prepared),
+        (None, None, Some(correction)) => Some(correction.typical_amplitude([0.0, 0.0]) as f32),
+        (None, None, None) => None,
+    };
+    let (image_quantity, image_unit) = match measured {
+        Some(_) => ("touch strength", "typical pokes per pixel"),
+        None => (prepared.skin.modality.image_quantity(), ""),
+    };
     let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
     let lambda = typical_hyperparameter(prepared);
     Scene {
@@ -44,8 +60,9 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         },
         channel_labels: (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect(),
         channel_unit: "V".into(),
-        image_quantity: prepared.skin.modality.image_quantity().into(),
-        image_unit: String::new(),
+        image_quantity: image_quantity.into(),
+        image_unit: image_unit.into(),
+        amplitude_unit: calibration.map_or_else(String::new, |_| "typical pokes".into()),
         range_hint: Some(range_about(2.0 * typical.unwrap_or(USUAL_AMPLITUDE), prepared.skin.touch.both_signs)),
         hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
         press: press.map_or_else(PressLimits::default, limits),
@@ -82,6 +99,25 @@ fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
     // NaN outside the skin doesn't take part in the maximum.
     let peak = image.iter().map(height).fold(0.0, f32::max);
     (peak > LEAST_AMPLITUDE).then_some(peak)
+}
+
+/// Median over the skin of the image's peak under a typical poke, for a calibration that measured the Jacobian; `None`
+/// if it cannot be determined.
+fn poked_amplitude(prepared: &Prepared, calibration: &Calibration) -> Option<f32> {
+    let measured = calibration.measured_jacobian(prepared).ok()?;
+    let columns = measured.jacobian.as_mat();
+    let reference = Reference::from_baseline(prepared, &prepared.voltages, None).ok()?;
+    let mut imager = CalibratedImager::new(prepared, Some(calibration), reference, &[]).ok()?.imager;
+    let mut image = vec![f32::NAN; prepared.map.grid().len()];
+    let step = (columns.ncols() / POKED_PLACES).max(1);
+    let mut peaks: Vec<f32> = Vec::new();
+    for place in (0..columns.ncols()).step_by(step) {
+        let difference: Vec<f64> = (0..columns.nrows()).map(|channel| columns[(channel, place)]).collect();
+        imager.image(&difference, &mut image).ok()?;
+        peaks.push(image.iter().copied().fold(0.0, f32::max));
+    }
+    peaks.sort_by(f32::total_cmp);
+    peaks.get(peaks.len() / 2).copied().filter(|peak| *peak > LEAST_AMPLITUDE)
 }
 
 fn limits(range: PressRange) -> PressLimits {

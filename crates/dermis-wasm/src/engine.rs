@@ -69,7 +69,7 @@ impl Engine {
         let skin = Skin::parse(text, skin).map_err(|error| error.to_string())?;
         let twin = PressedTwin::new(&skin).map_err(|error| error.to_string())?;
         let prepared = Prepared::new(skin).map_err(|error| error.to_string())?;
-        let (announcer, scene) = (Announcer::new(&prepared.skin), scene(&prepared, Some(twin.press_range())));
+        let (announcer, scene) = (Announcer::new(&prepared.skin), scene(&prepared, Some(twin.press_range()), None));
         let layout = Layout::Channels { count: twin.channels() };
         let pipeline = Pipeline::new(prepared, &layout, None).map_err(|error| error.to_string())?;
         let mut feed = PageFeed::new(&pipeline);

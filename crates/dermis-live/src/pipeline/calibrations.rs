@@ -27,6 +27,11 @@ impl Pipeline {
         Ok(())
     }
 
+    /// The calibration that locates touches, if there is one.
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.choices.calibration.as_ref()
+    }
+
     /// Quantity of the touches' loads, if a calibration by pokes estimates them.
     pub fn load_quantity(&self) -> Option<LoadQuantity> {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)

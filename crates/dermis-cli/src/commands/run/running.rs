@@ -64,7 +64,8 @@ impl Running {
         pipeline: &Pipeline,
     ) -> anyhow::Result<(ServerHandle, Receiver<Request>)> {
         let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);
-        let scene = dermis_page::scene(pipeline.prepared(), self.twin.as_ref().map(|twin| twin.press));
+        let press = self.twin.as_ref().map(|twin| twin.press);
+        let scene = dermis_page::scene(pipeline.prepared(), press, pipeline.calibration());
         Ok((page::serve(address, options, self.hub.clone(), scene, commands)?, requests))
     }
 

@@ -93,7 +93,7 @@ impl<'a> System<'a> {
         let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
         Self {
             skin: name,
-            scene: dermis_page::scene(pipeline.prepared(), Some(source.press_range())),
+            scene: dermis_page::scene(pipeline.prepared(), Some(source.press_range()), None),
             feed: PageFeed::new(&pipeline),
             announcer: Announcer::new(&pipeline.prepared().skin),
             source,
