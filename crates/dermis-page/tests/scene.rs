@@ -80,7 +80,7 @@ fn poked(name: &str) -> (Calibration, Vec<[f64; 2]>) {
             pressed
         })
         .collect();
-    let pokes = Pokes { positions_m: places.clone(), loads: None };
+    let pokes = Pokes { positions_m: places.clone(), further_m: Vec::new(), loads: None };
     let calibration = Calibration::fit(line.pipeline.prepared(), &[rest], &frames, &pokes).expect("a calibration");
     (calibration, places)
 }

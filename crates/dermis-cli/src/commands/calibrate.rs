@@ -43,7 +43,11 @@ Examples:
   dermis calibrate healing-square --twin --pokes 12 --out c.json
 
 The baseline has one frame for all pokes, or one for each; --differences says that the frames are differences from the
-untouched skin already. --start SISTER.json begins from the calibration of a skin of the same family. The positions have the columns x_m, y_m (or x_mm, y_mm) and, if\nthe load is known, depth_m, depth_mm or force_n; it is said where they look mirrored, turned or shifted by a row, and positions\nthat have nothing to do with the frames are refused. Of a skin
+untouched skin already. --start EARLIER.json takes an earlier calibration into account, of this skin or of another of its
+family: the new pokes decide whether it is pooled with them, a prior, kept unchanged or not used. The positions have the
+columns x_m, y_m (or x_mm, y_mm) and, if the load is known, depth_m, depth_mm or force_n. Rows with the same number in a
+column `group` are touches of one frame. Positions that look mirrored, turned or shifted by a row are reported, and
+positions that have nothing to do with the frames are refused. Of a skin
 of which only the outline is known, --outline-mm and --channels stand for the skin file, which --write-skin writes for
 `run` and `reconstruct`. Without positions, what the readout does to the potentials is found from 20 or more frames of
 unknown touches. Printed are the leave-one-out error, what each part of the locator and physics brought, and where
@@ -87,7 +91,7 @@ pub struct Arguments {
     /// Don't use the skin file's physics, even where it would help.
     #[arg(long)]
     no_physics: bool,
-    /// Calibration of a skin of the same family to start from; the best is used if there are several.
+    /// Earlier calibration of this skin, or of another of its family. With several, the new pokes choose.
     #[arg(long, value_name = "FILE.json")]
     start: Vec<PathBuf>,
     /// Output file for the calibration.

@@ -160,8 +160,6 @@ impl LearntFinder {
         }
         let located = self.locator.predict_into(&self.frame, &mut self.scratch)?;
         let mut placement = self.placement(&located);
-        // A frame that resembles its touch less than usual, since the others are removed imperfectly.
-        placement.covariance_m2.iter_mut().flatten().for_each(|value| *value *= located.novelty.max(1.0));
         // What the sum leaves of the other touches may outweigh this one.
         let own_m = self.parts[number].position_m;
         let distance_m = |place_m: [f64; 2]| (located.x_m - place_m[0]).hypot(located.y_m - place_m[1]);
@@ -175,6 +173,9 @@ impl LearntFinder {
         let sigma_m = located.sigma_x_m.max(located.sigma_y_m);
         let load = self.load.zip(located.load);
         let position_m = [located.x_m, located.y_m];
+        // A frame that resembles its touch less than pokes usually do: the skin has changed, or other touches were
+        // removed imperfectly.
+        let excess = located.novelty.max(1.0);
         Placement {
             amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
@@ -182,8 +183,8 @@ impl LearntFinder {
             vague: sigma_m > VAGUE * self.half_width_m,
             position_m,
             covariance_m2: [
-                [located.sigma_x_m.powi(2), located.covariance_xy_m2],
-                [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
+                [excess * located.sigma_x_m.powi(2), excess * located.covariance_xy_m2],
+                [excess * located.covariance_xy_m2, excess * located.sigma_y_m.powi(2)],
             ],
             other_place: None,
             further: [None; MOST_FURTHER],

@@ -5,6 +5,7 @@
 mod frames;
 mod groups;
 mod map;
+mod start;
 mod stored;
 mod strength;
 
@@ -18,12 +19,14 @@ use std::path::Path;
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
-    Examples, FusedLocator, FusedOptions, FusedReport, LabelledFrame, LeaveOneOut, LocatorError, MIN_EXAMPLES,
-    PlaceCorrection, PokeSight, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, Superposition, TypicalAmplitude,
+    Examples, FusedLocator, FusedReport, LabelledFrame, LeaveOneOut, LocatorError, MIN_EXAMPLES, PlaceCorrection,
+    PokeSight, SeenPoke, SessionDrift, SuggestedPoke, Superposition, TypicalAmplitude,
 };
 use frames::without_silence;
 use map::signature_map;
 use serde::{Deserialize, Serialize};
+pub use start::{StartReview, StartUse};
+use start::{Started, fit_best};
 pub(super) use strength::SmallestAmplitude;
 use strength::{TouchStrength, Weighed};
 
@@ -53,7 +56,7 @@ pub struct CalibrationOptions<'a> {
     /// Use the skin file's physics if it improves the prediction of left-out pokes. Never used if the wiring is
     /// unknown.
     pub physics: bool,
-    /// Calibrations of sister skins. The one that predicts left-out pokes best provides prior information.
+    /// Earlier calibrations, of this skin or of sisters. The new pokes decide whether and how one is used.
     pub start: &'a [Calibration],
 }
 
@@ -81,6 +84,9 @@ pub struct PokeReview {
     /// never read anything.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rest_scatter: Vec<f64>,
+    /// Use of an earlier calibration, if one was given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<StartReview>,
 }
 
 /// A calibration.
@@ -154,7 +160,8 @@ impl Calibration {
         if let Some((_, loads)) = &pokes.loads {
             examples = examples.with_loads(rows.iter().map(|&i| loads[i]).collect())?;
         }
-        let fused = fit_best(&examples, &signature_map(prepared, options.physics)?, options.start, prepared)?;
+        let map = signature_map(prepared, options.physics)?;
+        let Started { locator: fused, keeps, review: start } = fit_best(&examples, &map, options.start, prepared)?;
         let drift = (rows.len() >= FEWEST_FOR_DRIFT).then(|| SessionDrift::measure(&examples)).transpose()?;
         let kept: Vec<usize> = picked(MOST_KEPT).collect();
         let mut scratch = fused.scratch();
@@ -183,7 +190,7 @@ impl Calibration {
         let dead = dead_channels.iter().copied().filter(|channel| !unsound_channels.contains(channel)).collect();
         let rest_scatter =
             scatter.map_or_else(Vec::new, |scatter| scatter.robust().iter().map(|v| v.max(0.0)).collect());
-        Ok(Self {
+        let mut calibration = Self {
             skin: prepared.skin.name.clone(),
             skin_sha256: Some(crate::same_skin::frames_sha256(&prepared.skin)),
             channels: prepared.channels(),
@@ -196,8 +203,28 @@ impl Calibration {
             groups: Vec::new(),
             pokes: rows.len(),
             strength: TouchStrength::of(amplitudes?, &resting, matches!(measured, PokeFrames::Readings { .. })),
-            review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter },
-        })
+            review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter, start },
+        };
+        if let Some(earlier) = keeps.and_then(|number| options.start.get(number)) {
+            calibration.keep_pokes_of(earlier);
+        }
+        Ok(calibration)
+    }
+
+    /// Adds the pokes of an earlier calibration, up to as many as are kept at most.
+    fn keep_pokes_of(&mut self, earlier: &Self) {
+        let room = MOST_KEPT.saturating_sub(self.frames.len());
+        let step = earlier.frames.len().div_ceil(room.max(1)).max(1);
+        for i in (0..earlier.frames.len()).step_by(step).take(room) {
+            self.frames.push(earlier.frames[i].clone());
+            self.positions_m.push(earlier.positions_m[i]);
+            if let Some(loads) = &mut self.loads {
+                // A poke of unknown load counts as a typical one.
+                let typical = loads.iter().sum::<f64>() / loads.len() as f64;
+                loads.push(earlier.loads.as_ref().map_or(typical, |loads| loads[i]));
+            }
+        }
+        self.groups.extend(earlier.groups.iter().cloned());
     }
 
     /// Lets the skin's model locate touches, corrected by the pokes, with the locator for those that the model does
@@ -282,7 +309,7 @@ impl Calibration {
         if let Some(loads) = &self.loads {
             examples = examples.with_loads(loads.clone())?;
         }
-        let fused = fit_best(&examples, &signature_map(prepared, true)?, &[], prepared)?;
+        let fused = fit_best(&examples, &signature_map(prepared, true)?, &[], prepared)?.locator;
         let amplitudes =
             gone.iter().map(|frame| Ok(fused.predict(frame)?.amplitude)).collect::<Result<Vec<f64>, Error>>()?;
         silent.locator = Box::new(fused);
@@ -449,31 +476,4 @@ impl Calibration {
         serde_json::from_slice(text)
             .map_err(|error| content(format!("line {}, column {}", error.line(), error.column()), error.to_string()))
     }
-}
-
-/// The locator that predicts left-out pokes best: without a sister, or with the best of those given.
-fn fit_best(
-    examples: &Examples,
-    map: &SignatureMap,
-    sisters: &[Calibration],
-    prepared: &Prepared,
-) -> Result<FusedLocator, Error> {
-    let options = FusedOptions::default();
-    let mut best: Option<FusedLocator> = None;
-    for sister in sisters {
-        let refuse = |got: String| Error::Frames {
-            what: format!("calibration to start from, of skin {}", sister.skin),
-            expected: format!("one of {} channels", prepared.channels()),
-            got,
-        };
-        if sister.channels != prepared.channels() {
-            return Err(refuse(format!("{} channels", sister.channels)));
-        }
-        let fitted = FusedLocator::fit_with_prior(examples, map, &options, &sister.locator)?;
-        let better = |best: &FusedLocator| fitted.report().fused.median_m < best.report().fused.median_m;
-        if best.as_ref().is_none_or(better) {
-            best = Some(fitted);
-        }
-    }
-    best.map_or_else(|| Ok(FusedLocator::fit(examples, map, &options)?), Ok)
 }

@@ -76,6 +76,26 @@ impl Examples {
         Ok(self)
     }
 
+    /// Frames, row-major: one row of channels for each example.
+    pub fn frames(&self) -> &[f64] {
+        &self.frames
+    }
+
+    /// Position of each example, metres.
+    pub fn positions_m(&self) -> &[[f64; 2]] {
+        &self.positions_m
+    }
+
+    /// Load of each example, if known.
+    pub fn loads(&self) -> Option<&[f64]> {
+        self.loads.as_deref()
+    }
+
+    /// Standard deviation of each channel's noise, if known.
+    pub fn channel_noise(&self) -> Option<&[f64]> {
+        self.channel_noise.as_deref()
+    }
+
     /// Number of examples.
     pub fn len(&self) -> usize {
         self.positions_m.len()

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use dermis::live::calibration::{Calibration, LoadQuantity};
+use dermis::live::calibration::{Calibration, LoadQuantity, StartReview, StartUse};
 use dermis::skin::Skin;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::locator::{Accuracy, PriorUse};
@@ -70,6 +70,9 @@ pub(super) fn print_experts(
     out: &mut dyn Write,
 ) -> std::io::Result<()> {
     let report = calibration.experts();
+    if let Some(start) = calibration.review().start {
+        print_start(&start, out)?;
+    }
     if calibration.correction().is_some() {
         writeln!(
             out,
@@ -112,6 +115,23 @@ pub(super) fn print_experts(
         )?;
     }
     Ok(())
+}
+
+/// Prints how an earlier calibration was used, and why.
+fn print_start(start: &StartReview, out: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(
+        out,
+        "earlier calibration: explains {:.0} % of the new pokes (within 2.5 sigma), median error {:.2} mm unchanged",
+        100.0 * start.explained,
+        1e3 * start.unchanged_m
+    )?;
+    let used = match start.used {
+        StartUse::Nothing => "not used: the new pokes alone are better",
+        StartUse::Prior => "used as prior",
+        StartUse::Pooled => "used: its pokes are pooled with the new ones",
+        StartUse::Unchanged => "used unchanged: the new pokes improve nothing",
+    };
+    writeln!(out, "  {used}; median error on the new pokes {:.2} mm", 1e3 * start.chosen_m)
 }
 
 pub(super) fn print_forces(calibration: &ForceCalibration, presses: usize, out: &mut dyn Write) -> std::io::Result<()> {

@@ -4,7 +4,7 @@ use super::fusion::Cells;
 use super::report::FusedReport;
 use super::state::FusedState;
 use crate::locator::data::{LeaveOneOut, SuggestedPoke};
-use crate::locator::error::LocatorError;
+use crate::locator::error::{LocatorError, check_first};
 
 /// A fitted locator of two experts. Serialisable; deserialising checks version, lengths and values.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -33,6 +33,18 @@ impl FusedLocator {
     /// The positions at which touches are searched for, metres.
     pub fn positions_m(&self) -> &[[f64; 2]] {
         self.state.forward.positions_m()
+    }
+
+    /// Multiplies all standard deviations of positions.
+    ///
+    /// # Errors
+    /// A factor that is not finite and above zero.
+    pub fn scale_sigmas(&mut self, factor: f64) -> Result<(), LocatorError> {
+        let is_factor = |v: f64| v.is_finite() && v > 0.0;
+        check_first("factor on sigma", std::iter::once(factor), is_factor, "a finite number above zero")?;
+        self.state.sigma_factors.iter_mut().for_each(|sigma| *sigma *= factor);
+        self.state.extrapolation_m *= factor;
+        Ok(())
     }
 
     /// Weight of each channel; 0 if it is never used.

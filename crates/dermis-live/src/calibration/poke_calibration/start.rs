@@ -1,0 +1,217 @@
+//! Calibrating from an earlier calibration: of the same skin in another session, or of a sister.
+//!
+//! Four locators compete: from the new pokes alone, from them with the earlier calibration as prior, from both sets of
+//! pokes pooled, and the earlier one unchanged. Each is judged on the new pokes, left out where they were used, by the
+//! mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error.
+
+use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
+use serde::{Deserialize, Serialize};
+
+use super::Calibration;
+use crate::Error;
+use crate::prepare::Prepared;
+
+/// Sigmas within which the earlier calibration explains a poke.
+const EXPLAINED_SIGMAS: f64 = 2.5;
+/// Share of errors within one standard deviation of a Gaussian.
+const ONE_SIGMA: f64 = 0.6827;
+/// Number of new pokes at which their errors and the old ones count equally in sigma.
+const SIGMA_WORTH: f64 = 10.0;
+
+/// Use of an earlier calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StartUse {
+    /// Not used: the new pokes alone locate touches best.
+    Nothing,
+    /// As prior of the map, or of the covariance between channels.
+    Prior,
+    /// Its pokes are pooled with the new ones.
+    Pooled,
+    /// It locates touches unchanged.
+    Unchanged,
+}
+
+/// How an earlier calibration was used, and why.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StartReview {
+    /// Its use.
+    pub used: StartUse,
+    /// Share of the new pokes that it places within 2.5 sigma.
+    pub explained: f64,
+    /// Median error on the new pokes with the earlier calibration unchanged, metres.
+    pub unchanged_m: f64,
+    /// Median error on the new pokes of the locator that was chosen, metres.
+    pub chosen_m: f64,
+}
+
+/// A locator with the pokes that it should keep, and its review.
+pub(super) struct Started {
+    pub locator: FusedLocator,
+    /// Pokes of the earlier calibration are part of this one.
+    pub keeps: Option<usize>,
+    pub review: Option<StartReview>,
+}
+
+/// A candidate with its errors on the new pokes, metres, and its standard deviations there.
+struct Candidate {
+    locator: FusedLocator,
+    used: StartUse,
+    sister: Option<usize>,
+    errors: Vec<Miss>,
+}
+
+/// An error with its standard deviation, both for x and y, metres.
+struct Miss {
+    error_m: [f64; 2],
+    sigma_m: [f64; 2],
+}
+
+impl Miss {
+    fn distance_m(&self) -> f64 {
+        self.error_m[0].hypot(self.error_m[1])
+    }
+
+    fn sigmas(&self) -> [f64; 2] {
+        [0, 1].map(|axis| (self.error_m[axis] / self.sigma_m[axis]).abs())
+    }
+}
+
+/// The locator that predicts the new pokes best.
+pub(super) fn fit_best(
+    examples: &Examples,
+    map: &SignatureMap,
+    sisters: &[Calibration],
+    prepared: &Prepared,
+) -> Result<Started, Error> {
+    let options = FusedOptions::default();
+    let count = examples.len();
+    let fit = |examples: &Examples| FusedLocator::fit(examples, map, &options);
+    let alone = fit(examples)?;
+    if sisters.is_empty() {
+        return Ok(Started { locator: alone, keeps: None, review: None });
+    }
+    let mut candidates =
+        vec![Candidate { errors: left_out(&alone, count), locator: alone, used: StartUse::Nothing, sister: None }];
+    for (number, sister) in sisters.iter().enumerate() {
+        check(sister, prepared)?;
+        let mut consider = |locator: FusedLocator, used: StartUse, errors: Vec<Miss>| {
+            candidates.push(Candidate { locator, used, sister: Some(number), errors });
+        };
+        let prior = FusedLocator::fit_with_prior(examples, map, &options, &sister.locator)?;
+        let errors = left_out(&prior, count);
+        consider(prior, StartUse::Prior, errors);
+        if let Some(pooled) = pooled(examples, sister)? {
+            let pooled = fit(&pooled)?;
+            let errors = left_out(&pooled, count);
+            consider(pooled, StartUse::Pooled, errors);
+        }
+        consider((*sister.locator).clone(), StartUse::Unchanged, on(&sister.locator, examples));
+    }
+    let mut best = 0;
+    for number in 1..candidates.len() {
+        if score(&candidates[number].errors) < score(&candidates[best].errors) {
+            best = number;
+        }
+    }
+    let unchanged = candidates.iter().filter(|candidate| candidate.used == StartUse::Unchanged);
+    let unchanged = unchanged.min_by(|a, b| score(&a.errors).total_cmp(&score(&b.errors)));
+    let inside = |miss: &Miss| miss.sigmas().iter().all(|sigmas| *sigmas <= EXPLAINED_SIGMAS);
+    let (explained, unchanged_m) = unchanged.map_or((0.0, f64::INFINITY), |candidate| {
+        let explained = candidate.errors.iter().filter(|miss| inside(miss)).count() as f64;
+        (explained / count as f64, median_m(&candidate.errors))
+    });
+    let Candidate { mut locator, used, sister, errors } = candidates.swap_remove(best);
+    let keeps = sister.filter(|_| matches!(used, StartUse::Pooled | StartUse::Unchanged));
+    if keeps.is_some() {
+        // Most of the errors behind its sigmas are of the earlier session.
+        let share = count as f64 / (count as f64 + SIGMA_WORTH);
+        locator.scale_sigmas(sigma_factor(&errors).powf(share))?;
+    }
+    let review = Some(StartReview { used, explained, unchanged_m, chosen_m: median_m(&errors) });
+    Ok(Started { locator, keeps, review })
+}
+
+/// Rejects a calibration with another number of channels.
+fn check(sister: &Calibration, prepared: &Prepared) -> Result<(), Error> {
+    if sister.channels == prepared.channels() {
+        return Ok(());
+    }
+    Err(Error::Frames {
+        what: format!("calibration to start from, of skin {}", sister.skin),
+        expected: format!("one of {} channels", prepared.channels()),
+        got: format!("{} channels", sister.channels),
+    })
+}
+
+/// The new pokes, followed by those that the sister keeps. `None` if only one of the two has loads.
+fn pooled(examples: &Examples, sister: &Calibration) -> Result<Option<Examples>, Error> {
+    if examples.loads().is_some() != sister.loads.is_some() {
+        return Ok(None);
+    }
+    let frames = examples.frames().iter().copied().chain(sister.frames.iter().flatten().copied()).collect();
+    let positions_m = examples.positions_m().iter().chain(&sister.positions_m).copied().collect();
+    let mut pooled = Examples::new(examples.channels(), frames, positions_m)?;
+    if let Some(noise) = examples.channel_noise() {
+        pooled = pooled.with_channel_noise(noise.to_vec())?;
+    }
+    if let (Some(new), Some(old)) = (examples.loads(), &sister.loads) {
+        pooled = pooled.with_loads(new.iter().chain(old).copied().collect())?;
+    }
+    Ok(Some(pooled))
+}
+
+/// Errors of the first `count` examples of a locator, each located by the others. Excluded ones are infinitely wrong.
+fn left_out(locator: &FusedLocator, count: usize) -> Vec<Miss> {
+    let report = locator.report();
+    let mut examples = report.left_out.examples.iter();
+    let excluded = |number: usize| report.doubtful_left_out && report.doubtful.contains(&number);
+    let miss = |number: usize| match if excluded(number) { None } else { examples.next() } {
+        Some(example) => Miss {
+            error_m: [0, 1].map(|axis| example.located_m[axis] - example.position_m[axis]),
+            sigma_m: example.sigma_m,
+        },
+        None => Miss { error_m: [f64::INFINITY; 2], sigma_m: [f64::MAX; 2] },
+    };
+    (0..count).map(miss).collect()
+}
+
+/// Errors of a locator on examples that it has not seen.
+fn on(locator: &FusedLocator, examples: &Examples) -> Vec<Miss> {
+    let mut scratch = locator.scratch();
+    let frames = examples.frames().chunks_exact(examples.channels()).zip(examples.positions_m());
+    let miss = |(frame, place_m): (&[f64], &[f64; 2])| match locator.predict_into(frame, &mut scratch) {
+        Ok(Located { x_m, y_m, sigma_x_m, sigma_y_m, .. }) => {
+            Miss { error_m: [x_m - place_m[0], y_m - place_m[1]], sigma_m: [sigma_x_m, sigma_y_m] }
+        }
+        Err(_) => Miss { error_m: [f64::INFINITY; 2], sigma_m: [f64::MAX; 2] },
+    };
+    frames.map(miss).collect()
+}
+
+fn median_m(errors: &[Miss]) -> f64 {
+    quantile(errors.iter().map(Miss::distance_m).collect(), 0.5)
+}
+
+/// Mean of ln(e^2 + m^2), with m the median of the errors e. A poke that is not placed counts as ten times the largest
+/// error.
+fn score(errors: &[Miss]) -> f64 {
+    let distances = errors.iter().map(Miss::distance_m);
+    let largest = distances.clone().filter(|d| d.is_finite()).fold(0.0, f64::max);
+    let distances: Vec<f64> = distances.map(|d| if d.is_finite() { d } else { 10.0 * largest }).collect();
+    let middle = quantile(distances.clone(), 0.5).max(f64::MIN_POSITIVE);
+    distances.iter().map(|d| (d * d + middle * middle).ln()).sum::<f64>() / distances.len() as f64
+}
+
+/// Factor on sigma with which 68 % of the errors are within one.
+fn sigma_factor(errors: &[Miss]) -> f64 {
+    let sigmas: Vec<f64> = errors.iter().flat_map(Miss::sigmas).filter(|sigmas| sigmas.is_finite()).collect();
+    if sigmas.is_empty() { 1.0 } else { quantile(sigmas, ONE_SIGMA).clamp(0.1, 10.0) }
+}
+
+/// The `share` quantile of a non-empty list, one of the values.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[((values.len() - 1) as f64 * share).round() as usize]
+}
