@@ -45,13 +45,18 @@ pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
 ///     Shape (n, 2): position of each poke, metres from the skin's centre.
 /// depths_m, forces_n : array_like, optional
 ///     Shape (n,): depth or force of each poke; give at most one of them.
+/// groups : array_like, optional
+///     Shape (m,): for frames with several touches. Then `positions_m` (and loads) have a row for each touch; touches
+///     with the same number are of one frame, and frames are in the order in which numbers first appear.
+/// start : Calibration, optional
+///     An earlier calibration, of this skin or of another of its family. The new pokes decide how it is used.
 ///
 /// Returns
 /// -------
 /// Calibration
 ///     The calibration, for :class:`Pipeline` and the command.
 #[pyfunction]
-#[pyo3(signature = (skin, baselines, frames, positions_m, *, depths_m=None, forces_n=None))]
+#[pyo3(signature = (skin, baselines, frames, positions_m, *, depths_m=None, forces_n=None, groups=None, start=None))]
 pub fn calibrate(
     py: Python<'_>,
     skin: &Bound<'_, PyAny>,
@@ -60,6 +65,8 @@ pub fn calibrate(
     positions_m: &Bound<'_, PyAny>,
     depths_m: Option<&Bound<'_, PyAny>>,
     forces_n: Option<&Bound<'_, PyAny>>,
+    groups: Option<&Bound<'_, PyAny>>,
+    start: Option<PyRef<'_, PyCalibration>>,
 ) -> PyResult<PyCalibration> {
     let prepared = prepared_of(skin)?;
     let channels = prepared.channels();
@@ -81,10 +88,17 @@ pub fn calibrate(
         }
         None => None,
     };
-    let pokes = Pokes { positions_m, further_m: Vec::new(), loads };
+    let touches = positions_m.len();
+    let mut pokes = Pokes { positions_m, further_m: Vec::new(), loads };
+    if let Some(groups) = groups {
+        let groups = Doubles::vector("groups", groups, touches, "one a touch")?.finite("groups")?;
+        pokes = pokes.grouped(groups.values()?);
+    }
+    let earlier: Vec<Calibration> = start.iter().map(|start| start.calibration.clone()).collect();
     let fit = move || {
         let measured = PokeFrames::Readings { baselines: &baselines, frames: &frames };
-        Ok(fit_calibration(&prepared, measured, &pokes, &CalibrationOptions::default())?)
+        let options = CalibrationOptions { start: &earlier, ..CalibrationOptions::default() };
+        Ok(fit_calibration(&prepared, measured, &pokes, &options)?)
     };
     let calibration = run_interruptibly(py, "calibrate", fit)?;
     Ok(PyCalibration { calibration })

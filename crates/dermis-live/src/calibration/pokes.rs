@@ -1,5 +1,6 @@
 //! Pokes at known positions, and their table in a file.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 pub use dermis_touch::LoadQuantity;
@@ -39,7 +40,7 @@ pub fn read_pokes(path: &Path) -> Result<Pokes, Error> {
     let group = table.header.as_ref().and_then(|_| table.column_index("group"));
     let mut pokes = Pokes::default();
     let mut loads = Vec::new();
-    let mut poke_of_group = std::collections::HashMap::new();
+    let mut groups = Vec::new();
     for row in 0..table.rows() {
         let values = table.row(row).unwrap_or_default();
         let value = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
@@ -52,13 +53,7 @@ pub fn read_pokes(path: &Path) -> Result<Pokes, Error> {
             if !number.is_finite() {
                 return Err(content(format!("row {row}"), format!("group {number} is not a number")));
             }
-            let next = pokes.positions_m.len();
-            let poke = *poke_of_group.entry(number.to_bits()).or_insert(next);
-            if poke < next {
-                pokes.further_m[poke].push(position);
-                continue;
-            }
-            pokes.further_m.push(Vec::new());
+            groups.push(number);
         }
         pokes.positions_m.push(position);
         loads.extend(load.map(|(_, index)| value(index)));
@@ -69,5 +64,48 @@ pub fn read_pokes(path: &Path) -> Result<Pokes, Error> {
         }
         pokes.loads = Some((quantity, loads));
     }
-    Ok(pokes)
+    Ok(if group.is_some() { pokes.grouped(&groups) } else { pokes })
+}
+
+impl Pokes {
+    /// Joins touches of one frame into one poke: those with the same number in `groups`, which has one for each of the
+    /// positions. Pokes are in the order in which their groups first appear, with the load of their first touch.
+    #[must_use]
+    pub fn grouped(self, groups: &[f64]) -> Self {
+        let mut joined =
+            Self { loads: self.loads.as_ref().map(|(quantity, _)| (*quantity, Vec::new())), ..Self::default() };
+        let mut poke_of_group = HashMap::new();
+        for (touch, (position_m, group)) in self.positions_m.iter().zip(groups).enumerate() {
+            let next = joined.positions_m.len();
+            let poke = *poke_of_group.entry(group.to_bits()).or_insert(next);
+            if poke < next {
+                joined.further_m[poke].push(*position_m);
+                continue;
+            }
+            joined.positions_m.push(*position_m);
+            joined.further_m.push(Vec::new());
+            if let (Some((_, kept)), Some((_, loads))) = (&mut joined.loads, &self.loads) {
+                kept.push(loads[touch]);
+            }
+        }
+        joined
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn touches_of_a_group_are_one_poke_in_the_order_of_first_appearance() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("p.csv");
+        std::fs::write(&path, "group,x_mm,y_mm,force_n\n7,1,2,1\n3,3,4,2\n7,5,6,9\n1,7,8,3\n").unwrap();
+        let pokes = read_pokes(&path).unwrap();
+        assert_eq!(pokes.positions_m, [[0.001, 0.002], [0.003, 0.004], [0.007, 0.008]]);
+        assert_eq!(pokes.further_m, [vec![[0.005, 0.006]], vec![], vec![]]);
+        assert_eq!(pokes.loads, Some((LoadQuantity::ForceN, vec![1.0, 2.0, 3.0])));
+        std::fs::write(&path, "group,x_mm,y_mm\n,1,2\n").unwrap();
+        assert!(read_pokes(&path).is_err());
+    }
 }

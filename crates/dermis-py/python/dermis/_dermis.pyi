@@ -320,6 +320,8 @@ def calibrate(
     *,
     depths_m: ArrayLike | None = None,
     forces_n: ArrayLike | None = None,
+    groups: ArrayLike | None = None,
+    start: Calibration | None = None,
 ) -> Calibration: ...
 @final
 class Maps:
