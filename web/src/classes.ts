@@ -6,13 +6,15 @@ import type { Classes } from "./protocol";
 /** Canvas words with blue, green, red from the highest byte; the legend in page.css has the same colours. */
 const COMPRESSED = 0xf0e600;
 const DAMAGED = 0x7a3bff;
-/** A region is where a class is more likely than not. */
+/** Smallest probability inside a region. */
 const LIKELY = 0.5;
-/** The canvas has so many pixels for each of the image's that it is about this wide, for lines thinner than a pixel of the image. */
+/** Pixels of the canvas along its longer side, about: lines are thinner than a pixel of the image. */
 const FINE = 256;
-/** Distance of the hatching's lines, and opacities of lines and of the region's edge. */
+/** Distance between the hatching's lines, in pixels of the canvas. */
 const HATCH = 9;
+/** Opacity of the hatching, of 255. */
 const LINE = 190;
+/** Opacity of a region's edge, of 255. */
 const EDGE = 255;
 
 export class ClassOverlay {

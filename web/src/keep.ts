@@ -20,7 +20,7 @@ function nameOf(scene: Scene, frame: number, ending: string): string {
   return `${scene.skin.replace(/[^\w.-]+/g, "-")}-frame-${frame}.${ending}`;
 }
 
-/** The skin's name, and that its readings are simulated. */
+/** The skin's name, marked if its readings are simulated. */
 const nameIn = ({ skin, is_twin }: Scene) => (is_twin ? `${skin} (digital twin)` : skin);
 
 /** The drawing over the image, with the style sheet's properties written into it. */

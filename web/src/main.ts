@@ -93,7 +93,7 @@ function begin(next: Scene): void {
   amplitudes.begin();
   noise.begin(next.channel_labels, next.channel_unit);
   find("amplitude-unit").textContent = next.amplitude_unit;
-  find("amplitude-head").title = next.amplitude_unit === next.image_unit ? "Peak of the image there" : `In ${next.amplitude_unit}: the calibration's, not the image's unit`;
+  find("amplitude-head").title = next.amplitude_unit === next.image_unit ? "Peak of the image there" : `In ${next.amplitude_unit}, the unit of the calibration, not of the image`;
   for (const id of ["channel-unit", "noise-unit"]) find(id).textContent = next.channel_unit;
   find("range-unit").textContent = [next.image_quantity, next.image_unit && `(${next.image_unit})`].filter(Boolean).join(" ");
   document.querySelector("main")!.classList.toggle("wide", view.aspect > WIDE);

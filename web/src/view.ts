@@ -8,12 +8,15 @@ import { SolidView } from "./solid";
 
 const SVG = "http://www.w3.org/2000/svg";
 const TRAIL_POINTS = 120;
-/** Pixels of the window: around the skin, between the skin and its axes, ticks, and an axis label's height and width
- * per character. */
+/** Room above and to the right of the skin, window pixels. */
 const MARGIN_PX = 10;
+/** Distance between the skin and its axes, window pixels. */
 const AXIS_PX = 6;
+/** Length of a tick, window pixels. */
 const TICK_PX = 4;
+/** Height of an axis label, window pixels. */
 const LABEL_PX = 11;
+/** Width of a digit in an axis label, window pixels. */
 const DIGIT_PX = 7;
 /** Largest height of electrode numbers, as a share of the distance between two electrodes. */
 const NUMBER_SHARE = 0.45;
@@ -222,7 +225,7 @@ export class View {
     const digits = (mm_per_px: number) => Math.max(2, ...[bottom, top].map((end) => label(end, step(mm_per_px)).length));
     const aside = AXIS_PX + 2 * TICK_PX + DIGIT_PX * digits(this.unit / 4) + 2;
     const mm_per_px = Math.max((right - left) / (width - aside - MARGIN_PX), (top - bottom) / (height - below - MARGIN_PX), 1e-9);
-    // What is left over goes to both sides.
+    // Centre the drawing in the stage.
     const [x0, y0] = [
       left - (aside + (width - aside - MARGIN_PX - (right - left) / mm_per_px) / 2) * mm_per_px,
       -top - (MARGIN_PX + (height - below - MARGIN_PX - (top - bottom) / mm_per_px) / 2) * mm_per_px,

@@ -1,5 +1,5 @@
-// What has room on the page: the skin first, at every size of window, in light and dark, for skins of every shape.
-// Checked by measuring; with PAGE_PICTURES the windows are kept as pictures.
+// The page's layout at three window sizes, in light and dark, for skins of several shapes: the skin gets the room, and
+// nothing covers its axes. Everything is measured; PAGE_PICTURES keeps the windows as pictures.
 
 import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
