@@ -154,6 +154,10 @@ const SKINS: &[(&str, &[(&str, &str)])] = &[
         &[
             ("frontend.coils.conductor", "{ pitch-share = 0.5 }"),
             ("frontend.elements.shape", "{ sphere = { diameter_mm = 10.0 } }"),
+            (
+                "guard",
+                "{ force_n = 5.0, pressure_kpa = 50.0, stale_after_ms = 100.0, hold_ms = 50.0, most_left_out_percent = 20.0 }",
+            ),
         ],
     ),
 ];

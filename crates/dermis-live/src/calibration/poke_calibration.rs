@@ -25,8 +25,8 @@ use dermis_touch::locator::{
 use frames::without_silence;
 use map::signature_map;
 use serde::{Deserialize, Serialize};
+use start::{Earlier, Started, fit_best};
 pub use start::{StartReview, StartUse};
-use start::{Started, fit_best};
 pub(super) use strength::SmallestAmplitude;
 use strength::{TouchStrength, Weighed};
 
@@ -161,7 +161,8 @@ impl Calibration {
             examples = examples.with_loads(rows.iter().map(|&i| loads[i]).collect())?;
         }
         let map = signature_map(prepared, options.physics)?;
-        let Started { locator: fused, keeps, review: start } = fit_best(&examples, &map, options.start, prepared)?;
+        let earlier: Vec<Earlier<'_>> = options.start.iter().map(Self::earlier).collect();
+        let Started { locator: fused, keeps, review: start } = fit_best(&examples, &map, &earlier, prepared)?;
         let drift = (rows.len() >= FEWEST_FOR_DRIFT).then(|| SessionDrift::measure(&examples)).transpose()?;
         let kept: Vec<usize> = picked(MOST_KEPT).collect();
         let mut scratch = fused.scratch();
@@ -209,6 +210,16 @@ impl Calibration {
             calibration.keep_pokes_of(earlier);
         }
         Ok(calibration)
+    }
+
+    fn earlier(&self) -> Earlier<'_> {
+        Earlier {
+            skin: &self.skin,
+            locator: &self.locator,
+            frames: &self.frames,
+            positions_m: &self.positions_m,
+            loads: self.loads.as_deref(),
+        }
     }
 
     /// Adds the pokes of an earlier calibration, up to as many as are kept at most.

@@ -17,8 +17,8 @@ fn load(name: &str) -> Option<Presses> {
 fn test(presses: &Presses, calibration: &Calibration, least_found: f64) -> ([f64; 2], [f64; 2]) {
     let found = presses.judge(&held_out(), Some(calibration)).unwrap();
     assert!(found.errors_mm.len() as f64 >= least_found * found.presses as f64, "{} found", found.errors_mm.len());
-    // With ten pokes that are all strong, about one press in ten thousand looks like two.
-    assert!(found.extra <= 1, "one touch a press: {} too many", found.extra);
+    // Beyond 40 pokes several touches are looked for, at the price of a press in a hundred that looks like two.
+    assert!(50 * found.extra <= found.presses, "one touch a press: {} too many", found.extra);
     ([0.5, 0.9].map(|share| found.quantile_mm(share)), found.within)
 }
 

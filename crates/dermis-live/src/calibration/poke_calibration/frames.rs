@@ -1,6 +1,7 @@
 //! Measurements of pokes, as frames and baselines or as differences, and the difference data computed from them.
 
 use dermis_touch::health::RestScatter;
+use serde::{Deserialize, Deserializer};
 
 use crate::Error;
 use crate::prepare::Prepared;
@@ -79,4 +80,17 @@ pub(super) fn without_silence(frame: &[f64], dead_channels: &[u32]) -> Vec<f64> 
         *value = if value.is_finite() { *value } else { 0.0 };
     }
     frame
+}
+
+/// A frame as stored in JSON: missing values are `null`.
+pub(super) fn frame_with_gaps<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
+    Ok(without_null(Vec::deserialize(from)?))
+}
+
+pub(super) fn frames_with_gaps<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<f64>>, D::Error> {
+    Ok(Vec::deserialize(from)?.into_iter().map(without_null).collect())
+}
+
+fn without_null(row: Vec<Option<f64>>) -> Vec<f64> {
+    row.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect()
 }

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::frames::{PokeFrames, differences_of};
-use super::stored::frame_with_gaps;
+use super::frames::{PokeFrames, differences_of, frame_with_gaps};
 use crate::Error;
 use crate::calibration::pokes::Pokes;
 use crate::prepare::Prepared;

@@ -2,15 +2,21 @@
 //!
 //! Four locators compete: from the new pokes alone, from them with the earlier calibration as prior, from both sets of
 //! pokes pooled, and the earlier one unchanged. Each is judged on the new pokes, left out where they were used, by the
-//! mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error.
+//! mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error. The last two compete only if the
+//! earlier calibration places the new pokes much better than a guess. Otherwise it is of another skin, and chance would
+//! decide among few pokes.
 
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
 use serde::{Deserialize, Serialize};
 
-use super::Calibration;
 use crate::Error;
 use crate::prepare::Prepared;
 
+/// Maximum median error of the earlier calibration on pokes of its own skin, relative to that of a guess at their
+/// centre. Sisters with other electrode numbers are at 1; a skin that was damaged since was at 0.17.
+const SAME_SKIN: f64 = 0.6;
+/// With fewer pokes the prior is preferred to the pokes alone: leaving one out of them is too uncertain to choose by.
+const TELLING: usize = 30;
 /// Sigmas within which the earlier calibration explains a poke.
 const EXPLAINED_SIGMAS: f64 = 2.5;
 /// Share of errors within one standard deviation of a Gaussian.
@@ -44,6 +50,18 @@ pub struct StartReview {
     pub unchanged_m: f64,
     /// Median error on the new pokes of the locator that was chosen, metres.
     pub chosen_m: f64,
+}
+
+/// An earlier calibration.
+#[derive(Clone, Copy)]
+pub(super) struct Earlier<'a> {
+    /// Name of the skin that was poked.
+    pub skin: &'a str,
+    pub locator: &'a FusedLocator,
+    /// Difference data of each poke, model volts.
+    pub frames: &'a [Vec<f64>],
+    pub positions_m: &'a [[f64; 2]],
+    pub loads: Option<&'a [f64]>,
 }
 
 /// A locator with the pokes that it should keep, and its review.
@@ -82,7 +100,7 @@ impl Miss {
 pub(super) fn fit_best(
     examples: &Examples,
     map: &SignatureMap,
-    sisters: &[Calibration],
+    sisters: &[Earlier<'_>],
     prepared: &Prepared,
 ) -> Result<Started, Error> {
     let options = FusedOptions::default();
@@ -92,6 +110,8 @@ pub(super) fn fit_best(
     if sisters.is_empty() {
         return Ok(Started { locator: alone, keeps: None, review: None });
     }
+    let guess_m = guess_m(examples);
+    let mut unchanged: Vec<Vec<Miss>> = Vec::new();
     let mut candidates =
         vec![Candidate { errors: left_out(&alone, count), locator: alone, used: StartUse::Nothing, sister: None }];
     for (number, sister) in sisters.iter().enumerate() {
@@ -99,28 +119,27 @@ pub(super) fn fit_best(
         let mut consider = |locator: FusedLocator, used: StartUse, errors: Vec<Miss>| {
             candidates.push(Candidate { locator, used, sister: Some(number), errors });
         };
-        let prior = FusedLocator::fit_with_prior(examples, map, &options, &sister.locator)?;
+        let prior = FusedLocator::fit_with_prior(examples, map, &options, sister.locator)?;
         let errors = left_out(&prior, count);
         consider(prior, StartUse::Prior, errors);
-        if let Some(pooled) = pooled(examples, sister)? {
-            let pooled = fit(&pooled)?;
-            let errors = left_out(&pooled, count);
-            consider(pooled, StartUse::Pooled, errors);
+        let as_it_is = on(sister.locator, examples);
+        if median_m(&as_it_is) < SAME_SKIN * guess_m {
+            if let Some(pooled) = pooled(examples, sister)? {
+                let pooled = fit(&pooled)?;
+                let errors = left_out(&pooled, count);
+                consider(pooled, StartUse::Pooled, errors);
+            }
+            consider(sister.locator.clone(), StartUse::Unchanged, on(sister.locator, examples));
         }
-        consider((*sister.locator).clone(), StartUse::Unchanged, on(&sister.locator, examples));
+        unchanged.push(as_it_is);
     }
-    let mut best = 0;
-    for number in 1..candidates.len() {
-        if score(&candidates[number].errors) < score(&candidates[best].errors) {
-            best = number;
-        }
-    }
-    let unchanged = candidates.iter().filter(|candidate| candidate.used == StartUse::Unchanged);
-    let unchanged = unchanged.min_by(|a, b| score(&a.errors).total_cmp(&score(&b.errors)));
-    let inside = |miss: &Miss| miss.sigmas().iter().all(|sigmas| *sigmas <= EXPLAINED_SIGMAS);
-    let (explained, unchanged_m) = unchanged.map_or((0.0, f64::INFINITY), |candidate| {
-        let explained = candidate.errors.iter().filter(|miss| inside(miss)).count() as f64;
-        (explained / count as f64, median_m(&candidate.errors))
+    let first = usize::from(count < TELLING);
+    let by_score = |a: &usize, b: &usize| score(&candidates[*a].errors).total_cmp(&score(&candidates[*b].errors));
+    let best = (first..candidates.len()).min_by(by_score).unwrap_or(0);
+    let closest = unchanged.iter().min_by(|a, b| score(a).total_cmp(&score(b)));
+    let inside = |miss: &&Miss| miss.sigmas().iter().all(|sigmas| *sigmas <= EXPLAINED_SIGMAS);
+    let (explained, unchanged_m) = closest.map_or((0.0, f64::INFINITY), |errors| {
+        (errors.iter().filter(inside).count() as f64 / count as f64, median_m(errors))
     });
     let Candidate { mut locator, used, sister, errors } = candidates.swap_remove(best);
     let keeps = sister.filter(|_| matches!(used, StartUse::Pooled | StartUse::Unchanged));
@@ -134,29 +153,29 @@ pub(super) fn fit_best(
 }
 
 /// Rejects a calibration with another number of channels.
-fn check(sister: &Calibration, prepared: &Prepared) -> Result<(), Error> {
-    if sister.channels == prepared.channels() {
+fn check(sister: &Earlier<'_>, prepared: &Prepared) -> Result<(), Error> {
+    if sister.locator.channels() == prepared.channels() {
         return Ok(());
     }
     Err(Error::Frames {
         what: format!("calibration to start from, of skin {}", sister.skin),
         expected: format!("one of {} channels", prepared.channels()),
-        got: format!("{} channels", sister.channels),
+        got: format!("{} channels", sister.locator.channels()),
     })
 }
 
 /// The new pokes, followed by those that the sister keeps. `None` if only one of the two has loads.
-fn pooled(examples: &Examples, sister: &Calibration) -> Result<Option<Examples>, Error> {
+fn pooled(examples: &Examples, sister: &Earlier<'_>) -> Result<Option<Examples>, Error> {
     if examples.loads().is_some() != sister.loads.is_some() {
         return Ok(None);
     }
     let frames = examples.frames().iter().copied().chain(sister.frames.iter().flatten().copied()).collect();
-    let positions_m = examples.positions_m().iter().chain(&sister.positions_m).copied().collect();
+    let positions_m = examples.positions_m().iter().chain(sister.positions_m).copied().collect();
     let mut pooled = Examples::new(examples.channels(), frames, positions_m)?;
     if let Some(noise) = examples.channel_noise() {
         pooled = pooled.with_channel_noise(noise.to_vec())?;
     }
-    if let (Some(new), Some(old)) = (examples.loads(), &sister.loads) {
+    if let (Some(new), Some(old)) = (examples.loads(), sister.loads) {
         pooled = pooled.with_loads(new.iter().chain(old).copied().collect())?;
     }
     Ok(Some(pooled))
@@ -188,6 +207,13 @@ fn on(locator: &FusedLocator, examples: &Examples) -> Vec<Miss> {
         Err(_) => Miss { error_m: [f64::INFINITY; 2], sigma_m: [f64::MAX; 2] },
     };
     frames.map(miss).collect()
+}
+
+/// Median distance of the pokes from their centre, metres.
+fn guess_m(examples: &Examples) -> f64 {
+    let places_m = examples.positions_m();
+    let centre_m = [0, 1].map(|axis| places_m.iter().map(|p| p[axis]).sum::<f64>() / places_m.len() as f64);
+    quantile(places_m.iter().map(|p| (p[0] - centre_m[0]).hypot(p[1] - centre_m[1])).collect(), 0.5)
 }
 
 fn median_m(errors: &[Miss]) -> f64 {

@@ -4,8 +4,10 @@ use dermis_touch::locator::{FusedLocator, PlaceCorrection};
 use serde::{Deserialize, Serialize};
 
 use super::super::pokes::LoadQuantity;
+use super::frames::frames_with_gaps;
+use super::groups::PokeGroup;
 use super::strength::TouchStrength;
-use super::{Calibration, PokeGroup, PokeReview};
+use super::{Calibration, PokeReview};
 
 /// Version of the calibration file.
 const VERSION: u32 = 4;
@@ -93,17 +95,4 @@ impl From<Calibration> for StoredCalibration {
             review: calibration.review,
         }
     }
-}
-
-/// A frame as stored in JSON: missing values are `null`.
-pub(super) fn frame_with_gaps<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
-    Ok(without_null(Vec::deserialize(from)?))
-}
-
-fn frames_with_gaps<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<Vec<f64>>, D::Error> {
-    Ok(Vec::deserialize(from)?.into_iter().map(without_null).collect())
-}
-
-fn without_null(row: Vec<Option<f64>>) -> Vec<f64> {
-    row.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect()
 }

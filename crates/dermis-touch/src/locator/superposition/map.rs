@@ -1,0 +1,258 @@
+//! The signatures of touches over the skin as a Gaussian process, learned from frames of one or several touches.
+
+use faer::linalg::solvers::{DenseSolveCore, Solve};
+use faer::{Mat, MatRef, Side};
+
+use crate::locator::copies::{matern52, squared_distance};
+use crate::locator::error::{LocatorError, check_length, check_positions};
+use crate::locator::fit::evenly;
+use crate::locator::posterior::extent;
+use crate::locator::rows::dot;
+use crate::typical::median;
+
+/// Maximum rank of the projection, and maximum number of frames that define it.
+const MOST_RANK: usize = 64;
+const MOST_PROJECTED: usize = 300;
+/// Candidates of the length, relative to the radius of the pokes, and of the noise variance of a frame relative to the
+/// prior variance of a signature.
+const LENGTHS: [f64; 4] = [0.2, 0.35, 0.6, 1.0];
+const NOISES: [f64; 5] = [0.02, 0.1, 0.5, 2.0, 8.0];
+/// Minimum distance of two candidates, relative to the radius of the pokes.
+const CANDIDATES_APART: f64 = 0.04;
+
+/// A frame of difference data with the known positions of its touches.
+#[derive(Clone, Copy, Debug)]
+pub struct LabelledFrame<'a> {
+    /// Difference data; NaN where a channel is missing.
+    pub frame: &'a [f64],
+    /// Positions of all touches, metres; at least one.
+    pub touches_m: &'a [[f64; 2]],
+}
+
+/// Signatures on the projection.
+#[derive(Clone, Debug)]
+pub(super) struct Map {
+    pub rank: usize,
+    /// `rank` rows of channels.
+    pub basis: Vec<f32>,
+    /// A row of `rank` values for each position.
+    pub signatures: Vec<f32>,
+    /// Squared length of each signature.
+    pub squares: Vec<f32>,
+}
+
+/// What is needed to take single frames out of a map.
+pub(super) struct LeftOut {
+    /// Influence of each frame on the map: a row of positions for each frame.
+    influence: Vec<f32>,
+    /// Weights of each frame: a row of `rank` values.
+    alpha: Vec<f32>,
+    /// Diagonal of the inverse covariance.
+    own: Vec<f32>,
+    /// Candidates that are there because of one frame alone.
+    places: Vec<Vec<usize>>,
+}
+
+/// Frames as the map sees them.
+pub(super) struct Sums<'a> {
+    touches_m: Vec<&'a [[f64; 2]]>,
+    /// Weighted frames in median pokes: frames by channels. Missing channels are zero.
+    frames: Mat<f64>,
+}
+
+impl<'a> Sums<'a> {
+    /// Weighted frames, and the amplitude of the median poke. A frame of one touch is scaled to one median poke.
+    pub(super) fn of(labelled: &[LabelledFrame<'a>], weights: &[f64]) -> Result<(Self, f64), LocatorError> {
+        let channels = weights.len();
+        let mut frames = Mat::<f64>::zeros(labelled.len(), channels);
+        let mut lengths = Vec::with_capacity(labelled.len());
+        for (i, labelled) in labelled.iter().enumerate() {
+            check_length("frame", channels, labelled.frame.len())?;
+            check_positions("touches_m", labelled.touches_m)?;
+            if labelled.touches_m.is_empty() {
+                return Err(LocatorError::Count { field: "touches of a frame", got: 0, expected: "at least 1" });
+            }
+            for (k, value) in labelled.frame.iter().enumerate() {
+                frames[(i, k)] = if value.is_finite() { value * weights[k] } else { 0.0 };
+            }
+            let length = frames.row(i).iter().map(|v| v * v).sum::<f64>().sqrt();
+            if !(length > 0.0 && length.is_finite()) {
+                return Err(LocatorError::EmptyFrame { frame: i });
+            }
+            lengths.push(length);
+        }
+        let singles: Vec<f64> =
+            labelled.iter().zip(&lengths).filter(|(of, _)| of.touches_m.len() == 1).map(|(_, l)| *l).collect();
+        let typical = median(if singles.is_empty() { &lengths } else { &singles });
+        for (i, labelled) in labelled.iter().enumerate() {
+            let scale = if labelled.touches_m.len() == 1 { lengths[i] } else { typical };
+            (0..channels).for_each(|k| frames[(i, k)] /= scale);
+        }
+        Ok((Self { touches_m: labelled.iter().map(|labelled| labelled.touches_m).collect(), frames }, typical))
+    }
+
+    pub(super) fn some(&self, rows: &[usize]) -> Self {
+        Self {
+            touches_m: rows.iter().map(|&i| self.touches_m[i]).collect(),
+            frames: Mat::from_fn(rows.len(), self.frames.ncols(), |i, k| self.frames[(rows[i], k)]),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.touches_m.len()
+    }
+
+    /// For each frame, the candidates next to touches of no other frame.
+    fn places_of_one(&self, candidates_m: &[[f64; 2]]) -> Vec<Vec<usize>> {
+        let mut places = vec![Vec::new(); self.len()];
+        let apart2 = apart2(&self.places_m());
+        for (candidate, candidate_m) in candidates_m.iter().enumerate() {
+            let is_next = |place_m: &[f64; 2]| squared_distance(*place_m, *candidate_m) <= apart2;
+            let mut next = (0..self.len()).filter(|&frame| self.touches_m[frame].iter().any(is_next));
+            if let (Some(frame), None) = (next.next(), next.next()) {
+                places[frame].push(candidate);
+            }
+        }
+        places
+    }
+
+    /// Positions of all touches.
+    fn places_m(&self) -> Vec<[f64; 2]> {
+        self.touches_m.iter().flat_map(|touches| touches.iter().copied()).collect()
+    }
+
+    /// Orthonormal directions (channels by rank) that span the frames.
+    fn basis(&self) -> Result<Mat<f64>, LocatorError> {
+        let rows = evenly(self.len(), MOST_PROJECTED);
+        let some = self.some(&rows).frames;
+        let gram = &some * some.transpose();
+        let eigen = gram
+            .self_adjoint_eigen(Side::Lower)
+            .map_err(|_| LocatorError::Singular { what: "Gram matrix of the pokes" })?;
+        let values = eigen.S().column_vector();
+        let largest = values[values.nrows() - 1];
+        let kept: Vec<usize> =
+            (0..values.nrows()).rev().take(MOST_RANK).filter(|&j| values[j] > 1e-9 * largest).collect();
+        let combine = Mat::from_fn(rows.len(), kept.len(), |i, j| eigen.U()[(i, kept[j])] / values[kept[j]].sqrt());
+        Ok(some.transpose() * &combine)
+    }
+}
+
+/// Length and noise of the Gaussian process.
+pub(super) struct Shape {
+    length_m: f64,
+    noise: f64,
+}
+
+impl Shape {
+    /// The shape with the largest marginal likelihood.
+    pub(super) fn choose(sums: &Sums<'_>) -> Result<Self, LocatorError> {
+        let z = &sums.frames * sums.basis()?;
+        let radius = extent(&sums.places_m()).max(f64::MIN_POSITIVE);
+        let (n, rank) = (sums.len() as f64, z.ncols() as f64);
+        let mut best = (f64::NEG_INFINITY, Self { length_m: radius, noise: 1.0 });
+        for length_m in LENGTHS.map(|share| share * radius) {
+            let among = covariance(&sums.touches_m, &sums.touches_m, length_m);
+            for noise in NOISES {
+                let mut k = among.clone();
+                (0..sums.len()).for_each(|i| k[(i, i)] += noise);
+                let Ok(factor) = k.llt(Side::Lower) else { continue };
+                let explained = z.transpose() * factor.solve(&z);
+                let scale = (0..explained.nrows()).map(|r| explained[(r, r)]).sum::<f64>() / (n * rank);
+                let log_determinant: f64 = (0..sums.len()).map(|i| 2.0 * factor.L()[(i, i)].ln()).sum();
+                let likelihood = -0.5 * rank * (log_determinant + n * scale.ln());
+                if likelihood > best.0 {
+                    best = (likelihood, Self { length_m, noise });
+                }
+            }
+        }
+        Ok(best.1)
+    }
+}
+
+/// Covariances of sums of signatures: the sums `a` (rows) with the sums `b` (columns).
+fn covariance(a: &[&[[f64; 2]]], b: &[&[[f64; 2]]], length_m: f64) -> Mat<f64> {
+    Mat::from_fn(a.len(), b.len(), |i, j| {
+        a[i].iter().flat_map(|p| b[j].iter().map(move |q| 1.0 + matern52(*p, *q, length_m))).sum::<f64>()
+    })
+}
+
+/// Square of the minimum distance of two candidates, m^2.
+fn apart2(places_m: &[[f64; 2]]) -> f64 {
+    (CANDIDATES_APART * extent(places_m)).powi(2)
+}
+
+/// The places of pokes, without those next to another.
+pub(super) fn candidates(sums: &Sums<'_>) -> Vec<[f64; 2]> {
+    let places_m = sums.places_m();
+    let apart2 = apart2(&places_m);
+    let mut kept: Vec<[f64; 2]> = Vec::new();
+    for place_m in places_m {
+        if kept.iter().all(|other| squared_distance(*other, place_m) > apart2) {
+            kept.push(place_m);
+        }
+    }
+    kept
+}
+
+/// A matrix row by row.
+fn single_precision(matrix: MatRef<'_, f64>) -> Vec<f32> {
+    let rows = (0..matrix.nrows()).flat_map(|row| (0..matrix.ncols()).map(move |column| (row, column)));
+    rows.map(|at| matrix[at] as f32).collect()
+}
+
+impl Map {
+    /// The map of all frames, and what each of them contributes.
+    pub(super) fn fit(
+        sums: &Sums<'_>,
+        shape: &Shape,
+        positions_m: &[[f64; 2]],
+    ) -> Result<(Self, LeftOut), LocatorError> {
+        let basis = sums.basis()?;
+        let mut k = covariance(&sums.touches_m, &sums.touches_m, shape.length_m);
+        (0..sums.len()).for_each(|i| k[(i, i)] += shape.noise);
+        let factor = k.llt(Side::Lower).map_err(|_| LocatorError::Singular { what: "covariance of the pokes" })?;
+        let inverse = factor.inverse();
+        let alpha = &inverse * (&sums.frames * &basis);
+        let single: Vec<&[[f64; 2]]> = positions_m.iter().map(std::slice::from_ref).collect();
+        let to_map = covariance(&single, &sums.touches_m, shape.length_m);
+        let mut map = Self {
+            rank: alpha.ncols(),
+            basis: single_precision(basis.transpose()),
+            signatures: single_precision((&to_map * &alpha).as_ref()),
+            squares: Vec::new(),
+        };
+        map.measure();
+        let influence = single_precision((&inverse * to_map.transpose()).as_ref());
+        let own = (0..sums.len()).map(|i| inverse[(i, i)] as f32).collect();
+        let places = sums.places_of_one(positions_m);
+        Ok((map, LeftOut { influence, alpha: single_precision(alpha.as_ref()), own, places }))
+    }
+
+    /// Becomes the map without the frame numbered `number`: S - w a' / k, with a its weights, k its diagonal element of
+    /// the inverse covariance K^-1, and w the map's covariances with all frames times its column of K^-1. Places poked
+    /// by this frame alone explain nothing then: a new touch is not at a place of a poke either.
+    pub(super) fn leave_out(&mut self, whole: &Self, left_out: &LeftOut, number: usize) {
+        let positions = self.squares.len();
+        let influence = &left_out.influence[number * positions..(number + 1) * positions];
+        let alpha = &left_out.alpha[number * self.rank..(number + 1) * self.rank];
+        let rows = self.signatures.chunks_exact_mut(self.rank).zip(whole.signatures.chunks_exact(self.rank));
+        for ((row, of_all), influence) in rows.zip(influence) {
+            let share = influence / left_out.own[number];
+            row.iter_mut().zip(of_all).zip(alpha).for_each(|((value, all), alpha)| *value = all - share * alpha);
+        }
+        self.measure();
+        left_out.places[number].iter().for_each(|&place| self.squares[place] = f32::INFINITY);
+    }
+
+    fn measure(&mut self) {
+        self.squares.clear();
+        // A signature of zero explains nothing, and must not be divided by.
+        let square = |row: &[f32]| dot(row, row).max(f32::MIN_POSITIVE);
+        self.squares.extend(self.signatures.chunks_exact(self.rank).map(square));
+    }
+
+    pub(super) fn signature(&self, position: usize) -> &[f32] {
+        &self.signatures[position * self.rank..(position + 1) * self.rank]
+    }
+}
