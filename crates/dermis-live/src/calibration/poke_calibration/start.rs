@@ -3,8 +3,8 @@
 //! Four locators compete: from the new pokes alone, from them with the earlier calibration as prior, from both sets of
 //! pokes pooled, and the earlier one unchanged. Each is judged on the new pokes, left out where they were used, by the
 //! mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error. The last two compete only if the
-//! earlier calibration places the new pokes much better than a guess. Otherwise it is of another skin, and chance would
-//! decide among few pokes.
+//! earlier calibration places the new pokes much better than a guess: otherwise it is of another skin. Few pokes can't
+//! judge what was fitted to them alone. They are then pooled, or on another skin, complete the prior.
 
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
 use serde::{Deserialize, Serialize};
@@ -15,8 +15,9 @@ use crate::prepare::Prepared;
 /// Maximum median error of the earlier calibration on pokes of its own skin, relative to that of a guess at their
 /// centre. Sisters with other electrode numbers are at 1; a skin that was damaged since was at 0.17.
 const SAME_SKIN: f64 = 0.6;
-/// With fewer pokes the prior is preferred to the pokes alone: leaving one out of them is too uncertain to choose by.
-const TELLING: usize = 30;
+/// With fewer pokes, locators fitted to them alone don't compete: their left-out errors are far too small. From ten pokes
+/// of a damaged skin and its prior, 2 mm were expected and 6 mm reached.
+const TELLING: usize = 20;
 /// Sigmas within which the earlier calibration explains a poke.
 const EXPLAINED_SIGMAS: f64 = 2.5;
 /// Share of errors within one standard deviation of a Gaussian.
@@ -133,9 +134,7 @@ pub(super) fn fit_best(
         }
         unchanged.push(as_it_is);
     }
-    let first = usize::from(count < TELLING);
-    let by_score = |a: &usize, b: &usize| score(&candidates[*a].errors).total_cmp(&score(&candidates[*b].errors));
-    let best = (first..candidates.len()).min_by(by_score).unwrap_or(0);
+    let best = choose(&candidates, count);
     let closest = unchanged.iter().min_by(|a, b| score(a).total_cmp(&score(b)));
     let inside = |miss: &&Miss| miss.sigmas().iter().all(|sigmas| *sigmas <= EXPLAINED_SIGMAS);
     let (explained, unchanged_m) = closest.map_or((0.0, f64::INFINITY), |errors| {
@@ -150,6 +149,36 @@ pub(super) fn fit_best(
     }
     let review = Some(StartReview { used, explained, unchanged_m, chosen_m: median_m(&errors) });
     Ok(Started { locator, keeps, review })
+}
+
+/// Index of the best candidate. The earlier calibration remains unchanged only if it is better than the pooled pokes by
+/// more than a standard error.
+fn choose(candidates: &[Candidate], count: usize) -> usize {
+    let has = |used: StartUse| candidates.iter().any(|candidate| candidate.used == used);
+    let competes = |candidate: &Candidate| match candidate.used {
+        StartUse::Nothing => count >= TELLING,
+        StartUse::Prior => count >= TELLING || !has(StartUse::Pooled),
+        StartUse::Pooled => true,
+        StartUse::Unchanged => !has(StartUse::Pooled),
+    };
+    let by_score = |a: &usize, b: &usize| score(&candidates[*a].errors).total_cmp(&score(&candidates[*b].errors));
+    let best = (0..candidates.len()).filter(|&i| competes(&candidates[i])).min_by(by_score).unwrap_or(0);
+    let unchanged = |i: &usize| candidates[*i].used == StartUse::Unchanged;
+    (0..candidates.len())
+        .filter(unchanged)
+        .find(|&i| is_clearly_better(&candidates[i].errors, &candidates[best].errors))
+        .unwrap_or(best)
+}
+
+/// True if errors are smaller than others of the same pokes by more than a standard error of ln(e^2 + m^2).
+fn is_clearly_better(errors: &[Miss], others: &[Miss]) -> bool {
+    let middle2 = median_m(others).powi(2).max(f64::MIN_POSITIVE);
+    let log = |miss: &Miss| (miss.distance_m().powi(2).min(1.0) + middle2).ln();
+    let gains: Vec<f64> = errors.iter().zip(others).map(|(miss, other)| log(other) - log(miss)).collect();
+    let count = gains.len() as f64;
+    let mean = gains.iter().sum::<f64>() / count;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+    mean > (variance / count).sqrt()
 }
 
 /// Rejects a calibration with another number of channels.
