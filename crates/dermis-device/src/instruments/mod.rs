@@ -13,6 +13,7 @@ pub mod lines;
 pub mod log;
 pub mod mat;
 pub mod npy;
+#[cfg_attr(target_family = "wasm", path = "npz_absent.rs")]
 pub mod npz;
 mod number_line;
 #[cfg(feature = "parquet")]
