@@ -106,7 +106,8 @@ impl HostStamp {
     /// clock, so data from two skins, a robot and a camera can be aligned. On systems without such a clock the origin
     /// stays the process's first stamp.
     pub fn on_system_clock(monotonic_ns: u64) -> u64 {
-        monotonic_ns.saturating_add(MONOTONIC_ORIGIN.1)
+        // A browser has no clock to read here at all.
+        if cfg!(unix) { monotonic_ns.saturating_add(MONOTONIC_ORIGIN.1) } else { monotonic_ns }
     }
 }
 
