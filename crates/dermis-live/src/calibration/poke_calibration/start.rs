@@ -9,6 +9,7 @@
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
 use serde::{Deserialize, Serialize};
 
+use super::strength;
 use crate::Error;
 use crate::prepare::Prepared;
 
@@ -82,6 +83,7 @@ struct Candidate {
 }
 
 /// An error with its standard deviation, both for x and y, metres.
+#[derive(Clone, Copy)]
 struct Miss {
     error_m: [f64; 2],
     sigma_m: [f64; 2],
@@ -130,7 +132,7 @@ pub(super) fn fit_best(
                 let errors = left_out(&pooled, count);
                 consider(pooled, StartUse::Pooled, errors);
             }
-            consider(sister.locator.clone(), StartUse::Unchanged, on(sister.locator, examples));
+            consider(sister.locator.clone(), StartUse::Unchanged, as_it_is.clone());
         }
         unchanged.push(as_it_is);
     }
@@ -265,8 +267,7 @@ fn sigma_factor(errors: &[Miss]) -> f64 {
     if sigmas.is_empty() { 1.0 } else { quantile(sigmas, ONE_SIGMA).clamp(0.1, 10.0) }
 }
 
-/// The `share` quantile of a non-empty list, one of the values.
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[((values.len() - 1) as f64 * share).round() as usize]
+/// As [`strength::quantile`], of a list that is not empty.
+fn quantile(values: Vec<f64>, share: f64) -> f64 {
+    strength::quantile(values, share).unwrap_or(f64::NAN)
 }

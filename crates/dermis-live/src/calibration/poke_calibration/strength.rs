@@ -102,7 +102,7 @@ impl SmallestAmplitude {
 }
 
 /// The `share` quantile, one of the values; `None` for an empty list.
-fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;
     values.get((share * last as f64).round() as usize).copied()
