@@ -44,12 +44,14 @@ pub struct Estimate {
 }
 
 /// Explains frames one after the other by presses.
-#[derive(Clone, Debug)]
-pub struct Estimator<F> {
-    fit: F,
+#[derive(Debug)]
+pub struct Estimator {
+    fit: Box<dyn PressFit>,
     evidence: Evidence,
     negative: bool,
     last: Vec<Press>,
+    /// Residual of the last frame.
+    left: f64,
     wait: u32,
     in_vain_at: f64,
     is_unhurried: bool,
@@ -62,16 +64,30 @@ struct Explanation {
     cost: Cost,
 }
 
-impl<F: PressFit> Estimator<F> {
+impl Estimator {
     /// An estimator with this fit and these thresholds. With `negative`, presses may also lower what they usually
     /// raise.
-    pub fn new(fit: F, evidence: Evidence, negative: bool) -> Self {
-        Self { fit, evidence, negative, last: Vec::new(), wait: 0, in_vain_at: f64::INFINITY, is_unhurried: false }
+    pub fn new(fit: Box<dyn PressFit>, evidence: Evidence, negative: bool) -> Self {
+        Self {
+            fit,
+            evidence,
+            negative,
+            last: Vec::new(),
+            left: 0.0,
+            wait: 0,
+            in_vain_at: f64::INFINITY,
+            is_unhurried: false,
+        }
     }
 
     /// The fit of presses.
-    pub fn fit_mut(&mut self) -> &mut F {
-        &mut self.fit
+    pub fn fit_mut(&mut self) -> &mut dyn PressFit {
+        &mut *self.fit
+    }
+
+    /// Continues with another fit, which weighs the channels differently.
+    pub fn set_fit(&mut self, fit: Box<dyn PressFit>) {
+        self.fit = fit;
     }
 
     /// Forgets the last frame: the next is unrelated to it.
@@ -96,7 +112,17 @@ impl<F: PressFit> Estimator<F> {
         {
             best = self.without_superfluous(warm, &null);
         }
+        let has_changed = best.cost.residual > GROWN * self.left.max(best.cost.freedom);
+        let is_warm = !best.presses.is_empty();
         best = self.grown(best, &null, hints);
+        if is_warm && has_changed && !best.cost.is_noise() {
+            // Something else touches the skin now. The presses of the last frame may be a poor start.
+            let afresh = self.grown(Explanation { presses: Vec::new(), cost: null }, &null, hints);
+            if !afresh.presses.is_empty() && self.score(&afresh) < self.score(&best) {
+                best = afresh;
+            }
+        }
+        self.left = best.cost.residual;
         if best.presses.is_empty() && !null.is_noise() {
             best = self.roughly(&null).unwrap_or(best);
         }
@@ -260,11 +286,7 @@ impl<F: PressFit> Estimator<F> {
             }
         }
         found.retain(|more| self.is_possible(more));
-        let penalty = |of: &Explanation| of.presses.len() as f64 * self.evidence.begin.powi(2);
-        found.sort_by(|a, b| {
-            let score = |of: &Explanation| of.cost.residual + penalty(of) * Evidence::model_scale(&of.cost);
-            score(a).total_cmp(&score(b))
-        });
+        found.sort_by(|a, b| self.score(a).total_cmp(&self.score(b)));
         let mut most: Option<Explanation> = None;
         for more in found {
             let more = if self.fit.has_quick_fit() {
@@ -280,6 +302,12 @@ impl<F: PressFit> Estimator<F> {
             }
         }
         most
+    }
+
+    /// The residual, with a penalty for each press: lower is better.
+    fn score(&self, of: &Explanation) -> f64 {
+        let penalty = of.presses.len() as f64 * self.evidence.begin.powi(2);
+        of.cost.residual + penalty * Evidence::model_scale(&of.cost)
     }
 
     /// True if all presses are possible where they are and none overlap.

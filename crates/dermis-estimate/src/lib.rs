@@ -10,11 +10,14 @@
 mod anchor;
 mod estimator;
 mod evidence;
+mod plates;
 mod press;
 mod spots;
+mod whitening;
 
 pub use anchor::Anchor;
 pub use estimator::{Estimate, Estimator};
 pub use evidence::Evidence;
+pub use plates::{PlateFit, PlateLaw, PlateModel, PlateOptions};
 pub use press::{Cost, Effort, Press, PressFit};
 pub use spots::SpotFit;

@@ -90,7 +90,7 @@ pub enum Effort {
 }
 
 /// Fits presses to the frames of one skin, with its own working memory.
-pub trait PressFit {
+pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Takes a frame (model volts, all finite) and fits only the nuisances. `None` if the frame cannot be fitted: the
     /// wrong length, or values that are not finite.
     fn take_frame(&mut self, frame: &[f64]) -> Option<Cost>;
@@ -125,4 +125,16 @@ pub trait PressFit {
 
     /// Largest number of presses that can be fitted together.
     fn most_presses(&self) -> usize;
+
+    /// Sets the share of a frame's energy that the model leaves unexplained in addition to its usual error: the skin
+    /// is not as drawn.
+    fn set_error_beyond(&mut self, share: f64);
+
+    /// Change of the channels by these presses, volts.
+    fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
+
+    /// Largest change of the skin per unit of load under a press like this one.
+    fn largest_change(&mut self, _press: &Press) -> f64 {
+        1.0
+    }
 }

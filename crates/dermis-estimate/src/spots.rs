@@ -13,6 +13,7 @@ pub struct SpotFit {
     scratch: FitScratch,
     starts: Vec<Spot>,
     uniform: f64,
+    own_error_share: f64,
     error_share: f64,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -25,33 +26,8 @@ impl SpotFit {
         let is_inside = |place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]);
         let filter = model.filter(is_inside);
         let scratch = model.scratch();
-        Self { model, filter, scratch, starts: Vec::new(), uniform: 0.0, error_share, grid, inside }
-    }
-
-    /// Sets the share of a frame's energy that the model leaves of usual presses.
-    pub fn set_error_share(&mut self, error_share: f64) {
-        self.error_share = error_share;
-    }
-
-    /// Continues with differently weighted responses.
-    pub fn set_model(&mut self, model: SpotModel, error_share: f64) {
-        self.error_share = error_share;
-        let (grid, inside) = (&self.grid, &self.inside);
-        self.filter = model.filter(|place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]));
-        self.scratch = model.scratch();
-        self.model = model;
-    }
-
-    /// Change of the channels by these presses, volts.
-    pub fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
-        self.starts.clear();
-        self.starts.extend(presses.iter().map(spot));
-        self.model.channels_of(&self.starts, &mut self.scratch, volts);
-    }
-
-    /// Largest change of the skin per unit of load under a press like this one.
-    pub fn largest_change(&mut self, press: &Press) -> f64 {
-        self.model.largest_change(press.position_m, press.radius_m, &mut self.scratch)
+        let own_error_share = error_share;
+        Self { model, filter, scratch, starts: Vec::new(), uniform: 0.0, own_error_share, error_share, grid, inside }
     }
 
     fn cost(&self, outcome: &FitOutcome, presses: usize) -> Cost {
@@ -133,5 +109,19 @@ impl PressFit for SpotFit {
 
     fn most_presses(&self) -> usize {
         self.model.options().most_spots
+    }
+
+    fn set_error_beyond(&mut self, share: f64) {
+        self.error_share = self.own_error_share + share;
+    }
+
+    fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
+        self.starts.clear();
+        self.starts.extend(presses.iter().map(spot));
+        self.model.channels_of(&self.starts, &mut self.scratch, volts);
+    }
+
+    fn largest_change(&mut self, press: &Press) -> f64 {
+        self.model.largest_change(press.position_m, press.radius_m, &mut self.scratch)
     }
 }

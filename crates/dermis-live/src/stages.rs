@@ -14,6 +14,7 @@ pub mod health;
 mod model_error;
 pub mod placement;
 pub(crate) mod press_frames;
+mod press_model;
 pub mod refinement;
 mod sandwich_contacts;
 pub mod spot_model;

@@ -1,7 +1,6 @@
 //! Improves the contacts of the image with the forward model: as patches of contact on a sandwich, as spots of
 //! conductivity on other layers, or not at all.
 
-use dermis_tomo::inverse::SpotModel;
 use dermis_touch::Contact;
 
 use crate::Error;
@@ -10,8 +9,9 @@ use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
 use crate::stages::gone::Gone;
+use crate::stages::press_model::PressModel;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
-use crate::stages::spot_model::{Membrane, assumed_deviations, spot_model_under};
+use crate::stages::spot_model::assumed_deviations;
 use crate::stages::touch_refinement::SpotStage;
 use crate::stages::workshop_error::BuiltError;
 
@@ -27,16 +27,13 @@ enum By {
     /// Contacts stay as found in the image.
     Nothing,
     Spots {
-        /// Responses with all channels.
-        whole: Box<SpotModel>,
+        model: PressModel,
         /// Fits with the channels and noise in use; `None` until the noise is known.
         stage: Option<Box<SpotStage>>,
         /// Noise of the channels in model volts, and the channels left out.
         noise: Vec<f64>,
         left_out: Vec<u32>,
         drift: Box<Drift>,
-        /// Pressure of a load of amplitude 1, if presses act through a membrane.
-        membrane_pa: Option<f64>,
         /// Share of a press's energy that the model leaves because the skin is not as drawn.
         built_share: f64,
     },
@@ -86,12 +83,12 @@ impl Refinement {
         if is_sandwich(prepared) {
             return Ok(Self::by(By::Patches(Box::new(PatchStage::new(prepared, noise)?))));
         }
-        let membrane = Membrane::of(prepared)?;
-        let whole = Box::new(spot_model_under(prepared, noise, membrane.as_ref())?);
-        let membrane_pa = membrane.map(|membrane| membrane.pressure_pa);
-        let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone(), membrane_pa)));
-        let (noise, left_out, drift) = (noise.to_vec(), Vec::new(), Box::new(Drift::new(prepared)));
-        Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift, membrane_pa, built_share: 0.0 }))
+        let model = PressModel::new(prepared, noise)?;
+        let drift = Box::new(Drift::new(prepared));
+        let fit = model.fit(noise, &[], &drift)?;
+        let stage = Some(Box::new(SpotStage::new(prepared, fit, model.membrane_pa())));
+        let (noise, left_out) = (noise.to_vec(), Vec::new());
+        Ok(Self::by(By::Spots { model, stage, noise, left_out, drift, built_share: 0.0 }))
     }
 
     /// A refinement before any noise is known: refines nothing until [`Refinement::leave_out`] is called with the
@@ -101,10 +98,8 @@ impl Refinement {
             return Self::new(prepared, &vec![0.0; prepared.channels()]);
         }
         let (noise, left_out, drift) = (Vec::new(), Vec::new(), Box::new(Drift::new(prepared)));
-        let membrane = Membrane::of(prepared)?;
-        let whole = Box::new(spot_model_under(prepared, &assumed_deviations(prepared), membrane.as_ref())?);
-        let membrane_pa = membrane.map(|membrane| membrane.pressure_pa);
-        Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift, membrane_pa, built_share: 0.0 }))
+        let model = PressModel::new(prepared, &assumed_deviations(prepared))?;
+        Ok(Self::by(By::Spots { model, stage: None, noise, left_out, drift, built_share: 0.0 }))
     }
 
     /// From now on, finishes the search for touches in each frame, however long it takes: for offline frames, where
@@ -140,11 +135,12 @@ impl Refinement {
         match &mut self.by {
             By::Nothing => {}
             By::Patches(patches) => patches.leave_out(channels),
-            By::Spots { whole, stage, noise: kept, left_out, drift, membrane_pa, built_share } => {
+            By::Spots { model, stage, noise: kept, left_out, drift, built_share } => {
                 (*kept, *left_out) = (noise.to_vec(), channels.to_vec());
                 drift.forget();
                 drift.age_s = 0.0;
-                let mut fresh = SpotStage::new(prepared, weighted(whole, noise, channels, drift)?, *membrane_pa);
+                let fit = model.fit(noise, channels, drift)?;
+                let mut fresh = SpotStage::new(prepared, fit, model.membrane_pa());
                 fresh.set_built_share(*built_share);
                 *stage = Some(Box::new(fresh));
             }
@@ -183,10 +179,10 @@ impl Refinement {
                 let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
                 patches.refine(time_ns, difference, f64::from(lowest), contacts)?;
             }
-            By::Spots { whole, stage: Some(spots), noise, left_out, drift, .. } => {
+            By::Spots { model, stage: Some(spots), noise, left_out, drift, .. } => {
                 spots.refine(time_ns, difference, imager, contacts);
                 if drift.observe(time_ns, spots.is_touched()) {
-                    spots.set_model(weighted(whole, noise, left_out, drift)?, drift.age_s > 0.0);
+                    spots.set_fit(model.fit(noise, left_out, drift)?, drift.age_s > 0.0);
                 }
             }
             By::Spots { stage: None, .. } | By::Nothing => {}
@@ -250,13 +246,4 @@ impl Refinement {
             By::Spots { .. } | By::Nothing => None,
         }
     }
-}
-
-/// Responses weighted by the current noise (model volts) and drift of the channels, without the channels left out.
-fn weighted(whole: &SpotModel, noise: &[f64], left_out: &[u32], drift: &Drift) -> Result<SpotModel, Error> {
-    let deviations = drift.deviations(noise);
-    Ok(match left_out {
-        [] => whole.marginalised(&deviations, &drift.nuisances())?,
-        _ => whole.without(left_out, &deviations)?,
-    })
 }

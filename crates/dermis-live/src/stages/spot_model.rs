@@ -14,11 +14,11 @@ use crate::prepare::Prepared;
 /// Largest number of presses fitted to one frame.
 pub(super) const MOST_SPOTS: usize = 8;
 /// Largest radius of a spot, relative to half the shorter side.
-const LARGEST_RADIUS: f64 = 0.6;
+pub(super) const LARGEST_RADIUS: f64 = 0.6;
 /// Typical radius, relative to half the shorter side.
 pub(super) const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius, relative to half the shorter side.
-const SMALLEST_RADIUS: f64 = 0.05;
+pub(super) const SMALLEST_RADIUS: f64 = 0.05;
 /// Highest frame rate at which fits correct for large changes. A fit takes 2 ms with 16 electrodes, and 13 ms with 32
 /// electrodes and three touches.
 const MOST_FRAMES_PER_S: f64 = 60.0;

@@ -1,8 +1,7 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, SpotFit};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
 use dermis_skin::Layer;
-use dermis_tomo::inverse::SpotModel;
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::Contact;
 use dermis_touch::force::ForceReading;
@@ -40,14 +39,6 @@ const LOBE: f64 = 0.2;
 /// cent. The peak is remembered for this long, nanoseconds.
 const REMNANT_SHARE: f64 = 0.1;
 const REMEMBERED_NS: u64 = 5_000_000_000;
-/// Share of a frame's energy that the model of a press leaves unexplained, on twins. Up to 0.002 on gels, foams and
-/// liquids; more for deep dents with the linear model; 0.002 to 0.006 in open tanks, whose surface takes the shape of
-/// the indenter; 0.007 to 0.07 on separate patches, each of which conducts as a whole.
-const SPOTS_ERROR: f64 = 0.001;
-const IN_PROPORTION_ERROR: f64 = 0.005;
-const TANK_ERROR: f64 = 0.005;
-const PATCHES_ERROR: f64 = 0.04;
-
 /// The highest amplitude that a press has reached.
 #[derive(Clone, Copy, Debug)]
 struct Peak {
@@ -60,7 +51,7 @@ struct Peak {
 /// Explains frames one after the other by presses, with its own working memory.
 #[derive(Debug)]
 pub(crate) struct SpotStage {
-    estimator: Estimator<SpotFit>,
+    estimator: Estimator,
     /// The fit's estimate of its own error. `None` on patches: a patch that conducts as a whole is no smooth spot.
     error: Option<SpotError>,
     /// The largest share of a frame that a fit may leave unexplained above the noise.
@@ -73,8 +64,7 @@ pub(crate) struct SpotStage {
     /// Index of each pixel among the image's unknowns; `None` outside.
     unknowns: Vec<Option<u32>>,
     typical_radius_m: f64,
-    error_share: f64,
-    /// The same because the skin is not as drawn.
+    /// Share of a press's energy that the model leaves because the skin is not as drawn.
     built_share: f64,
     explained: f64,
     far_m: f64,
@@ -104,7 +94,7 @@ pub(crate) struct SpotStage {
 impl SpotStage {
     /// A stage with responses of the prepared skin. `membrane_pa` is the pressure of a load of amplitude 1, if
     /// presses act through a membrane.
-    pub(crate) fn new(prepared: &Prepared, model: SpotModel, membrane_pa: Option<f64>) -> Self {
+    pub(crate) fn new(prepared: &Prepared, fit: Box<dyn PressFit>, membrane_pa: Option<f64>) -> Self {
         let touch = &prepared.skin.touch;
         let grid = *prepared.map.grid();
         let mut unknowns = vec![None; grid.len()];
@@ -115,8 +105,6 @@ impl SpotStage {
             Layer::Patches(layer) => Some(1e-3 * layer.pitch_mm),
             _ => None,
         };
-        let error_share = error_share(prepared, &model);
-        let fit = SpotFit::new(model, grid, prepared.map.inside_mask(), error_share);
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
         Self {
             estimator: Estimator::new(fit, evidence, touch.both_signs),
@@ -128,7 +116,6 @@ impl SpotStage {
             grid,
             unknowns,
             typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
-            error_share,
             built_share: 0.0,
             explained: if pitch_m.is_some() { PATCHES_EXPLAINED } else { EXPLAINED },
             far_m: pitch_m.map_or(FAR * prepared.half_width_m(), |pitch_m| FAR_PITCHES * pitch_m),
@@ -158,13 +145,14 @@ impl SpotStage {
     /// Sets the share of a press's energy that the model leaves because the skin is not as drawn.
     pub(crate) fn set_built_share(&mut self, share: f64) {
         self.built_share = share;
-        self.estimator.fit_mut().set_error_share(self.error_share + share);
+        self.estimator.fit_mut().set_error_beyond(share);
     }
 
-    /// Continues with differently weighted responses, for a fresh or an aged baseline.
-    pub(crate) fn set_model(&mut self, model: SpotModel, is_aged: bool) {
+    /// Continues with a fit that weighs the channels differently, for a fresh or an aged baseline.
+    pub(crate) fn set_fit(&mut self, fit: Box<dyn PressFit>, is_aged: bool) {
         self.is_aged = is_aged;
-        self.estimator.fit_mut().set_model(model, self.error_share + self.built_share);
+        self.estimator.set_fit(fit);
+        self.estimator.fit_mut().set_error_beyond(self.built_share);
     }
 
     /// True if presses are being followed.
@@ -351,17 +339,6 @@ impl SpotStage {
             }
         }
         most
-    }
-}
-
-/// Share of a frame's energy that the model of presses is known to leave unexplained.
-fn error_share(prepared: &Prepared, model: &SpotModel) -> f64 {
-    let layer = &prepared.skin.frontend.layer;
-    match layer {
-        Layer::Patches(_) => PATCHES_ERROR,
-        _ if layer.is_open_tank() => TANK_ERROR,
-        _ if model.looks_beyond_proportion() => SPOTS_ERROR,
-        _ => IN_PROPORTION_ERROR,
     }
 }
 

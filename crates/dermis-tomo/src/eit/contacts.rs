@@ -12,10 +12,12 @@
 //! it (lumped mass).
 
 mod fit;
+mod plates;
 mod search;
 mod sheet;
 
 pub use fit::{ContactFit, FitOptions, FitSummary, PatchFit};
+pub use plates::{PlateCell, PlateContact, PlatedSheet};
 pub use search::{Looked, PatchSearch, PatchSets};
 pub use sheet::{ContactPatch, ContactSheet};
 

@@ -11,7 +11,7 @@ use crate::least_squares::{
 };
 
 /// Parameters of a patch: x, y, logarithm of the radius, logarithm of the conductance per area.
-const OF_PATCH: usize = 4;
+pub(super) const OF_PATCH: usize = 4;
 /// Initial and maximum damping, relative to the diagonal.
 const DAMPING: [f64; 2] = [1e-3, 1e6];
 /// Minimum drop in cost (half squared standard deviations) to take another step. Below it, all parameters are within
@@ -192,8 +192,7 @@ impl ContactSheet {
     /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s` times the derivative of the node's conductance with
     /// respect to each parameter.
     pub(super) fn derivatives(&self, patches: &[ContactPatch], touched: &Touched) -> Vec<f64> {
-        let (size, stimulations) = (OF_PATCH * patches.len(), self.stimulations);
-        let measuring = self.measuring();
+        let size = OF_PATCH * patches.len();
         let mut jacobian = vec![0.0; self.channels() * size];
         for (k, patch) in patches.iter().enumerate() {
             // The rows of the touched nodes that this patch covers, and the derivatives of their conductances.
@@ -217,29 +216,44 @@ impl ContactSheet {
                     ]);
                 }
             }
-            let mut measured = Mat::<f64>::zeros(rows.len(), measuring.len());
-            for (field, column) in measured.col_iter_mut().enumerate() {
-                let currents = touched.currents.col(measuring.start + field);
-                column.iter_mut().zip(&rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
-            }
-            let mut driven = Mat::<f64>::zeros(rows.len(), OF_PATCH * stimulations);
-            for (column, values) in driven.col_iter_mut().enumerate() {
-                let (j, stimulation) = (column / stimulations, column % stimulations);
-                let currents = touched.currents.col(stimulation);
-                for ((value, &row), by) in values.iter_mut().zip(&rows).zip(&moves) {
-                    *value = by[j] * currents[row];
-                }
-            }
-            let exchange = measured.transpose() * &driven;
-            for (row, channel) in jacobian.chunks_exact_mut(size).zip(&self.measurements) {
-                let (field, multiple) = self.patterns[channel.pattern as usize];
-                for (j, value) in row[OF_PATCH * k..][..OF_PATCH].iter_mut().enumerate() {
-                    let column = j * stimulations + channel.stimulation as usize;
-                    *value = -multiple * exchange[(field - measuring.start, column)];
-                }
-            }
+            self.exchange(touched, &rows, &moves, |channel, parameter, value| {
+                jacobian[channel * size + OF_PATCH * k + parameter] = value;
+            });
         }
         jacobian
+    }
+
+    /// Derivatives of the channels with respect to the parameters of one patch. `rows` are the touched nodes that it
+    /// covers, and `moves` the derivatives of their conductances, divided by the conductances.
+    pub(super) fn exchange(
+        &self,
+        touched: &Touched,
+        rows: &[usize],
+        moves: &[[f64; OF_PATCH]],
+        mut set: impl FnMut(usize, usize, f64),
+    ) {
+        let (measuring, stimulations) = (self.measuring(), self.stimulations);
+        let mut measured = Mat::<f64>::zeros(rows.len(), measuring.len());
+        for (field, column) in measured.col_iter_mut().enumerate() {
+            let currents = touched.currents.col(measuring.start + field);
+            column.iter_mut().zip(rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
+        }
+        let mut driven = Mat::<f64>::zeros(rows.len(), OF_PATCH * stimulations);
+        for (column, values) in driven.col_iter_mut().enumerate() {
+            let (j, stimulation) = (column / stimulations, column % stimulations);
+            let currents = touched.currents.col(stimulation);
+            for ((value, &row), by) in values.iter_mut().zip(rows).zip(moves) {
+                *value = by[j] * currents[row];
+            }
+        }
+        let exchange = measured.transpose() * &driven;
+        for (number, channel) in self.measurements.iter().enumerate() {
+            let (field, multiple) = self.patterns[channel.pattern as usize];
+            for j in 0..OF_PATCH {
+                let column = j * stimulations + channel.stimulation as usize;
+                set(number, j, -multiple * exchange[(field - measuring.start, column)]);
+            }
+        }
     }
 
     fn gain_precision(&self, change_v: &[f64], deviation_v: &[f64], options: &FitOptions) -> f64 {

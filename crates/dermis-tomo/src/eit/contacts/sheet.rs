@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, Side};
+use faer::{Mat, MatRef, Side};
 
 use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
 use crate::sparse::SparseError;
@@ -81,7 +81,7 @@ pub(super) struct Touched {
     pub(super) conductance_s: Vec<f64>,
     /// Touched x fields: `P f`, the current out of the sheet.
     pub(super) currents: Mat<f64>,
-    /// `M^-1 1` and its sum: the currents for one common potential.
+    /// `M^-1 1`: the currents for one volt on the first plate.
     pub(super) common: Vec<f64>,
 }
 
@@ -93,6 +93,15 @@ impl ContactSheet {
     /// # Errors
     /// As [`ForwardModel::solve`]; also fails with point electrodes.
     pub fn new(model: &ForwardModel, sheet_s: &[f64], edge_m: f64) -> Result<Self, EitError> {
+        Ok(Self::with_order(model, sheet_s, edge_m)?.0)
+    }
+
+    /// As [`ContactSheet::new`], with the index in the mesh of each of its nodes.
+    pub(super) fn with_order(
+        model: &ForwardModel,
+        sheet_s: &[f64],
+        edge_m: f64,
+    ) -> Result<(Self, Vec<usize>), EitError> {
         let mesh = &model.body.mesh;
         let solution = model.solve(sheet_s)?;
         let unknowns = model.system.node_unknowns.iter().copied().collect::<Option<Vec<usize>>>();
@@ -123,7 +132,7 @@ impl ContactSheet {
         }
         let area: f64 = areas_m2.iter().sum();
         let position = |&node: &usize| [mesh.nodes()[node][0], mesh.nodes()[node][1]];
-        Ok(Self {
+        let sheet = Self {
             positions_m: order.iter().map(position).collect(),
             edge_m: edge_m.max((area / nodes as f64).sqrt()),
             areas_m2: order.iter().map(|&node| areas_m2[node]).collect(),
@@ -133,7 +142,8 @@ impl ContactSheet {
             patterns,
             measurements: protocol.measurements().to_vec(),
             bare_v: solution.voltages(),
-        })
+        };
+        Ok((sheet, order))
     }
 
     /// Number of channels.
@@ -207,10 +217,13 @@ impl ContactSheet {
                 conductance_s.push(conductance);
             }
         }
-        self.solve(nodes, conductance_s)
+        let plates = vec![0; nodes.len()];
+        self.solve(nodes, conductance_s, &plates)
     }
 
-    fn solve(&self, nodes: Vec<u32>, conductance_s: Vec<f64>) -> Result<Touched, EitError> {
+    /// Solves for contacts at these nodes, in ascending order. `plates` is the conductor above each, and a node under
+    /// the edges of several of them occurs once for each.
+    pub(super) fn solve(&self, nodes: Vec<u32>, conductance_s: Vec<f64>, plates: &[u32]) -> Result<Touched, EitError> {
         let (count, fields) = (nodes.len(), self.field_count());
         if count == 0 {
             return Ok(Touched { nodes, conductance_s, currents: Mat::zeros(0, fields), common: Vec::new() });
@@ -227,17 +240,28 @@ impl ContactSheet {
         }
         let singular = |_| EitError::System(SparseError::NotPositiveDefinite { pivot: 0, size: count });
         let factor = Llt::new(matrix.as_ref(), Side::Lower).map_err(singular)?;
-        let mut right = Mat::from_fn(count, fields + 1, |row, field| {
-            if field < fields { self.fields[(field, nodes[row] as usize)] } else { 1.0 }
-        });
+        let mut touched_plates = plates.to_vec();
+        touched_plates.sort_unstable();
+        touched_plates.dedup();
+        let mut right =
+            Mat::from_fn(count, fields + touched_plates.len(), |row, column| match column.checked_sub(fields) {
+                None => self.fields[(column, nodes[row] as usize)],
+                Some(plate) => f64::from(u8::from(plates[row] == touched_plates[plate])),
+            });
         factor.solve_in_place(&mut right);
         let common: Vec<f64> = right.col(fields).iter().copied().collect();
-        let total: f64 = common.iter().sum();
-        let mut currents = right.subcols(0, fields).to_owned();
-        for column in currents.col_iter_mut() {
-            let potential = column.as_ref().iter().sum::<f64>() / total;
-            column.iter_mut().zip(&common).for_each(|(current, share)| *current -= potential * share);
-        }
+        // No net current enters a plate: its potential adjusts.
+        let sums = |columns: MatRef<'_, f64>| {
+            let mut sums = Mat::<f64>::zeros(touched_plates.len(), columns.ncols());
+            for (row, plate) in plates.iter().enumerate() {
+                let plate = touched_plates.partition_point(|other| other < plate);
+                (0..columns.ncols()).for_each(|column| sums[(plate, column)] += columns[(row, column)]);
+            }
+            sums
+        };
+        let (driven, alone) = (right.subcols(0, fields), right.subcols(fields, touched_plates.len()));
+        let level = Llt::new(sums(alone).as_ref(), Side::Lower).map_err(singular)?;
+        let currents = driven - alone * level.solve(sums(driven));
         Ok(Touched { nodes, conductance_s, currents, common })
     }
 
