@@ -18,6 +18,8 @@ const LEAST_SIGNIFICANT: f64 = 2.0;
 const PROMISING: f64 = 0.6;
 /// Number of presses added in a row before the evidence for all of them is judged.
 const LOOKAHEAD: usize = 3;
+/// Largest number of times that each press of a set is moved before they are fitted together.
+const MOST_ROUNDS: usize = 3;
 /// Initial radius of the halves of a split press, in its radii.
 const HALF_RADIUS: f64 = 0.7;
 /// Number of directions in which a press is split, and initial distance of each half from its centre, in its radii.
@@ -254,8 +256,8 @@ impl Estimator {
     }
 
     /// The best-supported explanation that extends this one: with a press where the residual suggests it, up to
-    /// [`LOOKAHEAD`] in a row, since two may be needed where one explains nothing; with one press split in two; or
-    /// with the hints.
+    /// [`LOOKAHEAD`] in a row, since two may be needed where one explains nothing; with as many that are all placed
+    /// before the first fit; with one press split in two; or with the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let room = self.fit.most_presses() - best.presses.len();
         let mut found: Vec<Explanation> = Vec::new();
@@ -266,7 +268,7 @@ impl Estimator {
             let mut starts: Vec<Press> = best.presses.iter().copied().chain([peak]).collect();
             for _ in 0..LOOKAHEAD.min(room) {
                 let Some(more) = self.fitted(&starts, Effort::Quick) else { break };
-                if self.is_possible(&more) {
+                if self.is_promising(&more) {
                     starts.clone_from(&more.presses);
                     found.push(more);
                 } else if self.fit.fit_loads(&starts).is_none() {
@@ -278,6 +280,7 @@ impl Estimator {
                 }
             }
         }
+        self.pursue(best, &mut found);
         for k in 0..best.presses.len().min(MOST_SPLIT) {
             for direction in 0..DIRECTIONS {
                 if let Some(starts) = self.split(&best.presses, k, direction) {
@@ -285,7 +288,7 @@ impl Estimator {
                 }
             }
         }
-        found.retain(|more| self.is_possible(more));
+        found.retain(|more| self.is_promising(more));
         found.sort_by(|a, b| self.score(a).total_cmp(&self.score(b)));
         let mut most: Option<Explanation> = None;
         for more in found {
@@ -310,10 +313,58 @@ impl Estimator {
         of.cost.residual + penalty * Evidence::model_scale(&of.cost)
     }
 
-    /// True if all presses are possible where they are and none overlap.
+    /// Adds one press after the other to an explanation, and moves all of them after each addition. They are fitted
+    /// only then: one press fitted to the frame of two becomes wide and ends up between them, and no second press
+    /// added to it gets it away from there.
+    fn pursue(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+        let mut starts = best.presses.clone();
+        let begun = if starts.is_empty() { self.fit.fit_nothing() } else { self.fit.fit_loads(&starts) };
+        if begun.is_none() {
+            return;
+        }
+        for _ in 0..LOOKAHEAD.min(self.fit.most_presses() - starts.len()) {
+            let Some(next) = self.fit.seek(self.negative).first().copied() else { return };
+            starts.push(next);
+            self.rearrange(&mut starts);
+            found.extend(self.fitted(&starts, Effort::Quick));
+            if self.fit.fit_loads(&starts).is_none() {
+                return;
+            }
+        }
+    }
+
+    /// Moves one press after the other to where it explains most of what the others leave, as long as that helps.
+    fn rearrange(&mut self, presses: &mut Vec<Press>) {
+        let Some(mut least) = self.fit.fit_loads(presses).filter(|_| presses.len() > 1) else { return };
+        for _ in 0..MOST_ROUNDS {
+            let before = least.residual;
+            for k in 0..presses.len() {
+                let mut moved = presses.clone();
+                moved.remove(k);
+                if self.fit.fit_loads(&moved).is_none() {
+                    continue;
+                }
+                let Some(place) = self.fit.seek(self.negative).first().copied() else { continue };
+                moved.insert(k, place);
+                if let Some(cost) = self.fit.fit_loads(&moved).filter(|cost| cost.residual < least.residual) {
+                    (*presses, least) = (moved, cost);
+                }
+            }
+            if least.residual >= before {
+                return;
+            }
+        }
+    }
+
+    /// True if a quick fit may become an explanation. How definite its presses are is for the full fit to say: what
+    /// the linear response leaves of strong presses widens their covariances.
+    fn is_promising(&self, of: &Explanation) -> bool {
+        of.presses.iter().all(|press| self.may_be(press)) && self.overlapping(&of.presses).is_none()
+    }
+
+    /// True if all presses are possible and definite, and none overlap.
     fn is_possible(&self, of: &Explanation) -> bool {
-        let is_sound = |press| self.may_be(press) && self.is_placed(press, of.presses.len());
-        of.presses.iter().all(is_sound) && self.overlapping(&of.presses).is_none()
+        self.is_promising(of) && of.presses.iter().all(|press| self.is_placed(press, of.presses.len()))
     }
 
     /// True if the evidence for the added presses exceeds their threshold.

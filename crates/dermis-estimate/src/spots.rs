@@ -32,9 +32,14 @@ impl SpotFit {
 
     fn cost(&self, outcome: &FitOutcome, presses: usize) -> Cost {
         let combinations = self.model.combinations() as f64;
-        let freedom = (combinations - (4 * presses + 1) as f64).max(1.0);
+        let freedom_with = |presses: usize| (combinations - (4 * presses + 1) as f64).max(1.0);
+        let freedom = freedom_with(presses);
         let energy = outcome.energy * combinations;
-        let model_error = if presses == 0 { 0.0 } else { self.error_share * energy };
+        // The share is that of one press. Each further press also fits its part of the error.
+        let model_error = match presses {
+            0 => 0.0,
+            _ => self.error_share * energy * freedom / freedom_with(1),
+        };
         Cost { residual: outcome.residual * freedom, energy, freedom, model_error }
     }
 }

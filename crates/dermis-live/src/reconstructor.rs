@@ -45,7 +45,10 @@ impl Reconstructor {
         placement: Option<PlacementFinder>,
         refinement: Refinement,
     ) -> Result<Self, Error> {
-        let touches = TouchStage::new(prepared, imager.noise_image())?;
+        let mut touches = TouchStage::new(prepared, imager.noise_image())?;
+        if refinement.takes_time() {
+            touches.keep_single_alone();
+        }
         let elements = ElementContacts::new(prepared);
         let presses = if elements.is_some() { ElementPresses::new(prepared)? } else { None };
         Ok(Self { imager, placement, refinement, elements, presses, touches, is_unexplained: false })

@@ -67,6 +67,11 @@ impl Tracker {
         &self.params
     }
 
+    /// From now on, no touch merges into a contact that is known to be a single touch.
+    pub fn keep_single_alone(&mut self) {
+        self.params.max_merged_single_frames = 0;
+    }
+
     /// The touches on the skin after the last frame, by id.
     #[must_use]
     pub fn touches(&self) -> &[Touch] {
@@ -329,6 +334,7 @@ impl Tracker {
                         && blob.missed == 0
                         && blob.seen & from.seen != 0
                         && blob.sign == from.sign
+                        && !(params.max_merged_single_frames == 0 && blob.contact.is_single)
                         && distance(other) <= params.merge_radii * blob.contact.radius_m()
                         && may_be_of_both(blob, &from, params)
                         && self.has_riders(blob.key)

@@ -39,7 +39,7 @@ pub struct TrackerParams {
     /// Maximum number of frames that touches stay merged; then only the oldest continues.
     pub max_merged_frames: u32,
     /// Maximum number of consecutive frames that touches stay merged while their contact is known to be a single
-    /// touch.
+    /// touch. 0 never merges a touch into such a contact.
     pub max_merged_single_frames: u32,
     /// Gate on the Mahalanobis distance of a contact from a touch's prediction. Above 0.
     pub gate_sigma: f64,

@@ -189,6 +189,20 @@ fn a_merge_in_a_contact_that_is_known_to_be_of_one_touch_ends_soon() {
 }
 
 #[test]
+fn a_single_touch_that_is_kept_alone_takes_no_other() {
+    let mut tracker = tracker();
+    tracker.keep_single_alone();
+    let single = |x_mm: f64| Contact { is_single: true, ..contact(x_mm, 0.0, ContactStrength::Strong) };
+    for frame in 0..10 {
+        feed(&mut tracker, frame, &[single(-3.0), single(3.0)]);
+    }
+    feed(&mut tracker, 10, &[single(3.0)]);
+    let seen: Vec<u64> =
+        tracker.touches().iter().filter(|touch| touch.observation != Observation::Missed).map(|t| t.id).collect();
+    assert_eq!(seen, [2], "{:?}", tracker.touches());
+}
+
+#[test]
 fn a_merge_that_never_parts_ends_the_younger_touch() {
     let mut tracker = tracker();
     for frame in 0..10 {

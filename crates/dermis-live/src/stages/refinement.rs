@@ -111,6 +111,11 @@ impl Refinement {
         self
     }
 
+    /// True if the search for touches is finished in each frame.
+    pub(crate) fn takes_time(&self) -> bool {
+        self.takes_time
+    }
+
     fn tell_pace(&mut self) {
         match &mut self.by {
             By::Patches(patches) if self.takes_time => patches.take_time(),

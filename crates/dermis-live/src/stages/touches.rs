@@ -105,6 +105,12 @@ impl TouchStage {
         self.built = built;
     }
 
+    /// From now on, no touch merges into a contact that is known to be a single touch. Call this if the search for
+    /// touches is finished in each frame: a touch that is not found has then ended.
+    pub(crate) fn keep_single_alone(&mut self) {
+        self.tracker.keep_single_alone();
+    }
+
     /// Replaces the image noise (after a new baseline or hyperparameter).
     pub fn set_noise(&mut self, noise: Vec<f32>) {
         self.noise = noise;
