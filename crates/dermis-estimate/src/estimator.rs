@@ -27,6 +27,8 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
+/// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
+const SAME: f64 = 0.1;
 /// After a failed search for further presses, wait this many frames before the next, unless the residual grows by
 /// this factor.
 const WAIT_FRAMES: u32 = 8;
@@ -291,7 +293,12 @@ impl Estimator {
         found.retain(|more| self.is_promising(more));
         found.sort_by(|a, b| self.score(a).total_cmp(&self.score(b)));
         let mut most: Option<Explanation> = None;
+        let mut refused: Vec<Vec<Press>> = Vec::new();
         for more in found {
+            if refused.iter().any(|other| is_same(other, &more.presses)) {
+                continue;
+            }
+            refused.push(more.presses.clone());
             let more = if self.fit.has_quick_fit() {
                 let Some(more) = self.fitted(&more.presses, Effort::Full) else { continue };
                 more
@@ -326,8 +333,10 @@ impl Estimator {
             let Some(next) = self.fit.seek(self.negative).first().copied() else { return };
             starts.push(next);
             self.rearrange(&mut starts);
-            found.extend(self.fitted(&starts, Effort::Quick));
-            if self.fit.fit_loads(&starts).is_none() {
+            let more = self.fitted(&starts, Effort::Quick);
+            let is_enough = more.as_ref().is_some_and(|more| more.cost.is_noise());
+            found.extend(more);
+            if is_enough || self.fit.fit_loads(&starts).is_none() {
                 return;
             }
         }
@@ -418,4 +427,13 @@ impl Estimator {
         starts.push(half(halves[1]));
         Some(starts)
     }
+}
+
+/// True if two sets of presses would be fitted to the same result.
+fn is_same(a: &[Press], b: &[Press]) -> bool {
+    let near = |p: &Press, q: &Press| {
+        let wider = (p.radius_m / q.radius_m).ln().abs();
+        p.load * q.load > 0.0 && p.distance_m(q) < SAME * q.radius_m && wider < SAME
+    };
+    a.len() == b.len() && a.iter().all(|p| b.iter().any(|q| near(p, q)))
 }

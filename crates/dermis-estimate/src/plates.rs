@@ -423,7 +423,7 @@ impl PlateFit {
         Cost { residual: square(&self.at.residual), energy, freedom, model_error }
     }
 
-    fn fit_with(&mut self, starts: &[Press], effort: Effort, only_loads: bool) -> Option<Cost> {
+    fn fit_with(&mut self, starts: &[Press], effort: Effort) -> Option<Cost> {
         if starts.is_empty() || starts.len() > self.model.options.most_presses {
             return None;
         }
@@ -432,7 +432,7 @@ impl PlateFit {
         let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
         let mut solver = Scratch::new(OF_PRESS * starts.len());
         let params = Params { most_trials: steps, ..PARAMS };
-        let mut way = FitUnderWay { fit: &mut *self, tried: None, only_loads };
+        let mut way = FitUnderWay { fit: &mut *self, tried: None };
         minimise(&mut way, &params, &mut solver).ok()?;
         way.linearise(&mut solver.equations).ok()?;
         let cost = self.cost();
@@ -497,11 +497,42 @@ impl PressFit for PlateFit {
     }
 
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost> {
-        self.fit_with(starts, effort, false)
+        self.fit_with(starts, effort)
     }
 
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
-        self.fit_with(starts, Effort::Quick, true)
+        if starts.is_empty() || starts.len() > self.model.options.most_presses {
+            return None;
+        }
+        // Each press alone, scaled: contacts saturate, but a search needs no more than this.
+        let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
+        let (n, mut columns, mut volts) = (starts.len(), Vec::new(), Vec::new());
+        for press in &presses {
+            let contact = |has_ended| self.model.contact(&[*press], has_ended, Effort::Quick);
+            let mut whitened = Vec::new();
+            self.model.change(&[contact(false).ok()?, contact(true).ok()?], &mut volts);
+            self.whitening.apply(&volts, &mut whitened);
+            columns.push(whitened);
+        }
+        let mut equations = NormalEquations::new(n);
+        for a in 0..n {
+            equations.right[a] = dot(&columns[a], &self.frame);
+            (0..n).for_each(|b| equations.normal[a * n + b] = dot(&columns[a], &columns[b]));
+        }
+        let (mut factor, mut shares) = (vec![0.0; n * n], vec![0.0; n]);
+        if !equations.solve_damped(1e-9, &mut factor, &mut shares) {
+            return None;
+        }
+        self.at = State::nothing(self.frame.clone());
+        self.covariances.clear();
+        for (k, (start, share)) in starts.iter().zip(&shares).enumerate() {
+            self.at.residual.iter_mut().zip(&columns[k]).for_each(|(left, value)| *left -= share * value);
+            self.at.presses.push(self.model.pressed(&Press { load: share * start.load, ..*start }));
+            let mut covariance = [[0.0; OF_PRESS]; OF_PRESS];
+            covariance[LOG_PRESSURE][LOG_PRESSURE] = 1.0 / (share * share * equations.normal[k * n + k]);
+            self.covariances.push(covariance);
+        }
+        Some(self.cost())
     }
 
     fn has_quick_fit(&self) -> bool {
@@ -586,6 +617,10 @@ impl PressFit for PlateFit {
     }
 }
 
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
 /// `T C T'`.
 fn turned(turn: &[[f64; OF_PRESS]; OF_PRESS], covariance: &[[f64; OF_PRESS]; OF_PRESS]) -> [[f64; OF_PRESS]; OF_PRESS] {
     let product = |a: usize, b: usize| {
@@ -602,7 +637,6 @@ fn turned(turn: &[[f64; OF_PRESS]; OF_PRESS], covariance: &[[f64; OF_PRESS]; OF_
 struct FitUnderWay<'a> {
     fit: &'a mut PlateFit,
     tried: Option<State>,
-    only_loads: bool,
 }
 
 impl FitUnderWay<'_> {
@@ -644,21 +678,12 @@ impl Problem for FitUnderWay<'_> {
             })
             .collect();
         let n = columns.len();
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let is_fixed = |k: usize| self.only_loads && k % OF_PRESS != LOG_PRESSURE;
         let NormalEquations { normal, right } = equations;
         for a in 0..n {
-            right[a] = if is_fixed(a) { 0.0 } else { dot(&columns[a], &at.residual) };
+            right[a] = dot(&columns[a], &at.residual);
             for b in 0..=a {
-                let value = match is_fixed(a) || is_fixed(b) {
-                    true => 0.0,
-                    false => dot(&columns[a], &columns[b]),
-                };
+                let value = dot(&columns[a], &columns[b]);
                 (normal[a * n + b], normal[b * n + a]) = (value, value);
-            }
-            if is_fixed(a) {
-                // Metres or a logarithm: certain enough not to move.
-                normal[a * n + a] = 1e10;
             }
         }
         for (k, press) in at.presses.iter().enumerate() {
@@ -666,7 +691,7 @@ impl Problem for FitUnderWay<'_> {
             for ((parameter, off), deviation) in priors {
                 let at = OF_PRESS * k + parameter;
                 normal[at * n + at] += deviation.powi(-2);
-                right[at] -= if is_fixed(at) { 0.0 } else { off / deviation };
+                right[at] -= off / deviation;
             }
         }
         Ok(true)

@@ -7,13 +7,13 @@ use dermis_skin::{Layer, PatchesLayer};
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::eit::contacts::PlatedSheet;
 use dermis_tomo::inverse::SpotModel;
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, SlitMesh};
 
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
 use crate::stages::spot_model::{
-    LARGEST_RADIUS, MOST_SPOTS, Membrane, SMALLEST_RADIUS, TYPICAL_RADIUS, spot_model_under,
+    LARGEST_RADIUS, MOST_SPOTS, Membrane, SMALLEST_RADIUS, TYPICAL_RADIUS, may_look_beyond, spot_model_under,
 };
 
 /// Share of a frame's energy that the model of a press leaves unexplained, on twins. Up to 0.002 on gels, foams and
@@ -27,8 +27,12 @@ const PATCHES_ERROR: f64 = 0.04;
 const CONTACT_ERROR: f64 = 0.0005;
 
 /// Number of elements of the mesh under patches, and of the one on which explanations are compared.
-const ELEMENTS: usize = 4000;
+const ELEMENTS: usize = 3000;
 const COARSE_ELEMENTS: usize = 1200;
+/// Largest number of nodes of the finer mesh, and of channels: up to these, a step of a fit takes some 10 ms. Many or small
+/// electrodes need more; presses are then fitted as smooth spots.
+const MOST_NODES: usize = 3000;
+const MOST_CHANNELS: usize = 2000;
 /// Contact under a usual press, as a share of the saturated contact.
 const USUAL_CONTACT: f64 = 0.8;
 /// Distance between the positions at which presses on patches are proposed, in pitches.
@@ -64,9 +68,10 @@ impl PressModel {
     /// A membrane or contacts that cannot be solved; no positive deviation; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, deviations: &[f64]) -> Result<Self, Error> {
         if let Layer::Patches(layer) = &prepared.skin.frontend.layer
-            && prepared.skin.backend.circuit.is_none()
+            && may_look_beyond(prepared)
+            && let Some(patches) = Self::of_patches(prepared, layer)?
         {
-            return Self::of_patches(prepared, layer);
+            return Ok(patches);
         }
         let membrane = Membrane::of(prepared)?;
         let whole = Box::new(spot_model_under(prepared, deviations, membrane.as_ref())?);
@@ -79,7 +84,8 @@ impl PressModel {
         })
     }
 
-    fn of_patches(prepared: &Prepared, layer: &PatchesLayer) -> Result<Self, Error> {
+    /// The contact with patches; `None` if a fit of it would take too long.
+    fn of_patches(prepared: &Prepared, layer: &PatchesLayer) -> Result<Option<Self>, Error> {
         let skin = &prepared.skin;
         let (low, high) = skin.outline().bounds_m();
         let (pitch_m, gap_m) = (1e-3 * layer.pitch_mm, 1e-3 * layer.gap_mm);
@@ -92,13 +98,17 @@ impl PressModel {
             let [column, row] = along.map(|at| at.floor().max(0.0) as u32);
             along.iter().all(|at| is_on(*at)).then_some(row * count[0] as u32 + column)
         };
-        let sheet = |elements: usize| -> Result<PlatedSheet, Error> {
-            let (slit, _) = skin.slit_mesh(elements, &[])?;
+        let fine = skin.slit_mesh(ELEMENTS, &[])?.0;
+        if fine.mesh.mesh.nodes().len() > MOST_NODES || prepared.channels() > MOST_CHANNELS {
+            return Ok(None);
+        }
+        let coarse = skin.slit_mesh(COARSE_ELEMENTS, &[])?.0;
+        let sheet = |slit: SlitMesh| -> Result<PlatedSheet, Error> {
             let sheet_s = vec![skin.sheet_conductance_s(); slit.mesh.mesh.measures().len()];
             let model = ForwardModel::new(slit.mesh, prepared.protocol.clone())?;
             Ok(PlatedSheet::new(&model, &sheet_s, plate_at)?)
         };
-        let sheets = [sheet(COARSE_ELEMENTS)?, sheet(ELEMENTS)?];
+        let sheets = [sheet(coarse)?, sheet(fine)?];
         let contact = &layer.contact;
         let law = PlateLaw {
             threshold_pa: 1e3 * contact.threshold_kpa,
@@ -118,7 +128,7 @@ impl PressModel {
         };
         let uniform = sheets[1].bare_v().iter().map(|volts| UNIFORM_DEVIATION * volts).collect();
         let model = PlateModel::new(sheets, law, options, *prepared.map.grid(), prepared.map.inside_mask())?;
-        Ok(Self::Plates { model: Arc::new(model), uniform })
+        Ok(Some(Self::Plates { model: Arc::new(model), uniform }))
     }
 
     /// Pressure of a load of amplitude 1, if presses act through a membrane.

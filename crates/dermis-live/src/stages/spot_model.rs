@@ -67,7 +67,7 @@ pub(crate) fn spot_model_under(
 }
 
 /// True if there is time to correct for large changes, and no readout circuit between model and channels.
-fn may_look_beyond(prepared: &Prepared) -> bool {
+pub(super) fn may_look_beyond(prepared: &Prepared) -> bool {
     let backend = &prepared.skin.backend;
     backend.circuit.is_none() && backend.frame_rate_hz() <= MOST_FRAMES_PER_S
 }
