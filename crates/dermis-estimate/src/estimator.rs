@@ -29,9 +29,9 @@ const SPLIT_RADII: f64 = 1.2;
 const MOST_SPLIT: usize = 3;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
-/// After a failed search for further presses, wait this many frames before the next, unless the residual grows by
-/// this factor.
-const WAIT_FRAMES: u32 = 8;
+/// After a failed search for further presses, wait this many frames before the next, and twice as many after each
+/// further failure up to the second value, unless the residual grows by this factor.
+const WAIT_FRAMES: [u32; 2] = [8, 32];
 const GROWN: f64 = 1.5;
 
 /// The explanation of a frame.
@@ -57,6 +57,7 @@ pub struct Estimator {
     /// Residual of the last frame.
     left: f64,
     wait: u32,
+    next_wait: u32,
     in_vain_at: f64,
     is_unhurried: bool,
 }
@@ -78,6 +79,7 @@ impl Estimator {
             negative,
             last: Vec::new(),
             left: 0.0,
+            next_wait: 0,
             wait: 0,
             in_vain_at: f64::INFINITY,
             is_unhurried: false,
@@ -97,7 +99,7 @@ impl Estimator {
     /// Forgets the last frame: the next is unrelated to it.
     pub fn forget(&mut self) {
         self.last.clear();
-        (self.wait, self.in_vain_at) = (0, f64::INFINITY);
+        (self.wait, self.next_wait, self.in_vain_at) = (0, 0, f64::INFINITY);
     }
 
     /// From now on, spends as much time on each frame as it needs.
@@ -116,11 +118,12 @@ impl Estimator {
         {
             best = self.without_superfluous(warm, &null);
         }
-        let has_changed = best.cost.residual > GROWN * self.left.max(best.cost.freedom);
-        let is_warm = !best.presses.is_empty();
+        // Something else may touch the skin now, and the presses of the last frame are a poor start for it.
+        let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
+        let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.left.max(best.cost.freedom);
+        let is_poor_start = !best.presses.is_empty() && (has_jumped || has_changed);
         best = self.grown(best, &null, hints);
-        if is_warm && has_changed && !best.cost.is_noise() {
-            // Something else touches the skin now. The presses of the last frame may be a poor start.
+        if is_poor_start {
             let afresh = self.grown(Explanation { presses: Vec::new(), cost: null }, &null, hints);
             if !afresh.presses.is_empty() && self.score(&afresh) < self.score(&best) {
                 best = afresh;
@@ -242,7 +245,9 @@ impl Estimator {
     /// An explanation with more presses, if the frame supports them.
     fn with_more(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let is_first = best.presses.is_empty();
-        if !is_first && self.wait > 0 && best.cost.residual < GROWN * self.in_vain_at {
+        if !is_first && best.cost.residual >= GROWN * self.in_vain_at {
+            self.next_wait = 0;
+        } else if !is_first && self.wait > 0 {
             self.wait -= 1;
             return None;
         }
@@ -251,8 +256,11 @@ impl Estimator {
         let is_chance = Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin
             || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
         let found = if is_chance { None } else { self.search(best, null, hints) };
-        if found.is_none() && !is_first && !self.is_unhurried {
-            (self.wait, self.in_vain_at) = (WAIT_FRAMES, best.cost.residual);
+        if found.is_some() {
+            self.next_wait = 0;
+        } else if !is_first && !self.is_unhurried {
+            self.next_wait = (2 * self.next_wait).clamp(WAIT_FRAMES[0], WAIT_FRAMES[1]);
+            (self.wait, self.in_vain_at) = (self.next_wait, best.cost.residual);
         }
         found
     }
@@ -342,7 +350,7 @@ impl Estimator {
         }
     }
 
-    /// Moves one press after the other to where it explains most of what the others leave, as long as that helps.
+    /// Moves each press in turn to the best place given the others, as long as that lowers the residual.
     fn rearrange(&mut self, presses: &mut Vec<Press>) {
         let Some(mut least) = self.fit.fit_loads(presses).filter(|_| presses.len() > 1) else { return };
         for _ in 0..MOST_ROUNDS {

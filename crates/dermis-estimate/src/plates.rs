@@ -37,8 +37,8 @@ const LOG_DEVIATIONS: [f64; 2] = [1.5, 0.7];
 const MOST_DEVIATIONS: f64 = 4.0;
 /// Excess of the residual's mean square over 1 that noise may have: the uncertainty of noise estimated from 32 frames.
 const NOISE_UNKNOWN: f64 = 0.3;
-/// Contact below this share of the saturated one is left out, and the rest lowered by as much: the faint surroundings of
-/// a press are many cells and carry little current.
+/// Contact below this share of the saturated one is left out, and the rest lowered by as much. The faint edge of a
+/// press covers many cells and carries little current.
 const FAINT: f64 = 0.02;
 /// Number of rings over which a contact is integrated, and steps from a reported press to the parameters of the fit.
 const RINGS: usize = 48;
@@ -346,7 +346,7 @@ impl PlateModel {
         ]
     }
 
-    /// A press pushed half as hard and twice as wide looks much the same: the penalty of both.
+    /// Penalty of pressures and radii: a hard press on a small disc may look like a soft one on a large disc.
     fn prior(&self, presses: &[Pressed]) -> f64 {
         presses.iter().flat_map(|press| self.off(press)).map(|off| off * off).sum()
     }

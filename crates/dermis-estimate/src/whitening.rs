@@ -16,7 +16,7 @@ impl Whitening {
     pub fn new(deviations: &[f64], nuisances: &[Vec<f64>]) -> Self {
         let inverse: Vec<f64> = deviations.iter().map(|deviation| deviation.recip()).collect();
         let mut whitening = Self { inverse, directions: Vec::new() };
-        // One cause after the other: what those before it have shortened stays short, so each step is exact.
+        // Causes are added one by one. Each step is exact, because it whitens what the steps before it have left.
         let mut left = Vec::new();
         for nuisance in nuisances {
             whitening.apply(nuisance, &mut left);
@@ -55,7 +55,7 @@ mod tests {
         let deviations = [0.5, 2.0, 1.0, f64::INFINITY];
         let nuisances = [vec![1.0, 2.0, -1.0, 5.0], vec![0.3, 0.0, 4.0, 0.0]];
         let whitening = Whitening::new(&deviations, &nuisances);
-        // W C W' = 1 for the covariance C of the channels that count: W maps a square root of C to an orthogonal matrix.
+        // W C W' = 1, where C is the covariance of the channels that count.
         let covariance = |a: usize, b: usize| {
             let own = if a == b { deviations[a] * deviations[a] } else { 0.0 };
             own + nuisances.iter().map(|nuisance| nuisance[a] * nuisance[b]).sum::<f64>()

@@ -7,6 +7,7 @@ use dermis_tomo::mesh::Outline;
 use dermis_touch::Contact;
 
 use crate::prepare::Prepared;
+use crate::stages::press_model::fits_contacts;
 
 /// Error of touches that only the image places, and of touches in frames that their fit doesn't explain: a share of
 /// half the shorter side, as one sigma per coordinate. The skin file can override it.
@@ -31,7 +32,9 @@ struct Refined {
 const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0037, within: 0.21, fades: 0.08 };
 /// Sandwiches, in shares of half the shorter side.
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
-/// Patches, in pitches. A patch conducts as a whole, and the rim cuts some of them.
+/// Contacts with patches, in pitches. This is the error of the meshes.
+const CONTACTS: f64 = 0.025;
+/// Smooth spots on patches, in pitches. A patch conducts as a whole, and the rim cuts some of them.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
 /// Sheets, in shares of half the shorter side, and near the rim in radii of the touch: fields are steep there, and a
 /// spot differs in shape from the indenter.
@@ -107,6 +110,9 @@ impl ModelError {
             layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE),
             Layer::Sheet(_) => by_radius(SHEET_AT_RIM, SHEET_EVERYWHERE),
             Layer::Liquid(_) => by_place(MEMBRANE, half_width_m),
+            Layer::Patches(layer) if fits_contacts(prepared) => {
+                OfRefined::Alike((CONTACTS * 1e-3 * layer.pitch_mm).powi(2))
+            }
             Layer::Patches(layer) => by_place(PATCHES, 1e-3 * layer.pitch_mm),
         };
         Self { refined, ..by_image }

@@ -7,7 +7,7 @@ use dermis_skin::{Layer, PatchesLayer};
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::eit::contacts::PlatedSheet;
 use dermis_tomo::inverse::SpotModel;
-use dermis_tomo::mesh::{PixelGrid, SlitMesh};
+use dermis_tomo::mesh::PixelGrid;
 
 use crate::Error;
 use crate::prepare::Prepared;
@@ -27,11 +27,10 @@ const PATCHES_ERROR: f64 = 0.04;
 const CONTACT_ERROR: f64 = 0.0005;
 
 /// Number of elements of the mesh under patches, and of the one on which explanations are compared.
-const ELEMENTS: usize = 3000;
-const COARSE_ELEMENTS: usize = 1200;
-/// Largest number of nodes of the finer mesh, and of channels: up to these, a step of a fit takes some 10 ms. Many or small
-/// electrodes need more; presses are then fitted as smooth spots.
-const MOST_NODES: usize = 3000;
+const ELEMENTS: usize = 4000;
+const COARSE_ELEMENTS: usize = 1500;
+/// Largest number of channels for fits of contact with patches. A step takes some 10 ms with 32 electrodes, and ten
+/// times as long with 64.
 const MOST_CHANNELS: usize = 2000;
 /// Contact under a usual press, as a share of the saturated contact.
 const USUAL_CONTACT: f64 = 0.8;
@@ -61,6 +60,12 @@ pub(super) enum PressModel {
     },
 }
 
+/// True if presses on a skin's patches are fitted as contacts; otherwise they are smooth spots.
+pub(super) fn fits_contacts(prepared: &Prepared) -> bool {
+    let has_patches = matches!(prepared.skin.frontend.layer, Layer::Patches(_));
+    has_patches && may_look_beyond(prepared) && prepared.channels() <= MOST_CHANNELS
+}
+
 impl PressModel {
     /// The model of a skin. `deviations` are those of its channels, volts.
     ///
@@ -68,10 +73,9 @@ impl PressModel {
     /// A membrane or contacts that cannot be solved; no positive deviation; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, deviations: &[f64]) -> Result<Self, Error> {
         if let Layer::Patches(layer) = &prepared.skin.frontend.layer
-            && may_look_beyond(prepared)
-            && let Some(patches) = Self::of_patches(prepared, layer)?
+            && fits_contacts(prepared)
         {
-            return Ok(patches);
+            return Self::of_patches(prepared, layer);
         }
         let membrane = Membrane::of(prepared)?;
         let whole = Box::new(spot_model_under(prepared, deviations, membrane.as_ref())?);
@@ -84,8 +88,7 @@ impl PressModel {
         })
     }
 
-    /// The contact with patches; `None` if a fit of it would take too long.
-    fn of_patches(prepared: &Prepared, layer: &PatchesLayer) -> Result<Option<Self>, Error> {
+    fn of_patches(prepared: &Prepared, layer: &PatchesLayer) -> Result<Self, Error> {
         let skin = &prepared.skin;
         let (low, high) = skin.outline().bounds_m();
         let (pitch_m, gap_m) = (1e-3 * layer.pitch_mm, 1e-3 * layer.gap_mm);
@@ -98,17 +101,13 @@ impl PressModel {
             let [column, row] = along.map(|at| at.floor().max(0.0) as u32);
             along.iter().all(|at| is_on(*at)).then_some(row * count[0] as u32 + column)
         };
-        let fine = skin.slit_mesh(ELEMENTS, &[])?.0;
-        if fine.mesh.mesh.nodes().len() > MOST_NODES || prepared.channels() > MOST_CHANNELS {
-            return Ok(None);
-        }
-        let coarse = skin.slit_mesh(COARSE_ELEMENTS, &[])?.0;
-        let sheet = |slit: SlitMesh| -> Result<PlatedSheet, Error> {
+        let sheet = |elements: usize| -> Result<PlatedSheet, Error> {
+            let (slit, _) = skin.slit_mesh(elements, &[])?;
             let sheet_s = vec![skin.sheet_conductance_s(); slit.mesh.mesh.measures().len()];
             let model = ForwardModel::new(slit.mesh, prepared.protocol.clone())?;
             Ok(PlatedSheet::new(&model, &sheet_s, plate_at)?)
         };
-        let sheets = [sheet(coarse)?, sheet(fine)?];
+        let sheets = [sheet(COARSE_ELEMENTS)?, sheet(ELEMENTS)?];
         let contact = &layer.contact;
         let law = PlateLaw {
             threshold_pa: 1e3 * contact.threshold_kpa,
@@ -128,7 +127,7 @@ impl PressModel {
         };
         let uniform = sheets[1].bare_v().iter().map(|volts| UNIFORM_DEVIATION * volts).collect();
         let model = PlateModel::new(sheets, law, options, *prepared.map.grid(), prepared.map.inside_mask())?;
-        Ok(Some(Self::Plates { model: Arc::new(model), uniform }))
+        Ok(Self::Plates { model: Arc::new(model), uniform })
     }
 
     /// Pressure of a load of amplitude 1, if presses act through a membrane.

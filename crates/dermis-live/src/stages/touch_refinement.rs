@@ -11,6 +11,7 @@ use crate::prepare::Prepared;
 use crate::stages::force_law::ForceLaw;
 use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
+use crate::stages::press_model::fits_contacts;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
@@ -102,7 +103,7 @@ impl SpotStage {
             unknowns[pixel as usize] = Some(unknown);
         }
         let pitch_m = match &prepared.skin.frontend.layer {
-            Layer::Patches(layer) => Some(1e-3 * layer.pitch_mm),
+            Layer::Patches(layer) if !fits_contacts(prepared) => Some(1e-3 * layer.pitch_mm),
             _ => None,
         };
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
@@ -300,7 +301,10 @@ impl SpotStage {
             if estimate.unexplained > self.explained
                 && let Some(contact) = nearest.filter(is_far)
             {
-                contacts.push(contact);
+                // Two presses may stand for one contact.
+                if contacts.iter().all(|other| other.centroid_m != contact.centroid_m) {
+                    contacts.push(contact);
+                }
                 continue;
             }
             contacts.push(Contact {

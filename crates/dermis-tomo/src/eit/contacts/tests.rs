@@ -47,29 +47,44 @@ fn difference(a: &[f64], b: &[f64]) -> f64 {
 
 /// The same patches as one electrode that carries no current: an independent computation of the same physics.
 fn by_floating_electrode(patches: &[ContactPatch], size_m: f64) -> Vec<f64> {
+    by_floating_electrodes(&[patches], size_m)
+}
+
+/// One such electrode for each group of patches.
+fn by_floating_electrodes(groups: &[&[ContactPatch]], size_m: f64) -> Vec<f64> {
     let mut body = body(size_m);
     let centre = |cell: &[u32]| -> [f64; 2] {
         [0, 1].map(|axis| cell.iter().map(|&n| body.mesh.nodes()[n as usize][axis]).sum::<f64>() / 3.0)
     };
-    let inside =
-        |at: [f64; 2]| patches.iter().any(|p| (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]) <= p.radius_m);
-    let triangles: Vec<u32> =
-        body.mesh.elements().enumerate().filter(|(_, cell)| inside(centre(cell))).map(|(k, _)| k as u32).collect();
+    let triangles_under = |patches: &[ContactPatch]| -> Vec<u32> {
+        let inside = |at: [f64; 2]| {
+            patches.iter().any(|p| (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]) <= p.radius_m)
+        };
+        body.mesh.elements().enumerate().filter(|(_, cell)| inside(centre(cell))).map(|(k, _)| k as u32).collect()
+    };
+    let floating: Vec<Electrode> = groups
+        .iter()
+        .map(|patches| Electrode {
+            contact: Contact::Area(triangles_under(patches)),
+            contact_impedance: 1.0 / patches[0].conductance_s_per_m2,
+        })
+        .collect();
     let protocol = protocol();
     let bare = ForwardModel::new(body.clone(), protocol.clone()).unwrap();
     let sigma = vec![SHEET_S; body.mesh.element_count()];
     let at_rest = bare.voltages(&sigma).unwrap();
-    // Insert it first, so that the reference stays a pad; the other electrode numbers rise by one.
-    let z = 1.0 / patches[0].conductance_s_per_m2;
-    body.electrodes.insert(0, Electrode { contact: Contact::Area(triangles), contact_impedance: z });
-    let shifted = |pattern: &Pattern| Pattern::new(pattern.entries().iter().map(|&(e, w)| (e + 1, w)).collect());
+    // Insert them first, so that the reference stays a pad; the numbers of the other electrodes rise.
+    let count = groups.len();
+    body.electrodes.splice(0..0, floating);
+    let shifted =
+        |pattern: &Pattern| Pattern::new(pattern.entries().iter().map(|&(e, w)| (e + count as u32, w)).collect());
     let stimulations = protocol.stimulations().iter().map(shifted).collect();
     let channels = protocol
         .measurements()
         .iter()
         .map(|m| (shifted(&protocol.patterns()[m.pattern as usize]), m.stimulation as usize))
         .collect();
-    let joined = Protocol::from_patterns(17, stimulations, channels).unwrap();
+    let joined = Protocol::from_patterns(16 + count, stimulations, channels).unwrap();
     let pressed = ForwardModel::new(body, joined).unwrap().voltages(&sigma).unwrap();
     pressed.iter().zip(&at_rest).map(|(a, b)| a - b).collect()
 }
@@ -218,4 +233,66 @@ fn nonsense_is_refused() {
     let flat = ContactPatch { radius_m: 0.0, ..patch(0.0, 0.0, 1.0) };
     assert!(matches!(sheet.change_v(&[flat]), Err(EitError::Contact { .. })));
     assert_eq!(norm(&sheet.change_v(&[patch(500.0, 0.0, 5.0)]).unwrap()), 0.0, "off the skin nothing is touched");
+}
+
+#[test]
+fn plates_are_separate_floating_electrodes() {
+    let model = ForwardModel::new(body(2e-3), protocol()).unwrap();
+    let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
+    let plated = |plate_at: &dyn Fn([f64; 2]) -> Option<u32>| PlatedSheet::new(&model, &sheet_s, plate_at).unwrap();
+    let patches = [patch(-18.0, 5.0, 9.0), patch(16.0, -4.0, 9.0)];
+    let conductance = |sheet: &PlatedSheet| -> Vec<f64> {
+        let covers = |p: &ContactPatch, at: [f64; 2]| {
+            let off_m = (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]);
+            // Blurred over a node's size, as the patches of a sandwich are.
+            ((p.radius_m - off_m) / 2e-3 + 0.5).clamp(0.0, 1.0)
+        };
+        let share = |at| patches.iter().map(|p| covers(p, at)).fold(0.0, f64::max);
+        sheet.cells().iter().map(|cell| 600.0 * cell.area_m2 * share(cell.position_m)).collect()
+    };
+    let separate = plated(&|at| Some(u32::from(at[0] > 0.0)));
+    let apart = separate.contact(&conductance(&separate)).unwrap().change_v;
+    let one = plated(&|_| Some(0));
+    let joined = one.contact(&conductance(&one)).unwrap().change_v;
+    // Two discretisations of the same discs, whose edges cut elements of 2 mm.
+    assert!(difference(&apart, &by_floating_electrodes(&[&patches[..1], &patches[1..]], 2e-3)) < 0.1);
+    assert!(difference(&joined, &by_floating_electrodes(&[&patches], 2e-3)) < 0.1);
+    assert!(difference(&apart, &joined) > 0.3, "joined plates carry current from one disc to the other");
+}
+
+#[test]
+fn derivatives_of_plates_agree_with_differences() {
+    let model = ForwardModel::new(body(4e-3), protocol()).unwrap();
+    let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
+    // Stripes of 8 mm with gaps of 2 mm between them.
+    let stripe = |at: [f64; 2]| {
+        let along = (at[0] + 0.05) / 0.01;
+        ((along - along.floor() - 0.5).abs() < 0.4).then_some(along.floor() as u32)
+    };
+    let sheet = PlatedSheet::new(&model, &sheet_s, stripe).unwrap();
+    // A bump of contact that moves in x and grows.
+    let conductance = |x_m: f64, log: f64| -> Vec<f64> {
+        let of = |cell: &PlateCell| {
+            let square = (cell.position_m[0] - x_m).powi(2) + cell.position_m[1].powi(2);
+            log.exp() * 300.0 * cell.area_m2 * (-square / 2e-4).exp()
+        };
+        sheet.cells().iter().map(of).collect()
+    };
+    let at = sheet.contact(&conductance(3e-3, 0.0)).unwrap();
+    let moves: Vec<[f64; 4]> = at
+        .cells
+        .iter()
+        .map(|&cell| {
+            let g = conductance(3e-3, 0.0)[cell];
+            [g * (sheet.cells()[cell].position_m[0] - 3e-3) / 1e-4, 0.0, g, 0.0]
+        })
+        .collect();
+    let jacobian = sheet.derivatives(&at, &moves);
+    for (parameter, [x, log]) in [(0, [1e-6, 0.0]), (2, [0.0, 1e-4])] {
+        let change = |sign: f64| sheet.contact(&conductance(3e-3 + sign * x, sign * log)).unwrap().change_v;
+        let step = 2.0 * (x + log);
+        let differences: Vec<f64> = change(1.0).iter().zip(change(-1.0)).map(|(a, b)| (a - b) / step).collect();
+        let derivatives: Vec<f64> = jacobian.iter().skip(parameter).step_by(4).copied().collect();
+        assert!(difference(&derivatives, &differences) < 1e-4, "parameter {parameter}");
+    }
 }
