@@ -301,12 +301,12 @@ impl Estimator {
         found.retain(|more| self.is_promising(more));
         found.sort_by(|a, b| self.score(a).total_cmp(&self.score(b)));
         let mut most: Option<Explanation> = None;
-        let mut refused: Vec<Vec<Press>> = Vec::new();
+        let mut tried: Vec<Vec<Press>> = Vec::new();
         for more in found {
-            if refused.iter().any(|other| is_same(other, &more.presses)) {
+            if tried.iter().any(|other| is_same(other, &more.presses)) {
                 continue;
             }
-            refused.push(more.presses.clone());
+            tried.push(more.presses.clone());
             let more = if self.fit.has_quick_fit() {
                 let Some(more) = self.fitted(&more.presses, Effort::Full) else { continue };
                 more
@@ -352,7 +352,10 @@ impl Estimator {
 
     /// Moves each press in turn to the best place given the others, as long as that lowers the residual.
     fn rearrange(&mut self, presses: &mut Vec<Press>) {
-        let Some(mut least) = self.fit.fit_loads(presses).filter(|_| presses.len() > 1) else { return };
+        if presses.len() < 2 {
+            return;
+        }
+        let Some(mut least) = self.fit.fit_loads(presses) else { return };
         for _ in 0..MOST_ROUNDS {
             let before = least.residual;
             for k in 0..presses.len() {

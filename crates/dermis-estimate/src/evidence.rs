@@ -13,7 +13,7 @@ use crate::press::Cost;
 const MODEL_SHAPES: f64 = 16.0;
 /// Excess of the mean square over 1 that pure noise may have: the uncertainty of noise estimated from 32 frames at
 /// rest.
-const NOISE_UNKNOWN: f64 = 0.3;
+pub(crate) const NOISE_UNKNOWN: f64 = 0.3;
 
 /// Thresholds on the evidence of a press, in standard deviations: the square root of twice the log-likelihood ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -18,7 +18,8 @@ use crate::stages::spot_model::{
 
 /// Share of a frame's energy that the model of a press leaves unexplained, on twins. Up to 0.002 on gels, foams and
 /// liquids; more for deep dents with the linear model; 0.002 to 0.006 in open tanks, whose surface takes the shape of
-/// the indenter; 0.007 to 0.07 on separate patches, each of which conducts as a whole.
+/// the indenter; 0.007 to 0.07 for smooth spots on separate patches, because a
+/// patch conducts as a whole.
 const SPOTS_ERROR: f64 = 0.001;
 const IN_PROPORTION_ERROR: f64 = 0.005;
 const TANK_ERROR: f64 = 0.005;
@@ -29,8 +30,7 @@ const CONTACT_ERROR: f64 = 0.0005;
 /// Number of elements of the mesh under patches, and of the one on which explanations are compared.
 const ELEMENTS: usize = 4000;
 const COARSE_ELEMENTS: usize = 1500;
-/// Largest number of channels for fits of contact with patches. A step takes some 10 ms with 32 electrodes, and ten
-/// times as long with 64.
+/// Largest number of channels for fits of contact with patches. Skins with more keep smooth spots.
 const MOST_CHANNELS: usize = 2000;
 /// Contact under a usual press, as a share of the saturated contact.
 const USUAL_CONTACT: f64 = 0.8;

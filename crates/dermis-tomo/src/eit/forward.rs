@@ -240,7 +240,7 @@ fn electrode_potentials(impedance: &Mat<f64>, stimulation: &Pattern) -> Vec<f64>
 }
 
 /// The pattern, minus its mean over all electrodes if it does not sum to zero.
-fn balanced(pattern: &Pattern, count: usize) -> Vec<(usize, f64)> {
+pub(super) fn balanced(pattern: &Pattern, count: usize) -> Vec<(usize, f64)> {
     let sum = pattern.sum();
     let scale = pattern.entries().iter().map(|entry| entry.1.abs()).fold(0.0, f64::max);
     if sum.abs() <= 1e-12 * scale {

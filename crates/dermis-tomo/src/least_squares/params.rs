@@ -156,6 +156,30 @@ pub struct Params {
     pub most_rejections: usize,
 }
 
+impl Params {
+    /// Rules for a problem that decides by [`super::Problem::is_settled`] when it has converged: at most this many
+    /// damped steps, none of which may raise the cost.
+    pub const fn until_settled(damping: f64, most_trials: usize) -> Self {
+        let damping = Damping {
+            start: damping,
+            least: 0.0,
+            most: 1e4,
+            decrease: 0.2,
+            increase: 8.0,
+            least_after_rejection: 1e-3,
+            refused: Some(10.0),
+        };
+        Self {
+            control: Control::Damping(damping),
+            acceptance: Acceptance::NotHigher,
+            tolerances: Tolerances { moved: None, gain: None, predicted: None, agreement: None },
+            most_trials,
+            most_linearisations: usize::MAX,
+            most_rejections: usize::MAX,
+        }
+    }
+}
+
 impl Default for Params {
     /// Damped steps until one gains less than 1e-9 of the cost; at most 100.
     fn default() -> Self {

@@ -248,10 +248,9 @@ impl ContactSheet {
         }
         let exchange = measured.transpose() * &driven;
         for (number, channel) in self.measurements.iter().enumerate() {
-            let (field, multiple) = self.patterns[channel.pattern as usize];
             for j in 0..OF_PATCH {
                 let column = j * stimulations + channel.stimulation as usize;
-                set(number, j, -multiple * exchange[(field - measuring.start, column)]);
+                set(number, j, -self.measured(channel, |field| exchange[(field - measuring.start, column)]));
             }
         }
     }

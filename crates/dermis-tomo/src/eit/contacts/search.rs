@@ -117,14 +117,12 @@ impl PatchSearch {
             shapes.push(shape);
         }
         let resistance = resistances(sheet, &shapes, &own);
-        let of_channels = |field: &dyn Fn(&Measurement) -> (usize, f64)| -> Vec<Vec<[f32; LANES]>> {
-            let of_port = |fields: &Vec<f64>| {
-                in_lanes(sheet.measurements.iter().map(field).map(|(field, multiple)| multiple * fields[field]))
-            };
+        let of_channels = |value: &dyn Fn(&Measurement, &[f64]) -> f64| -> Vec<Vec<[f32; LANES]>> {
+            let of_port = |fields: &Vec<f64>| in_lanes(sheet.measurements.iter().map(|m| value(m, fields)));
             fields.iter().map(of_port).collect()
         };
-        let driven = of_channels(&|m| (m.stimulation as usize, 1.0));
-        let measured = of_channels(&|m| sheet.patterns[m.pattern as usize]);
+        let driven = of_channels(&|m, fields| fields[m.stimulation as usize]);
+        let measured = of_channels(&|m, fields| sheet.measured(m, |field| fields[field]));
         Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 

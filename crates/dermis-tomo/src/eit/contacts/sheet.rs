@@ -5,6 +5,7 @@ use std::ops::Range;
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, MatRef, Side};
 
+use crate::eit::forward::balanced;
 use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
 use crate::sparse::SparseError;
 
@@ -63,12 +64,13 @@ pub struct ContactSheet {
     edge_m: f64,
     /// Nodes x nodes, ohm.
     pub(super) green: Green,
-    /// Fields x nodes: potentials for the stimulations, volts, followed by those for the measuring patterns that are
-    /// not a multiple of a stimulation, ohm. A pair that both drives and measures is stored once.
+    /// Fields x nodes: potentials for the stimulations, volts, followed by those that make up the measuring patterns,
+    /// ohm. These are the electrodes' own where patterns outnumber electrodes, otherwise those of the patterns that are
+    /// not a multiple of a stimulation: a pair that both drives and measures is stored once.
     pub(super) fields: Mat<f64>,
     pub(super) stimulations: usize,
-    /// Field of each measuring pattern, and the factor to multiply it by.
-    pub(super) patterns: Vec<(usize, f64)>,
+    /// Fields that make up each measuring pattern, with their weights.
+    pub(super) patterns: Vec<Vec<(usize, f64)>>,
     pub(super) measurements: Vec<Measurement>,
     /// Channels on the bare sheet, volts.
     pub(super) bare_v: Vec<f64>,
@@ -117,13 +119,27 @@ impl ContactSheet {
         };
         let mut columns = potentials(protocol.stimulations());
         let stimulations = columns.len();
-        let mut patterns = Vec::with_capacity(protocol.patterns().len());
-        for measured in potentials(protocol.patterns()) {
-            let mut driven = columns[..stimulations].iter().enumerate();
-            let found = driven.find_map(|(field, driven)| Some((field, multiple_of(driven, &measured)?)));
-            patterns.push(found.unwrap_or((columns.len(), 1.0)));
-            if found.is_none() {
-                columns.push(measured);
+        let electrodes = model.body.electrodes.len();
+        let mut patterns: Vec<Vec<(usize, f64)>> = Vec::with_capacity(protocol.patterns().len());
+        if protocol.patterns().len() > electrodes {
+            // Their potentials are sums of those of the electrodes, which are fewer. The last electrode is the reference.
+            let first = columns.len();
+            let alone = |electrode: u32| Pattern::new(vec![(electrode, 1.0), (electrodes as u32 - 1, -1.0)]);
+            columns.extend(potentials(&(0..electrodes as u32 - 1).map(alone).collect::<Vec<_>>()));
+            let parts = |pattern: &Pattern| {
+                let parts =
+                    balanced(pattern, electrodes).into_iter().filter(|(electrode, _)| *electrode + 1 < electrodes);
+                parts.map(|(electrode, weight)| (first + electrode, weight)).collect()
+            };
+            patterns.extend(protocol.patterns().iter().map(parts));
+        } else {
+            for measured in potentials(protocol.patterns()) {
+                let mut driven = columns[..stimulations].iter().enumerate();
+                let found = driven.find_map(|(field, driven)| Some((field, multiple_of(driven, &measured)?)));
+                patterns.push(vec![found.unwrap_or((columns.len(), 1.0))]);
+                if found.is_none() {
+                    columns.push(measured);
+                }
             }
         }
         let mut areas_m2 = vec![0.0; nodes];
@@ -172,7 +188,7 @@ impl ContactSheet {
 
     /// The range of fields of the measuring patterns; some or all of them may also belong to stimulations.
     pub(super) fn measuring(&self) -> Range<usize> {
-        let fields = || self.patterns.iter().map(|(field, _)| *field);
+        let fields = || self.patterns.iter().flatten().map(|(field, _)| *field);
         fields().min().unwrap_or(0)..fields().max().map_or(0, |last| last + 1)
     }
 
@@ -271,11 +287,14 @@ impl ContactSheet {
             self.fields[(measuring.start + field, touched.nodes[row] as usize)]
         });
         let exchange = &fields * touched.currents.subcols(0, self.stimulations);
-        let change = |c: &Measurement| {
-            let (field, multiple) = self.patterns[c.pattern as usize];
-            -multiple * exchange[(field - measuring.start, c.stimulation as usize)]
-        };
+        let change =
+            |c: &Measurement| -self.measured(c, |field| exchange[(field - measuring.start, c.stimulation as usize)]);
         self.measurements.iter().map(change).collect()
+    }
+
+    /// What a channel's measuring pattern reads of a quantity that is linear in the fields.
+    pub(super) fn measured(&self, channel: &Measurement, of_field: impl Fn(usize) -> f64) -> f64 {
+        self.patterns[channel.pattern as usize].iter().map(|&(field, weight)| weight * of_field(field)).sum()
     }
 }
 

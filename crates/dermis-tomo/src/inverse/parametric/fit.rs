@@ -5,8 +5,7 @@ use super::large::LargeScratch;
 use super::products::products;
 use crate::inverse::InverseError;
 use crate::least_squares::{
-    Acceptance, Control, Damping, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise,
-    minimise, solve_factored,
+    NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise, minimise, solve_factored,
 };
 
 /// A fitted spot.
@@ -52,22 +51,7 @@ const NOISE_UNKNOWN: f64 = 0.3;
 /// Prior standard deviation of the uniform change. Without a prior it would be confounded with wide spots.
 pub(super) const UNIFORM_DEVIATION: f64 = 0.2;
 /// Rules of the fit. Convergence is decided by `CONVERGED`.
-const PARAMS: Params = Params {
-    control: Control::Damping(Damping {
-        start: 1e-4,
-        least: 0.0,
-        most: 1e4,
-        decrease: 0.2,
-        increase: 8.0,
-        least_after_rejection: 1e-3,
-        refused: Some(10.0),
-    }),
-    acceptance: Acceptance::NotHigher,
-    tolerances: Tolerances { moved: None, gain: None, predicted: None, agreement: None },
-    most_trials: MOST_STEPS,
-    most_linearisations: usize::MAX,
-    most_rejections: usize::MAX,
-};
+const PARAMS: Params = Params::until_settled(1e-4, MOST_STEPS);
 
 /// Working memory of a fit.
 #[derive(Clone, Debug, Default)]

@@ -1,0 +1,379 @@
+//! The fit of presses on plates to a frame.
+
+use std::sync::Arc;
+
+use dermis_tomo::eit::EitError;
+use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
+
+use super::model::{Contacts, LOG_DEVIATIONS, LONGEST_LOG, PlateModel};
+use super::pressure::{OF_PRESS, Pressed};
+use crate::evidence::NOISE_UNKNOWN;
+use crate::press::{Cost, Effort, Press, PressFit};
+use crate::whitening::Whitening;
+
+/// Places of the logarithms of pressure and radius among the parameters of a press.
+const LOG_PRESSURE: usize = 2;
+const LOG_RADIUS: usize = 3;
+/// Largest number of steps of a fit, and of one that only compares explanations; initial damping.
+const STEPS: usize = 15;
+const QUICK_STEPS: usize = 8;
+const DAMPING: f64 = 1e-3;
+/// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
+/// than ten times this.
+const CONVERGED: f64 = 2e-3;
+/// Largest move in one step, in radii.
+const LONGEST: f64 = 0.5;
+/// Number of proposals for one more press, and their distance from each other in typical radii.
+const PROPOSALS: usize = 3;
+const APART: f64 = 2.0;
+
+/// Fits presses to frames with these weights.
+#[derive(Debug)]
+pub struct PlateFit {
+    model: Arc<PlateModel>,
+    whitening: Whitening,
+    /// Whitened changes by the proposed presses, of unit length, and their lengths.
+    units: Vec<f32>,
+    lengths: Vec<f64>,
+    error_share: f64,
+    frame: Vec<f64>,
+    at: State,
+    covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
+}
+
+/// Presses with what they explain.
+#[derive(Clone, Debug)]
+struct State {
+    effort: Effort,
+    presses: Vec<Pressed>,
+    contacts: Contacts,
+    /// Whitened frame less whitened change.
+    residual: Vec<f64>,
+}
+
+impl State {
+    fn nothing(residual: Vec<f64>) -> Self {
+        Self { effort: Effort::Quick, presses: Vec::new(), contacts: [None, None], residual }
+    }
+}
+
+impl PlateFit {
+    /// A fit with these deviations of the channels (volts, infinite for channels to leave out). `nuisances` are
+    /// changes of the channels by one standard deviation of each cause besides presses, volts.
+    pub fn new(model: Arc<PlateModel>, deviations: &[f64], nuisances: &[Vec<f64>]) -> Self {
+        let whitening = Whitening::new(deviations, nuisances);
+        let (mut units, mut lengths, mut whitened) = (Vec::new(), Vec::new(), Vec::new());
+        for (_, change) in &model.proposals {
+            whitening.apply(change, &mut whitened);
+            let length = whitened.iter().map(|v| v * v).sum::<f64>().sqrt();
+            units.extend(whitened.iter().map(|v| (v / length.max(f64::MIN_POSITIVE)) as f32));
+            lengths.push(length);
+        }
+        let (at, error_share) = (State::nothing(Vec::new()), model.options.error_share);
+        Self { model, whitening, units, lengths, error_share, frame: Vec::new(), at, covariances: Vec::new() }
+    }
+
+    /// The state of these presses, with their residual.
+    fn state(&self, presses: Vec<Pressed>, effort: Effort) -> Result<State, EitError> {
+        let contacts = self.model.contacts(&presses, effort)?;
+        let (mut change, mut residual) = (Vec::new(), Vec::new());
+        self.model.change(&contacts, &mut change);
+        self.whitening.apply(&change, &mut residual);
+        residual.iter_mut().zip(&self.frame).for_each(|(value, frame)| *value = frame - *value);
+        Ok(State { effort, presses, contacts, residual })
+    }
+
+    fn cost(&self) -> Cost {
+        let square = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>();
+        let presses = self.at.presses.len();
+        let freedom = (self.whitening.present() as f64 - (OF_PRESS * presses + 1) as f64).max(1.0);
+        let energy = square(&self.frame);
+        let model_error = if presses == 0 { 0.0 } else { self.error_share * energy };
+        Cost { residual: square(&self.at.residual), energy, freedom, model_error }
+    }
+
+    /// The inverse of the normal matrix, times the residual if it exceeds the noise by more than the noise's own
+    /// uncertainty.
+    fn find_covariances(&mut self, solver: &mut Scratch, cost: &Cost) {
+        let n = OF_PRESS * self.at.presses.len();
+        let Scratch { equations, factor, step } = solver;
+        let scale = (cost.residual / cost.freedom - NOISE_UNKNOWN).max(1.0);
+        self.covariances.clear();
+        self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
+        for column in 0..n {
+            equations.right.fill(0.0);
+            equations.right[column] = scale;
+            if !equations.solve_damped(0.0, factor, step) {
+                return;
+            }
+            let (k, column) = (column / OF_PRESS, column % OF_PRESS);
+            (0..OF_PRESS).for_each(|row| self.covariances[k][row][column] = step[OF_PRESS * k + row]);
+        }
+    }
+
+    /// Products of the residual with the proposals.
+    fn products(&self) -> Vec<f64> {
+        let residual: Vec<f32> = self.at.residual.iter().map(|value| *value as f32).collect();
+        let product = |unit: &[f32]| f64::from(unit.iter().zip(&residual).map(|(a, b)| a * b).sum::<f32>());
+        self.units.chunks_exact(residual.len().max(1)).map(product).collect()
+    }
+}
+
+impl PressFit for PlateFit {
+    fn take_frame(&mut self, frame: &[f64]) -> Option<Cost> {
+        if frame.len() != self.model.channels() || frame.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let mut whitened = std::mem::take(&mut self.frame);
+        self.whitening.apply(frame, &mut whitened);
+        self.frame = whitened;
+        self.fit_nothing()
+    }
+
+    fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost> {
+        if starts.is_empty() || starts.len() > self.model.options.most_presses {
+            return None;
+        }
+        let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
+        self.at = self.state(presses, effort).ok()?;
+        let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
+        let mut solver = Scratch::new(OF_PRESS * starts.len());
+        let params = Params::until_settled(DAMPING, steps);
+        let mut way = FitUnderWay { fit: &mut *self, tried: None };
+        minimise(&mut way, &params, &mut solver).ok()?;
+        way.linearise(&mut solver.equations).ok()?;
+        let cost = self.cost();
+        self.find_covariances(&mut solver, &cost);
+        Some(cost)
+    }
+
+    fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
+        if starts.is_empty() || starts.len() > self.model.options.most_presses {
+            return None;
+        }
+        // Each press alone, scaled: contacts saturate, but a search needs no more than this.
+        let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
+        let (n, mut columns, mut volts) = (starts.len(), Vec::new(), Vec::new());
+        for press in &presses {
+            let mut whitened = Vec::new();
+            self.model.change(&self.model.contacts(&[*press], Effort::Quick).ok()?, &mut volts);
+            self.whitening.apply(&volts, &mut whitened);
+            columns.push(whitened);
+        }
+        let mut equations = NormalEquations::new(n);
+        for a in 0..n {
+            equations.right[a] = dot(&columns[a], &self.frame);
+            (0..n).for_each(|b| equations.normal[a * n + b] = dot(&columns[a], &columns[b]));
+        }
+        let (mut factor, mut shares) = (vec![0.0; n * n], vec![0.0; n]);
+        if !equations.solve_damped(1e-9, &mut factor, &mut shares) {
+            return None;
+        }
+        self.at = State::nothing(self.frame.clone());
+        self.covariances.clear();
+        for (k, (start, share)) in starts.iter().zip(&shares).enumerate() {
+            self.at.residual.iter_mut().zip(&columns[k]).for_each(|(left, value)| *left -= share * value);
+            self.at.presses.push(self.model.pressed(&Press { load: share * start.load, ..*start }));
+            let mut covariance = [[0.0; OF_PRESS]; OF_PRESS];
+            covariance[LOG_PRESSURE][LOG_PRESSURE] = 1.0 / (share * share * equations.normal[k * n + k]);
+            self.covariances.push(covariance);
+        }
+        Some(self.cost())
+    }
+
+    fn has_quick_fit(&self) -> bool {
+        true
+    }
+
+    fn presses(&self) -> Vec<Press> {
+        let press = |(pressed, covariance): (&Pressed, &[[f64; OF_PRESS]; OF_PRESS])| {
+            let [log_load, log_radius] = self.model.reported(pressed.log_pressure, pressed.log_radius);
+            let load = if pressed.has_ended { -log_load.exp() } else { log_load.exp() };
+            let by = self.model.reported_by(pressed.log_pressure, pressed.log_radius);
+            // x and y stay; load and radius follow from pressure and radius of the disc.
+            let mut turn = [[0.0; OF_PRESS]; OF_PRESS];
+            (turn[0][0], turn[1][1]) = (1.0, 1.0);
+            (turn[2][LOG_PRESSURE], turn[2][LOG_RADIUS]) = (load * by[0][0], load * by[0][1]);
+            (turn[3][LOG_PRESSURE], turn[3][LOG_RADIUS]) = (by[1][0], by[1][1]);
+            let covariance = turned(&turn, covariance);
+            Press { position_m: pressed.position_m, radius_m: log_radius.exp(), load, covariance }
+        };
+        self.at.presses.iter().zip(&self.covariances).map(press).collect()
+    }
+
+    fn fit_nothing(&mut self) -> Option<Cost> {
+        self.at = State::nothing(self.frame.clone());
+        self.covariances.clear();
+        Some(self.cost())
+    }
+
+    fn seek(&self, negative: bool) -> Vec<Press> {
+        let products = self.products();
+        let apart_m = APART * self.model.options.typical_radius_m;
+        let [load, radius_m] = self.model.reported_typical();
+        let mut found: Vec<Press> = Vec::with_capacity(PROPOSALS);
+        while found.len() < PROPOSALS {
+            let mut best: Option<(usize, f64)> = None;
+            for (k, product) in products.iter().enumerate() {
+                let value = if negative { product.abs() } else { *product };
+                let [x, y] = self.model.proposals[k].0;
+                let is_apart = |other: &Press| (x - other.position_m[0]).hypot(y - other.position_m[1]) >= apart_m;
+                if value > best.map_or(0.0, |(_, most)| most) && found.iter().all(is_apart) {
+                    best = Some((k, value));
+                }
+            }
+            let Some((k, _)) = best else { break };
+            let share = products[k] / self.lengths[k].max(f64::MIN_POSITIVE);
+            found.push(Press {
+                position_m: self.model.proposals[k].0,
+                radius_m,
+                load: share * load,
+                ..Press::default()
+            });
+        }
+        found
+    }
+
+    fn most_gain(&self, negative: bool) -> f64 {
+        let signed = |product: f64| if negative { product.abs() } else { product };
+        self.products().into_iter().map(signed).fold(0.0, f64::max).powi(2)
+    }
+
+    fn is_inside(&self, position_m: [f64; 2]) -> bool {
+        self.model.is_inside(position_m)
+    }
+
+    fn most_sigma_m(&self) -> f64 {
+        self.model.options.typical_radius_m
+    }
+
+    fn most_presses(&self) -> usize {
+        self.model.options.most_presses
+    }
+
+    fn set_error_beyond(&mut self, share: f64) {
+        self.error_share = self.model.options.error_share + share;
+    }
+
+    fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
+        let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
+        let contacts = self.model.contacts(&presses, Effort::Full).unwrap_or([None, None]);
+        self.model.change(&contacts, volts);
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// `T C T'`.
+fn turned(turn: &[[f64; OF_PRESS]; OF_PRESS], covariance: &[[f64; OF_PRESS]; OF_PRESS]) -> [[f64; OF_PRESS]; OF_PRESS] {
+    let product = |a: usize, b: usize| {
+        let pairs = (0..OF_PRESS).flat_map(|j| (0..OF_PRESS).map(move |k| (j, k)));
+        pairs
+            .filter(|&(j, k)| turn[a][j] != 0.0 && turn[b][k] != 0.0)
+            .map(|(j, k)| turn[a][j] * covariance[j][k] * turn[b][k])
+            .sum()
+    };
+    std::array::from_fn(|a| std::array::from_fn(|b| product(a, b)))
+}
+
+/// A fit in progress.
+struct FitUnderWay<'a> {
+    fit: &'a mut PlateFit,
+    tried: Option<State>,
+}
+
+impl FitUnderWay<'_> {
+    fn cost_of(&self, state: &State) -> f64 {
+        state.residual.iter().map(|v| v * v).sum::<f64>() + self.fit.model.prior(&state.presses)
+    }
+}
+
+/// Errors of a fit in progress: contacts that cannot be solved, or rules out of range.
+#[derive(Debug)]
+struct Failed;
+
+impl From<dermis_tomo::least_squares::Error> for Failed {
+    fn from(_: dermis_tomo::least_squares::Error) -> Self {
+        Self
+    }
+}
+
+impl Problem for FitUnderWay<'_> {
+    type Error = Failed;
+
+    fn unknowns(&self) -> usize {
+        OF_PRESS * self.fit.at.presses.len()
+    }
+
+    fn cost(&mut self) -> Result<f64, Failed> {
+        Ok(self.cost_of(&self.fit.at))
+    }
+
+    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Failed> {
+        let PlateFit { model, whitening, at, .. } = &*self.fit;
+        let columns: Vec<Vec<f64>> = model
+            .derivatives(&at.presses, &at.contacts, at.effort)
+            .iter()
+            .map(|column| {
+                let mut whitened = Vec::new();
+                whitening.apply(column, &mut whitened);
+                whitened
+            })
+            .collect();
+        let n = columns.len();
+        let NormalEquations { normal, right } = equations;
+        for a in 0..n {
+            right[a] = dot(&columns[a], &at.residual);
+            for b in 0..=a {
+                let value = dot(&columns[a], &columns[b]);
+                (normal[a * n + b], normal[b * n + a]) = (value, value);
+            }
+        }
+        for (k, press) in at.presses.iter().enumerate() {
+            let priors = [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(model.off(press)).zip(LOG_DEVIATIONS);
+            for ((parameter, off), deviation) in priors {
+                let at = OF_PRESS * k + parameter;
+                normal[at * n + at] += deviation.powi(-2);
+                right[at] -= off / deviation;
+            }
+        }
+        Ok(true)
+    }
+
+    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, Failed> {
+        let mut moved: f64 = 0.0;
+        let model = &self.fit.model;
+        let presses = self.fit.at.presses.iter().zip(step.chunks_exact(OF_PRESS)).map(|(press, step)| {
+            let radius_m = press.log_radius.exp();
+            let distance_m = step[0].hypot(step[1]);
+            let longest_m = LONGEST * radius_m.max(model.law.spread_m);
+            let share = if distance_m > longest_m { longest_m / distance_m } else { 1.0 };
+            let log = |change: f64| change.clamp(-LONGEST_LOG, LONGEST_LOG);
+            let next = model.limited(Pressed {
+                position_m: [press.position_m[0] + share * step[0], press.position_m[1] + share * step[1]],
+                log_pressure: press.log_pressure + log(step[LOG_PRESSURE]),
+                log_radius: press.log_radius + log(step[LOG_RADIUS]),
+                has_ended: press.has_ended,
+            });
+            let logs = (next.log_pressure - press.log_pressure).abs().max((next.log_radius - press.log_radius).abs());
+            moved = moved.max(share * distance_m / radius_m).max(0.1 * logs);
+            next
+        });
+        let Ok(next) = self.fit.state(presses.collect(), self.fit.at.effort) else { return Ok(None) };
+        let cost = self.cost_of(&next);
+        self.tried = Some(next);
+        Ok(cost.is_finite().then_some(Trial { cost, moved }))
+    }
+
+    fn accept(&mut self) {
+        if let Some(next) = self.tried.take() {
+            self.fit.at = next;
+        }
+    }
+
+    fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
+        progress.moved < CONVERGED || progress.before - progress.after < 1e-6 * progress.after
+    }
+}

@@ -1,0 +1,263 @@
+//! What presses on plates do to the channels, and what is reported of them.
+
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use dermis_tomo::eit::EitError;
+use dermis_tomo::eit::contacts::{PlateContact, PlatedSheet};
+use dermis_tomo::mesh::PixelGrid;
+
+use super::pressure::{Field, OF_PRESS, PlateLaw, Pressed};
+use crate::press::{Effort, Press};
+
+/// Largest change of a logarithm in one step.
+pub(super) const LONGEST_LOG: f64 = 0.7;
+/// Prior standard deviations of the logarithms of pressure and radius.
+pub(super) const LOG_DEVIATIONS: [f64; 2] = [1.5, 0.7];
+/// Pressures beyond this many deviations from the usual one are not tried: contact is saturated, or open.
+const MOST_DEVIATIONS: f64 = 4.0;
+/// Number of rings over which a contact is integrated, and steps from a reported press to the parameters of the fit.
+const RINGS: usize = 48;
+const INVERSE_STEPS: usize = 30;
+
+/// Contacts of the presses that act, and of those that are part of the baseline and have ended.
+pub(super) type Contacts = [Option<PlateContact>; 2];
+
+/// Sizes of presses on plates. SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlateOptions {
+    /// Typical radius and pressure.
+    pub typical_radius_m: f64,
+    /// See `typical_radius_m`.
+    pub typical_pa: f64,
+    /// Smallest and largest radius.
+    pub radii_m: [f64; 2],
+    /// Distance between the positions at which presses are proposed.
+    pub spacing_m: f64,
+    /// Largest number of presses fitted to one frame.
+    pub most_presses: usize,
+    /// Share of a frame's energy that the model leaves unexplained of usual presses.
+    pub error_share: f64,
+}
+
+/// The model of presses on one skin, shared by its fits.
+#[derive(Debug)]
+pub struct PlateModel {
+    /// For comparing explanations, and for the final fit.
+    sheets: [PlatedSheet; 2],
+    pub(super) law: PlateLaw,
+    pub(super) options: PlateOptions,
+    grid: PixelGrid,
+    inside: Vec<bool>,
+    /// Positions at which presses are proposed, with the change of the channels (volts) by a typical press there.
+    pub(super) proposals: Vec<([f64; 2], Vec<f64>)>,
+}
+
+impl PlateModel {
+    /// A model on the pixels of a grid (row by row) that are on the skin. Explanations are compared on the first,
+    /// coarser sheet and fitted on the second.
+    ///
+    /// # Errors
+    /// Contacts that cannot be solved.
+    pub fn new(
+        sheets: [PlatedSheet; 2],
+        law: PlateLaw,
+        options: PlateOptions,
+        grid: PixelGrid,
+        inside: Vec<bool>,
+    ) -> Result<Self, EitError> {
+        let mut model = Self { sheets, law, options, grid, inside, proposals: Vec::new() };
+        let (width_m, height_m) = (grid.pixel_m * grid.columns as f64, grid.pixel_m * grid.rows as f64);
+        let count = |length_m: f64| (length_m / options.spacing_m).ceil().max(1.0) as usize;
+        let (columns, rows) = (count(width_m), count(height_m));
+        let at = |origin: f64, length: f64, k: usize, of: usize| origin + length * (k as f64 + 0.5) / of as f64;
+        for place in (0..rows * columns).map(|k| {
+            let (row, column) = (k / columns, k % columns);
+            [at(grid.left_m, width_m, column, columns), at(grid.top_m, -height_m, row, rows)]
+        }) {
+            if model.is_inside(place) {
+                let contact = model.contact(&[model.typical(place)], false, Effort::Quick)?;
+                model.proposals.extend(contact.map(|contact| (place, contact.change_v)));
+            }
+        }
+        Ok(model)
+    }
+
+    fn sheet(&self, effort: Effort) -> &PlatedSheet {
+        &self.sheets[usize::from(effort == Effort::Full)]
+    }
+
+    pub(super) fn channels(&self) -> usize {
+        self.sheets[1].channels()
+    }
+
+    fn typical(&self, position_m: [f64; 2]) -> Pressed {
+        let PlateOptions { typical_radius_m, typical_pa, .. } = self.options;
+        Pressed { position_m, log_pressure: typical_pa.ln(), log_radius: typical_radius_m.ln(), has_ended: false }
+    }
+
+    pub(super) fn is_inside(&self, position_m: [f64; 2]) -> bool {
+        self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
+    }
+
+    /// The contacts of the presses that act, and of those that have ended.
+    pub(super) fn contacts(&self, presses: &[Pressed], effort: Effort) -> Result<Contacts, EitError> {
+        Ok([self.contact(presses, false, effort)?, self.contact(presses, true, effort)?])
+    }
+
+    /// The contacts of the presses of one kind; `None` without any.
+    fn contact(&self, presses: &[Pressed], has_ended: bool, effort: Effort) -> Result<Option<PlateContact>, EitError> {
+        if presses.iter().all(|press| press.has_ended != has_ended) {
+            return Ok(None);
+        }
+        let sheet = self.sheet(effort);
+        let cells = sheet.cells();
+        let mut pressure_pa = vec![0.0; cells.len()];
+        for press in presses.iter().filter(|press| press.has_ended == has_ended) {
+            let field = Field::new(press, self.law.spread_m);
+            for (sum, cell) in pressure_pa.iter_mut().zip(cells) {
+                *sum += field.at(cell.position_m).map_or(0.0, |(pressure, _)| pressure);
+            }
+        }
+        let of_cell = |(pressure, area): (&f64, f64)| self.law.conductance(*pressure)[0] * area;
+        let conductance_s: Vec<f64> =
+            pressure_pa.iter().zip(cells.iter().map(|cell| cell.area_m2)).map(of_cell).collect();
+        let contact = sheet.contact(&conductance_s)?;
+        Ok((!contact.cells.is_empty()).then_some(contact))
+    }
+
+    /// Change of the channels, volts.
+    pub(super) fn change(&self, contacts: &Contacts, volts: &mut Vec<f64>) {
+        volts.clear();
+        volts.resize(self.channels(), 0.0);
+        for (contact, sign) in
+            contacts.iter().zip([1.0, -1.0]).filter_map(|(contact, sign)| Some((contact.as_ref()?, sign)))
+        {
+            volts.iter_mut().zip(&contact.change_v).for_each(|(sum, value)| *sum += sign * value);
+        }
+    }
+
+    /// Derivatives of the channels with respect to the parameters of each press, volts: one column after the other.
+    pub(super) fn derivatives(&self, presses: &[Pressed], contacts: &Contacts, effort: Effort) -> Vec<Vec<f64>> {
+        let sheet = self.sheet(effort);
+        let mut columns = vec![vec![0.0; self.channels()]; OF_PRESS * presses.len()];
+        for (contact, has_ended) in contacts.iter().zip([false, true]) {
+            let Some(contact) = contact else { continue };
+            let cells: Vec<_> = contact.cells.iter().map(|&cell| sheet.cells()[cell]).collect();
+            let fields: Vec<(usize, Field)> = presses
+                .iter()
+                .enumerate()
+                .filter(|(_, press)| press.has_ended == has_ended)
+                .map(|(k, press)| (k, Field::new(press, self.law.spread_m)))
+                .collect();
+            let slopes: Vec<f64> = cells
+                .iter()
+                .map(|cell| {
+                    let pressures = fields.iter().filter_map(|(_, field)| field.at(cell.position_m));
+                    self.law.conductance(pressures.map(|(pressure, _)| pressure).sum())[1] * cell.area_m2
+                })
+                .collect();
+            let sign = if has_ended { -1.0 } else { 1.0 };
+            for (k, field) in &fields {
+                let moves: Vec<[f64; OF_PRESS]> = cells
+                    .iter()
+                    .zip(&slopes)
+                    .map(|(cell, slope)| {
+                        let by = field.at(cell.position_m).map_or([0.0; OF_PRESS], |(_, by)| by);
+                        by.map(|value| sign * slope * value)
+                    })
+                    .collect();
+                let jacobian = sheet.derivatives(contact, &moves);
+                for parameter in 0..OF_PRESS {
+                    columns[OF_PRESS * k + parameter] =
+                        jacobian.iter().skip(parameter).step_by(OF_PRESS).copied().collect();
+                }
+            }
+        }
+        columns
+    }
+
+    /// Logarithms of the load and the radius of a press as reported: those of a Gaussian spot of the same conductance
+    /// and second moment. Frames determine the conductance far better than pressure and size of the indenter.
+    pub(super) fn reported(&self, log_pressure: f64, log_radius: f64) -> [f64; 2] {
+        let (disc_m, spread_m) = (log_radius.exp(), self.law.spread_m);
+        let reach_m = disc_m + Field::REACH * spread_m;
+        let (mut total, mut second) = (f64::MIN_POSITIVE, 0.0);
+        for k in 0..RINGS {
+            let at_m = reach_m * (k as f64 + 0.5) / RINGS as f64;
+            let share = 0.5 * libm::erfc((at_m - disc_m) / spread_m * FRAC_1_SQRT_2);
+            let ring = at_m * self.law.conductance(log_pressure.exp() * share)[0];
+            total += ring;
+            second += ring * at_m * at_m;
+        }
+        // A spot exp(-d^2 / (2 r^2)) has the second moment 2 r^2 and the integral 2 pi r^2.
+        let square = (0.5 * second / total).max(f64::MIN_POSITIVE);
+        let load = total * reach_m / RINGS as f64 / (square * self.law.saturation_s_per_m2);
+        [load.ln(), 0.5 * square.ln()]
+    }
+
+    /// What a proposed press reports: its load and radius (metres).
+    pub(super) fn reported_typical(&self) -> [f64; 2] {
+        let PlateOptions { typical_pa, typical_radius_m, .. } = self.options;
+        self.reported(typical_pa.ln(), typical_radius_m.ln()).map(f64::exp)
+    }
+
+    /// Derivatives of [`PlateModel::reported`]: rows are the reported logarithms.
+    pub(super) fn reported_by(&self, log_pressure: f64, log_radius: f64) -> [[f64; 2]; 2] {
+        let h = 1e-4;
+        let slope = |up: [f64; 2], down: [f64; 2]| [0, 1].map(|k| (up[k] - down[k]) / (2.0 * h));
+        let by_pressure =
+            slope(self.reported(log_pressure + h, log_radius), self.reported(log_pressure - h, log_radius));
+        let by_radius = slope(self.reported(log_pressure, log_radius + h), self.reported(log_pressure, log_radius - h));
+        [[by_pressure[0], by_radius[0]], [by_pressure[1], by_radius[1]]]
+    }
+
+    /// The press in the parameters of the fit, within their limits, by Newton's method on both logarithms.
+    pub(super) fn pressed(&self, press: &Press) -> Pressed {
+        let wanted = [press.load.abs().max(1e-6).ln(), press.radius_m.ln()];
+        let has_ended = press.load < 0.0;
+        let mut at = Pressed { has_ended, ..self.typical(press.position_m) };
+        for _ in 0..INVERSE_STEPS {
+            let reported = self.reported(at.log_pressure, at.log_radius);
+            let off = [wanted[0] - reported[0], wanted[1] - reported[1]];
+            if off.iter().all(|off| off.abs() < 1e-9) {
+                break;
+            }
+            let [[a, b], [c, d]] = self.reported_by(at.log_pressure, at.log_radius);
+            let determinant = a * d - b * c;
+            if determinant.abs() < 1e-9 {
+                break;
+            }
+            let step = [(d * off[0] - b * off[1]) / determinant, (a * off[1] - c * off[0]) / determinant];
+            let [by_pressure, by_radius] = step.map(|value| value.clamp(-LONGEST_LOG, LONGEST_LOG));
+            at = self.limited(Pressed {
+                log_pressure: at.log_pressure + by_pressure,
+                log_radius: at.log_radius + by_radius,
+                ..at
+            });
+        }
+        at
+    }
+
+    pub(super) fn limited(&self, press: Pressed) -> Pressed {
+        let PlateOptions { typical_pa, radii_m: [least, most], .. } = self.options;
+        let reach = MOST_DEVIATIONS * LOG_DEVIATIONS[0];
+        Pressed {
+            log_pressure: press.log_pressure.clamp(typical_pa.ln() - reach, typical_pa.ln() + reach),
+            log_radius: press.log_radius.clamp(least.ln(), most.ln()),
+            ..press
+        }
+    }
+
+    /// Deviations of pressure and radius from their priors, in standard deviations.
+    pub(super) fn off(&self, press: &Pressed) -> [f64; 2] {
+        [
+            (press.log_pressure - self.options.typical_pa.ln()) / LOG_DEVIATIONS[0],
+            (press.log_radius - self.options.typical_radius_m.ln()) / LOG_DEVIATIONS[1],
+        ]
+    }
+
+    /// Penalty of pressures and radii: a hard press on a small disc may look like a soft one on a large disc.
+    pub(super) fn prior(&self, presses: &[Pressed]) -> f64 {
+        presses.iter().flat_map(|press| self.off(press)).map(|off| off * off).sum()
+    }
+}

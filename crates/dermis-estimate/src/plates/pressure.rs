@@ -1,0 +1,89 @@
+//! The pressure under presses, and the contact that it makes.
+
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+
+/// Parameters of a press: x, y, logarithm of the pressure, logarithm of the radius.
+pub(super) const OF_PRESS: usize = 4;
+/// Contact below this share of the saturated one is left out, and the rest lowered by as much. The faint edge of a
+/// press covers many cells and carries little current.
+const FAINT: f64 = 0.02;
+
+/// Conductance of the contact between sheet and plates: `g_max x / (1 + x)` with `x = ((p - p_t) / p_ref)^n` above the
+/// threshold `p_t`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlateLaw {
+    /// p_t: pressure that closes the gap, pascal.
+    pub threshold_pa: f64,
+    /// p_ref: pressure above the threshold at half the saturated conductance, pascal.
+    pub reference_pa: f64,
+    /// n.
+    pub exponent: f64,
+    /// g_max, S/m^2.
+    pub saturation_s_per_m2: f64,
+    /// s: standard deviation of the Gaussian by which pressure spreads on its way to the gap, metres.
+    pub spread_m: f64,
+}
+
+impl PlateLaw {
+    /// Conductance per area (S/m^2) and its derivative with respect to the pressure.
+    pub(super) fn conductance(&self, pressure_pa: f64) -> [f64; 2] {
+        let above = pressure_pa - self.threshold_pa;
+        if above <= 0.0 {
+            return [0.0; 2];
+        }
+        let x = (above / self.reference_pa).powf(self.exponent);
+        let g = self.saturation_s_per_m2 / (1.0 + 1.0 / x);
+        let faint = FAINT * self.saturation_s_per_m2;
+        if g <= faint { [0.0; 2] } else { [g - faint, g * self.exponent / (above * (1.0 + x))] }
+    }
+
+    /// Pressure at this share of the saturated conductance, pascal.
+    pub fn pressure_at_pa(&self, share: f64) -> f64 {
+        self.threshold_pa + self.reference_pa * (share / (1.0 - share)).powf(self.exponent.recip())
+    }
+}
+
+/// A press in the parameters of the fit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pressed {
+    pub position_m: [f64; 2],
+    pub log_pressure: f64,
+    pub log_radius: f64,
+    /// It is part of the baseline and has ended.
+    pub has_ended: bool,
+}
+
+/// The pressure under one press.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Field {
+    centre_m: [f64; 2],
+    pressure_pa: f64,
+    radius_m: f64,
+    spread_m: f64,
+}
+
+impl Field {
+    /// Pressures further outside the disc than this many spreads are left out.
+    pub const REACH: f64 = 5.0;
+
+    pub fn new(press: &Pressed, spread_m: f64) -> Self {
+        let (pressure_pa, radius_m) = (press.log_pressure.exp(), press.log_radius.exp());
+        Self { centre_m: press.position_m, pressure_pa, radius_m, spread_m }
+    }
+
+    /// Pressure at a position (pascal), and its derivatives by the parameters of the press; `None` beyond its reach.
+    pub fn at(&self, place_m: [f64; 2]) -> Option<(f64, [f64; OF_PRESS])> {
+        let off = [place_m[0] - self.centre_m[0], place_m[1] - self.centre_m[1]];
+        let reach_m = self.radius_m + Self::REACH * self.spread_m;
+        let square = off[0] * off[0] + off[1] * off[1];
+        if square > reach_m * reach_m {
+            return None;
+        }
+        let distance_m = square.sqrt();
+        let u = (self.radius_m - distance_m) / self.spread_m;
+        let pressure = self.pressure_pa * 0.5 * libm::erfc(-u * FRAC_1_SQRT_2);
+        let density = self.pressure_pa * (-0.5 * u * u).exp() / (TAU.sqrt() * self.spread_m);
+        let along = density / distance_m.max(1e-9);
+        Some((pressure, [along * off[0], along * off[1], pressure, density * self.radius_m]))
+    }
+}
