@@ -37,6 +37,9 @@
 //! Decoders take bytes and return values, so they can be tested without a file system. Only [`read`] takes bytes from
 //! disk, and only [`stream`] takes them from ports and sockets.
 
+// Readers of tables share helpers that only some formats need.
+#![cfg_attr(not(all(feature = "excel", feature = "parquet")), allow(dead_code, unused_imports))]
+
 pub mod acquire;
 mod atomic;
 mod error;

@@ -135,7 +135,8 @@ impl Refinement {
     /// channels.
     ///
     /// # Errors
-    /// The wrong number of channels, or none left: see [`SpotModel::without`].
+    /// The wrong number of channels, or none left: see
+    /// [`SpotModel::without`](dermis_tomo::inverse::SpotModel::without).
     pub fn leave_out(&mut self, prepared: &Prepared, channels: &[u32], noise: &[f64]) -> Result<(), Error> {
         match &mut self.by {
             By::Nothing => {}
