@@ -14,6 +14,7 @@ use dermis_live::channels::ChannelReader;
 use dermis_skin::{Modality, Reads, Skin};
 use dermis_tomo::eit::{ForwardModel, correlation};
 use dermis_tomo::mesh::{Mesh, PixelGrid, PixelMap};
+use dermis_touch::median;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use serde::Serialize;
@@ -171,19 +172,15 @@ impl Measured {
                 Some((self.values[channel] - ratio * self.values[other as usize]).abs())
             });
             // The median of |a - b| is 0.6745 sqrt(2) standard deviations.
-            let typical = median(differences.filter(|difference| difference.is_finite()).collect());
-            let size = median(model.iter().map(|value| value.abs()).collect()).unwrap_or(0.0);
-            typical.map_or((5e-3 * size).powi(2), |difference| (difference / (0.6745 * 2.0_f64.sqrt())).powi(2))
+            let typical = median(&differences.filter(|difference| difference.is_finite()).collect::<Vec<_>>());
+            let size = median(&model.iter().map(|value| value.abs()).collect::<Vec<_>>());
+            let noise = if typical.is_finite() { typical / (0.6745 * 2.0_f64.sqrt()) } else { 5e-3 * size };
+            noise * noise
         } else {
             known.iter().sum::<f64>() / known.len() as f64
         };
         model.iter().map(|value| noise + (MODEL_ERROR * value).powi(2)).collect()
     }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// Mean and covariance of each element's log conductance, relative to the uniform sheet.

@@ -10,7 +10,9 @@
 //! channels may be far quieter than the others. A channel that is noisier than the others suggest keeps its own
 //! estimate.
 
-use crate::frame_noise::{MEDIAN_TO_SIGMA, mean, median};
+use dermis_touch::median;
+
+use crate::frame_noise::{MEDIAN_TO_SIGMA, mean};
 
 /// Number of frames averaged by a tare, and used to learn a live baseline.
 pub const TARE_FRAMES: usize = 32;
@@ -117,8 +119,9 @@ fn line(variances: &[f64], squares: &[f64], freedom: f64) -> Option<Vec<f64>> {
 /// their own estimation error.
 fn about_line(ratios: &[f64], own_scatter: f64) -> (f64, f64) {
     let logarithms: Vec<f64> = ratios.iter().map(|ratio| ratio.ln()).collect();
-    let middle = median(logarithms.clone());
-    let scatter = (MEDIAN_TO_SIGMA * median(logarithms.iter().map(|v| (v - middle).abs()).collect())).powi(2);
+    let middle = median(&logarithms);
+    let scatter =
+        (MEDIAN_TO_SIGMA * median(&logarithms.iter().map(|v| (v - middle).abs()).collect::<Vec<_>>())).powi(2);
     // A squared scatter from a median is uncertain by this amount; an excess of less than twice that counts as none.
     let sure = 2.0 * own_scatter * (2.0 / (MEDIAN_EFFICIENCY * ratios.len() as f64)).sqrt();
     let excess = scatter - own_scatter;

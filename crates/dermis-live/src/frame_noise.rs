@@ -5,6 +5,7 @@
 //! touch, no pair is quiet. But touches of one skin are similar and noise is not, so the residual of frames without
 //! their leading principal components is noise too.
 
+use dermis_touch::median;
 use faer::{Mat, Side};
 
 /// Minimum number of frames.
@@ -28,7 +29,7 @@ pub fn noise_of_frames(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
     let components = of_components(frames, &successive);
     let level = |noise: &[f64]| {
         let ratios = noise.iter().zip(&successive).filter(|(a, b)| a.is_finite() && **b > 0.0).map(|(a, b)| a / b);
-        median(ratios.collect())
+        median(&ratios.collect::<Vec<_>>())
     };
     match components {
         Some(components) if level(&components) < 1.0 => Some(components),
@@ -45,7 +46,7 @@ fn of_successive(frames: &[Vec<f64>]) -> Option<Vec<f64>> {
         .collect();
     let middle = |kept: &[usize], channel: usize| {
         let values: Vec<f64> = kept.iter().map(|&t| steps[t][channel]).filter(|v| v.is_finite()).collect();
-        let middle = median(values.clone());
+        let middle = median(&values);
         // Readings with few digits may be unchanged more often than not.
         if middle > 0.0 { middle } else { (2.0 / std::f64::consts::PI).sqrt() * mean(&values) }
     };
@@ -91,15 +92,6 @@ fn of_components(frames: &[Vec<f64>], scale: &[f64]) -> Option<Vec<f64>> {
         noise[k] = scale[k] * (square / freedom).sqrt();
     }
     Some(noise)
-}
-
-/// Median; the upper of the two middle values for an even number, NaN for none.
-pub(crate) fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 pub(crate) fn mean(values: &[f64]) -> f64 {

@@ -1,10 +1,12 @@
 //! Exports parts of a recording as tables for other programs: CSV for spreadsheets, Parquet for data frames, NPY for
-//! the frames' readings only. Tables are streamed, so memory doesn't grow with the recording.
+//! the frames' readings only. Tables are streamed, so memory doesn't grow with the recording. Frames of any other file
+//! that dermis reads are exported in the same formats.
 
 mod parquet;
+mod read_frames;
 mod rows;
 
-use std::io::{Read, Seek, Write};
+use std::io::{self, Read, Seek, Write};
 use std::path::Path;
 use std::str::FromStr;
 
@@ -16,6 +18,7 @@ use super::{BaselineEntry, Damage, Entry, EventEntry, Recording, TouchesEntry};
 use crate::Error;
 use crate::sink::staged::StagedFile;
 use parquet::ParquetWriter;
+pub use read_frames::export_frames;
 use rows::{Cell, Column, CsvWriter, Kind, RowWriter};
 
 /// The part of a recording to export.
@@ -53,6 +56,18 @@ impl FromStr for Table {
             "baselines" => Ok(Self::Baselines),
             "events" => Ok(Self::Events),
             _ => Err("expected frames, touches, baselines or events".to_owned()),
+        }
+    }
+}
+
+impl TableFormat {
+    /// The format that a file name ends in; CSV for any other ending.
+    pub fn of_name(path: &Path) -> Self {
+        let ends_in = |ending: &str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending));
+        match () {
+            () if ends_in("npy") => Self::Npy,
+            () if ends_in("parquet") => Self::Parquet,
+            () => Self::Csv,
         }
     }
 }
@@ -99,10 +114,7 @@ pub fn export<R: Read + Seek>(
     }
     let columns = columns(recording, table, complex);
     let mut file = StagedFile::create(path)?;
-    let mut writer: Box<dyn RowWriter + '_> = match format {
-        TableFormat::Parquet => Box::new(ParquetWriter::new(&mut file, &columns).map_err(Error::io(path))?),
-        TableFormat::Csv | TableFormat::Npy => Box::new(CsvWriter::new(&mut file, &columns).map_err(Error::io(path))?),
-    };
+    let mut writer = row_writer(&mut file, &columns, format).map_err(Error::io(path))?;
     let mut rows = 0;
     let mut cells = Vec::new();
     while let Some(entry) = recording.next_entry()? {
@@ -130,6 +142,18 @@ pub fn export<R: Read + Seek>(
     drop(writer);
     file.finish()?;
     Ok(Exported { rows, columns: columns.len(), damage: recording.damage() })
+}
+
+/// Writer of a table; arrays have their own.
+fn row_writer<'a>(
+    out: impl Write + 'a,
+    columns: &'a [Column],
+    format: TableFormat,
+) -> io::Result<Box<dyn RowWriter + 'a>> {
+    Ok(match format {
+        TableFormat::Parquet => Box::new(ParquetWriter::new(out, columns)?),
+        TableFormat::Csv | TableFormat::Npy => Box::new(CsvWriter::new(out, columns)?),
+    })
 }
 
 /// Exports the frames' readings as an array. Its header states their number, so the frames are read twice.

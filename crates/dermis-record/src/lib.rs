@@ -90,7 +90,7 @@ mod writer;
 
 pub use body::{BodyHead, BodyRecording};
 pub use error::Error;
-pub use export::{Exported, Table, TableFormat, export};
+pub use export::{Exported, Table, TableFormat, export, export_frames};
 pub use frames::{UNDERSTOOD, check_skin, is_recording, read_frames, read_frames_of};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};

@@ -79,10 +79,13 @@ pub struct Damage {
 }
 
 impl Damage {
+    /// Nothing is missing.
+    pub const NONE: Self = Self { cut_off: false, bytes: 0, chunks: 0, messages: 0, frames: LostFrames::Exactly(0) };
+
     /// True if nothing is missing.
     #[must_use]
     pub fn is_none(&self) -> bool {
-        !self.cut_off && (self.bytes, self.chunks, self.messages) == (0, 0, 0) && self.frames == LostFrames::Exactly(0)
+        *self == Self::NONE
     }
 }
 

@@ -84,3 +84,4 @@ pub use touch::{Observation, Touch, TouchEvent, TouchPhase};
 pub use touch_load::{LoadQuantity, TouchLoad};
 pub use track::Tracker;
 pub use tracker_params::{PositionSource, TrackerParams};
+pub use typical::median;

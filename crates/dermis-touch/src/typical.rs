@@ -1,13 +1,22 @@
 //! Medians and spacings.
 
 /// Median; the mean of the two middle values for an even number, NaN for none.
-pub(crate) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
+///
+/// ```
+/// assert_eq!(dermis_touch::median(&[3.0, 1.0, 2.0, 10.0]), 2.5);
+/// assert!(dermis_touch::median(&[]).is_nan());
+/// ```
+pub fn median(values: &[f64]) -> f64 {
+    median_in_place(&mut values.to_vec())
+}
+
+/// As [`median`], without a copy: sorts `values`.
+pub(crate) fn median_in_place(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    match values.len() {
         0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
     }
 }
 

@@ -1,49 +1,68 @@
-//! `dermis export`: exports parts of a recording as tables for spreadsheets, data frames and NumPy.
+//! `dermis export`: exports parts of a recording, or the frames of any file, as tables for spreadsheets, data frames
+//! and NumPy.
 
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::record::{Recording, Table, TableFormat, export};
+use dermis::record::{Exported, Recording, Table, TableFormat, export, export_frames, is_recording, read_frames};
+use dermis_device::{FileSpec, FrameSelect};
 
-use crate::exit::Outcome;
+use super::reading::TableArguments;
+use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
   dermis export press.mcap --out readings.csv
-  dermis export press.mcap --format npy --out readings.npy
-  dermis export press.mcap --table touches --format parquet --out touches.parquet
+  dermis export press.mcap --out readings.npy
+  dermis export press.mcap --table touches --out touches.parquet
+  dermis export press.mcap#0..60 --out baseline.csv
 
 Tables: frames (number, times in nanoseconds, a column for each channel), touches, baselines, events. NPY holds the readings
-of frames alone: frames x channels. Exit code 3: the recording could not be read whole.";
+of frames alone: frames x channels. From a file that isn't a recording of dermis (CSV, MATLAB, Excel, a ROS bag, ...) the
+frames are exported, which converts it. Exit code 3: the recording could not be read whole.";
 
 /// Arguments of `dermis export`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// The recording, complete or not.
-    #[arg(value_name = "FILE.mcap")]
-    file: PathBuf,
+    /// A recording, complete or not, or a file of frames; #0..60 after the name selects some frames.
+    #[arg(value_name = "FILE[#FRAMES]")]
+    file: FileSpec,
     /// Part to export: frames, touches, baselines or events.
     #[arg(long, default_value = "frames")]
     table: Table,
-    /// csv, npy or parquet.
-    #[arg(long, default_value = "csv")]
-    format: TableFormat,
+    /// csv, npy or parquet; default: by the ending of the output file, otherwise csv.
+    #[arg(long)]
+    format: Option<TableFormat>,
     /// Output file.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    #[command(flatten)]
+    read: TableArguments,
 }
 
 impl Arguments {
     /// Exports the table and prints its size.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let mut recording = Recording::open(&self.file)?;
-        let exported = export(&mut recording, self.table, self.format, &self.out)?;
+        let exported = self.export()?;
         writeln!(out, "{}: {} rows of {} columns", self.out.display(), exported.rows, exported.columns)?;
         if exported.damage.is_none() {
             return Ok(Outcome::Done);
         }
-        tracing::error!("{} could not be read whole: {}", self.file.display(), exported.damage);
+        tracing::error!("{} could not be read whole: {}", self.file.path.display(), exported.damage);
         Ok(Outcome::DataLost)
+    }
+
+    fn export(&self) -> anyhow::Result<Exported> {
+        let format = self.format.unwrap_or_else(|| TableFormat::of_name(&self.out));
+        let is_recording = is_recording(&self.file.path);
+        if is_recording && self.file.select == FrameSelect::All {
+            return Ok(export(&mut Recording::open(&self.file.path)?, self.table, format, &self.out)?);
+        }
+        if self.table != Table::Frames {
+            let which = if is_recording { "of a selection of frames" } else { "of a file that is no recording" };
+            return Err(UsageError(format!("--table: expected frames, the only table {which}")).into());
+        }
+        Ok(export_frames(&read_frames(&self.file, self.read.options())?, format, &self.out)?)
     }
 }

@@ -1,29 +1,37 @@
-//! `dermis info`: shows what a recording holds, how long it is, and what is missing.
+//! `dermis info`: shows what a recording or a file of frames holds, how long it is, and what is missing.
+
+mod frames;
 
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::PathBuf;
 
-use dermis::record::{Damage, Entry, LostFrames, Recording};
+use dermis::record::{Damage, Entry, LostFrames, Recording, is_recording, read_frames};
 use dermis::skin::Skin;
+use dermis_device::FileSpec;
 use serde_json::json;
 
+use super::reading::ReadArguments;
 use crate::exit::Outcome;
+use frames::Summary;
 
 const EXAMPLE: &str = "\
 Examples:
   dermis info press.mcap
   dermis info press.mcap --json
+  dermis info frames.csv
 
-Reads the whole file and compares every checksum.";
+Reads the whole file, and compares every checksum of a recording. Of a file of frames it says how the file was understood
+and what its channels hold.";
 
 /// Arguments of `dermis info`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// The recording, complete or not.
-    #[arg(value_name = "FILE.mcap")]
-    file: PathBuf,
+    /// A recording, complete or not, or a file of frames; #0..60 after the name of such a file selects some frames.
+    #[arg(value_name = "FILE")]
+    file: FileSpec,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
@@ -47,7 +55,11 @@ struct Findings {
 impl Arguments {
     /// Prints the facts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let mut recording = Recording::open(&self.file)?;
+        if self.read.options().format.is_some() || !is_recording(&self.file.path) {
+            Summary::of(&read_frames(&self.file, self.read.options())?).print(self.json, out)?;
+            return Ok(Outcome::Done);
+        }
+        let mut recording = Recording::open(&self.file.path)?;
         let findings = Findings::of(&mut recording)?;
         if self.json {
             print_json(&recording, &findings, out)?

@@ -2,13 +2,20 @@
 
 use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
 
-/// Options for reading files of frames.
+/// Options for reading files of frames, with their format.
 #[derive(clap::Args)]
 pub(super) struct ReadArguments {
     /// Format of files of frames (csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, pyeidors);
     /// default: recognised from the file.
     #[arg(long)]
     format: Option<Format>,
+    #[command(flatten)]
+    table: TableArguments,
+}
+
+/// Options for reading files of frames whose format is recognised.
+#[derive(clap::Args)]
+pub(super) struct TableArguments {
     /// Columns of tables that hold readings: names, indices from 0, ranges such as 1..209; other columns are times or
     /// ignored.
     #[arg(long, value_name = "COLUMNS")]
@@ -42,8 +49,15 @@ fn frequencies(text: &str) -> Result<Frequencies, String> {
 impl ReadArguments {
     /// The options as a struct.
     pub(super) fn options(&self) -> ReadOptions {
+        ReadOptions { format: self.format, ..self.table.options() }
+    }
+}
+
+impl TableArguments {
+    /// The options as a struct.
+    pub(super) fn options(&self) -> ReadOptions {
         ReadOptions {
-            format: self.format,
+            format: None,
             columns: self.columns.clone().unwrap_or_default(),
             skip_rows: self.skip_rows,
             array: self.array.clone().or_else(|| self.topic.clone()),

@@ -10,9 +10,10 @@
 //! named `re` and `im`, or magnitude and phase, are the parts of complex readings, either in pairs or one block after
 //! the other. A single cell may also hold a complex reading, as NumPy and MATLAB write it: `1.5-2e-3j`, `(1.5-2e-3j)`,
 //! `1.5-2e-3i`. A frame may be wrapped over several rows, if blank lines separate the frames or the skin's channel
-//! count implies it.
+//! count implies it. A table may also hold one reading per row, with a column that counts the channels.
 
 pub(super) mod cell;
+mod long;
 mod roles;
 mod scan;
 mod separator;
@@ -187,10 +188,16 @@ pub(super) fn frames_of(
 ) -> Result<FrameTable, DeviceError> {
     let chosen = roles::chosen(&table, &options.columns, file)?;
     let roles = roles::roles(&table, chosen.as_deref(), &options.channels, &mut notes);
-    let readings: Vec<usize> = match &chosen {
+    let mut readings: Vec<usize> = match &chosen {
         Some(chosen) => chosen.clone(),
         None => (0..roles.len()).filter(|&column| matches!(roles[column], Role::Reading { .. })).collect(),
     };
+    let per_row = if chosen.is_none() { long::channel_column(&table, &readings) } else { None };
+    if let Some(long::ChannelColumn { column, channels }) = per_row {
+        readings.retain(|reading| *reading != column);
+        notes.push(format!("one reading per row, with its channel in {}", called(&table, column)));
+        notes.push(format!("{channels} rows make one frame"));
+    }
     if readings.is_empty() {
         return Err(DeviceError::Empty { file: file.to_owned() });
     }
@@ -227,7 +234,10 @@ pub(super) fn frames_of(
     });
     let count = values.len() / rows;
     let has_frame_columns = roles.iter().any(|role| !matches!(role, Role::Reading { .. } | Role::LeftOut));
-    let per_frame = rows_per_frame(&table, rows, count, has_frame_columns, options, &mut notes);
+    let per_frame = match per_row {
+        Some(long::ChannelColumn { channels, .. }) => channels,
+        None => rows_per_frame(&table, rows, count, has_frame_columns, options, &mut notes),
+    };
     if per_frame == 1 && options.looks_transposed(rows, count) {
         return Err(DeviceError::Transposed { file: file.to_owned(), frames: rows, channels: count });
     }
@@ -236,7 +246,10 @@ pub(super) fn frames_of(
     if let Some(imaginary) = imaginary {
         frames = frames.with_imaginary(imaginary)?;
     }
-    if per_frame == 1 {
+    if per_row.is_some() {
+        table.keep_every(per_frame);
+    }
+    if per_frame == 1 || per_row.is_some() {
         frames = with_clocks(frames, &table, &roles, &mut notes)?;
     }
     if let (1, Some((_, names))) = (per_frame, &table.sketch.header)

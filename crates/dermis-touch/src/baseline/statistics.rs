@@ -1,5 +1,7 @@
 //! Robust mean and standard deviation of values with outliers.
 
+use crate::typical::median_in_place;
+
 /// Ratio of a Gaussian's standard deviation to its median absolute deviation, 1 / Phi^-1(3/4).
 const MAD_TO_STD: f64 = 1.482_602_218_505_602;
 /// Ratio of a Gaussian's standard deviation to its mean absolute deviation, sqrt(pi/2).
@@ -15,7 +17,7 @@ pub(super) fn robust_mean_and_std(values: impl Iterator<Item = f64>, sorted: &mu
     if sorted.is_empty() {
         return (f64::NAN, f64::NAN);
     }
-    let centre = median(sorted);
+    let centre = median_in_place(sorted);
     // From here on the buffer holds deviations, sorted by size.
     for value in sorted.iter_mut() {
         *value -= centre;
@@ -30,10 +32,4 @@ pub(super) fn robust_mean_and_std(values: impl Iterator<Item = f64>, sorted: &mu
     let kept = sorted.iter().filter(|deviation| deviation.abs() <= 3.0 * std);
     let (sum, count) = kept.fold((0.0, 0.0), |(sum, count), deviation| (sum + deviation, count + 1.0));
     (centre + if count > 0.0 { sum / count } else { 0.0 }, std)
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) }
 }

@@ -10,6 +10,7 @@
 
 use crate::blob::seconds_between;
 use crate::error::{TouchError, require, require_length};
+use crate::typical::median;
 
 /// Maximum number of frames that initialise levels, slopes and noise.
 const MOST_AT_START: usize = 32;
@@ -347,16 +348,19 @@ impl LevelWatch {
                 values.filter(|value| value.is_finite()).collect()
             };
             let ends = [values(0, AT_AN_END), values(frames - AT_AN_END, frames)];
-            let [Some(first), Some(last)] = ends.map(|mut end| median(&mut end)) else { continue };
+            let [first, last] = ends.map(|end| median(&end));
+            if !first.is_finite() || !last.is_finite() {
+                continue;
+            }
             let slope = if apart_s > 0.0 { (last - first) / apart_s } else { 0.0 };
             let all = values(0, frames);
-            let mut steps: Vec<f64> = all.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            let middle = median(&mut steps).unwrap_or(0.0);
-            let mut sizes: Vec<f64> = steps.iter().map(|step| (step - middle).abs()).collect();
+            let steps: Vec<f64> = all.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let middle = median(&steps);
+            let sizes: Vec<f64> = steps.iter().map(|step| (step - middle).abs()).collect();
             (self.levels[channel], self.slopes[channel]) = (last + slope * since_mean_s, slope);
             // For a wandering level the differences are the innovations; for white noise they have twice the
             // variance.
-            self.noise[channel] = median(&mut sizes).map_or(f64::NAN, |size| OF_MEDIAN_DEVIATION * size);
+            self.noise[channel] = OF_MEDIAN_DEVIATION * median(&sizes);
         }
     }
 
@@ -377,8 +381,9 @@ impl LevelWatch {
     fn limit_noise(&mut self) {
         let relative = |(noise, level): (&f64, &f64)| noise / level.abs();
         let shares = self.noise.iter().zip(&self.levels).map(relative);
-        let mut shares: Vec<f64> = shares.filter(|share| share.is_finite()).collect();
-        let usual = median(&mut shares).unwrap_or(0.0);
+        let shares: Vec<f64> = shares.filter(|share| share.is_finite()).collect();
+        let usual = median(&shares);
+        let usual = if usual.is_finite() { usual } else { 0.0 };
         for ((least, noise), level) in self.least_noise.iter_mut().zip(&mut self.noise).zip(&self.levels) {
             *least = if level.is_finite() { QUIETEST * usual * level.abs() } else { 0.0 };
             *noise = noise.max(*least);
@@ -449,9 +454,4 @@ impl LevelWatch {
         let growth = if first > 0.0 { size / first } else { 1.0 };
         Some(LevelChange { since_ns, significance, share_of_peak, growth })
     }
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }

@@ -3,6 +3,7 @@
 use super::monitor::{FEWEST_TOGETHER, HealthMonitor};
 use super::{ChannelFaultKind, HealthParams};
 use crate::error::{TouchError, require_length};
+use crate::typical::median;
 
 /// Noise beyond this many times the median channel's and `NOISE_SHARE` of the largest resting value is a fault, not
 /// instrument noise.
@@ -45,11 +46,11 @@ impl HealthMonitor {
         }
         let largest = finite(expected).fold(0.0, f64::max);
         let largest_read = finite(baseline).fold(0.0, f64::max);
-        let usual_noise = median(finite(noise).collect());
+        let usual_noise = median(&finite(noise).collect::<Vec<_>>());
         let telling = |c: usize| expected[c].abs() > LEAST_SHARE * largest;
         let gains = (0..count).filter(|&c| telling(c)).map(|c| baseline[c].abs() / expected[c].abs());
-        let gain = median(gains.filter(|gain| gain.is_finite()).collect());
-        let usual_repeats = median(self.channels.iter().map(|state| state.repeat_share()).collect());
+        let gain = median(&gains.filter(|gain| gain.is_finite()).collect::<Vec<_>>());
+        let usual_repeats = median(&self.channels.iter().map(|state| state.repeat_share()).collect::<Vec<_>>());
         let gone = |c: usize| baseline[c].abs() <= self.params.dead_share * gain * expected[c].abs();
         let dead = dead_together(&self.wiring.groups, &self.params, telling, gone);
         for channel in 0..count {
@@ -116,9 +117,4 @@ fn dead_together(
 
 fn finite(values: &[f64]) -> impl Iterator<Item = f64> + '_ {
     values.iter().map(|v| v.abs()).filter(|v| v.is_finite())
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

@@ -151,13 +151,20 @@ pub(super) fn part_of(name: &str) -> Option<Part> {
         return Some(Part::Magnitude);
     }
     let lower = name.to_lowercase();
-    lower.split(|c: char| !c.is_alphabetic()).find_map(|word| match word {
-        "re" | "real" => Some(Part::Real),
-        "im" | "imag" | "imaginary" => Some(Part::Imaginary),
-        "mag" | "magnitude" | "magnitudes" | "abs" | "amp" | "amplitude" | "modulus" | "z" => Some(Part::Magnitude),
-        "phase" | "phi" | "arg" | "angle" | "theta" | "ph" | "φ" | "θ" => Some(Part::Phase),
+    let words = || lower.split(|c: char| !c.is_alphabetic());
+    let stated = words().find_map(|word| match word {
+        "re" | "real" | "rez" | "zre" | "zreal" => Some(Part::Real),
+        "im" | "imag" | "imaginary" | "imz" | "zim" | "zimag" => Some(Part::Imaginary),
+        "mag" | "magnitude" | "magnitudes" | "abs" | "amp" | "amplitude" | "modulus" | "zmag" | "zabs" | "zmod" => {
+            Some(Part::Magnitude)
+        }
+        "phase" | "phi" | "arg" | "angle" | "theta" | "ph" | "φ" | "θ" | "zphase" | "zphz" | "zarg" => {
+            Some(Part::Phase)
+        }
         _ => None,
-    })
+    });
+    // `Z` by itself is a magnitude next to phases, but `Z1_phase` is a phase.
+    stated.or_else(|| words().any(|word| word == "z").then_some(Part::Magnitude))
 }
 
 /// Columns that the user chose as readings: names, indices from 0, half-open ranges.

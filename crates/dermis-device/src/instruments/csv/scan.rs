@@ -50,6 +50,15 @@ impl Table {
         self.values.len() / self.sketch.columns
     }
 
+    /// Keeps the first of every `step` rows.
+    pub(super) fn keep_every(&mut self, step: usize) {
+        let columns = self.sketch.columns;
+        self.values = self.values.chunks_exact(columns).step_by(step).flatten().copied().collect();
+        for (_, stamps) in &mut self.stamps {
+            *stamps = stamps.iter().step_by(step).copied().collect();
+        }
+    }
+
     /// Name of a column, if there is a header.
     pub(super) fn name(&self, column: usize) -> Option<&str> {
         self.sketch.header.as_ref().and_then(|(_, names)| names.get(column)).map(String::as_str)
@@ -116,8 +125,7 @@ pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<S
             DeviceError::Ragged { file: file.to_owned(), line, expected: usual, found: cells }.into()
         }
         NoTable::Thousands { line, cell } => {
-            let expected = "numbers without marks between thousands: in this column some have a mark and three digits behind \
-                            it, and others are whole";
+            let expected = "numbers without marks between thousands, such as 1234.5";
             DeviceError::field(file, line, "numbers", &cell, expected).into()
         }
         NoTable::CommaBetweenCommas { line, cell } => {

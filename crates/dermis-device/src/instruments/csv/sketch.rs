@@ -177,6 +177,9 @@ impl Sketch {
             .map(|(_, line)| line)
             .collect();
         let has_digits = lines.iter().any(|(_, line)| line.contains(|c: char| c.is_ascii_digit()));
+        if let Some((line, cell)) = both_marks(&lines) {
+            return Err(NoTable::Thousands { line, cell });
+        }
         let none = if has_digits { NoTable::OtherLines } else { NoTable::NoNumbers };
         let best = best_candidate(&lines).ok_or(none)?;
         let Candidate { separator, decimal, looks, width, .. } = best;
@@ -430,6 +433,38 @@ fn thousands(sketch: &Sketch, rows: &[&str]) -> Option<(usize, String)> {
     let marked: usize = columns.iter().filter(|column| shows(column)).map(|column| column.marked).sum();
     let found = columns.into_iter().find(shows)?;
     found.first.filter(|_| marked >= SURE_THOUSANDS)
+}
+
+/// A cell with marks between thousands and a decimal mark, if there are several in lines of numbers. Any separator but
+/// the mark itself is tried, since the marks mislead the choice of the separator.
+fn both_marks(lines: &[Line]) -> Option<(usize, String)> {
+    let is_number = |cell: &str| [Decimal::Point, Decimal::Comma].iter().any(|mark| number(cell, *mark).is_ok());
+    Separator::ALL.iter().find_map(|separator| {
+        let cells = |line: &'_ str| separator.cells(line).map(str::to_owned).collect::<Vec<_>>();
+        let rows = lines.iter().map(|(number, line)| (*number, cells(line)));
+        let rows = rows
+            .filter(|(_, cells)| cells.len() > 1 && cells.iter().all(|cell| is_number(cell) || has_both_marks(cell)));
+        let marked = rows.flat_map(|(line, cells)| cells.into_iter().map(move |cell| (line, cell)));
+        marked.filter(|(_, cell)| has_both_marks(cell)).nth(SURE_THOUSANDS - 1)
+    })
+}
+
+/// True for a number with marks between thousands and a decimal mark: `1,234.5`, `-1.234,5`.
+fn has_both_marks(cell: &str) -> bool {
+    let bare = cell.trim_matches([' ', '"', '-', '+']);
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    [(',', '.'), ('.', ',')].into_iter().any(|(between, decimal)| {
+        let Some((whole, fraction)) = bare.split_once(decimal) else { return false };
+        let mut groups = whole.split(between);
+        let first = groups.next().unwrap_or_default();
+        let mut rest = groups.peekable();
+        let has_rest = rest.peek().is_some();
+        digits(fraction)
+            && digits(first)
+            && first.len() <= 3
+            && has_rest
+            && rest.all(|group| group.len() == 3 && digits(group))
+    })
 }
 
 /// True for one to three digits, the mark and three digits: `1,234`, but not `0,234`.

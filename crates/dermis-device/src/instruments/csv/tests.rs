@@ -217,6 +217,46 @@ fn magnitudes_and_phases_become_complex_readings() {
 }
 
 #[test]
+fn the_name_z_alone_is_a_magnitude_but_z_phase_is_a_phase() {
+    let table = read_for("Z0_mag,Z0_phase,Z1_mag,Z1_phase\n2,90,3,180\n", &[]).unwrap();
+    assert_eq!((table.channels(), table.imaginary().is_some()), (2, true));
+    assert!((table.imaginary().unwrap()[0] - 2.0).abs() < 1e-12);
+    assert_eq!(read_for("Zre1,Zim1\n2,3\n", &[]).unwrap().imaginary(), Some([3.0].as_slice()));
+    assert_eq!(read_for("Z 1,theta 1 (deg)\n2,90\n", &[]).unwrap().channels(), 1);
+}
+
+#[test]
+fn numbers_with_marks_between_thousands_are_refused() {
+    for row in ["1,234.5;987.6;2,000.0", "1.234,5;987,6;2.000,0", "\"1,234.5\",\"7,987.6\",\"2,000.0\""] {
+        let message = read_for(&format!("{row}\n{row}\n{row}\n"), &[]).unwrap_err();
+        assert!(message.contains("numbers without marks between thousands, such as 1234.5"), "{message}");
+    }
+}
+
+#[test]
+fn one_reading_per_row_with_its_channel_is_a_long_table() {
+    let rows = |last: usize| -> String {
+        (0..last).map(|row| format!("{},{},{}\n", 0.02 * (row / 4) as f64, row % 4 + 1, 10 + row)).collect()
+    };
+    let table = read_for(&format!("time_s,channel,voltage\n{}", rows(12)), &[]).unwrap();
+    assert_eq!((table.frames(), table.channels()), (3, 4));
+    assert_eq!(table.row(1), Some([14.0, 15.0, 16.0, 17.0].as_slice()));
+    assert_eq!(table.times_s(), Some([0.0, 0.02, 0.04].as_slice()));
+    assert!(
+        table.understood().contains("channel in column `channel`; 4 rows make one frame"),
+        "{}",
+        table.understood()
+    );
+    // A frame cut short is no such table: two columns of readings remain.
+    assert_eq!(read_for(&format!("time_s,channel,voltage\n{}", rows(11)), &[]).unwrap().channels(), 2);
+    let complex = read_for("frame,ch,re,im\n0,0,1,2\n0,1,3,4\n0,2,5,6\n1,0,7,8\n1,1,9,1\n1,2,2,3\n", &[]).unwrap();
+    assert_eq!((complex.frames(), complex.channels()), (2, 3));
+    assert_eq!(complex.imaginary_row(0), Some([2.0, 4.0, 6.0].as_slice()));
+    // A sawtooth of a few values next to another reading stays a reading where it does not count from the start.
+    assert_eq!(read_for("a,b\n0.5,1\n1.5,2\n0.5,3\n1.5,4\n", &[]).unwrap().channels(), 2);
+}
+
+#[test]
 fn frames_wrapped_over_rows_are_put_together() {
     let rows: String = (0..8).map(|row| format!("0.{row},1.{row},2.{row}\n")).collect();
     let table = read_for(&rows, &[12, 144]).unwrap();
