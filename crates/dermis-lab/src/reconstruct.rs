@@ -137,6 +137,9 @@ fn reconstruct_to(
         None => None,
     };
     let mut prepared = Prepared::new(skin)?;
+    if let Some(built) = calibration.map(|calibration| calibration.skin_as_built(&prepared)).transpose()?.flatten() {
+        prepared = built;
+    }
     let reads = prepared.skin.backend.reads;
     let reader = |table: &dermis_device::FrameTable| {
         ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())

@@ -2,17 +2,21 @@
 //! fused with model signatures ([`Calibration`]), or by everything that the running skin does without a calibration,
 //! including refinement, corrected by the pokes ([`dermis_touch::locator::PlaceCorrection`]). Left-out pokes decide.
 
+use std::sync::Arc;
+
 use dermis_skin::budget::Budget;
-use dermis_touch::locator::{FusedOptions, PokeSight, SeenPoke};
+use dermis_touch::locator::{FusedOptions, LeaveOneOut, LeftOut, PlaceCorrection, PokeSight, SeenPoke};
 use dermis_touch::{Contact, ContactStrength};
 
 use crate::Error;
+use crate::as_built::{self, BuildFit};
 use crate::calibration::{
-    CalibratedImager, Calibration, CalibrationOptions, PokeFrames, Pokes, differences_of, load_shares,
+    AsBuilt, CalibratedImager, Calibration, CalibrationOptions, PokeFrames, Pokes, differences_of, load_shares,
 };
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
 use crate::stages::refinement::Refinement;
+use crate::stages::workshop_error::WorkshopError;
 
 /// Maximum number of pokes, evenly drawn, that the model is tested on.
 const MOST_LOOKED_AT: usize = 200;
@@ -22,6 +26,11 @@ const SEVERAL_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.1);
 const UNSEEN_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.5);
 /// Lower bound on the variance of a position, m^2: a micrometre squared.
 const LEAST_VARIANCE_M2: f64 = 1e-12;
+/// Minimum number of pokes that tell how a skin was built, and number of parts in which they are left out.
+const FEWEST_FOR_BUILD: usize = 8;
+const FOLDS: usize = 2;
+/// Share of coordinates within one standard deviation.
+const ONE_SIGMA: f64 = 0.683;
 /// Time between unrelated frames, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
@@ -41,20 +50,132 @@ pub fn calibrate(
     let mut calibration = Calibration::fit_with(prepared, measured, pokes, options)?;
     let backend = &prepared.skin.backend;
     if options.physics && backend.wiring.is_known() && backend.circuit.is_none() {
+        let all: Vec<usize> = (0..pokes.positions_m.len()).collect();
         // If the model cannot read the frames, for example because of a different channel order, the pokes alone
         // locate touches.
-        match seen_by_model(prepared, measured, pokes) {
+        match seen_by_model(prepared, measured, pokes, &all) {
             Ok(seen) => {
                 calibration.try_model(&seen, prepared)?;
             }
             Err(error) => tracing::debug!("the model places no pokes: {error}"),
         }
+        match learned_as_built(prepared, measured, pokes, options, &calibration) {
+            Ok(Some(learned)) => calibration = learned,
+            Ok(None) => {}
+            Err(error) => tracing::debug!("how the skin was built is not learned: {error}"),
+        }
     }
     Ok(calibration)
 }
 
+/// A calibration by the model of the skin as built, if it places left-out pokes better than `other` does. Half of the
+/// pokes place the other half, and the errors of touches that the pokes leave are scaled to these errors.
+fn learned_as_built(
+    prepared: &Prepared,
+    measured: PokeFrames<'_>,
+    pokes: &Pokes,
+    options: &CalibrationOptions<'_>,
+    other: &Calibration,
+) -> Result<Option<Calibration>, Error> {
+    let count = pokes.positions_m.len();
+    let is_single = pokes.further_m.iter().all(Vec::is_empty);
+    if !as_built::is_wanted(prepared) || count < FEWEST_FOR_BUILD || !is_single {
+        return Ok(None);
+    }
+    let (reference, differences) = differences_of(prepared, measured)?;
+    let learned = BuildFit::new(prepared, &reference, &differences, &pokes.positions_m)?;
+    let mut left_out = Vec::new();
+    for fold in 0..FOLDS {
+        let (out, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(|i| i % FOLDS == fold);
+        let (build, errors) = learned.fit(&kept)?;
+        let skin = prepared.as_built(build)?.with_errors(Arc::new(errors.clone()));
+        let seen = seen_by_model(&skin, measured, pokes, &out)?;
+        let sights = seen.into_iter().zip(&out);
+        left_out.extend(sights.map(|(sight, &row)| LeftOutPoke::of(&sight, pokes.positions_m[row], &errors)));
+    }
+    let scale = built_scale(&left_out);
+    let examples: Vec<LeftOut> = left_out.iter().map(|poke| poke.example(scale)).collect();
+    let all: Vec<usize> = (0..count).collect();
+    let (build, errors) = learned.fit(&all)?;
+    let skin = prepared.as_built(build.clone())?;
+    let seen = seen_by_model(&skin, measured, pokes, &all)?;
+    let single: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();
+    let correction = PlaceCorrection::without_shifts(&single, examples, prepared.half_width_m())?;
+    let total = |report: &LeaveOneOut| report.median_error_m + report.p90_error_m;
+    let by_build = correction.leave_one_out();
+    tracing::debug!(
+        "as built: {:.3} and {:.3} mm, otherwise {:.3} and {:.3} mm; errors x {scale:.2}",
+        1e3 * by_build.median_error_m,
+        1e3 * by_build.p90_error_m,
+        1e3 * other.leave_one_out().median_error_m,
+        1e3 * other.leave_one_out().p90_error_m,
+    );
+    if total(by_build) >= total(other.leave_one_out()) {
+        return Ok(None);
+    }
+    let mut calibration = Calibration::fit_with(&skin, measured, pokes, options)?;
+    calibration.set_as_built(AsBuilt { build, errors: errors.scaled(scale) }, correction);
+    Ok(Some(calibration))
+}
+
+/// A poke as placed by a model that had not learned from it.
+struct LeftOutPoke {
+    truth_m: [f64; 2],
+    located_m: [f64; 2],
+    /// Variance of each coordinate by noise, and by what the other pokes leave unknown, m^2.
+    noise_m2: f64,
+    built_m2: f64,
+}
+
+impl LeftOutPoke {
+    /// `errors` are part of what the model states. A poke that is not seen counts as placed in the middle of the skin.
+    fn of(sight: &PokeSight, truth_m: [f64; 2], errors: &WorkshopError) -> Self {
+        let (located_m, noise_m2) = match sight {
+            PokeSight::Single(poke) | PokeSight::Several(poke) => (poke.seen_m, poke.variance_m2),
+            PokeSight::Nothing(_) => ([0.0; 2], truth_m[0].powi(2) + truth_m[1].powi(2)),
+        };
+        let built_m2 = errors.variance_m2(located_m);
+        Self { truth_m, located_m, noise_m2: (noise_m2 - built_m2).max(LEAST_VARIANCE_M2), built_m2 }
+    }
+
+    fn sigma_m(&self, scale: f64) -> f64 {
+        (self.noise_m2 + scale * self.built_m2).sqrt()
+    }
+
+    fn example(&self, scale: f64) -> LeftOut {
+        let error_m = [0, 1].map(|axis| self.truth_m[axis] - self.located_m[axis]);
+        LeftOut {
+            position_m: self.truth_m,
+            located_m: self.located_m,
+            sigma_m: [self.sigma_m(scale); 2],
+            error_m: error_m[0].hypot(error_m[1]),
+            novelty: 1.0,
+        }
+    }
+}
+
+/// Factor on the variance of the errors that remain with which 68 % of the coordinates are within one sigma.
+fn built_scale(pokes: &[LeftOutPoke]) -> f64 {
+    let within = |scale: f64| {
+        let is_within =
+            |poke: &LeftOutPoke, axis: usize| (poke.truth_m[axis] - poke.located_m[axis]).abs() <= poke.sigma_m(scale);
+        let count = pokes.iter().flat_map(|poke| [is_within(poke, 0), is_within(poke, 1)]).filter(|is| *is).count();
+        count as f64 / (2 * pokes.len()).max(1) as f64
+    };
+    // Half a decade is finer than twenty pokes can tell.
+    (-10..=20)
+        .map(|step| 10.0_f64.powf(0.1 * f64::from(step)))
+        .find(|scale| within(*scale) >= ONE_SIGMA)
+        .unwrap_or(100.0)
+}
+
 /// Pokes as the model sees them.
-fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -> Result<Vec<PokeSight>, Error> {
+fn seen_by_model(
+    prepared: &Prepared,
+    measured: PokeFrames<'_>,
+    pokes: &Pokes,
+    rows: &[usize],
+) -> Result<Vec<PokeSight>, Error> {
     let (reference, differences) = differences_of(prepared, measured)?;
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(prepared, None, reference, &differences)?;
@@ -64,10 +185,13 @@ fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -
         Refinement::none()
     };
     let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
-    let step = differences.len().div_ceil(MOST_LOOKED_AT).max(1);
+    if prepared.is_as_built() {
+        reconstructor.take_reference(prepared, &reference);
+    }
+    let step = rows.len().div_ceil(MOST_LOOKED_AT).max(1);
     let load_share = load_shares(pokes.loads.as_ref().map(|(_, loads)| &loads[..]));
     let is_single = |i: &usize| pokes.further_m.get(*i).is_none_or(Vec::is_empty);
-    let looked_at = (0..differences.len()).step_by(step).filter(is_single);
+    let looked_at = rows.iter().copied().step_by(step).filter(is_single);
     let poked = looked_at.map(|i| MeasuredPoke {
         difference: &differences[i],
         truth_m: pokes.positions_m[i],

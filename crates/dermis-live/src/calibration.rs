@@ -18,9 +18,9 @@ pub(crate) use circuit_search::{check_searchable, find_circuit_while};
 pub use circuit_search::{find_circuit, relative_changes};
 pub use matched::MatchedFinder;
 pub use placement_finder::{LearntFinder, PlacementFinder};
+pub(crate) use poke_calibration::{AsBuilt, differences_of, load_shares};
 pub use poke_calibration::{
     Calibration, CalibrationOptions, PokeFrames, PokeGroup, PokeReview, StartReview, StartUse, set_channels,
 };
-pub(crate) use poke_calibration::{differences_of, load_shares};
 pub use pokes::{LoadQuantity, Pokes, read_pokes};
 pub(crate) use self_calibrated::SelfCalibrated;

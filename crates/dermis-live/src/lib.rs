@@ -34,6 +34,7 @@
 //! | [`driver`], [`clock`], [`latency`], [`instant`] | the loop over frames; their times; their durations |
 //! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | learning from pokes, presses and training |
 
+pub mod as_built;
 mod beside;
 pub mod calibrate;
 pub mod calibration;

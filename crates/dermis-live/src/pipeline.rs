@@ -113,7 +113,10 @@ impl Pipeline {
         layout: &Layout,
         calibration: Option<Calibration>,
     ) -> Result<Self, Error> {
-        let prepared = prepared.into();
+        let mut prepared = prepared.into();
+        if let Some(built) = calibration.as_ref().map(|c| c.skin_as_built(&prepared)).transpose()?.flatten() {
+            prepared = Arc::new(built);
+        }
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let drift = drift_compensation(&prepared);
         let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;

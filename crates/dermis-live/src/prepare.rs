@@ -8,6 +8,7 @@ use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
 use dermis_tomo::mesh::PixelMap;
 
 use crate::Error;
+use crate::as_built::Build;
 use crate::magnetic_model::MagneticModel;
 use crate::stages::workshop_error::WorkshopError;
 use dermis_skin::budget::Budget;
@@ -45,6 +46,8 @@ pub struct Prepared {
     problem: OnceLock<Arc<LinearProblem>>,
     /// Errors of touches on skins as built, once they are asked for.
     workshop_error: OnceLock<Option<Arc<WorkshopError>>>,
+    /// How the skin was built, if that is known: then mesh, voltages and Jacobian are those of the skin as built.
+    built: Option<Arc<Build>>,
 }
 
 impl Prepared {
@@ -64,7 +67,7 @@ impl Prepared {
         let map = PixelMap::new(skin.grid()?, &body.mesh.mesh).map_err(mesh_error)?;
         let (voltages, jacobian) = match skin.modality {
             Modality::Mit => MagneticModel::of(&skin)?.linearised(&map.inside_centres_m(), map.grid().pixel_m)?,
-            Modality::Eit => electric_model(&skin, &body, &protocol, &map)?,
+            Modality::Eit => electric_model(&skin, &body, &protocol, &map, None)?,
         };
         let basis = pixel_basis(&map);
         Ok(Self {
@@ -77,7 +80,50 @@ impl Prepared {
             basis,
             problem: OnceLock::new(),
             workshop_error: OnceLock::new(),
+            built: None,
         })
+    }
+
+    /// The model of the skin as it was built.
+    ///
+    /// # Errors
+    /// Errors of the workshop that cannot be built, or a skin that cannot be solved.
+    pub fn as_built(&self, build: Build) -> Result<Self, Error> {
+        let mesh_error = |source| Error::Mesh { skin: self.skin.name.clone(), source };
+        let mesh = build.moved(&self.body).map_err(mesh_error)?;
+        // A rim pixel may fall in or out when nodes move; then the pixels stay as they were.
+        let map = PixelMap::new(*self.map.grid(), &mesh.mesh).map_err(mesh_error)?;
+        let map = if map.inside_pixels() == self.map.inside_pixels() { map } else { self.map.clone() };
+        let body = SkinBody { mesh, ..self.body.clone() };
+        let (voltages, jacobian) = electric_model(&self.skin, &body, &self.protocol, &map, Some(&build))?;
+        Ok(Self {
+            skin: self.skin.clone(),
+            body,
+            protocol: self.protocol.clone(),
+            map,
+            voltages,
+            jacobian,
+            basis: self.basis.clone(),
+            problem: OnceLock::new(),
+            workshop_error: OnceLock::new(),
+            built: Some(Arc::new(build)),
+        })
+    }
+
+    /// Sets the errors of touches that remain on the skin as built.
+    #[must_use]
+    pub(crate) fn with_errors(self, errors: Arc<WorkshopError>) -> Self {
+        Self { workshop_error: OnceLock::from(Some(errors)), ..self }
+    }
+
+    /// True if mesh, voltages and Jacobian are those of the skin as built.
+    pub fn is_as_built(&self) -> bool {
+        self.built.is_some()
+    }
+
+    /// Sheet conductance of every element at rest, siemens.
+    pub(crate) fn conductances_s(&self) -> Vec<f64> {
+        conductances_s(&self.skin, &self.body, self.built.as_deref())
     }
 
     /// The same skin with other image settings, without recomputing mesh or fields. The grid and the number of
@@ -98,6 +144,7 @@ impl Prepared {
             basis: self.basis.clone(),
             problem: OnceLock::new(),
             workshop_error: self.workshop_error.clone(),
+            built: self.built.clone(),
         })
     }
 
@@ -196,9 +243,10 @@ fn electric_model(
     body: &SkinBody,
     protocol: &Protocol,
     map: &PixelMap,
+    build: Option<&Build>,
 ) -> Result<(Vec<f64>, Jacobian), Error> {
     let conductance = skin.sheet_conductance_s();
-    let sigma = vec![conductance; body.mesh.mesh.element_count()];
+    let sigma = conductances_s(skin, body, build);
     let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
     let solution = model.solve(&sigma)?;
     let (voltages, mut jacobian) = match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
@@ -209,8 +257,24 @@ fn electric_model(
             (response.voltages, effective.solve(&sigma)?.jacobian_to_pixels(map))
         }
     };
-    jacobian.values.iter_mut().for_each(|value| *value *= conductance);
+    let local: Vec<f64> = match build {
+        None => vec![conductance; jacobian.columns],
+        Some(build) => map.inside_centres_m().iter().map(|at| conductance * build.conductivity(*at)).collect(),
+    };
+    for row in jacobian.values.chunks_exact_mut(local.len().max(1)) {
+        row.iter_mut().zip(&local).for_each(|(value, local)| *value *= local);
+    }
     Ok((voltages, jacobian))
+}
+
+/// Sheet conductance of every element at rest, siemens.
+fn conductances_s(skin: &Skin, body: &SkinBody, build: Option<&Build>) -> Vec<f64> {
+    let (mesh, conductance) = (&body.mesh.mesh, skin.sheet_conductance_s());
+    let relative = |element: usize| {
+        let [x, y, _] = mesh.centroid(element);
+        build.map_or(1.0, |build| build.conductivity([x, y]))
+    };
+    (0..mesh.element_count()).map(|element| conductance * relative(element)).collect()
 }
 
 /// Weights exp(-d^2 / 2 sigma^2) of the cells within four sigma of a position, in runs of consecutive cells. Each run

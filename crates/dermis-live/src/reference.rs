@@ -112,7 +112,7 @@ impl Reference {
             |pair: &[Vec<f64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
         let successive = frames.windows(2).map(difference).collect();
         let noise_source = if noise_measured { NoiseSource::Baseline } else { NoiseSource::Assumed };
-        let misfit = if scale_is_known(prepared) { misfit(&prepared.voltages, &baseline) } else { f64::NAN };
+        let misfit = if baseline_is_known(prepared) { misfit(&prepared.voltages, &baseline) } else { f64::NAN };
         Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order, misfit })
     }
 
@@ -212,7 +212,7 @@ fn signs(prepared: &Prepared) -> Vec<f64> {
 }
 
 /// True if a baseline can be compared with the model.
-fn scale_is_known(prepared: &Prepared) -> bool {
+pub(crate) fn baseline_is_known(prepared: &Prepared) -> bool {
     !prepared.skin.backend.differences && prepared.skin.backend.wiring.is_known()
 }
 
@@ -228,7 +228,7 @@ pub(crate) fn misfit(model: &[f64], baseline: &[f64]) -> f64 {
 
 /// Factors from measured differences to model volts.
 pub(crate) fn scale_to_model(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> {
-    if !scale_is_known(prepared) {
+    if !baseline_is_known(prepared) {
         // There is nothing to compare with the model.
         return Ok(signs(prepared));
     }

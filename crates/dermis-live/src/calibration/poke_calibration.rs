@@ -15,6 +15,7 @@ pub use groups::PokeGroup;
 use groups::split;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::health::RestScatter;
@@ -33,7 +34,9 @@ use strength::{TouchStrength, Weighed};
 use super::poke_check::{Sound, check_pokes};
 use super::pokes::{LoadQuantity, Pokes};
 use crate::Error;
+use crate::as_built::Build;
 use crate::prepare::Prepared;
+use crate::stages::workshop_error::WorkshopError;
 
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
@@ -106,12 +109,22 @@ pub struct Calibration {
     /// Corrects the positions of the skin's model, if these are better than the locator's. The model then locates
     /// touches, and the locator estimates their load.
     by_model: Option<PlaceCorrection>,
+    /// How the skin was built, and the errors of touches that remain, if that explains the pokes best.
+    as_built: Option<AsBuilt>,
     /// Pokes with several touches, which only teach how touches add up.
     groups: Vec<PokeGroup>,
     /// Number of pokes used in the fit.
     pokes: usize,
     strength: TouchStrength,
     review: PokeReview,
+}
+
+/// A skin as built, with the errors of touches that remain.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct AsBuilt {
+    pub(crate) build: Build,
+    pub(crate) errors: WorkshopError,
 }
 
 /// Load of each poke relative to a typical one, by its index; 1 if loads are unknown.
@@ -201,6 +214,7 @@ impl Calibration {
             loads: pokes.loads.as_ref().map(|(_, loads)| kept.iter().map(|&i| loads[i]).collect()),
             locator: Box::new(fused),
             by_model: None,
+            as_built: None,
             groups: Vec::new(),
             pokes: rows.len(),
             strength: TouchStrength::of(amplitudes?, &resting, matches!(measured, PokeFrames::Readings { .. })),
@@ -264,6 +278,27 @@ impl Calibration {
         let locator = total(self.locator.leave_one_out());
         self.by_model = Some(correction).filter(|c| clearly * total(c.leave_one_out()) < locator);
         Ok(self.by_model.is_some())
+    }
+
+    /// The model of the skin as built, if the pokes tell how it was built and the given one is of the skin as drawn.
+    ///
+    /// # Errors
+    /// A skin that cannot be solved.
+    pub fn skin_as_built(&self, prepared: &Prepared) -> Result<Option<Prepared>, Error> {
+        let Some(AsBuilt { build, errors }) = self.as_built.as_ref().filter(|_| !prepared.is_as_built()) else {
+            return Ok(None);
+        };
+        Ok(Some(prepared.as_built(build.clone())?.with_errors(Arc::new(errors.clone()))))
+    }
+
+    /// True if touches are located by the model of the skin as built.
+    pub fn is_as_built(&self) -> bool {
+        self.as_built.is_some()
+    }
+
+    /// Lets the model of the skin as built locate touches, with these errors of pokes that it had not learned from.
+    pub(crate) fn set_as_built(&mut self, as_built: AsBuilt, correction: PlaceCorrection) {
+        (self.as_built, self.by_model) = (Some(as_built), Some(correction));
     }
 
     /// The correction of the model's positions, if the model locates touches; `None` if the locator does.

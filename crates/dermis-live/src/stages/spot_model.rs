@@ -16,7 +16,7 @@ pub(super) const MOST_SPOTS: usize = 8;
 /// Largest radius of a spot, relative to half the shorter side.
 pub(super) const LARGEST_RADIUS: f64 = 0.6;
 /// Typical radius, relative to half the shorter side.
-pub(super) const TYPICAL_RADIUS: f64 = 0.12;
+pub(crate) const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius, relative to half the shorter side.
 pub(super) const SMALLEST_RADIUS: f64 = 0.05;
 /// Highest frame rate at which fits correct for large changes. A fit takes 2 ms with 16 electrodes, and 13 ms with 32
@@ -73,13 +73,13 @@ pub(super) fn may_look_beyond(prepared: &Prepared) -> bool {
 }
 
 /// The change of the model's voltages when the conductance of each pixel changes by the given shares.
-fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
+pub(crate) fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
     let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
-    let (map, conductance_s) = (prepared.map.clone(), prepared.skin.sheet_conductance_s());
+    let (map, rest_s) = (prepared.map.clone(), prepared.conductances_s());
     let rest = prepared.voltages.clone();
     Ok(Arc::new(move |changes: &[f64]| {
         let mut conductances = map.to_elements(changes).ok()?;
-        conductances.iter_mut().for_each(|value| *value = conductance_s * (1.0 + *value));
+        conductances.iter_mut().zip(&rest_s).for_each(|(value, rest_s)| *value = rest_s * (1.0 + *value));
         let mut differences = model.voltages(&conductances).ok()?;
         differences.iter_mut().zip(&rest).for_each(|(value, rest)| *value -= rest);
         Some(differences)

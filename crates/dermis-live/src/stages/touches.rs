@@ -202,10 +202,12 @@ impl TouchStage {
             contact.amplitude /= typical;
             contact.volume /= typical;
             contact.centroid_m = correction.corrected(contact.centroid_m);
-            contact.model_variance_m2 = correction.sigma_m().powi(2);
+            if correction.shifts() {
+                contact.model_variance_m2 = correction.sigma_m().powi(2);
+            }
             contact.load = load.filter(|_| is_single);
         }
-        self.is_placed = true;
+        self.is_placed = correction.shifts();
     }
 
     /// Estimates the forces of the contacts just found and tracks them as touches.

@@ -50,6 +50,11 @@ struct Member {
 /// Errors of touches on a skin whose baseline has this relative misfit; NaN if there is no baseline to compare.
 /// `None` if the skin is as drawn, or if touches aren't fitted to its model.
 pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError> {
+    if prepared.is_as_built() {
+        // What the pokes leave unknown, whatever the baseline.
+        let remaining = prepared.workshop_error(|| None)?;
+        return Some(BuiltError::new(remaining, f64::NAN));
+    }
     if misfit < AS_DRAWN || !prepared.skin.fits_touches() || !prepared.skin.backend.wiring.is_known() {
         return None;
     }

@@ -2,21 +2,24 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 /// Largest ratio of a baseline's misfit to the ensemble's. A larger misfit means that the model is of a different
 /// skin.
 const MOST_MISFIT: f64 = 5.0;
 
 /// Covariances from an ensemble of skins.
-#[derive(Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct WorkshopError {
-    pub(super) places_m: Vec<[f64; 2]>,
-    pub(super) spacing_m: f64,
+    pub(crate) places_m: Vec<[f64; 2]>,
+    pub(crate) spacing_m: f64,
     /// Means of x^2, x y and y^2 (m^2), of the squared relative load, and of the unexplained share of the energy.
-    pub(super) squares: Vec<[f64; 5]>,
+    pub(crate) squares: Vec<[f64; 5]>,
     /// Mean squared misfit of the members' baselines.
-    pub(super) misfit_2: f64,
+    pub(crate) misfit_2: f64,
     /// Variance of the relative load due to the contact law.
-    pub(super) law: f64,
+    pub(crate) law: f64,
 }
 
 /// Errors of touches on one skin, scaled by the misfit of its baseline.
@@ -53,6 +56,18 @@ impl BuiltError {
 }
 
 impl WorkshopError {
+    /// Variance of a coordinate at a position, averaged over both, m^2.
+    pub(crate) fn variance_m2(&self, place_m: [f64; 2]) -> f64 {
+        let [xx, _, yy, ..] = self.at(place_m);
+        0.5 * (xx + yy)
+    }
+
+    /// The same errors times a factor on the variance.
+    pub(crate) fn scaled(mut self, factor: f64) -> Self {
+        self.squares.iter_mut().flatten().for_each(|square| *square *= factor);
+        self
+    }
+
     /// Mean squares at a position, smoothed over its neighbours.
     fn at(&self, place_m: [f64; 2]) -> [f64; 5] {
         let (mut sums, mut weights) = ([0.0; 5], 0.0);

@@ -180,6 +180,34 @@ impl Outline {
         nearest
     }
 
+    /// The point at a position along the rim; positions go round.
+    pub fn rim_at(&self, position_m: f64) -> [f64; 2] {
+        let mut left = position_m.rem_euclid(self.perimeter_m());
+        if let Outline::Disc { radius_m } = self {
+            let (sine, cosine) = (left / radius_m).sin_cos();
+            return [radius_m * cosine, radius_m * sine];
+        }
+        let vertices = self.rim_vertices();
+        for [a, b] in sides(&vertices) {
+            let length = super::plane::distance(a, b);
+            if left <= length {
+                return [0, 1].map(|k| a[k] + left / length * (b[k] - a[k]));
+            }
+            left -= length;
+        }
+        vertices[0]
+    }
+
+    /// Positions of the corners along the rim, the first at the perimeter; none for a disc.
+    pub fn rim_corners_m(&self) -> Vec<f64> {
+        let vertices = self.rim_vertices();
+        let ends = sides(&vertices).scan(0.0, |end, [a, b]| {
+            *end += super::plane::distance(a, b);
+            Some(*end)
+        });
+        ends.collect()
+    }
+
     /// Corners counter-clockwise, starting where rim positions start; empty for a disc.
     pub(super) fn rim_vertices(&self) -> Vec<Point> {
         match self {

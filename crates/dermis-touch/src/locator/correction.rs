@@ -149,6 +149,21 @@ impl PlaceCorrection {
         })
     }
 
+    /// A model that needs no shifts: only its amplitudes are scaled. `left_out` are pokes that it had not learned from.
+    ///
+    /// # Errors
+    /// As [`PlaceCorrection::fit`].
+    pub fn without_shifts(pokes: &[SeenPoke], left_out: Vec<LeftOut>, half_width_m: f64) -> Result<Self, LocatorError> {
+        let fitted = Self::fit(pokes, half_width_m)?;
+        let shifts_m = vec![[0.0; 2]; fitted.stored.shifts_m.len()];
+        Ok(Self { stored: StoredCorrection { shifts_m, sigma_m: 0.0, left_out: report(left_out), ..fitted.stored } })
+    }
+
+    /// True if positions are shifted. Otherwise the model's own standard deviations hold.
+    pub fn shifts(&self) -> bool {
+        self.stored.sigma_m > 0.0
+    }
+
     /// Corrected position of a touch that the model puts at `place_m`, metres.
     pub fn corrected(&self, place_m: [f64; 2]) -> [f64; 2] {
         let mut corrected = place_m;

@@ -7,7 +7,7 @@ use super::super::pokes::LoadQuantity;
 use super::frames::frames_with_gaps;
 use super::groups::PokeGroup;
 use super::strength::TouchStrength;
-use super::{Calibration, PokeReview};
+use super::{AsBuilt, Calibration, PokeReview};
 
 /// Version of the calibration file.
 const VERSION: u32 = 4;
@@ -29,6 +29,8 @@ pub(super) struct StoredCalibration {
     fused: Box<FusedLocator>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     by_model: Option<PlaceCorrection>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    as_built: Option<AsBuilt>,
     /// Pokes with several touches, which only teach how touches add up.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     groups: Vec<PokeGroup>,
@@ -68,6 +70,7 @@ impl TryFrom<StoredCalibration> for Calibration {
             loads: stored.loads,
             locator: stored.fused,
             by_model: stored.by_model,
+            as_built: stored.as_built,
             groups: stored.groups,
             pokes: stored.pokes,
             strength: stored.strength,
@@ -89,6 +92,7 @@ impl From<Calibration> for StoredCalibration {
             loads: calibration.loads,
             fused: calibration.locator,
             by_model: calibration.by_model,
+            as_built: calibration.as_built,
             groups: calibration.groups,
             pokes: calibration.pokes,
             strength: calibration.strength,
