@@ -168,6 +168,14 @@ fn reconstruct_to(
         Some(_) => Reference::of(&prepared, &baselines)?,
         None => Reference::of_differences(&prepared, &frames)?,
     };
+    if calibration.is_none()
+        && std::env::var_os("DERMIS_REST").is_some()
+        && let Some(built) = dermis_live::as_built::from_rest(&prepared, &reference)?
+    {
+        prepared = built;
+        reference =
+            if paired { Reference::of_pairs(&prepared, &baselines)? } else { Reference::of(&prepared, &baselines)? };
+    }
     let is_compared = baseline_table.is_some() && prepared.skin.backend.wiring.is_known();
     let said = is_compared.then(|| describe_baseline(&reference.baseline, &prepared.voltages)).flatten();
     let odd: Vec<Option<FrameFaultKind>> = match &baseline_table {

@@ -9,9 +9,13 @@ mod errors;
 mod fit;
 mod spots;
 
+use std::sync::Arc;
+
 use dermis_skin::Layer;
 
+use crate::Error;
 use crate::prepare::Prepared;
+use crate::reference::Reference;
 
 pub use build::Build;
 pub(crate) use fit::BuildFit;
@@ -21,4 +25,16 @@ pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
     let skin = &prepared.skin;
     let has_spots = matches!(skin.frontend.layer, Layer::Sheet(_) | Layer::Liquid(_));
     has_spots && skin.fits_touches() && skin.backend.wiring.is_known()
+}
+
+/// The skin as built, as far as its baseline tells; `None` if the skin is as drawn.
+///
+/// # Errors
+/// A skin that cannot be solved.
+pub fn from_rest(prepared: &Prepared, reference: &Reference) -> Result<Option<Prepared>, Error> {
+    if !is_wanted(prepared) || prepared.is_as_built() {
+        return Ok(None);
+    }
+    let (build, errors) = BuildFit::new(prepared, reference, &[], &[])?.fit(&[])?;
+    Ok(Some(prepared.as_built(build)?.with_errors(Arc::new(errors))))
 }

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use dermis_skin::budget::Budget;
-use dermis_touch::locator::{FusedOptions, LeaveOneOut, LeftOut, PlaceCorrection, PokeSight, SeenPoke};
+use dermis_touch::locator::{FusedOptions, LeftOut, PlaceCorrection, PokeSight, SeenPoke};
 use dermis_touch::{Contact, ContactStrength};
 
 use crate::Error;
@@ -28,7 +28,7 @@ const UNSEEN_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.5);
 const LEAST_VARIANCE_M2: f64 = 1e-12;
 /// Minimum number of pokes that tell how a skin was built, and number of parts in which they are left out.
 const FEWEST_FOR_BUILD: usize = 8;
-const FOLDS: usize = 2;
+const FOLDS: usize = 4;
 /// Share of coordinates within one standard deviation.
 const ONE_SIGMA: f64 = 0.683;
 /// Time between unrelated frames, nanoseconds.
@@ -68,8 +68,8 @@ pub fn calibrate(
     Ok(calibration)
 }
 
-/// A calibration by the model of the skin as built, if it places left-out pokes better than `other` does. Half of the
-/// pokes place the other half, and the errors of touches that the pokes leave are scaled to these errors.
+/// A calibration by the model of the skin as built, if left-out pokes are more probable under it than under `other`.
+/// Three quarters of the pokes place the others in turn. The variance that they leave is scaled to the errors found.
 fn learned_as_built(
     prepared: &Prepared,
     measured: PokeFrames<'_>,
@@ -101,16 +101,15 @@ fn learned_as_built(
     let seen = seen_by_model(&skin, measured, pokes, &all)?;
     let single: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();
     let correction = PlaceCorrection::without_shifts(&single, examples, prepared.half_width_m())?;
-    let total = |report: &LeaveOneOut| report.median_error_m + report.p90_error_m;
-    let by_build = correction.leave_one_out();
+    let (by_build, by_others) = (correction.leave_one_out(), other.leave_one_out());
     tracing::debug!(
-        "as built: {:.3} and {:.3} mm, otherwise {:.3} and {:.3} mm; errors x {scale:.2}",
+        "as built: {:.3} mm, log density {:.2}; otherwise {:.3} mm, {:.2}; variance x {scale:.2}",
         1e3 * by_build.median_error_m,
-        1e3 * by_build.p90_error_m,
-        1e3 * other.leave_one_out().median_error_m,
-        1e3 * other.leave_one_out().p90_error_m,
+        by_build.mean_log_density(),
+        1e3 * by_others.median_error_m,
+        by_others.mean_log_density(),
     );
-    if total(by_build) >= total(other.leave_one_out()) {
+    if by_build.mean_log_density() <= by_others.mean_log_density() {
         return Ok(None);
     }
     let mut calibration = Calibration::fit_with(&skin, measured, pokes, options)?;

@@ -112,6 +112,7 @@ impl<'a> BuildFit<'a> {
         let mut parameters = vec![0.0; count];
         let mut covariance = Mat::identity(count, count);
         let mut left = LEFT_AT_FIRST;
+        let is_poked = !rows.is_empty();
         let mut built: Option<(Prepared, Vec<Vec<f64>>, Vec<Fitted>)> = None;
         for _ in 0..STEPS {
             let mut system = System::new(count);
@@ -145,12 +146,13 @@ impl<'a> BuildFit<'a> {
             let fitted = fit_spots(&skin, &seen)?;
             let shares: Vec<f64> =
                 fitted.iter().zip(&frames).map(|(fitted, frame)| share_left(&fitted.left, frame)).collect();
-            left = dermis_touch::median(&shares);
+            left = if is_poked { dermis_touch::median(&shares) } else { 0.0 };
             tracing::debug!("pokes leave {left:.4} of their response");
             built = Some((skin, frames, fitted));
         }
         let skin = built.as_ref().map_or(self.prepared, |(skin, ..)| skin);
-        Ok((self.prior.build(&parameters), self.remaining(skin, &covariance)?))
+        let errors = self.remaining(skin, &covariance)?.leaving(left * left);
+        Ok((self.prior.build(&parameters), errors))
     }
 
     /// Errors of touches on the skin as built, for this covariance of the parameters.

@@ -62,9 +62,15 @@ impl WorkshopError {
         0.5 * (xx + yy)
     }
 
-    /// The same errors times a factor on the variance.
+    /// The same errors with a factor on the variances of position and load.
     pub(crate) fn scaled(mut self, factor: f64) -> Self {
-        self.squares.iter_mut().flatten().for_each(|square| *square *= factor);
+        self.squares.iter_mut().flat_map(|squares| &mut squares[..4]).for_each(|square| *square *= factor);
+        self
+    }
+
+    /// The same errors with this much more of a press's energy unexplained.
+    pub(crate) fn leaving(mut self, share: f64) -> Self {
+        self.squares.iter_mut().for_each(|squares| squares[4] += share);
         self
     }
 
