@@ -10,6 +10,7 @@ use dermis_touch::{Observation, Touch};
 
 use crate::Error;
 use crate::odd_frames::{describe, describe_baseline, odd};
+use dermis_live::as_built;
 use dermis_live::calibration::{
     CalibratedImager, Calibration, CircuitFit, PlacementFinder, find_circuit, relative_changes, set_channels,
 };
@@ -169,12 +170,10 @@ fn reconstruct_to(
         None => Reference::of_differences(&prepared, &frames)?,
     };
     if calibration.is_none()
-        && std::env::var_os("DERMIS_REST").is_some()
-        && let Some(built) = dermis_live::as_built::from_rest(&prepared, &reference)?
+        && let Some(built) = as_built::from_rest(&prepared, &reference)?
     {
         prepared = built;
-        reference =
-            if paired { Reference::of_pairs(&prepared, &baselines)? } else { Reference::of(&prepared, &baselines)? };
+        reference = if paired { Reference::of_pairs } else { Reference::of }(&prepared, &baselines)?;
     }
     let is_compared = baseline_table.is_some() && prepared.skin.backend.wiring.is_known();
     let said = is_compared.then(|| describe_baseline(&reference.baseline, &prepared.voltages)).flatten();

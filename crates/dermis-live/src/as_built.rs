@@ -17,8 +17,14 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
+/// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much.
+pub(crate) const AS_DRAWN: f64 = 0.004;
+/// Largest difference between a baseline and the skin as built, root mean square, in standard deviations of gains and
+/// meshes. Twins built within their tolerances reach 0.5 to 1.2.
+const MOST_MISFIT: f64 = 2.0;
+
 pub use build::Build;
-pub(crate) use fit::BuildFit;
+pub(crate) use fit::{BuildFit, Built};
 
 /// True if pokes can tell how a skin was built: presses are spots on its sheet, read without a circuit between.
 pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
@@ -27,14 +33,21 @@ pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
     has_spots && skin.fits_touches() && skin.backend.wiring.is_known()
 }
 
-/// The skin as built, as far as its baseline tells; `None` if the skin is as drawn.
+/// The skin as built, as far as its baseline tells. `None` if the baseline fits the skin as drawn, if no skin within the
+/// tolerances explains it, or if presses on the skin are not spots.
 ///
 /// # Errors
 /// A skin that cannot be solved.
 pub fn from_rest(prepared: &Prepared, reference: &Reference) -> Result<Option<Prepared>, Error> {
-    if !is_wanted(prepared) || prepared.is_as_built() {
+    // Without a baseline to compare, the misfit is not a number.
+    let is_off = reference.misfit >= AS_DRAWN;
+    if !is_wanted(prepared) || prepared.is_as_built() || !is_off {
         return Ok(None);
     }
-    let (build, errors) = BuildFit::new(prepared, reference, &[], &[])?.fit(&[])?;
+    let Built { build, errors, rest_misfit } = BuildFit::new(prepared, reference, &[], &[])?.fit(&[])?;
+    if rest_misfit > MOST_MISFIT {
+        tracing::debug!("no skin within the tolerances explains the baseline: {rest_misfit:.1} deviations off");
+        return Ok(None);
+    }
     Ok(Some(prepared.as_built(build)?.with_errors(Arc::new(errors))))
 }

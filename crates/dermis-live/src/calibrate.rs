@@ -9,7 +9,7 @@ use dermis_touch::locator::{FusedOptions, LeftOut, PlaceCorrection, PokeSight, S
 use dermis_touch::{Contact, ContactStrength};
 
 use crate::Error;
-use crate::as_built::{self, BuildFit};
+use crate::as_built::{self, BuildFit, Built};
 use crate::calibration::{
     AsBuilt, CalibratedImager, Calibration, CalibrationOptions, PokeFrames, Pokes, differences_of, load_shares,
 };
@@ -87,7 +87,7 @@ fn learned_as_built(
     let mut left_out = Vec::new();
     for fold in 0..FOLDS {
         let (out, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(|i| i % FOLDS == fold);
-        let (build, errors) = learned.fit(&kept)?;
+        let Built { build, errors, .. } = learned.fit(&kept)?;
         let skin = prepared.as_built(build)?.with_errors(Arc::new(errors.clone()));
         let seen = seen_by_model(&skin, measured, pokes, &out)?;
         let sights = seen.into_iter().zip(&out);
@@ -96,7 +96,7 @@ fn learned_as_built(
     let scale = built_scale(&left_out);
     let examples: Vec<LeftOut> = left_out.iter().map(|poke| poke.example(scale)).collect();
     let all: Vec<usize> = (0..count).collect();
-    let (build, errors) = learned.fit(&all)?;
+    let Built { build, errors, .. } = learned.fit(&all)?;
     let skin = prepared.as_built(build.clone())?;
     let seen = seen_by_model(&skin, measured, pokes, &all)?;
     let single: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();

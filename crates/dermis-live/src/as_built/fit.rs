@@ -28,7 +28,7 @@ const SPOT_STEPS: usize = 6;
 /// Share of a poke's response that the model of a spot leaves at first; then what it leaves is measured.
 const LEFT_AT_FIRST: f64 = 0.02;
 /// Error of the model at rest, as a share of its largest voltage, on meshes unlike the instrument's.
-const REST_ERROR: f64 = 0.002;
+const REST_ERROR: f64 = 0.001;
 /// Largest relative loss of conductance under a press, smallest load, and largest change of a radius's logarithm in a
 /// step.
 const MOST_LOST: f64 = 0.95;
@@ -64,6 +64,15 @@ pub(crate) struct BuildFit<'a> {
     pokes: Vec<Poke<'a>>,
     grid: (Vec<[f64; 2]>, f64),
     modes: Modes,
+}
+
+/// A skin as built.
+pub(crate) struct Built {
+    pub(crate) build: Build,
+    /// Errors of touches that remain.
+    pub(crate) errors: WorkshopError,
+    /// Root mean square difference of the baseline from this skin, in standard deviations.
+    pub(crate) rest_misfit: f64,
 }
 
 /// A poke with its fit on the skin as drawn.
@@ -106,7 +115,7 @@ impl<'a> BuildFit<'a> {
     ///
     /// # Errors
     /// A skin that cannot be solved.
-    pub(crate) fn fit(&self, rows: &[usize]) -> Result<(Build, WorkshopError), Error> {
+    pub(crate) fn fit(&self, rows: &[usize]) -> Result<Built, Error> {
         let rows: Vec<usize> = rows.iter().copied().step_by(rows.len().div_ceil(MOST_POKES).max(1)).collect();
         let count = self.prior.len();
         let mut parameters = vec![0.0; count];
@@ -144,15 +153,20 @@ impl<'a> BuildFit<'a> {
                 })
                 .collect();
             let fitted = fit_spots(&skin, &seen)?;
-            let shares: Vec<f64> =
-                fitted.iter().zip(&frames).map(|(fitted, frame)| share_left(&fitted.left, frame)).collect();
+            let shares: Vec<f64> = fitted
+                .iter()
+                .zip(&frames)
+                .map(|(fitted, frame)| share_left(&fitted.left, frame, &self.reference.noise))
+                .collect();
             left = if is_poked { dermis_touch::median(&shares) } else { 0.0 };
             tracing::debug!("pokes leave {left:.4} of their response");
             built = Some((skin, frames, fitted));
         }
         let skin = built.as_ref().map_or(self.prepared, |(skin, ..)| skin);
         let errors = self.remaining(skin, &covariance)?.leaving(left * left);
-        Ok((self.prior.build(&parameters), errors))
+        let mut rest = System::new(count);
+        let rest_misfit = rest.add_rest(skin, &self.reference.baseline, &self.modes.rest);
+        Ok(Built { build: self.prior.build(&parameters), errors, rest_misfit })
     }
 
     /// Errors of touches on the skin as built, for this covariance of the parameters.
@@ -172,10 +186,12 @@ impl<'a> BuildFit<'a> {
     }
 }
 
-/// Share of a frame that a fit leaves, root mean square.
-fn share_left(left: &[f64], frame: &[f64]) -> f64 {
-    let square = |values: &[f64]| values.iter().filter(|v| v.is_finite()).map(|v| v * v).sum::<f64>();
-    (square(left) / square(frame).max(f64::MIN_POSITIVE)).sqrt()
+/// Share of a frame that a fit leaves beyond the noise, root mean square.
+fn share_left(left: &[f64], frame: &[f64], noise: &[f64]) -> f64 {
+    let present = || left.iter().zip(frame).zip(noise).filter(|((left, _), _)| left.is_finite());
+    let beyond: f64 = present().map(|((left, _), noise)| left * left - noise * noise).sum();
+    let all: f64 = present().map(|((_, frame), _)| frame * frame).sum();
+    (beyond.max(0.0) / all.max(f64::MIN_POSITIVE)).sqrt()
 }
 
 /// A poke to fit: its frame, its position and a first guess of its radius.
@@ -331,8 +347,9 @@ impl System {
         self.add(&design, &residual, &rows(&|c, k| fitted.nuisance[(c, k)], 2));
     }
 
-    /// Adds the baseline, whose common gain is unknown.
-    fn add_rest(&mut self, now: &Prepared, baseline: &[f64], rest: &Mat<f64>) {
+    /// Adds the baseline, whose common gain is unknown. Returns its root mean square difference from the skin, in
+    /// standard deviations.
+    fn add_rest(&mut self, now: &Prepared, baseline: &[f64], rest: &Mat<f64>) -> f64 {
         let voltages = &now.voltages;
         let largest = voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
         let gain = 0.01 * now.skin.tolerances.gain_percent;
@@ -350,6 +367,7 @@ impl System {
         let design = rows(&|c, k| rest[(c, k)], rest.ncols());
         let residual = rows(&|c, _| common * signed(c) - voltages[c], 1);
         self.add(&design, &residual, &rows(&|c, _| voltages[c], 1));
+        (residual.squared_norm_l2() / channels.len().max(1) as f64).sqrt()
     }
 
     /// Adds whitened rows, with nuisances projected out.

@@ -21,6 +21,7 @@ use faer::{Mat, Side};
 use rayon::prelude::*;
 
 use crate::Error;
+use crate::as_built::AS_DRAWN;
 use crate::prepare::Prepared;
 use crate::reference::{misfit, scale_to_model};
 use crate::stages::spot_model::Membrane;
@@ -38,8 +39,6 @@ const SPOT_RADIUS: f64 = 0.12;
 const RADIUS_UNKNOWN: f64 = 0.5;
 /// Number of cosines in a random conductivity.
 const COSINES: usize = 64;
-/// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much.
-const AS_DRAWN: f64 = 0.004;
 
 /// A skin with errors: voltages at rest, and model volts per relative change of each inside pixel.
 struct Member {

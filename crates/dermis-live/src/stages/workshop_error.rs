@@ -32,8 +32,8 @@ pub struct BuiltError {
 impl BuiltError {
     /// Scales an ensemble to a skin whose baseline has this relative misfit; NaN if there is no baseline to compare.
     pub(crate) fn new(ensemble: Arc<WorkshopError>, misfit: f64) -> Self {
-        let ratio = (misfit / ensemble.misfit_2.sqrt()).min(MOST_MISFIT);
-        let scale = if ratio.is_finite() { ratio * ratio } else { 1.0 };
+        let ratio = misfit / ensemble.misfit_2.sqrt();
+        let scale = if ratio.is_finite() { ratio.min(MOST_MISFIT).powi(2) } else { 1.0 };
         Self { ensemble, scale }
     }
 

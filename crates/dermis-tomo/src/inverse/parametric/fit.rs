@@ -39,7 +39,7 @@ pub struct FitOutcome {
 /// Number of parameters of a spot.
 pub(super) const OF_SPOT: usize = 4;
 /// Largest number of steps.
-const MOST_STEPS: usize = 12;
+const MOST_STEPS: usize = 40;
 /// A fit has converged when no spot moves by more than this share of its radius, and the logarithm of no radius
 /// changes by more than ten times this.
 const CONVERGED: f64 = 2e-3;
