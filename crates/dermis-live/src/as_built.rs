@@ -15,7 +15,7 @@ use dermis_skin::Layer;
 
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::reference::Reference;
+use crate::reference::{Reference, baseline_is_known};
 
 /// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much.
 pub(crate) const AS_DRAWN: f64 = 0.004;
@@ -33,6 +33,11 @@ pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
     has_spots && skin.fits_touches() && skin.backend.wiring.is_known()
 }
 
+/// True if the baseline of this skin, as drawn, tells how it was built.
+pub(crate) fn learns_from_rest(drawn: &Prepared) -> bool {
+    is_wanted(drawn) && !drawn.is_as_built() && baseline_is_known(drawn)
+}
+
 /// The skin as built, as far as its baseline tells. `None` if the baseline fits the skin as drawn, if no skin within the
 /// tolerances explains it, or if presses on the skin are not spots.
 ///
@@ -41,7 +46,7 @@ pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
 pub fn from_rest(prepared: &Prepared, reference: &Reference) -> Result<Option<Prepared>, Error> {
     // Without a baseline to compare, the misfit is not a number.
     let is_off = reference.misfit >= AS_DRAWN;
-    if !is_wanted(prepared) || prepared.is_as_built() || !is_off {
+    if !learns_from_rest(prepared) || !is_off {
         return Ok(None);
     }
     let Built { build, errors, rest_misfit } = BuildFit::new(prepared, reference, &[], &[])?.fit(&[])?;

@@ -3,6 +3,7 @@
 //! pipeline knows neither where frames come from nor where results go. Stages know nothing of each other: those for
 //! health, damage and classes return decisions, which are applied here.
 
+mod as_built;
 mod baselines;
 mod calibrations;
 mod circuit;
@@ -35,6 +36,7 @@ use crate::stages::classes::{ClassPace, ClassStage};
 use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
 use crate::stages::guard::GuardStage;
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
+use as_built::BuildLearning;
 use operators::Operators;
 pub use stage_latencies::StageLatencies;
 use state::{Choices, Running, Starting, State, drift_compensation};
@@ -59,6 +61,8 @@ pub struct Pipeline {
     levels: Option<LevelStage>,
     /// `None` if the readout's circuit need not be found.
     circuit: Option<CircuitStage>,
+    /// Learns how the skin was built, unless a calibration says so.
+    building: Option<BuildLearning>,
     /// A network that classifies pixels, if any.
     classes: Option<ClassStage>,
     /// `None` without limits in the skin file or from the user.
@@ -146,6 +150,7 @@ impl Pipeline {
         let (starting, watches) = rayon::join(starting, watches);
         let (starting, (health, levels, damage)) = (starting?, watches?);
         let image = vec![f32::NAN; prepared.map.grid().len()];
+        let building = if calibration.is_none() { BuildLearning::of(&prepared) } else { None };
         let guard = prepared.skin.guard.as_ref().map(|settings| GuardStage::new(settings, &prepared.skin));
         Ok(Self {
             choices: Choices { calibration, ..Choices::default() },
@@ -156,6 +161,7 @@ impl Pipeline {
             damage,
             levels,
             circuit,
+            building,
             classes: None,
             guard,
             is_seen: false,
@@ -193,6 +199,7 @@ impl Pipeline {
         self.take_up_operator(time_ns)?;
         let at = (frame.host_monotonic_ns, frame.sequence);
         self.take_up_circuit(time_ns, at)?;
+        self.take_up_build(time_ns, at)?;
         let change = match self.is_blank() {
             // Nothing to learn from: the baseline starts with the first frame that has readings.
             true => BaselineChange::None,
@@ -200,6 +207,7 @@ impl Pipeline {
         };
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
             self.use_new_baseline(time_ns, at)?;
+            self.learn_build(time_ns);
             self.timing.timed_from_ns = now_ns.saturating_add(nanoseconds(start.elapsed()));
         }
         // Waiting is measured by the host's clock alone, since the device's may have another origin and rate.
@@ -410,10 +418,12 @@ impl Pipeline {
     }
 
     /// Number of frames that waited for background work: operators for other hyperparameters, sheets with new cuts,
-    /// searches for the readout's circuit. Zero on a machine that is fast enough for the stream.
+    /// searches for the readout's circuit, models of the skin as built. Zero on a machine that is fast enough for the stream.
     pub fn waits(&self) -> u64 {
         let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
-        self.operators.waits() + of_sheets + self.circuit.as_ref().map_or(0, CircuitStage::waits)
+        let of_circuits = self.circuit.as_ref().map_or(0, CircuitStage::waits);
+        let of_builds = self.building.as_ref().map_or(0, BuildLearning::waits);
+        self.operators.waits() + of_sheets + of_circuits + of_builds
     }
 
     /// Starts classifying the pixels of frames by a network, or stops.

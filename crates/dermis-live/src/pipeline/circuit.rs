@@ -49,7 +49,7 @@ impl Pipeline {
 
     /// Switches damage monitoring to the model that now makes the images. Levels, intact skin and damage sites are
     /// kept; the sites move to their positions in the new images.
-    fn see_damage_anew(&mut self) -> Result<(), Error> {
+    pub(super) fn see_damage_anew(&mut self) -> Result<(), Error> {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         let Running { reference, reconstructor } = &mut **running;
         let left_out = self.health.as_ref().map_or(&[][..], |health| health.left_out());
