@@ -48,7 +48,7 @@ class Viewer:
     """A client of the protocol."""
 
     def __init__(self, url):
-        self.socket = connect(url, subprotocols=[SUBPROTOCOL], max_size=None, proxy=None).__enter__()
+        self.socket = connect(url, subprotocols=[SUBPROTOCOL], max_size=None, proxy=None, ping_interval=None).__enter__()
         require(self.socket.subprotocol == SUBPROTOCOL, f"subprotocol {self.socket.subprotocol}")
         self.info, self.channels, self.services, self.statuses, self.values = {}, {}, {}, [], {}
         self.subscribed, self.store, self.replies, self.calls = {}, get_typestore(Stores.EMPTY), {}, 0

@@ -2,9 +2,9 @@
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use ::foxglove::websocket::{Capability, ChannelView, Client, ServerListener, ShutdownHandle};
+use ::foxglove::websocket::{Capability, ChannelView, Client, Parameter, ServerListener, ShutdownHandle};
 use ::foxglove::{Context, FoxgloveError, WebSocketServer};
 use crossbeam_channel::{Receiver, bounded};
 use dermis_live::pipeline::Pipeline;
@@ -73,8 +73,8 @@ impl FoxgloveServer {
         let kept = Arc::new(Subscriptions(Mutex::new(common.kept().collect())));
         let parameters = Parameters::new(server.clone());
         parameters.publish(vec![
-            ::foxglove::websocket::Parameter::string("name", name),
-            ::foxglove::websocket::Parameter::string("dermis_version", env!("CARGO_PKG_VERSION")),
+            Parameter::string("name", name),
+            Parameter::string("dermis_version", env!("CARGO_PKG_VERSION")),
         ]);
         let handle = WebSocketServer::new()
             .name(format!("dermis {}: {name}", env!("CARGO_PKG_VERSION")))
@@ -147,11 +147,6 @@ impl FoxgloveServer {
             channel.log(wall_ns, &bytes);
         }
     }
-
-    /// Number of clients that are connected.
-    pub fn clients(&self) -> usize {
-        self.server.with(|handle| handle.client_count()).unwrap_or(0)
-    }
 }
 
 impl Drop for FoxgloveServer {
@@ -160,13 +155,12 @@ impl Drop for FoxgloveServer {
         // Says goodbye on another thread, because a client that doesn't read would delay it forever.
         let (done, ended) = bounded::<()>(0);
         let stopping: ShutdownHandle = handle.stop();
-        let begun = Instant::now();
         let thread = std::thread::Builder::new().name("dermis-foxglove-end".to_owned()).spawn(move || {
             stopping.wait_blocking();
             drop(done);
         });
         if thread.is_ok() {
-            let _ = ended.recv_timeout(GOODBYE.saturating_sub(begun.elapsed()));
+            let _ = ended.recv_timeout(GOODBYE);
         }
     }
 }
