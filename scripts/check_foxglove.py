@@ -326,8 +326,8 @@ def check_a_tare(viewer):
     viewer.until("baseline", lambda: seen["baseline"] is not None and seen["baseline"].origin == "tare", take)
     require(seen["baseline"].reason == "asked for in Foxglove", f"reason {seen['baseline'].reason}")
     viewer.until("line in the log", lambda: any("baseline (tare)" in line for line in seen["log"]), take)
-    failure = viewer.call("/dermis/tare", '{"forse": true}')
-    require("forse" in failure.get("message", ""), f"a mistake in a request: {failure}")
+    failure = viewer.call("/dermis/tare", '{"forced": true}')
+    require("forced" in failure.get("message", ""), f"a mistake in a request: {failure}")
 
 
 def check_single_skin(dermis, folder, keep):

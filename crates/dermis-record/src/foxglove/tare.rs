@@ -77,7 +77,7 @@ mod tests {
         for (text, expected) in [("", false), ("{}", false), ("{\"force\": true}", true)] {
             assert_eq!(force(text), Ok(expected), "{text}");
         }
-        for text in ["{\"forse\": true}", "{\"force\": 1}", "x", "[]x", "\u{0}"] {
+        for text in ["{\"forced\": true}", "{\"force\": 1}", "x", "[]x", "\u{0}"] {
             let message = force(text).unwrap_err();
             assert!(message.starts_with("expected {} or {\"force\": true}: "), "{message}");
         }

@@ -17,7 +17,12 @@ fn all(patch: Option<&str>) -> Vec<(String, String, String, String)> {
     let common = CommonChannels::open(&context, patch.is_some()).unwrap();
     let describe = |channel: &RawChannel| {
         let schema = channel.schema().unwrap();
-        (channel.topic().to_owned(), schema.name.clone(), schema.encoding.clone(), channel.message_encoding().to_owned())
+        (
+            channel.topic().to_owned(),
+            schema.name.clone(),
+            schema.encoding.clone(),
+            channel.message_encoding().to_owned(),
+        )
     };
     let PatchChannels { frames, baselines, touches, events, image, points, touch_points, scene } = &channels;
     let mut found: Vec<_> =

@@ -19,9 +19,8 @@ fn batch(touches: &[Touch], events: &[TouchEvent]) -> TouchBatch {
 /// The vector turned by the pose's orientation: v + 2 q x (q x v + w v).
 fn turned(pose: Option<Pose>, v: [f64; 3]) -> [f64; 3] {
     let q = pose.and_then(|pose| pose.orientation).unwrap();
-    let cross = |a: [f64; 3], b: [f64; 3]| {
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    };
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let axis = [q.x, q.y, q.z];
     let inner = cross(axis, v);
     let outer = cross(axis, std::array::from_fn(|k| inner[k] + q.w * v[k]));
