@@ -222,11 +222,14 @@ impl LiveWriter for Publisher {
     }
 }
 
-/// Faults, gaps, refusals and verdicts other than `ok` are warnings.
+/// Faults, gaps, refusals and verdicts other than `ok` are warnings, and the failure of a patch is an error.
 fn level_of(event: &str, detail: &str) -> Level {
+    if event == "failed" {
+        return Level::Error;
+    }
     let is_verdict = event == "guard" && detail != "ok";
     let is_bad = ["-fault", "-refused", "-begin"].iter().any(|end| event.ends_with(end));
-    if is_verdict || is_bad || event == GAP { Level::Warning } else { Level::Info }
+    if is_verdict || is_bad || [GAP, "silent"].contains(&event) { Level::Warning } else { Level::Info }
 }
 
 #[cfg(test)]
@@ -258,6 +261,8 @@ mod tests {
             ("electrode-recovered", "3", Level::Info),
             ("gap", "2 frames missing", Level::Warning),
             ("damage-begin", "", Level::Warning),
+            ("silent", "no frames come", Level::Warning),
+            ("failed", "unplugged", Level::Error),
         ] {
             assert_eq!(level_of(event, detail), expected, "{event}");
         }

@@ -131,6 +131,8 @@ impl PatchThread {
         self.loads.lose(self.number, format!("{name}: {}", state.name()));
         self.guard.iter().for_each(GuardPublisher::end);
         let recorded = self.recording.take().map(LiveRecording::finish);
+        let reason = if let PatchState::Failed(reason) = &state { reason.as_str() } else { "no more frames" };
+        self.feeds.iter().for_each(|feed| feed.event(state.name(), reason, &[]));
         let not_shown = self.feeds.drain(..).map(|feed| feed.status().dropped).sum();
         let mut row = self.health.row();
         if let Some(end) = recorded {
@@ -188,10 +190,14 @@ impl PatchThread {
             self.loads.lose(self.number, format!("{name}: silent"));
         }
         let mut row = self.health.row();
-        row.problem = problem;
         if is_silent {
+            if row.state != PatchState::Silent {
+                let reason = problem.as_deref().unwrap_or("no frames come");
+                self.feeds.iter().for_each(|feed| feed.event("silent", reason, &[]));
+            }
             row.state = PatchState::Silent;
         }
+        row.problem = problem;
     }
 
     fn frame(&mut self, frame: &Frame, lines: &mut JsonLines<Vec<u8>>) -> Result<(), Error> {
