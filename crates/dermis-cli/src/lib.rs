@@ -150,10 +150,14 @@ where
     }
 }
 
+/// Log levels without `-v`. Of the library behind `--foxglove` this shows viewers that fall behind; it calls every
+/// message to a viewer that has gone an error.
+const QUIET: &str = "warn,understood=info,foxglove=off,foxglove::websocket::connected_client::send_lossy=info";
+
 /// Sends log lines to stderr, so that stdout holds only results.
 fn start_logging(verbose: u8) {
     let level = match verbose {
-        0 => "warn,understood=info",
+        0 => QUIET,
         1 => "info",
         _ => "debug",
     };

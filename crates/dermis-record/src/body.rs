@@ -4,12 +4,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use super::cdr::CdrWriter;
 use super::file::destination;
 use super::head::{RecordingHead, record};
-use super::schema;
 use super::shared_file::{SharedFile, lock, mcap_error, new_writer};
 use super::writer::{Recorder, add_channel};
+use super::{messages, schema};
 use crate::Error;
 
 /// Names of the metadata records at a body's beginning and end.
@@ -81,19 +80,7 @@ impl BodyRecording {
         wall_ns: u64,
         joints: impl ExactSizeIterator<Item = (&'a str, f64)>,
     ) -> Result<(), Error> {
-        let mut cdr = CdrWriter::new(&mut self.bytes);
-        cdr.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
-        cdr.u32((wall_ns % 1_000_000_000) as u32);
-        cdr.string("");
-        cdr.length(joints.len());
-        let mut positions = Vec::with_capacity(joints.len());
-        for (name, position) in joints {
-            cdr.string(name);
-            positions.push(position);
-        }
-        cdr.doubles(&positions);
-        cdr.doubles(&[]);
-        cdr.doubles(&[]);
+        messages::write_joints(&mut self.bytes, wall_ns, joints);
         lock(&self.file).write(self.joints, wall_ns, &self.bytes).map(|_| ())
     }
 

@@ -45,6 +45,16 @@ pub enum Error {
     /// From a reader or source.
     #[error(transparent)]
     Device(#[from] dermis_device::DeviceError),
+    /// A server that could not be started.
+    #[error("cannot listen on {address}: {source}{advice}")]
+    Listen {
+        /// The address.
+        address: String,
+        /// Error from the operating system.
+        source: std::io::Error,
+        /// What to do, after a semicolon, or nothing.
+        advice: &'static str,
+    },
     /// From touch extraction.
     #[error("touches: {0}")]
     Touch(#[from] dermis_touch::TouchError),

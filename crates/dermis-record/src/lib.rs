@@ -27,11 +27,12 @@
 //!
 //! | | |
 //! |---|---|
-//! | [`Recorder`], [`LiveRecording`] | writing, by hand or from a running pipeline |
+//! | [`Recorder`], [`LiveRecording`], [`LiveFeed`] | writing, by hand or from a running pipeline |
 //! | [`Recording`], [`read_frames`], [`read_frames_of`], [`Replay`], [`rerun`] | reading: directly, as a table, as a source, through a pipeline again |
 //! | [`export`](fn@export), [`sink`] | tables for other programs; JSON lines, images, touches |
 //! | [`recover`](fn@recover) | a complete recording from a broken one |
 //! | [`guard_socket`] | a guard's verdicts as lines on a socket |
+//! | `foxglove` | a live server for Foxglove, with the feature of this name |
 //!
 //! # Channels
 //! All messages are CDR, and the file contains their definitions (`ros2msg`).
@@ -70,10 +71,15 @@ mod cdr;
 mod error;
 mod export;
 mod file;
+#[cfg(feature = "foxglove")]
+pub mod foxglove;
 mod frames;
 pub mod guard_socket;
 mod head;
 mod live;
+mod live_feed;
+mod live_request;
+mod live_writer;
 mod messages;
 mod queue;
 mod reader;
@@ -94,6 +100,8 @@ pub use export::{Exported, Table, TableFormat, export, export_frames};
 pub use frames::{UNDERSTOOD, check_skin, is_recording, read_frames, read_frames_of};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
+pub use live_feed::LiveFeed;
+pub use live_request::{LiveCommand, LiveRequest};
 pub use messages::{BaselineEntry, EventEntry, OtherPlaceEntry, TouchEntry, TouchesEntry};
 pub use queue::{RecorderHandle, RecorderStatus, RecordingStop};
 pub use reader::{Damage, Entry, LostFrames, Recording};

@@ -1,38 +1,23 @@
 //! Records a live pipeline: passes to the recorder, before and after each frame, everything that a replay needs to
 //! reproduce the results.
 
+use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
 
-use dermis_device::{Frame, HostStamp};
-use dermis_touch::damage::DamageEvent;
-use dermis_touch::guard::{GuardReason, GuardReport, GuardVerdict};
-
-use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, RecordingStop, SkinView};
+use super::live_feed::LiveFeed;
+use super::{Recorder, RecordingHead, SkinView};
 use crate::Error;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_live::stages::health::HealthWatch;
 
 /// Frames that may wait for the disk.
 const QUEUE: usize = 1024;
 
-/// Events that a replay carries out.
-pub(super) const TARE: &str = "tare";
-pub(super) const HYPERPARAMETER: &str = "hyperparameter";
-
-/// A recording of a running pipeline. Nothing here waits for the disk, and no failure of the recording reaches the
-/// pipeline.
+/// A recording of a running pipeline, fed like any [`LiveFeed`]. Nothing here waits for the disk, and no failure of the
+/// recording reaches the pipeline.
 #[derive(Debug)]
 pub struct LiveRecording {
     path: PathBuf,
-    handle: RecorderHandle,
-    last_sequence: Option<u64>,
-    /// Time of the current frame, by the device's clock if it has one, so that a twin running faster than real time
-    /// gets as many images per frame as one that doesn't.
-    time_ns: u64,
-    health: HealthWatch,
-    /// The guard's last recorded verdict.
-    verdict: Option<GuardVerdict>,
+    feed: LiveFeed,
     failure_told: bool,
 }
 
@@ -68,11 +53,8 @@ impl LiveRecording {
         if images_per_s > 0.0 {
             recorder = recorder.with_view(SkinView::new(pipeline.prepared()).with_images_per_s(images_per_s))?;
         }
-        let handle = RecorderHandle::spawn(recorder, QUEUE)?;
-        let health = HealthWatch::new(&pipeline.prepared().skin);
-        let live = Self { path, handle, last_sequence: None, time_ns: 0, health, verdict: None, failure_told: false };
-        live.baseline(pipeline, HostStamp::now().wall_ns);
-        Ok(live)
+        let feed = LiveFeed::start(recorder, &path.display().to_string(), QUEUE, pipeline)?;
+        Ok(Self { path, feed, failure_told: false })
     }
 
     /// Final path of the recording.
@@ -80,112 +62,33 @@ impl LiveRecording {
         &self.path
     }
 
-    /// Numbers of frames written and lost.
-    pub fn status(&self) -> RecorderStatus {
-        self.handle.status()
-    }
-
-    /// Records a raw frame; call it before processing. A gap in the sequence numbers is recorded as an event.
-    pub fn frame(&mut self, frame: &Frame) {
-        let missing = self.last_sequence.map_or(0, |last| frame.sequence.saturating_sub(last).saturating_sub(1));
-        if missing > 0 {
-            let detail = format!("{missing} frames missing before frame {}", frame.sequence);
-            self.handle.offer_event(frame.host_wall_ns, "gap", &detail, &[missing as f64]);
-        }
-        self.last_sequence = Some(frame.sequence);
-        self.time_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
-        self.handle.offer(frame);
-    }
-
-    /// Records the results of the frame. New faults, recoveries and verdicts of the guard become events. The first frame also records faults
-    /// from before the recording, and the state of a search for the readout's circuit.
-    pub fn results(&mut self, output: &Output<'_>) {
-        self.handle.offer_results(output, self.time_ns);
-        for event in output.damage.events {
-            let (name, detail, values) = damage_event(event);
-            self.handle.offer_event(output.wall_ns, name, &detail, &values);
-        }
-        for change in self.health.changes(output.health) {
-            self.handle.offer_event(output.wall_ns, change.event, &change.detail, &change.numbers);
-        }
-        if let Some(report) = output.guard.filter(|report| self.verdict != Some(report.verdict)) {
-            self.verdict = Some(report.verdict);
-            self.handle.offer_event(output.wall_ns, "guard", &verdict_text(&report), &[output.sequence as f64]);
-        }
-        if let Some(news) = output.circuit {
-            let numbers = [news.fit.score_before, news.fit.score, news.fit.frames as f64];
-            self.handle.offer_event(output.wall_ns, "circuit", &news.describe(), &numbers);
-        }
-    }
-
-    /// Records the current baseline, if there is one.
-    pub fn baseline(&self, pipeline: &Pipeline, wall_ns: u64) {
-        if let Some(record) = pipeline.baseline_records().last() {
-            let (values, noise_std) = pipeline.baseline();
-            self.handle.offer_baseline(wall_ns, record, values, noise_std);
-        }
-    }
-
-    /// Records that a tare was accepted before the next frame.
-    pub fn tare(&self, force: bool, reason: &str) {
-        self.event(TARE, reason, &[f64::from(u8::from(force))]);
-    }
-
-    /// Records that another lambda applies from the next frame on.
-    pub fn hyperparameter(&self, lambda: f64) {
-        self.event(HYPERPARAMETER, &format!("lambda {lambda:e}"), &[lambda]);
-    }
-
-    /// Records any other event before the next frame: its name, a description and its numbers.
-    pub fn event(&self, event: &str, detail: &str, values: &[f64]) {
-        self.handle.offer_event(HostStamp::now().wall_ns, event, detail, values);
-    }
-
     /// The error that stopped the recording; returned once.
     pub fn new_failure(&mut self) -> Option<String> {
-        let error = self.handle.status().error.filter(|_| !self.failure_told)?;
+        let error = self.feed.status().error.filter(|_| !self.failure_told)?;
         self.failure_told = true;
         Some(error)
     }
 
-    /// A handle that ends the recording from elsewhere, even while the recording thread is busy.
-    pub fn stop(&self) -> RecordingStop {
-        self.handle.stop()
-    }
-
     /// Ends the recording.
     pub fn finish(self) -> RecordingEnd {
-        let (path, shared) = (self.path, self.handle.watch());
-        match self.handle.finish() {
+        let path = self.path;
+        match self.feed.finish() {
             Ok(summary) => RecordingEnd { path, frames: summary.frames, lost: summary.dropped, error: None },
-            Err(error) => {
-                let (frames, lost) = shared();
-                RecordingEnd { path, frames, lost, error: Some(error.to_string()) }
-            }
+            Err((error, [frames, lost])) => RecordingEnd { path, frames, lost, error: Some(error.to_string()) },
         }
     }
 }
 
-/// A guard's verdict with its reasons: `stop: force`.
-fn verdict_text(report: &GuardReport) -> String {
-    let reasons: Vec<&str> = report.reasons.iter().map(GuardReason::name).collect();
-    let name = report.verdict.name();
-    if reasons.is_empty() { name.to_owned() } else { format!("{name}: {}", reasons.join(", ")) }
+impl Deref for LiveRecording {
+    type Target = LiveFeed;
+
+    fn deref(&self) -> &LiveFeed {
+        &self.feed
+    }
 }
 
-/// The fields of a damage event: its name, a description, and id, x, y, length (metres), direction (radians), depth
-/// and remaining share.
-fn damage_event(event: &DamageEvent) -> (&'static str, String, [f64; 7]) {
-    let damage = event.damage();
-    let shape = &damage.shape;
-    let [x, y] = shape.centre_m;
-    let name = match event {
-        DamageEvent::Begin(_) => "damage-begin",
-        DamageEvent::Update(_) => "damage-update",
-        DamageEvent::Covered(_) => "damage-covered",
-        DamageEvent::Uncovered(_) => "damage-uncovered",
-        DamageEvent::Healed(_) => "damage-healed",
-    };
-    let values = [damage.id as f64, x, y, shape.length_m, shape.direction_rad, damage.depth, damage.share];
-    (name, dermis_live::stages::damage::describe(event), values)
+impl DerefMut for LiveRecording {
+    fn deref_mut(&mut self) -> &mut LiveFeed {
+        &mut self.feed
+    }
 }

@@ -209,6 +209,23 @@ pub(super) fn write_event(out: &mut Vec<u8>, event: &str, detail: &str, values: 
     cdr.doubles(values);
 }
 
+/// Writes joint values, radians or metres, as a `sensor_msgs/JointState`.
+pub(super) fn write_joints<'a>(out: &mut Vec<u8>, wall_ns: u64, joints: impl ExactSizeIterator<Item = (&'a str, f64)>) {
+    let mut cdr = CdrWriter::new(out);
+    cdr.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
+    cdr.u32((wall_ns % 1_000_000_000) as u32);
+    cdr.string("");
+    cdr.length(joints.len());
+    let mut positions = Vec::with_capacity(joints.len());
+    for (name, position) in joints {
+        cdr.string(name);
+        positions.push(position);
+    }
+    cdr.doubles(&positions);
+    cdr.doubles(&[]);
+    cdr.doubles(&[]);
+}
+
 pub(super) fn read_event(bytes: &[u8]) -> Option<EventEntry> {
     let mut cdr = CdrReader::new(bytes)?;
     let mut entry =

@@ -1,5 +1,6 @@
-//! A bounded queue and a thread in front of a [`Recorder`], so that a slow or full disk never delays the pipeline.
-//! Frames that don't fit are dropped and counted, and errors are kept until someone asks for them.
+//! A bounded queue and a thread in front of a [`Recorder`] or another [`LiveWriter`], so that a slow or full disk, or
+//! a slow viewer, never delays the pipeline. Frames that don't fit are dropped and counted, and errors are kept until
+//! someone asks for them.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -8,9 +9,9 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, select};
 use dermis_device::Frame;
-use dermis_touch::{ReferenceRecord, TouchEvent};
+use dermis_touch::ReferenceRecord;
 
-use super::messages;
+use super::live_writer::{BaselineNews, LiveWriter, TouchBatch};
 use super::shared_file::FLUSH_INTERVAL;
 use super::view::SkinView;
 use super::writer::{Recorder, RecordingSummary};
@@ -38,10 +39,9 @@ pub struct RecorderStatus {
 /// Content of the queue.
 enum Item {
     Frame(Frame),
-    Touches { wall_ns: u64, message: Vec<u8> },
-    TouchPoints { wall_ns: u64, message: Vec<u8> },
+    Touches(TouchBatch),
     Image { wall_ns: u64, image: Vec<f32> },
-    Baseline { wall_ns: u64, record: ReferenceRecord, values: Vec<f64>, noise_std: Vec<f64> },
+    Baseline(BaselineNews),
     Event { wall_ns: u64, event: String, detail: String, values: Vec<f64> },
 }
 
@@ -49,7 +49,7 @@ enum Item {
 #[derive(Default)]
 struct Shared {
     offered: AtomicU64,
-    refused: AtomicU64,
+    refused: Arc<AtomicU64>,
     written: AtomicU64,
     safe: AtomicU64,
     error: OnceLock<String>,
@@ -62,7 +62,7 @@ struct Shared {
 pub struct RecorderHandle {
     items: Option<Sender<Item>>,
     free_frames: Receiver<Frame>,
-    free_messages: Receiver<Vec<u8>>,
+    free_touches: Receiver<TouchBatch>,
     free_images: Receiver<Vec<f32>>,
     view: Option<SkinView>,
     /// Time of the next image, on the frames' clock.
@@ -111,23 +111,28 @@ impl RecorderHandle {
     /// # Errors
     /// [`Error::Io`] if the operating system refuses a thread.
     pub fn spawn(recorder: Recorder, capacity: usize) -> Result<Self, Error> {
+        let name = recorder.path().display().to_string();
+        Self::spawn_writer(recorder, &name, capacity)
+    }
+
+    /// Like [`RecorderHandle::spawn`], for any writer; `name` is only used in messages.
+    pub(super) fn spawn_writer(mut recorder: impl LiveWriter, name: &str, capacity: usize) -> Result<Self, Error> {
         let capacity = capacity.max(1);
-        let (items, queue) = bounded(3 * capacity + IMAGES + RARE);
+        let (items, queue) = bounded(2 * capacity + IMAGES + RARE);
         let (return_frame, free_frames) = bounded(capacity);
-        let (return_message, free_messages) = bounded(2 * capacity);
+        let (return_touches, free_touches) = bounded(capacity);
         let (return_image, free_images) = bounded(IMAGES);
         for _ in 0..capacity {
             // The channels were made with room for exactly these.
             let _ = return_frame.try_send(Frame::default());
-            let _ = return_message.try_send(Vec::new());
-            let _ = return_message.try_send(Vec::new());
+            let _ = return_touches.try_send(TouchBatch::default());
         }
         for _ in 0..IMAGES {
             let _ = return_image.try_send(Vec::new());
         }
         let view = recorder.view().cloned();
         let shared = Arc::new(Shared::default());
-        let path = recorder.path().to_owned();
+        recorder.watch(&shared.refused);
         let (ask, asked) = bounded(1);
         let (ending, ended) = bounded(0);
         let stop = RecordingStop { ask: ask.clone(), ended };
@@ -136,7 +141,7 @@ impl RecorderHandle {
             recorder,
             queue,
             return_frame,
-            return_message,
+            return_touches,
             return_image,
             asked,
             _ask: ask,
@@ -147,12 +152,12 @@ impl RecorderHandle {
             drop::<Sender<()>>(ending);
             result
         });
-        let thread = Some(thread.map_err(Error::io(path))?);
+        let thread = Some(thread.map_err(Error::io(name))?);
         let image_due_ns = 0;
         Ok(Self {
             items: Some(items),
             free_frames,
-            free_messages,
+            free_touches,
             free_images,
             view,
             image_due_ns,
@@ -180,18 +185,11 @@ impl RecorderHandle {
     /// frame.
     pub fn offer_results(&mut self, output: &Output<'_>, time_ns: u64) {
         let wall_ns = output.wall_ns;
-        let ended = output.events.iter().any(|event| matches!(event, TouchEvent::End(_)));
-        if ended || !output.touches.is_empty() {
-            if let Ok(mut message) = self.free_messages.try_recv() {
-                messages::write_touches(&mut message, output.sequence, output.time_ns, output.touches, output.events);
-                self.send(Item::Touches { wall_ns, message });
-            }
-            if let Some(view) = &self.view
-                && let Ok(mut message) = self.free_messages.try_recv()
-            {
-                view.write_touch_points(&mut message, wall_ns, output.touches);
-                self.send(Item::TouchPoints { wall_ns, message });
-            }
+        if TouchBatch::is_due(output)
+            && let Ok(mut batch) = self.free_touches.try_recv()
+        {
+            batch.fill(output);
+            self.send(Item::Touches(batch));
         }
         let Some(view) = &self.view else { return };
         // A clock that is set back must not stop the images.
@@ -207,11 +205,18 @@ impl RecorderHandle {
         }
     }
 
-    /// Queues a baseline that came into use at `wall_ns`, with the noise of its channels; returns false if it is
-    /// dropped.
-    pub fn offer_baseline(&self, wall_ns: u64, record: &ReferenceRecord, values: &[f64], noise_std: &[f64]) -> bool {
+    /// Queues a baseline that came into use at `wall_ns`, with the noise of its channels and the lambda of its images,
+    /// if known; returns false if it is dropped.
+    pub fn offer_baseline(
+        &self,
+        wall_ns: u64,
+        record: &ReferenceRecord,
+        values: &[f64],
+        noise_std: &[f64],
+        hyperparameter: Option<f64>,
+    ) -> bool {
         let (values, noise_std) = (values.to_vec(), noise_std.to_vec());
-        self.send(Item::Baseline { wall_ns, record: record.clone(), values, noise_std })
+        self.send(Item::Baseline(BaselineNews { wall_ns, record: record.clone(), values, noise_std, hyperparameter }))
     }
 
     /// Queues an event before the next frame: its name, a description and its numbers. Returns false if it is
@@ -292,11 +297,11 @@ impl Shared {
 }
 
 /// State of the writing thread.
-struct WriterThread {
-    recorder: Recorder,
+struct WriterThread<W> {
+    recorder: W,
     queue: Receiver<Item>,
     return_frame: Sender<Frame>,
-    return_message: Sender<Vec<u8>>,
+    return_touches: Sender<TouchBatch>,
     return_image: Sender<Vec<f32>>,
     /// Requests to end the recording, and a sender that keeps the channel open.
     asked: Receiver<()>,
@@ -304,12 +309,12 @@ struct WriterThread {
     shared: Arc<Shared>,
 }
 
-impl WriterThread {
+impl<W: LiveWriter> WriterThread<W> {
     fn run(mut self) -> Result<RecordingSummary, Error> {
         let shared = self.shared.clone();
         let drained = self.drain();
-        shared.safe.store(self.recorder.safe_frames(), Ordering::Relaxed);
-        let frames = self.recorder.frames();
+        let [frames, safe] = self.recorder.taken_and_safe();
+        shared.safe.store(safe, Ordering::Relaxed);
         let result = drained.and_then(|()| self.recorder.finish(shared.dropped(false)));
         // A file whose name was taken meanwhile is complete under its partial name.
         if let Err(Error::Io { source, .. }) = &result
@@ -340,7 +345,7 @@ impl WriterThread {
             };
             match item {
                 Ok(Some(item)) => self.write(item)?,
-                Ok(None) => self.recorder.flush_if_due()?,
+                Ok(None) => self.recorder.rest()?,
                 Err(_) => return Ok(()),
             }
         }
@@ -349,27 +354,21 @@ impl WriterThread {
     fn write(&mut self, item: Item) -> Result<(), Error> {
         match item {
             Item::Frame(frame) => {
-                self.recorder.write_frame(&frame)?;
+                self.recorder.frame(&frame)?;
                 self.shared.written.fetch_add(1, Ordering::Relaxed);
                 let _ = self.return_frame.try_send(frame);
             }
-            Item::Touches { wall_ns, message } => {
-                self.recorder.write_touches_message(wall_ns, &message)?;
-                let _ = self.return_message.try_send(message);
-            }
-            Item::TouchPoints { wall_ns, message } => {
-                self.recorder.write_touch_points_message(wall_ns, &message)?;
-                let _ = self.return_message.try_send(message);
+            Item::Touches(batch) => {
+                self.recorder.touches(&batch)?;
+                let _ = self.return_touches.try_send(batch);
             }
             Item::Image { wall_ns, image } => {
-                self.recorder.write_image(wall_ns, &image)?;
+                self.recorder.image(wall_ns, &image)?;
                 let _ = self.return_image.try_send(image);
             }
-            Item::Baseline { wall_ns, record, values, noise_std } => {
-                self.recorder.write_baseline(wall_ns, &record, &values, &noise_std)?;
-            }
+            Item::Baseline(baseline) => self.recorder.baseline(&baseline)?,
             Item::Event { wall_ns, event, detail, values } => {
-                self.recorder.write_event(wall_ns, &event, &detail, &values)?;
+                self.recorder.event(wall_ns, &event, &detail, &values)?;
             }
         }
         Ok(())

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use dermis_device::Layout;
 
-use super::live::{HYPERPARAMETER, TARE};
+use super::live_feed::{HYPERPARAMETER, TARE};
 use super::{BaselineEntry, Damage, Entry, EventEntry, LostFrames, Recording, RecordingHead};
 use crate::Error;
 use dermis_live::calibration::Calibration;

@@ -200,11 +200,6 @@ impl Recorder {
         self.write(self.channels.touches, wall_ns)
     }
 
-    /// Writes touches from a message encoded elsewhere.
-    pub(super) fn write_touches_message(&mut self, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
-        self.write_message(self.channels.touches, wall_ns, message)
-    }
-
     /// Writes a frame's image, row-major with `NaN` outside the skin, as an image and as a point cloud. Without a
     /// view this does nothing.
     ///
@@ -234,12 +229,6 @@ impl Recorder {
         let Some(drawn) = &self.drawn else { return Ok(()) };
         drawn.view.write_touch_points(&mut self.bytes, wall_ns, touches);
         self.write(drawn.touch_points, wall_ns)
-    }
-
-    /// Like [`Recorder::write_touch_points`], from a message encoded elsewhere.
-    pub(super) fn write_touch_points_message(&mut self, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
-        let Some(drawn) = &self.drawn else { return Ok(()) };
-        self.write_message(drawn.touch_points, wall_ns, message)
     }
 
     /// Writes an event that happened before the next frame: its name, a description and its numbers.

@@ -2,6 +2,8 @@
 //! for another. A patch that fails, stalls or is unplugged is reported in the table of health; the rest go on.
 
 mod error;
+#[cfg(feature = "foxglove")]
+mod foxglove;
 mod joints;
 mod line;
 mod loads;
@@ -10,6 +12,8 @@ mod report;
 mod run;
 
 pub use error::BodyRunError;
+#[cfg(feature = "foxglove")]
+pub use foxglove::mount_pose;
 pub use joints::{JointSnapshot, JointsState};
 pub use loads::NetWrench;
 pub use report::{PatchHealth, PatchReport, PatchState, TouchInFrames};

@@ -4,6 +4,7 @@
 mod on_body;
 mod running;
 pub mod source;
+mod viewers;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -31,6 +32,7 @@ use super::acquired::AcquiredFrames;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 pub(super) use running::Running;
+use viewers::{ViewerArguments, Viewers};
 
 const EXAMPLE: &str = "\
 Examples:
@@ -100,6 +102,8 @@ pub struct Arguments {
     /// touch stops. Not safety-rated.
     #[arg(long, value_name = "ADDRESS")]
     guard: Option<GuardAddress>,
+    #[command(flatten)]
+    viewers: ViewerArguments,
 }
 
 impl Arguments {
@@ -118,7 +122,9 @@ impl Arguments {
         let guard = self.open_guard(&mut pipeline)?;
         // Files and twins run at a speed of their own.
         pipeline.watch_lag(!is_twin && !opened.is_file);
-        let mut run = Running::new(opened.twin, head, &pipeline);
+        let limits = pipeline.prepared().skin.guard.or(guard.as_ref().map(|_| GuardSettings::default()));
+        let viewers = Viewers::open(&self.viewers, &pipeline, limits)?;
+        let mut run = Running::new(opened.twin, head, &pipeline).with_viewers(viewers);
         let page = if self.headless {
             None
         } else {
@@ -143,6 +149,7 @@ impl Arguments {
         // Its readers are told to stop before the recording is finished, which takes longer.
         drop(guard);
         run.stop_recording();
+        run.end_viewers();
         if pipeline.waits() > 0 {
             tracing::info!(frames = pipeline.waits(), "frames waited for what was not worked out in time");
         }
@@ -180,6 +187,8 @@ impl Arguments {
             lines: true,
             most_frames: self.frames,
             guard: self.guard.clone(),
+            #[cfg(feature = "foxglove")]
+            foxglove: self.viewers.foxglove.clone(),
         };
         on_body::run(file, &options, self.only_touches, out)
     }
@@ -301,6 +310,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
         if let Some(requests) = self.requests {
             self.run.answer_all(requests, pipeline);
         }
+        self.run.answer_viewers(pipeline);
         Ok(true)
     }
 

@@ -34,6 +34,12 @@ pub enum BodyRunError {
         /// The cause.
         source: dermis_record::Error,
     },
+    /// A server for viewers could not be started.
+    #[error("--foxglove: {source}")]
+    Foxglove {
+        /// The cause.
+        source: dermis_record::Error,
+    },
     /// No patch is left to run.
     #[error("{body}: none of its {patches} patches can be started")]
     NoPatch {

@@ -4,16 +4,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{SendTimeoutError, Sender};
+use crossbeam_channel::{Receiver, SendTimeoutError, Sender};
 use dermis_body::{Body, SpatialTouch, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
 use dermis_device::{Frame, HostStamp};
 use dermis_lab::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_record::LiveRecording;
 use dermis_record::guard_socket::GuardPublisher;
 use dermis_record::sink::{JsonLines, LinesFor};
+use dermis_record::{LiveFeed, LiveRecording, LiveRequest};
 use dermis_touch::Touch;
 
 use super::joints::{JointFeed, JointsState};
@@ -44,6 +44,7 @@ impl SharedHealth {
             dropped: 0,
             unread: 0,
             not_recorded: 0,
+            not_shown: 0,
             recording_problem: None,
             touches: 0,
             channels_left_out: 0,
@@ -65,6 +66,14 @@ impl SharedHealth {
     }
 }
 
+/// A viewer of one patch: what it is shown, and what it asks for.
+#[cfg_attr(not(feature = "foxglove"), allow(dead_code, reason = "there are no viewers"))]
+pub(super) struct Viewer {
+    pub patch: usize,
+    pub feed: LiveFeed,
+    pub requests: Receiver<LiveRequest>,
+}
+
 /// State of a patch's thread.
 pub(super) struct PatchThread {
     pub number: usize,
@@ -81,6 +90,10 @@ pub(super) struct PatchThread {
     pub stop: Arc<AtomicBool>,
     pub guard: Option<GuardPublisher>,
     pub recording: Option<LiveRecording>,
+    /// Viewers.
+    pub feeds: Vec<LiveFeed>,
+    /// Commands of viewers.
+    pub requests: Vec<Receiver<LiveRequest>>,
     pub lines: bool,
     pub most_frames: Option<u64>,
 }
@@ -118,6 +131,9 @@ impl PatchThread {
         self.loads.lose(self.number, format!("{name}: {}", state.name()));
         self.guard.iter().for_each(GuardPublisher::end);
         let recorded = self.recording.take().map(LiveRecording::finish);
+        let reason = if let PatchState::Failed(reason) = &state { reason.as_str() } else { "no more frames" };
+        self.feeds.iter().for_each(|feed| feed.event(state.name(), reason, &[]));
+        let not_shown = self.feeds.drain(..).map(|feed| feed.status().dropped).sum();
         let mut row = self.health.row();
         if let Some(end) = recorded {
             if let Some(error) = &end.error {
@@ -125,6 +141,7 @@ impl PatchThread {
             }
             (row.not_recorded, row.recording_problem) = (end.lost, end.error);
         }
+        row.not_shown = not_shown;
         row.state = state;
         // If there was no other problem, a file may have ended early.
         row.problem = row.problem.take().or_else(|| self.acquisition.incomplete());
@@ -136,6 +153,7 @@ impl PatchThread {
         let (mut last, mut done) = (Instant::now(), 0);
         let mut lines = JsonLines::new(Vec::new(), "line", LinesFor::EveryFrame);
         while !self.stop.load(Ordering::Relaxed) && self.most_frames.is_none_or(|most| done < most) {
+            self.answer();
             match self.acquisition.next(NAP)? {
                 Next::End => return Ok(()),
                 Next::Idle => self.wait(last.elapsed() > silence),
@@ -150,6 +168,20 @@ impl PatchThread {
         Ok(())
     }
 
+    /// Carries out the commands of viewers between two frames.
+    fn answer(&mut self) {
+        let waiting: Vec<LiveRequest> = self.requests.iter().flat_map(Receiver::try_iter).collect();
+        for request in waiting {
+            let feeds = self.recording.as_deref().into_iter().chain(&self.feeds);
+            request.carry_out(&mut self.pipeline, feeds);
+        }
+    }
+
+    /// Everything that takes what the pipeline hands out.
+    fn feeds(&mut self) -> impl Iterator<Item = &mut LiveFeed> {
+        self.recording.as_deref_mut().into_iter().chain(&mut self.feeds)
+    }
+
     /// Updates the state when no frame has come.
     fn wait(&self, is_silent: bool) {
         let problem = self.acquisition.problem();
@@ -158,22 +190,24 @@ impl PatchThread {
             self.loads.lose(self.number, format!("{name}: silent"));
         }
         let mut row = self.health.row();
-        row.problem = problem;
         if is_silent {
+            if row.state != PatchState::Silent {
+                let reason = problem.as_deref().unwrap_or("no frames come");
+                self.feeds.iter().for_each(|feed| feed.event("silent", reason, &[]));
+            }
             row.state = PatchState::Silent;
         }
+        row.problem = problem;
     }
 
     fn frame(&mut self, frame: &Frame, lines: &mut JsonLines<Vec<u8>>) -> Result<(), Error> {
-        let patch = &self.body.patches[self.number];
         let residual_n = self.residual_n;
         let force = |touch: &Touch| trusted_force(touch, residual_n);
         let is_ready_before = self.pipeline.reference().is_some();
         let baselines = self.pipeline.baseline_records().len();
-        if let Some(recording) = &mut self.recording {
-            // Hand the raw frame to the recording before it is processed.
-            recording.frame(frame);
-        }
+        // Hand on the raw frame before it is processed.
+        self.feeds().for_each(|feed| feed.frame(frame));
+        let patch = &self.body.patches[self.number];
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
         // First of all: everything else may wait.
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
@@ -181,9 +215,7 @@ impl PatchThread {
         }
         // The frame that completes the baseline has no touches yet.
         let is_ready = is_ready_before;
-        if let Some(recording) = &mut self.recording {
-            recording.results(&output);
-        }
+        self.recording.as_deref_mut().into_iter().chain(&mut self.feeds).for_each(|feed| feed.results(&output));
         let Output { sequence, time_ns, touches, .. } = output;
         let channels_left_out = output.health.channels.len();
         let joints = self.joints.at(HostStamp::now().monotonic_ns);
@@ -228,10 +260,9 @@ impl PatchThread {
             on_body,
             line: std::mem::take(lines.get_mut()),
         };
-        if let Some(recording) = &self.recording
-            && self.pipeline.baseline_records().len() > baselines
-        {
-            recording.baseline(&self.pipeline, frame.host_wall_ns);
+        if self.pipeline.baseline_records().len() > baselines {
+            let feeds = self.recording.as_deref().into_iter().chain(&self.feeds);
+            feeds.for_each(|feed| feed.baseline(&self.pipeline, frame.host_wall_ns));
         }
         let touches = report.touches.len();
         let is_read = self.publish(report);

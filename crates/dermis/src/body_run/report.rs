@@ -89,6 +89,8 @@ pub struct PatchHealth {
     pub unread: u64,
     /// Frames that are not in the recording.
     pub not_recorded: u64,
+    /// Frames that live viewers did not get because of load.
+    pub not_shown: u64,
     /// Reason why recording the patch stopped.
     pub recording_problem: Option<String>,
     /// Touches in the last frame.

@@ -54,6 +54,9 @@ pub struct BodyRunOptions {
     pub lines: bool,
     /// Ends each patch after this many frames.
     pub most_frames: Option<u64>,
+    /// Serves every patch and the moving links to Foxglove on this address.
+    #[cfg(feature = "foxglove")]
+    pub foxglove: Option<dermis_record::foxglove::FoxgloveAddress>,
     /// Publishes the guard's verdict on every frame on this socket. On patches without limits any touch stops.
     pub guard: Option<GuardAddress>,
 }
@@ -69,6 +72,8 @@ pub struct BodyRun {
     health: Vec<SharedHealth>,
     twins: Vec<Option<TwinControl>>,
     guard: Option<GuardSocket>,
+    #[cfg(feature = "foxglove")]
+    foxglove: Option<super::foxglove::BodyServer>,
 }
 
 impl std::fmt::Debug for BodyRun {
@@ -124,11 +129,32 @@ impl BodyRun {
             None => (ready.iter().map(|_| None).collect(), None),
         };
         let guard = options.guard.as_ref().map(|address| open_guard(address, &body, &ready)).transpose()?;
-        let mut run = Self { body, joints, reports, stop, threads: Vec::new(), joint_recorder, health, twins, guard };
+        #[cfg(feature = "foxglove")]
+        let (foxglove, mut viewers) = {
+            let ready = ready.iter().map(|(number, opened)| (*number, &opened.pipeline, opened.guard));
+            super::foxglove::open(options.foxglove.as_ref(), &body, &joints, &stop, ready)?
+        };
+        #[cfg(not(feature = "foxglove"))]
+        let mut viewers: Vec<super::patch::Viewer> = Vec::new();
+        let mut run = Self {
+            body,
+            joints,
+            reports,
+            stop,
+            threads: Vec::new(),
+            joint_recorder,
+            health,
+            twins,
+            guard,
+            #[cfg(feature = "foxglove")]
+            foxglove,
+        };
         // Started last, so that no frame waits for another patch to be prepared.
         for ((number, OpenedPatch { source, waits, pipeline, residual_n, .. }), recording) in
             ready.into_iter().zip(recordings)
         {
+            let (feeds, requests) =
+                viewers.extract_if(.., |viewer| viewer.patch == number).map(|v| (v.feed, v.requests)).unzip();
             let thread = PatchThread {
                 number,
                 body: run.body.clone(),
@@ -143,6 +169,8 @@ impl BodyRun {
                 stop: run.stop.clone(),
                 guard: run.guard.as_ref().map(|socket| socket.publisher(number)),
                 recording,
+                feeds,
+                requests,
                 lines: options.lines,
                 most_frames: options.most_frames,
             };
@@ -175,6 +203,12 @@ impl BodyRun {
         self.guard.as_ref().map(GuardSocket::address)
     }
 
+    /// Address of the server for Foxglove, if there is one.
+    #[cfg(feature = "foxglove")]
+    pub fn foxglove_address(&self) -> Option<&dermis_record::foxglove::FoxgloveAddress> {
+        self.foxglove.as_ref().map(super::foxglove::BodyServer::address)
+    }
+
     /// State of every patch, in the order of the body file.
     pub fn health(&self) -> Vec<PatchHealth> {
         self.health.iter().map(SharedHealth::get).collect()
@@ -202,6 +236,8 @@ impl BodyRun {
             // A panic is already in the table of health.
             let _ = thread.join();
         }
+        #[cfg(feature = "foxglove")]
+        drop(self.foxglove.take());
     }
 }
 
@@ -217,6 +253,9 @@ struct OpenedPatch {
     waits: bool,
     pipeline: Pipeline,
     residual_n: Option<f64>,
+    /// The guard's limits in use.
+    #[cfg_attr(not(feature = "foxglove"), allow(dead_code, reason = "viewers alone read it"))]
+    guard: Option<GuardSettings>,
     head: RecordingHead,
 }
 
@@ -272,7 +311,7 @@ fn open_patch(
     let residual_n = forces.as_ref().map(|forces| forces.residual_n);
     forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
     baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
-    let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, residual_n, head };
+    let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, residual_n, guard, head };
     Ok((opened_patch, opened.twin))
 }
 

@@ -10,6 +10,7 @@ use dermis::body_run::{BodyRun, BodyRunOptions, PatchHealth, PatchState};
 use serde_json::{Value, json};
 
 use super::super::{busy, hint};
+use super::viewers::tell_not_shown;
 use crate::exit::Outcome;
 use crate::interrupt;
 
@@ -47,6 +48,10 @@ pub(super) fn run(
     if let Some(address) = run.guard_address() {
         eprintln!("guard: {address}");
     }
+    #[cfg(feature = "foxglove")]
+    if let Some(address) = run.foxglove_address() {
+        super::viewers::announce(address);
+    }
     let interrupted = interrupt::begin();
     let outcome = follow(&run, only_touches, interrupted, out);
     let health = run.finish();
@@ -59,6 +64,7 @@ pub(super) fn run(
         }
         in_all > 0 || row.recording_problem.is_some() || matches!(row.state, PatchState::Failed(_))
     };
+    tell_not_shown(health.iter().map(|row| row.not_shown).sum());
     let lossy = health.iter().filter(|row| is_lossy(row)).count();
     Ok(if lossy > 0 || has_left_out { Outcome::DataLost } else { Outcome::Done })
 }

@@ -9,7 +9,7 @@ use dermis::device::acquire::{Acquisition, AcquisitionCounters};
 use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
-use dermis::record::{LiveRecording, RecorderStatus, RecordingEnd, RecordingHead, SkinView};
+use dermis::record::{LiveCommand, LiveFeed, LiveRecording, RecorderStatus, RecordingEnd, RecordingHead, SkinView};
 use dermis::twin::from_skin::treatment_of;
 use dermis_device::{Frame, HostStamp};
 use dermis_page::Announcer;
@@ -17,6 +17,7 @@ use dermis_page::feed::{PageFeed, RecordingView};
 use dermis_page::message::Notice;
 
 use super::super::calendar::date_of;
+use super::viewers::Viewers;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 
@@ -27,6 +28,7 @@ const MOST_REQUESTS: usize = 256;
 pub(in crate::commands) struct Running {
     twin: Option<dermis::source::TwinControl>,
     recorder: Option<LiveRecording>,
+    viewers: Viewers,
     not_recorded: u64,
     recording_failed: bool,
     head: RecordingHead,
@@ -47,6 +49,7 @@ impl Running {
         Self {
             twin,
             recorder: None,
+            viewers: Viewers::default(),
             not_recorded: 0,
             recording_failed: false,
             head,
@@ -54,6 +57,33 @@ impl Running {
             hub: Hub::new(),
             feed,
         }
+    }
+
+    /// The run with viewers other than pages.
+    pub(in crate::commands) fn with_viewers(self, viewers: Viewers) -> Self {
+        Self { viewers, ..self }
+    }
+
+    /// Carries out the viewers' requests before the next frame.
+    pub(in crate::commands) fn answer_viewers(&mut self, pipeline: &mut Pipeline) {
+        for request in self.viewers.requests() {
+            request.carry_out(pipeline, self.feeds());
+        }
+    }
+
+    /// Ends the viewers and says what they missed.
+    pub(in crate::commands) fn end_viewers(&mut self) {
+        self.viewers.report();
+        self.viewers = Viewers::default();
+    }
+
+    /// Everything that takes what the pipeline hands out: the recording and the viewers.
+    fn feeds(&self) -> impl Iterator<Item = &LiveFeed> {
+        self.recorder.as_deref().into_iter().chain(&self.viewers.feeds)
+    }
+
+    fn feeds_mut(&mut self) -> impl Iterator<Item = &mut LiveFeed> {
+        self.recorder.as_deref_mut().into_iter().chain(&mut self.viewers.feeds)
     }
 
     /// Serves the page; its requests arrive through the channel.
@@ -84,11 +114,9 @@ impl Running {
         Ok(())
     }
 
-    /// Hands a raw frame to the recording before it is processed.
+    /// Hands a raw frame to the recording and the viewers before it is processed.
     pub(in crate::commands) fn record(&mut self, frame: &Frame) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.frame(frame);
-        }
+        self.feeds_mut().for_each(|feed| feed.frame(frame));
     }
 
     /// Updates the page after a frame was shown. `renewed` is the frame's time if a new baseline has just been taken.
@@ -122,11 +150,9 @@ impl Running {
         Ok(self.hub.publish(self.feed.update())?)
     }
 
-    /// Hands the results of a frame to the recording and the page, and announces events.
+    /// Hands the results of a frame to the recording, the viewers and the page, and announces events.
     pub(in crate::commands) fn show(&mut self, output: &Output<'_>) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.results(output);
-        }
+        self.feeds_mut().for_each(|feed| feed.results(output));
         self.feed.show(output, HostStamp::now().monotonic_ns);
         for Notice { level, text } in self.announcer.notices(output) {
             tracing::warn!(frame = output.sequence, "{text}");
@@ -144,9 +170,7 @@ impl Running {
         self.feed.describe(pipeline, HostStamp::now().monotonic_ns);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
-            if let Some(recorder) = &self.recorder {
-                recorder.event("notice", &text, &[]);
-            }
+            self.feeds().for_each(|feed| feed.event("notice", &text, &[]));
             self.hub.announce(Level::Warning, text);
         }
         Ok(())
@@ -163,9 +187,7 @@ impl Running {
     fn new_baseline(&mut self, pipeline: &Pipeline, wall_ns: u64) {
         let (_, noise) = pipeline.baseline();
         self.hub.publish_noise(&noise.iter().map(|v| *v as f32).collect::<Vec<_>>());
-        if let Some(recorder) = &self.recorder {
-            recorder.baseline(pipeline, wall_ns);
-        }
+        self.feeds().for_each(|feed| feed.baseline(pipeline, wall_ns));
         if let Some(reference) = pipeline.reference() {
             let correlation = reference.order.correlation;
             tracing::info!(correlation, "baseline taken");
@@ -184,7 +206,7 @@ impl Running {
     fn answer(&mut self, request: Request, pipeline: &mut Pipeline) {
         let reply = request.reply;
         match request.command {
-            Command::Tare { force } => self.tare(force, reply, pipeline),
+            Command::Tare { force } => self.command(LiveCommand::Tare { force }, reply, pipeline),
             Command::RecordStart => {
                 let path = free_name();
                 match self.start_recording(&path, pipeline) {
@@ -201,15 +223,7 @@ impl Running {
                 }
                 None => reply.refuse("nothing is being recorded"),
             },
-            Command::Hyperparameter(value) => match pipeline.set_hyperparameter(value) {
-                Ok(()) => {
-                    if let Some(recorder) = &self.recorder {
-                        recorder.hyperparameter(value);
-                    }
-                    reply.accept(format!("hyperparameter {value:.3e}"));
-                }
-                Err(error) => reply.refuse(format!("hyperparameter refused: {error}")),
-            },
+            Command::Hyperparameter(value) => self.command(LiveCommand::Hyperparameter(value), reply, pipeline),
             Command::Press(press) | Command::Move(press) => {
                 let press = TwinCommand::Press {
                     pointer: press.pointer_id,
@@ -240,22 +254,10 @@ impl Running {
         }
     }
 
-    fn tare(&mut self, force: bool, reply: Reply, pipeline: &mut Pipeline) {
-        const REASON: &str = "asked for in the page";
-        let asked = pipeline.tare(force, REASON);
-        match (asked, &self.recorder) {
-            (Ok(frames), recorder) => {
-                if let Some(recorder) = recorder {
-                    recorder.tare(force, REASON);
-                }
-                reply.accept(format!("taring over {frames} frames"));
-            }
-            (Err(error), recorder) => {
-                if let Some(recorder) = recorder {
-                    recorder.event("tare-refused", &error.to_string(), &[]);
-                }
-                reply.refuse(format!("tare refused: {error}"));
-            }
+    fn command(&mut self, command: LiveCommand, reply: Reply, pipeline: &mut Pipeline) {
+        match command.carry_out("asked for in the page", pipeline, self.feeds()) {
+            Ok(text) => reply.accept(text),
+            Err(text) => reply.refuse(text),
         }
     }
 
