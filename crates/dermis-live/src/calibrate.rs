@@ -329,7 +329,8 @@ mod tests {
         let frames = pressed(&prepared, &positions_m, |poke| if poke % 9 == 4 { 0.1 } else { 30.0 });
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let pokes = Pokes { positions_m, further_m: Vec::new(), loads: None };
-        let seen = seen_by_model(&prepared, measured, &pokes).unwrap();
+        let rows: Vec<usize> = (0..36).collect();
+        let seen = seen_by_model(&prepared, measured, &pokes, &rows).unwrap();
         for (poke, sight) in seen.iter().enumerate() {
             assert_eq!(matches!(sight, PokeSight::Nothing(_)), poke % 9 == 4, "{poke}: {sight:?}");
         }

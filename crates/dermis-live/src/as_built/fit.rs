@@ -169,6 +169,13 @@ impl<'a> BuildFit<'a> {
         Ok(Built { build: self.prior.build(&parameters), errors, rest_misfit })
     }
 
+    /// Relative misfit of the baseline of a usual skin within the tolerances.
+    pub(crate) fn usual_misfit(&self) -> f64 {
+        let of_model: f64 = self.prepared.voltages.iter().map(|v| v * v).sum();
+        let gain = 0.01 * self.prepared.skin.tolerances.gain_percent;
+        (self.modes.rest.squared_norm_l2() / of_model.max(f64::MIN_POSITIVE)).sqrt().hypot(gain)
+    }
+
     /// Errors of touches on the skin as built, for this covariance of the parameters.
     fn remaining(&self, skin: &Prepared, covariance: &Mat<f64>) -> Result<WorkshopError, Error> {
         let root = match covariance.llt(Side::Lower) {

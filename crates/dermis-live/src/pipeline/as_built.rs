@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::state::{Running, State};
 use super::{Operators, Pipeline};
 use crate::Error;
-use crate::as_built::{from_rest, learns_from_rest};
+use crate::as_built::{from_rest, is_off, learns_from_rest};
 use crate::beside::Beside;
 use crate::calibration::CalibratedImager;
 use crate::imager::Imager;
@@ -48,14 +48,14 @@ impl BuildLearning {
     }
 
     /// Learns from this baseline, without these channels.
-    pub fn begin(&mut self, time_ns: u64, mut reference: Reference, left_out: &[u32]) {
-        if self.is_learning {
+    pub fn begin(&mut self, time_ns: u64, reference: &Reference, left_out: &[u32]) {
+        if self.is_learning || !is_off(&reference) {
             return;
         }
+        let (drawn, mut reference) = (self.drawn.clone(), reference.clone());
         for &channel in left_out {
             reference.baseline[channel as usize] = f64::NAN;
         }
-        let drawn = self.drawn.clone();
         self.is_learning = true;
         self.coming.begin(time_ns.saturating_add(DUE_NS), move |_| Some(learned(&drawn, &reference)));
     }
@@ -72,8 +72,10 @@ impl BuildLearning {
 
 fn learned(drawn: &Prepared, reference: &Reference) -> Result<Option<Box<Learned>>, Error> {
     let Some(prepared) = from_rest(drawn, reference)? else { return Ok(None) };
-    let reference =
-        Reference { noise: reference.noise.clone(), ..Reference::of(&prepared, &[reference.baseline.clone()])? };
+    let reference = Reference {
+        noise: reference.noise.clone(),
+        ..Reference::of(&prepared, std::slice::from_ref(&reference.baseline))?
+    };
     let refinement = Refinement::new(&prepared, &reference.noise)?;
     let CalibratedImager { imager, .. } = CalibratedImager::new(&prepared, None, reference, &[])?;
     Ok(Some(Box::new(Learned { prepared, imager, refinement })))
@@ -84,13 +86,18 @@ impl Pipeline {
     pub(super) fn learn_build(&mut self, time_ns: u64) {
         let left_out = self.health.as_ref().map_or(&[][..], |health| health.left_out());
         if let (Some(learning), State::Running(running)) = (&mut self.building, &self.state) {
-            learning.begin(time_ns, running.reference.clone(), left_out);
+            learning.begin(time_ns, &running.reference, left_out);
         }
     }
 
     /// Switches to the skin as built, if that is due.
     pub(super) fn take_up_build(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
         let Some(learned) = self.building.as_mut().and_then(|learning| learning.take(time_ns)) else { return Ok(()) };
+        let is_silent = self.health.as_ref().is_some_and(|h| h.left_out().len() == self.prepared.channels());
+        if is_silent {
+            // There is no baseline to go on with.
+            return Ok(());
+        }
         let State::Running(running) = &mut self.state else { return Ok(()) };
         let Learned { prepared, imager, refinement } = *learned;
         let Running { reconstructor, .. } = &mut **running;

@@ -73,7 +73,9 @@ pub(super) fn print_experts(
     if let Some(start) = calibration.review().start {
         print_start(&start, out)?;
     }
-    if calibration.correction().is_some() {
+    if calibration.is_as_built() {
+        writeln!(out, "touches are placed by the model of the skin as built, which baseline and pokes tell")?;
+    } else if calibration.correction().is_some() {
         writeln!(
             out,
             "touches are placed by the skin's model, corrected by the pokes, and by these where it sees nothing"

@@ -1,0 +1,63 @@
+//! What a baseline alone tells about how a skin was built.
+
+use std::sync::Arc;
+
+use dermis_skin::Layer;
+
+use super::fit::BuildFit;
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::{Reference, baseline_is_known};
+
+/// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much.
+pub(crate) const AS_DRAWN: f64 = 0.004;
+/// Largest difference between a baseline and the skin as built, root mean square, in standard deviations of gains and
+/// meshes. Twins built within their tolerances reach 0.5 to 1.2.
+const MOST_MISFIT: f64 = 2.0;
+
+/// True if pokes can tell how a skin was built: presses are spots on its sheet, read without a circuit between.
+pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
+    let skin = &prepared.skin;
+    let has_spots = matches!(skin.frontend.layer, Layer::Sheet(_) | Layer::Liquid(_));
+    has_spots && skin.fits_touches() && skin.backend.wiring.is_known()
+}
+
+/// True if the baseline of this skin, as drawn, tells how it was built.
+pub(crate) fn learns_from_rest(drawn: &Prepared) -> bool {
+    is_wanted(drawn) && !drawn.is_as_built() && baseline_is_known(drawn)
+}
+
+/// True if this baseline is not that of a skin as drawn. Without a baseline to compare, the misfit is not a number.
+pub(crate) fn is_off(reference: &Reference) -> bool {
+    reference.misfit >= AS_DRAWN
+}
+
+/// The skin as built, as far as its baseline tells. `None` if the baseline fits the skin as drawn, if no skin within the
+/// tolerances explains it, or if presses on the skin are not spots.
+///
+/// The size of the errors comes from the skin itself: where its baseline is nearer to the file than the tolerances
+/// allow, the covariance that remains is scaled by the squared ratio of the misfits.
+///
+/// # Errors
+/// A skin that cannot be solved as drawn.
+pub fn from_rest(prepared: &Prepared, reference: &Reference) -> Result<Option<Prepared>, Error> {
+    if !learns_from_rest(prepared) || !is_off(reference) {
+        return Ok(None);
+    }
+    let learned = BuildFit::new(prepared, reference, &[], &[])?;
+    let built =
+        learned.fit(&[]).and_then(|built| Ok((prepared.as_built(built.build)?, built.errors, built.rest_misfit)));
+    let (skin, errors, rest_misfit) = match built {
+        Ok(built) => built,
+        Err(error) => {
+            tracing::debug!("no skin within the tolerances has this baseline: {error}");
+            return Ok(None);
+        }
+    };
+    tracing::debug!("the baseline is {rest_misfit:.2} deviations from the skin as built");
+    if rest_misfit > MOST_MISFIT {
+        return Ok(None);
+    }
+    let ratio = (reference.misfit / learned.usual_misfit()).min(1.0);
+    Ok(Some(skin.with_errors(Arc::new(errors.scaled(ratio * ratio)))))
+}
