@@ -1,6 +1,7 @@
 //! The stages of the live pipeline between difference data and touches. They do not know each other: the pipeline
 //! passes on their results.
 
+pub(crate) mod build_learning;
 pub(crate) mod circuit;
 pub mod classes;
 pub mod damage;
