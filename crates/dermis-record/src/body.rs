@@ -82,9 +82,7 @@ impl BodyRecording {
         joints: impl ExactSizeIterator<Item = (&'a str, f64)>,
     ) -> Result<(), Error> {
         let mut cdr = CdrWriter::new(&mut self.bytes);
-        cdr.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
-        cdr.u32((wall_ns % 1_000_000_000) as u32);
-        cdr.string("");
+        cdr.header(wall_ns, "");
         cdr.length(joints.len());
         let mut positions = Vec::with_capacity(joints.len());
         for (name, position) in joints {

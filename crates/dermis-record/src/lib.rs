@@ -32,6 +32,7 @@
 //! | [`export`](fn@export), [`sink`] | tables for other programs; JSON lines, images, touches |
 //! | [`recover`](fn@recover) | a complete recording from a broken one |
 //! | [`guard_socket`] | a guard's verdicts as lines on a socket |
+//! | [`Publisher`], `ros2` | a running patch for other programs, as it happens |
 //!
 //! # Channels
 //! All messages are CDR, and the file contains their definitions (`ros2msg`).
@@ -68,6 +69,7 @@ mod bag;
 mod body;
 mod cdr;
 mod error;
+mod events;
 mod export;
 mod file;
 mod frames;
@@ -75,11 +77,14 @@ pub mod guard_socket;
 mod head;
 mod live;
 mod messages;
+mod publisher;
 mod queue;
 mod reader;
 mod recover;
 mod replay;
 mod rerun;
+#[cfg(feature = "ros2")]
+pub mod ros2;
 mod scan;
 mod schema;
 mod shared_file;
@@ -95,6 +100,7 @@ pub use frames::{UNDERSTOOD, check_skin, is_recording, read_frames, read_frames_
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
 pub use messages::{BaselineEntry, EventEntry, OtherPlaceEntry, TouchEntry, TouchesEntry};
+pub use publisher::{ForceAndTorque, Publisher, TareRequest};
 pub use queue::{RecorderHandle, RecorderStatus, RecordingStop};
 pub use reader::{Damage, Entry, LostFrames, Recording};
 pub use recover::{Recovered, recover};

@@ -4,14 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use dermis_device::{Frame, HostStamp};
-use dermis_touch::damage::DamageEvent;
-use dermis_touch::guard::{GuardReason, GuardReport, GuardVerdict};
 
+use super::events::EventWatch;
 use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, RecordingStop, SkinView};
 use crate::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_live::stages::health::HealthWatch;
 
 /// Frames that may wait for the disk.
 const QUEUE: usize = 1024;
@@ -26,13 +24,10 @@ pub(super) const HYPERPARAMETER: &str = "hyperparameter";
 pub struct LiveRecording {
     path: PathBuf,
     handle: RecorderHandle,
-    last_sequence: Option<u64>,
     /// Time of the current frame, by the device's clock if it has one, so that a twin running faster than real time
     /// gets as many images per frame as one that doesn't.
     time_ns: u64,
-    health: HealthWatch,
-    /// The guard's last recorded verdict.
-    verdict: Option<GuardVerdict>,
+    events: EventWatch,
     failure_told: bool,
 }
 
@@ -69,8 +64,8 @@ impl LiveRecording {
             recorder = recorder.with_view(SkinView::new(pipeline.prepared()).with_images_per_s(images_per_s))?;
         }
         let handle = RecorderHandle::spawn(recorder, QUEUE)?;
-        let health = HealthWatch::new(&pipeline.prepared().skin);
-        let live = Self { path, handle, last_sequence: None, time_ns: 0, health, verdict: None, failure_told: false };
+        let events = EventWatch::new(&pipeline.prepared().skin);
+        let live = Self { path, handle, time_ns: 0, events, failure_told: false };
         live.baseline(pipeline, HostStamp::now().wall_ns);
         Ok(live)
     }
@@ -87,35 +82,22 @@ impl LiveRecording {
 
     /// Records a raw frame; call it before processing. A gap in the sequence numbers is recorded as an event.
     pub fn frame(&mut self, frame: &Frame) {
-        let missing = self.last_sequence.map_or(0, |last| frame.sequence.saturating_sub(last).saturating_sub(1));
-        if missing > 0 {
-            let detail = format!("{missing} frames missing before frame {}", frame.sequence);
-            self.handle.offer_event(frame.host_wall_ns, "gap", &detail, &[missing as f64]);
-        }
-        self.last_sequence = Some(frame.sequence);
+        let (handle, wall_ns) = (&self.handle, frame.host_wall_ns);
+        self.events.frame(frame, |event, detail, values| {
+            handle.offer_event(wall_ns, event, detail, values);
+        });
         self.time_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
         self.handle.offer(frame);
     }
 
-    /// Records the results of the frame. New faults, recoveries and verdicts of the guard become events. The first frame also records faults
-    /// from before the recording, and the state of a search for the readout's circuit.
+    /// Records the results of the frame. New faults, recoveries and verdicts of the guard become events. The first frame
+    /// also records faults from before the recording, and the state of a search for the readout's circuit.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
-        for event in output.damage.events {
-            let (name, detail, values) = damage_event(event);
-            self.handle.offer_event(output.wall_ns, name, &detail, &values);
-        }
-        for change in self.health.changes(output.health) {
-            self.handle.offer_event(output.wall_ns, change.event, &change.detail, &change.numbers);
-        }
-        if let Some(report) = output.guard.filter(|report| self.verdict != Some(report.verdict)) {
-            self.verdict = Some(report.verdict);
-            self.handle.offer_event(output.wall_ns, "guard", &verdict_text(&report), &[output.sequence as f64]);
-        }
-        if let Some(news) = output.circuit {
-            let numbers = [news.fit.score_before, news.fit.score, news.fit.frames as f64];
-            self.handle.offer_event(output.wall_ns, "circuit", &news.describe(), &numbers);
-        }
+        let (handle, wall_ns) = (&self.handle, output.wall_ns);
+        self.events.results(output, |event, detail, values| {
+            handle.offer_event(wall_ns, event, detail, values);
+        });
     }
 
     /// Records the current baseline, if there is one.
@@ -164,28 +146,4 @@ impl LiveRecording {
             }
         }
     }
-}
-
-/// A guard's verdict with its reasons: `stop: force`.
-fn verdict_text(report: &GuardReport) -> String {
-    let reasons: Vec<&str> = report.reasons.iter().map(GuardReason::name).collect();
-    let name = report.verdict.name();
-    if reasons.is_empty() { name.to_owned() } else { format!("{name}: {}", reasons.join(", ")) }
-}
-
-/// The fields of a damage event: its name, a description, and id, x, y, length (metres), direction (radians), depth
-/// and remaining share.
-fn damage_event(event: &DamageEvent) -> (&'static str, String, [f64; 7]) {
-    let damage = event.damage();
-    let shape = &damage.shape;
-    let [x, y] = shape.centre_m;
-    let name = match event {
-        DamageEvent::Begin(_) => "damage-begin",
-        DamageEvent::Update(_) => "damage-update",
-        DamageEvent::Covered(_) => "damage-covered",
-        DamageEvent::Uncovered(_) => "damage-uncovered",
-        DamageEvent::Healed(_) => "damage-healed",
-    };
-    let values = [damage.id as f64, x, y, shape.length_m, shape.direction_rad, damage.depth, damage.share];
-    (name, dermis_live::stages::damage::describe(event), values)
 }

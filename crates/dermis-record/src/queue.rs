@@ -10,7 +10,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounde
 use dermis_device::Frame;
 use dermis_touch::{ReferenceRecord, TouchEvent};
 
-use super::messages;
+use super::messages::{self, Stamp};
 use super::shared_file::FLUSH_INTERVAL;
 use super::view::SkinView;
 use super::writer::{Recorder, RecordingSummary};
@@ -65,6 +65,7 @@ pub struct RecorderHandle {
     free_messages: Receiver<Vec<u8>>,
     free_images: Receiver<Vec<f32>>,
     view: Option<SkinView>,
+    frame_id: String,
     /// Time of the next image, on the frames' clock.
     image_due_ns: u64,
     shared: Arc<Shared>,
@@ -125,7 +126,7 @@ impl RecorderHandle {
         for _ in 0..IMAGES {
             let _ = return_image.try_send(Vec::new());
         }
-        let view = recorder.view().cloned();
+        let (view, frame_id) = (recorder.view().cloned(), recorder.frame_id().to_owned());
         let shared = Arc::new(Shared::default());
         let path = recorder.path().to_owned();
         let (ask, asked) = bounded(1);
@@ -155,6 +156,7 @@ impl RecorderHandle {
             free_messages,
             free_images,
             view,
+            frame_id,
             image_due_ns,
             shared,
             stop,
@@ -183,7 +185,9 @@ impl RecorderHandle {
         let ended = output.events.iter().any(|event| matches!(event, TouchEvent::End(_)));
         if ended || !output.touches.is_empty() {
             if let Ok(mut message) = self.free_messages.try_recv() {
-                messages::write_touches(&mut message, output.sequence, output.time_ns, output.touches, output.events);
+                let stamp = Stamp { wall_ns, frame_id: &self.frame_id };
+                let Output { sequence, time_ns, touches, events, .. } = *output;
+                messages::write_touches(&mut message, stamp, sequence, time_ns, touches, events);
                 self.send(Item::Touches { wall_ns, message });
             }
             if let Some(view) = &self.view

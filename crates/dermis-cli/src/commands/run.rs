@@ -2,6 +2,8 @@
 //! server has its own. All losses on the way are counted, shown, and reflected in the exit code.
 
 mod on_body;
+#[cfg_attr(not(feature = "ros2"), path = "run/ros2_absent.rs")]
+mod ros2;
 mod running;
 pub mod source;
 
@@ -88,8 +90,8 @@ pub struct Arguments {
     /// Stop after this many frames; for a body, frames of each patch.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
-    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, a file of such lines, or
-    /// sweep (a demonstration).
+    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, ros2:/TOPIC (JointState), a
+    /// file of such lines, or sweep (a demonstration).
     #[arg(long, value_name = "SOURCE")]
     joints: Option<String>,
     /// Run the other patches of a body if one can't be started.
@@ -100,6 +102,8 @@ pub struct Arguments {
     /// touch stops. Not safety-rated.
     #[arg(long, value_name = "ADDRESS")]
     guard: Option<GuardAddress>,
+    #[command(flatten)]
+    ros2: ros2::Ros2Arguments,
 }
 
 impl Arguments {
@@ -135,6 +139,7 @@ impl Arguments {
         if let Some(path) = &self.record {
             run.start_recording(path, &pipeline)?;
         }
+        let node = self.ros2.open(&mut run, &pipeline)?;
         // Started last, so that no frame waits for the setup above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let name = acquisition.name().to_string();
@@ -142,6 +147,7 @@ impl Arguments {
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, guard.as_ref(), out);
         // Its readers are told to stop before the recording is finished, which takes longer.
         drop(guard);
+        node.close();
         run.stop_recording();
         if pipeline.waits() > 0 {
             tracing::info!(frames = pipeline.waits(), "frames waited for what was not worked out in time");
@@ -172,7 +178,7 @@ impl Arguments {
         if !self.headless {
             super::hint("bodies have no page: JSON lines follow, as with --headless");
         }
-        let options = BodyRunOptions {
+        let mut options = BodyRunOptions {
             source: self.input.source_options()?,
             joints: self.joints.clone(),
             keep_going: self.keep_going,
@@ -180,7 +186,9 @@ impl Arguments {
             lines: true,
             most_frames: self.frames,
             guard: self.guard.clone(),
+            ..BodyRunOptions::default()
         };
+        self.ros2.add_to(&mut options)?;
         on_body::run(file, &options, self.only_touches, out)
     }
 
@@ -301,6 +309,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
         if let Some(requests) = self.requests {
             self.run.answer_all(requests, pipeline);
         }
+        self.run.answer_publishers(pipeline);
         Ok(true)
     }
 

@@ -6,6 +6,38 @@ use super::Pipeline;
 use super::state::State;
 use crate::Error;
 use crate::calibration::{Calibration, LoadQuantity};
+use crate::stages::force_law::ForceLaw;
+use crate::stages::refinement::Refinement;
+
+/// What the forces of touches come from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ForceSource {
+    /// A force calibration.
+    Calibration {
+        /// Root mean square of its errors, newtons.
+        residual_n: f64,
+    },
+    /// A calibration with pokes of known force.
+    Pokes,
+    /// The law of the layer in the skin file.
+    Law,
+}
+
+impl ForceSource {
+    /// The source in one word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Calibration { .. } => "calibration",
+            Self::Pokes => "pokes",
+            Self::Law => "law",
+        }
+    }
+
+    /// Root mean square of the errors of a force calibration, newtons.
+    pub fn residual_n(self) -> Option<f64> {
+        if let Self::Calibration { residual_n } = self { Some(residual_n) } else { None }
+    }
+}
 
 impl Pipeline {
     /// Estimates forces by a calibration from now on.
@@ -35,6 +67,20 @@ impl Pipeline {
     /// Quantity of the touches' loads, if a calibration by pokes estimates them.
     pub fn load_quantity(&self) -> Option<LoadQuantity> {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
+    }
+
+    /// What the forces of touches come from, if anything tells them.
+    pub fn force_source(&self) -> Option<ForceSource> {
+        let choices = &self.choices;
+        if let Some(forces) = &choices.forces {
+            return Some(ForceSource::Calibration { residual_n: forces.residual_n });
+        }
+        if self.load_quantity() == Some(LoadQuantity::ForceN) {
+            return Some(ForceSource::Pokes);
+        }
+        let has_law = Refinement::is_wanted(&self.prepared, choices.calibration.as_ref())
+            && ForceLaw::is_stated(&self.prepared.skin.frontend.layer);
+        has_law.then_some(ForceSource::Law)
     }
 
     /// True if a calibration without labels may locate touches, and may report alternative positions.

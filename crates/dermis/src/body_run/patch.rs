@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{SendTimeoutError, Sender};
-use dermis_body::{Body, SpatialTouch, trusted_force};
+use dermis_body::{Body, SpatialTouch, Wrench, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
 use dermis_device::{Frame, HostStamp};
 use dermis_lab::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_record::LiveRecording;
+use dermis_record::{ForceAndTorque, LiveRecording, Publisher};
 use dermis_record::guard_socket::GuardPublisher;
 use dermis_record::sink::{JsonLines, LinesFor};
 use dermis_touch::Touch;
@@ -81,6 +81,10 @@ pub(super) struct PatchThread {
     pub stop: Arc<AtomicBool>,
     pub guard: Option<GuardPublisher>,
     pub recording: Option<LiveRecording>,
+    pub publishers: Vec<Box<dyn Publisher>>,
+    /// True if every patch on the link, and on the body, can tell forces; otherwise a sum of none means nothing.
+    pub link_tells_forces: bool,
+    pub body_tells_forces: bool,
     pub lines: bool,
     pub most_frames: Option<u64>,
 }
@@ -136,6 +140,7 @@ impl PatchThread {
         let (mut last, mut done) = (Instant::now(), 0);
         let mut lines = JsonLines::new(Vec::new(), "line", LinesFor::EveryFrame);
         while !self.stop.load(Ordering::Relaxed) && self.most_frames.is_none_or(|most| done < most) {
+            self.tare_on_request();
             match self.acquisition.next(NAP)? {
                 Next::End => return Ok(()),
                 Next::Idle => self.wait(last.elapsed() > silence),
@@ -151,8 +156,9 @@ impl PatchThread {
     }
 
     /// Updates the state when no frame has come.
-    fn wait(&self, is_silent: bool) {
+    fn wait(&mut self, is_silent: bool) {
         let problem = self.acquisition.problem();
+        self.publishers.iter_mut().for_each(|publisher| publisher.idle(problem.as_deref()));
         if is_silent {
             let name = &self.body.patches[self.number].name;
             self.loads.lose(self.number, format!("{name}: silent"));
@@ -174,6 +180,7 @@ impl PatchThread {
             // Hand the raw frame to the recording before it is processed.
             recording.frame(frame);
         }
+        self.publishers.iter_mut().for_each(|publisher| publisher.frame(frame));
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
         // First of all: everything else may wait.
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
@@ -184,6 +191,7 @@ impl PatchThread {
         if let Some(recording) = &mut self.recording {
             recording.results(&output);
         }
+        self.publishers.iter_mut().for_each(|publisher| publisher.results(&output));
         let Output { sequence, time_ns, touches, .. } = output;
         let channels_left_out = output.health.channels.len();
         let joints = self.joints.at(HostStamp::now().monotonic_ns);
@@ -191,6 +199,9 @@ impl PatchThread {
         let known = is_known.then_some(&joints.values);
         self.loads.set(self.number, &patch.name, &output, is_ready, force);
         let (on_link, on_body) = (self.loads.on_link(&self.body, patch.link), self.loads.on_body(&self.body, known));
+        let link = on_link.wrench.filter(|_| self.link_tells_forces).map(force_and_torque);
+        let whole = on_body.wrench.filter(|_| self.body_tells_forces).map(force_and_torque);
+        self.publishers.iter_mut().for_each(|publisher| publisher.wrenches(link, whole));
         let root_from_patch = known.and_then(|joints| self.body.root_from_patch(self.number, joints));
         let surface = patch.surface();
         if self.lines {
@@ -236,6 +247,7 @@ impl PatchThread {
         let touches = report.touches.len();
         let is_read = self.publish(report);
         let counters = self.acquisition.counters();
+        self.publishers.iter_mut().for_each(|publisher| publisher.state(&self.pipeline, counters));
         let p99_us = self.pipeline.latencies().total.quantile_us(0.99);
         let mut row = self.health.row();
         row.state = if is_ready { PatchState::Running } else { PatchState::Starting };
@@ -246,6 +258,24 @@ impl PatchThread {
         row.latency_p99_ms = 1e-3 * p99_us;
         row.problem = None;
         Ok(())
+    }
+
+    /// Carries out requests for a tare.
+    fn tare_on_request(&mut self) {
+        while let Some(request) = self.publishers.iter_mut().find_map(|publisher| publisher.take_tare()) {
+            let outcome = self.pipeline.tare(false, request.reason).map_err(|error| error.to_string());
+            let (event, detail) = match &outcome {
+                Ok(_) => ("tare", request.reason.to_owned()),
+                Err(reason) => ("tare-refused", reason.clone()),
+            };
+            match (&self.recording, &outcome) {
+                (Some(recording), Ok(_)) => recording.tare(false, request.reason),
+                (Some(recording), Err(reason)) => recording.event("tare-refused", reason, &[]),
+                (None, _) => {}
+            }
+            self.publishers.iter_mut().for_each(|publisher| publisher.event(event, &detail, &[]));
+            (request.answer)(outcome);
+        }
     }
 
     /// Queues a report; false if the queue is full. Sources that wait for their frames to be taken wait here too.
@@ -263,4 +293,8 @@ impl PatchThread {
         }
         false
     }
+}
+
+fn force_and_torque(wrench: Wrench) -> ForceAndTorque {
+    [wrench.force_n, wrench.torque_nm]
 }

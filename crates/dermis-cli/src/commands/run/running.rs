@@ -9,7 +9,7 @@ use dermis::device::acquire::{Acquisition, AcquisitionCounters};
 use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
-use dermis::record::{LiveRecording, RecorderStatus, RecordingEnd, RecordingHead, SkinView};
+use dermis::record::{LiveRecording, Publisher, RecorderStatus, RecordingEnd, RecordingHead, SkinView};
 use dermis::twin::from_skin::treatment_of;
 use dermis_device::{Frame, HostStamp};
 use dermis_page::Announcer;
@@ -33,6 +33,7 @@ pub(in crate::commands) struct Running {
     announcer: Announcer,
     hub: Hub,
     feed: PageFeed,
+    publishers: Vec<Box<dyn Publisher>>,
 }
 
 impl Running {
@@ -53,6 +54,27 @@ impl Running {
             announcer: Announcer::new(&pipeline.prepared().skin),
             hub: Hub::new(),
             feed,
+            publishers: Vec::new(),
+        }
+    }
+
+    /// The source of the frames.
+    #[cfg(feature = "ros2")]
+    pub(in crate::commands) fn source(&self) -> &str {
+        &self.head.source
+    }
+
+    /// Also publishes the run here.
+    #[cfg(feature = "ros2")]
+    pub(in crate::commands) fn publish_to(&mut self, publisher: Box<dyn Publisher>) {
+        self.publishers.push(publisher);
+    }
+
+    /// Carries out the publishers' requests before the next frame.
+    pub(in crate::commands) fn answer_publishers(&mut self, pipeline: &mut Pipeline) {
+        while let Some(request) = self.publishers.iter_mut().find_map(|publisher| publisher.take_tare()) {
+            let outcome = self.begin_tare(false, request.reason, pipeline);
+            (request.answer)(outcome);
         }
     }
 
@@ -78,7 +100,9 @@ impl Running {
 
     /// Call this when no frame arrived.
     pub(in crate::commands) fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
-        if self.feed.wait(acquisition.problem(), HostStamp::now().monotonic_ns) {
+        let problem = acquisition.problem();
+        self.publishers.iter_mut().for_each(|publisher| publisher.idle(problem.as_deref()));
+        if self.feed.wait(problem, HostStamp::now().monotonic_ns) {
             self.hub.publish(self.feed.update())?;
         }
         Ok(())
@@ -89,6 +113,7 @@ impl Running {
         if let Some(recorder) = &mut self.recorder {
             recorder.frame(frame);
         }
+        self.publishers.iter_mut().for_each(|publisher| publisher.frame(frame));
     }
 
     /// Updates the page after a frame was shown. `renewed` is the frame's time if a new baseline has just been taken.
@@ -98,6 +123,8 @@ impl Running {
         pipeline: &Pipeline,
         renewed: Option<u64>,
     ) -> anyhow::Result<()> {
+        let counters = acquisition.counters();
+        self.publishers.iter_mut().for_each(|publisher| publisher.state(pipeline, counters));
         self.publish(acquisition, pipeline)?;
         if let Some(wall_ns) = renewed {
             self.new_baseline(pipeline, wall_ns);
@@ -127,6 +154,7 @@ impl Running {
         if let Some(recorder) = &mut self.recorder {
             recorder.results(output);
         }
+        self.publishers.iter_mut().for_each(|publisher| publisher.results(output));
         self.feed.show(output, HostStamp::now().monotonic_ns);
         for Notice { level, text } in self.announcer.notices(output) {
             tracing::warn!(frame = output.sequence, "{text}");
@@ -241,22 +269,27 @@ impl Running {
     }
 
     fn tare(&mut self, force: bool, reply: Reply, pipeline: &mut Pipeline) {
-        const REASON: &str = "asked for in the page";
-        let asked = pipeline.tare(force, REASON);
-        match (asked, &self.recorder) {
-            (Ok(frames), recorder) => {
-                if let Some(recorder) = recorder {
-                    recorder.tare(force, REASON);
-                }
-                reply.accept(format!("taring over {frames} frames"));
-            }
-            (Err(error), recorder) => {
-                if let Some(recorder) = recorder {
-                    recorder.event("tare-refused", &error.to_string(), &[]);
-                }
-                reply.refuse(format!("tare refused: {error}"));
-            }
+        match self.begin_tare(force, "asked for in the page", pipeline) {
+            Ok(frames) => reply.accept(format!("taring over {frames} frames")),
+            Err(reason) => reply.refuse(format!("tare refused: {reason}")),
         }
+    }
+
+    /// Asks the pipeline for a tare, and tells recording and publishers. Returns the number of frames to come, or the
+    /// reason for a refusal.
+    fn begin_tare(&mut self, force: bool, reason: &str, pipeline: &mut Pipeline) -> Result<usize, String> {
+        let outcome = pipeline.tare(force, reason).map_err(|error| error.to_string());
+        let (event, detail) = match &outcome {
+            Ok(_) => ("tare", reason),
+            Err(refusal) => ("tare-refused", refusal.as_str()),
+        };
+        match (&self.recorder, &outcome) {
+            (Some(recorder), Ok(_)) => recorder.tare(force, reason),
+            (Some(recorder), Err(_)) => recorder.event(event, detail, &[]),
+            (None, _) => {}
+        }
+        self.publishers.iter_mut().for_each(|publisher| publisher.event(event, detail, &[]));
+        outcome
     }
 
     fn command_twin(&self, command: TwinCommand) -> Result<(), CommandRefused> {
