@@ -2,7 +2,7 @@
 """Runs `dermis run --ros2` and compares what Eclipse Cyclone DDS receives with the lines that dermis prints.
 
     check_ros2.py DERMIS                       a dermis built with the feature ros2
-    check_ros2.py DERMIS --throughput SKIN     measures CPU, drops and latency instead (see docs/src/ros2.md)
+    check_ros2.py DERMIS --throughput          measures CPU, drops and latency instead (see docs/src/ros2.md)
 
 Needs cyclonedds, rosbags and numpy from PyPI. Everything goes over the loopback interface, in a domain that depends on
 the process, and needs no multicast. Ends with status 1 and a message at the first failure, and with status 77 if this
@@ -366,11 +366,42 @@ def cpu_s(pid):
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure(program, skin, seconds=20):
-    """CPU time, drops, and latency from a frame's first byte to this process."""
-    run = Dermis(program, skin, "--only-touches", "--ros2", "--ros2-clouds-per-s=100")
+SENDER = """
+import socket, sys, time
+import numpy as np
+frames = [row.tobytes() for row in np.load(sys.argv[1]).astype("<f4")]
+server = socket.create_server(("127.0.0.1", int(sys.argv[2])))
+connection, _ = server.accept()
+connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+begun, number = time.monotonic(), 0
+while True:
+    connection.sendall(frames[number % len(frames)])
+    number += 1
+    time.sleep(max(0.0, begun + number * 1e-3 - time.monotonic()))
+"""
+
+
+def measure(program, seconds=20):
+    """CPU time, drops, and latency from a frame's first byte to this process, at 1,000 frames and 100 clouds per second."""
+    with tempfile.TemporaryDirectory() as folder:
+        recorded, frames, port = f"{folder}/frames.mcap", f"{folder}/frames.npy", 20_000 + os.getpid() % 10_000
+        for arguments in (["record", "healing-square", "--speed", "0", "--frames", "600", "--out", recorded],
+                          ["export", recorded, "--format", "npy", "--out", frames]):
+            subprocess.run([program, *arguments], check=True, capture_output=True)
+        sender = subprocess.Popen([sys.executable, "-c", SENDER, frames, str(port)])
+        time.sleep(1)
+        options = ["--source", f"tcp:127.0.0.1:{port}#floats:{np.load(frames).shape[1]}", "--only-touches"]
+        try:
+            with_ros2(program, options, seconds)
+            without_ros2(program, options, sender, frames, port, seconds)
+        finally:
+            sender.kill()
+
+
+def with_ros2(program, options, seconds):
+    run = Dermis(program, "healing-square", *options, "--ros2", "--ros2-clouds-per-s=100")
     participant = DomainParticipant(DOMAIN)
-    latencies, counts = {"touches": [], "points": []}, {}
+    latencies = {"touches": [], "points": []}
     readers = {
         "touches": DataReader(participant, Topic(participant, "rt/dermis/touches", TYPES["dermis_msgs/msg/Touches"]), qos=RELIABLE),
         "points": DataReader(participant, Topic(participant, "rt/dermis/points", TYPES["sensor_msgs/msg/PointCloud2"]), qos=SENSOR),
@@ -384,24 +415,41 @@ def measure(program, skin, seconds=20):
                     begun = (time.monotonic(), cpu_s(run.process.pid))
                 if begun is not None:
                     latencies[topic].append(now_ns - stamp_ns(sample))
-        time.sleep(0.0005)
+        time.sleep(0.0002)
     used = (cpu_s(run.process.pid) - begun[1]) / (time.monotonic() - begun[0])
-    said = run.stop()
+    run.process.send_signal(signal.SIGINT)
+    run.process.wait(30)
     for topic, found in latencies.items():
         p50, p99 = np.percentile(np.array(found) / 1e6, [50, 99])
         print(f"{topic}: {len(found) / seconds:.0f}/s, latency p50 {p50:.2f} ms, p99 {p99:.2f} ms")
-    print(f"CPU: {100 * used:.0f} % of a core")
-    print(said.strip())
+    print(f"CPU with --ros2: {100 * used:.0f} % of a core")
+    print("".join(run.errors).strip())
+
+
+def without_ros2(program, options, sender, frames, port, seconds):
+    sender.kill()
+    sender.wait()
+    again = subprocess.Popen([sys.executable, "-c", SENDER, frames, str(port)])
+    time.sleep(1)
+    run = Dermis(program, "healing-square", *options)
+    try:
+        time.sleep(5)
+        before = cpu_s(run.process.pid)
+        time.sleep(seconds)
+        print(f"CPU without: {100 * (cpu_s(run.process.pid) - before) / seconds:.0f} % of a core")
+    finally:
+        run.process.kill()
+        again.kill()
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dermis")
-    parser.add_argument("--throughput", metavar="SKIN")
+    parser.add_argument("--throughput", action="store_true")
     arguments = parser.parse_args()
     program = str(Path(arguments.dermis).resolve())
     if arguments.throughput:
-        return measure(program, arguments.throughput)
+        return measure(program)
     check_definitions()
     check_refusals(program)
     check_skin(program)

@@ -35,10 +35,7 @@ pub struct Press {
 
 /// The presses of a frame's touches, and the touches whose force is unknown. Touches that share a contact each report
 /// its whole force, and make one press.
-pub fn presses(
-    touches: &[Touch],
-    force: impl Fn(&Touch) -> Option<ForceEstimate>,
-) -> (Vec<Press>, Vec<&Touch>) {
+pub fn presses(touches: &[Touch], force: impl Fn(&Touch) -> Option<ForceEstimate>) -> (Vec<Press>, Vec<&Touch>) {
     let (mut presses, mut unknown): (Vec<Press>, _) = (Vec::new(), Vec::new());
     for touch in touches {
         let Some(force) = force(touch) else {

@@ -118,12 +118,7 @@ const UINT32: u8 = 6;
 pub(super) const FLOAT32: u8 = 7;
 
 /// The rest of a `PointCloud2` after its header: one row of `count` points, whose four-byte fields `fill` appends.
-pub(super) fn cloud(
-    cdr: &mut CdrWriter<'_>,
-    fields: &[(&str, u8)],
-    count: usize,
-    fill: impl FnOnce(&mut Vec<u8>),
-) {
+pub(super) fn cloud(cdr: &mut CdrWriter<'_>, fields: &[(&str, u8)], count: usize, fill: impl FnOnce(&mut Vec<u8>)) {
     let step = 4 * fields.len();
     cdr.u32(1);
     cdr.u32(count as u32);

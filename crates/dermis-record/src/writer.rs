@@ -11,11 +11,11 @@ use mcap::{Attachment, McapError};
 
 use super::file::{Destination, destination};
 use super::head::{FINISHED, RecordingHead, record};
+use super::messages::{self, Stamp};
+use super::schema;
 use super::schema::Schema;
 use super::shared_file::{FileWriter, SharedFile, lock, mcap_error, new_writer};
 use super::view::SkinView;
-use super::messages::{self, Stamp};
-use super::schema;
 use crate::Error;
 
 /// Summary of a finished recording.

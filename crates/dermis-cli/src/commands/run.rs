@@ -178,6 +178,7 @@ impl Arguments {
         if !self.headless {
             super::hint("bodies have no page: JSON lines follow, as with --headless");
         }
+        #[cfg_attr(not(feature = "ros2"), expect(clippy::needless_update, reason = "features add options"))]
         let mut options = BodyRunOptions {
             source: self.input.source_options()?,
             joints: self.joints.clone(),

@@ -9,7 +9,7 @@ use crate::calibration::{Calibration, LoadQuantity};
 use crate::stages::force_law::ForceLaw;
 use crate::stages::refinement::Refinement;
 
-/// What the forces of touches come from.
+/// Source of the touches' forces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ForceSource {
     /// A force calibration.
@@ -69,7 +69,7 @@ impl Pipeline {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
     }
 
-    /// What the forces of touches come from, if anything tells them.
+    /// Source of the touches' forces; `None` if nothing tells them.
     pub fn force_source(&self) -> Option<ForceSource> {
         let choices = &self.choices;
         if let Some(forces) = &choices.forces {

@@ -107,7 +107,8 @@ pub(super) fn patch(
         strings(cdr, [format!("{} voltages per frame", shape.channels).as_str()].into_iter());
         let force = if force_from.is_empty() { "force: unknown".to_owned() } else { format!("force: by {force_from}") };
         let image = format!("image: {}, by the model of the skin", shape.quantity);
-        let inferred = [image.as_str(), "touches: presses that explain the frame", &force, "normals and areas: by the skin file"];
+        let inferred =
+            [image.as_str(), "touches: presses that explain the frame", &force, "normals and areas: by the skin file"];
         strings(cdr, inferred.into_iter());
     })
 }
@@ -214,4 +215,113 @@ pub(super) fn read_joints(bytes: &[u8]) -> Option<Vec<(String, f64)>> {
     let mut positions = Vec::new();
     cdr.doubles(&mut positions)?;
     (names.len() == positions.len()).then(|| names.into_iter().zip(positions).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use byteorder::LittleEndian;
+    use serde::Deserialize;
+    use serde::de::DeserializeOwned;
+
+    /// Decodes a message by an implementation that is not ours, and checks that nothing is left over.
+    fn decode<T: DeserializeOwned>(message: &[u8]) -> T {
+        let (encapsulation, body) = message.split_at(ENCAPSULATION);
+        assert_eq!(encapsulation, [0, 1, 0, 0]);
+        let (value, read) = cdr_encoding::from_bytes::<T, LittleEndian>(body).expect("CDR");
+        assert_eq!(read, body.len());
+        value
+    }
+
+    type Header = ((i32, u32), String);
+    const STAMP: Stamp<'_> = Stamp { wall_ns: 5_000_000_007, frame_id: "palm" };
+
+    fn header() -> Header {
+        ((5, 7), "palm".to_owned())
+    }
+
+    #[test]
+    fn wrenches_and_transforms_have_the_layout_of_ros() {
+        let (found, force, torque): (Header, [f64; 3], [f64; 3]) =
+            decode(&wrench(STAMP, [0.0, 0.0, -2.0], [0.1, 0.2, 0.3]));
+        assert_eq!((found, force, torque), (header(), [0.0, 0.0, -2.0], [0.1, 0.2, 0.3]));
+
+        let turned = Transform::from_xyz_rpy([1.0, 2.0, 3.0], [0.0, 0.0, std::f64::consts::PI]);
+        let mount = NamedTransform { parent: "palm".into(), child: "skin".into(), parent_from_child: turned };
+        let found: Vec<(Header, String, [f64; 3], [f64; 4])> = decode(&transforms(STAMP.wall_ns, &[mount]));
+        let (outer, child, place, turn) = &found[0];
+        assert_eq!((outer, child.as_str(), place), (&header(), "skin", &[1.0, 2.0, 3.0]));
+        assert!((turn[2].abs() - 1.0).abs() < 1e-12 && turn[3].abs() < 1e-12, "{turn:?}");
+    }
+
+    #[test]
+    fn diagnostics_and_verdicts_have_the_layout_of_ros() {
+        type Row = (u8, String, String, String, Vec<(String, String)>);
+        let row = Diagnosis {
+            level: Level::Warn,
+            name: "dermis: palm".into(),
+            message: "3 channels left out".into(),
+            hardware_id: "twin".into(),
+            values: vec![("frames", "12".into())],
+        };
+        let (found, rows): (Header, Vec<Row>) = decode(&diagnostics(STAMP.wall_ns, &[row.clone(), row]));
+        assert_eq!((found.0, rows.len()), ((5, 7), 2));
+        assert_eq!((rows[1].0, rows[1].4[0].1.as_str()), (1, "12"));
+
+        let report = GuardReport::before_frames(0, 100_000_000);
+        type Verdict = (Header, u64, String, Vec<String>, bool, f64);
+        let (found, sequence, verdict, reasons, is_rated, valid_s): Verdict = decode(&guard(STAMP, 9, &report));
+        assert_eq!((found, sequence, verdict.as_str(), is_rated), (header(), 9, "stale", false));
+        assert_eq!((reasons, valid_s), (vec!["no-baseline".to_owned()], 0.1));
+    }
+
+    #[derive(Debug, Deserialize)]
+    struct NodeEntities {
+        namespace: String,
+        name: String,
+        readers: Vec<[u8; 16]>,
+        writers: Vec<[u8; 16]>,
+    }
+
+    #[test]
+    fn a_node_announces_its_name_and_endpoints() {
+        let node: NodeName = "/robot/skin".parse().unwrap();
+        let message = participant([1; 16], &node, &[[2; 16], [3; 16]], &[[4; 16]]);
+        let (guid, nodes): ([u8; 16], Vec<NodeEntities>) = decode(&message);
+        assert_eq!((guid, nodes[0].namespace.as_str(), nodes[0].name.as_str()), ([1; 16], "/robot", "skin"));
+        assert_eq!((&nodes[0].readers, &nodes[0].writers), (&vec![[4; 16]], &vec![[2; 16], [3; 16]]));
+    }
+
+    #[test]
+    fn requests_for_a_tare_are_understood_in_both_forms() {
+        // With rmw_fastrtps the request is one byte. Some senders pad it.
+        assert_eq!(cyclone_header(&[0, 1, 0, 0, 0]), None);
+        assert_eq!(cyclone_header(&[0, 1, 0, 0, 0, 0, 0, 0]), None);
+        let request = [&[0, 1, 0, 0][..], &[7; 16], &[0]].concat();
+        assert_eq!(cyclone_header(&request), Some([7; 16]));
+        assert_eq!(decode::<(bool, String)>(&trigger_reply(None, true, "done")), (true, "done".to_owned()));
+        let (client, number, success, text): (u64, i64, bool, String) =
+            decode(&trigger_reply(Some([1; 16]), false, "no"));
+        assert_eq!((client, number, success, text.as_str()), (0x0101_0101_0101_0101, client as i64, false, "no"));
+    }
+
+    #[test]
+    fn joint_states_are_read_and_others_refused() {
+        let write = |names: &[&str], positions: &[f64]| {
+            message(|cdr| {
+                cdr.header(1, "");
+                strings(cdr, names.iter().copied());
+                cdr.doubles(positions);
+                cdr.doubles(&[]);
+                cdr.doubles(&[0.5]);
+            })
+        };
+        let found = read_joints(&write(&["elbow", "wrist"], &[0.25, -1.0])).unwrap();
+        assert_eq!(found, [("elbow".to_owned(), 0.25), ("wrist".to_owned(), -1.0)]);
+        assert_eq!(read_joints(&write(&["elbow"], &[])), None, "a driver that gives velocities alone");
+        let whole = write(&["elbow"], &[0.25]);
+        for end in 0..40 {
+            assert_eq!(read_joints(&whole[..end]), None, "{end}");
+        }
+    }
 }

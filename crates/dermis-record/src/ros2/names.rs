@@ -148,7 +148,8 @@ pub(super) fn dds_type(name: &str) -> String {
 /// It breaks the rules for names.
 pub(super) fn checked_topic(text: &str) -> Result<String, Ros2Error> {
     let refused = |reason: String| Ros2Error::Name { name: text.to_owned(), reason };
-    let parts = text.strip_prefix('/').ok_or_else(|| refused("expected a / in front, as in /joint_states".to_owned()))?;
+    let parts =
+        text.strip_prefix('/').ok_or_else(|| refused("expected a / in front, as in /joint_states".to_owned()))?;
     parts.split('/').try_for_each(check_token).map_err(refused)?;
     if text.len() > MOST_CHARACTERS {
         return Err(refused(format!("expected at most {MOST_CHARACTERS} characters")));

@@ -10,8 +10,8 @@ use rustdds::bytes::Bytes;
 use rustdds::no_key::{DataReader, DataWriter, Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
-    DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder,
-    RTPSEntity, RepresentationIdentifier, SampleIdentity, Subscriber, Topic, TopicKind, WriteOptionsBuilder,
+    DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity,
+    RepresentationIdentifier, SampleIdentity, Subscriber, Topic, TopicKind, WriteOptionsBuilder,
 };
 
 use super::Ros2Error;
@@ -34,7 +34,7 @@ pub(super) enum Quality {
     Latched,
     /// Reliable, for readers that are there.
     Reliable,
-    /// Best effort: what gets lost is not sent again.
+    /// Best effort: lost messages are not sent again.
     Sensor,
 }
 
@@ -155,7 +155,9 @@ fn is_local() -> bool {
 /// The reason why no network interface takes multicast, if none does.
 pub(super) fn no_multicast() -> Option<std::io::Error> {
     // Looks up the route and sends nothing.
-    UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|socket| socket.connect((Ipv4Addr::new(239, 255, 0, 1), 7400))).err()
+    UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
+        .and_then(|socket| socket.connect((Ipv4Addr::new(239, 255, 0, 1), 7400)))
+        .err()
 }
 
 impl Participant {
@@ -181,7 +183,8 @@ impl Participant {
     /// A writer to a topic by its name and type in DDS.
     pub fn dds_writer(&self, topic: &str, kind: &str, quality: Quality) -> Result<Writer, Ros2Error> {
         let qos = quality.policies();
-        let failed = |error: &dyn std::fmt::Display| Ros2Error::Topic { topic: topic.into(), reason: error.to_string() };
+        let failed =
+            |error: &dyn std::fmt::Display| Ros2Error::Topic { topic: topic.into(), reason: error.to_string() };
         let made = self.participant.create_topic(topic.into(), kind.into(), &qos, TopicKind::NoKey);
         let topic = made.map_err(|error| failed(&error))?;
         let writer = self.publisher.create_datawriter_no_key(&topic, Some(qos.clone()));
@@ -192,7 +195,8 @@ impl Participant {
     /// A reader of a topic by its name and type in DDS.
     pub fn dds_reader(&self, topic: &str, kind: &str, quality: Quality) -> Result<Reader, Ros2Error> {
         let qos = quality.policies();
-        let failed = |error: &dyn std::fmt::Display| Ros2Error::Topic { topic: topic.into(), reason: error.to_string() };
+        let failed =
+            |error: &dyn std::fmt::Display| Ros2Error::Topic { topic: topic.into(), reason: error.to_string() };
         let made = self.participant.create_topic(topic.into(), kind.into(), &qos, TopicKind::NoKey);
         let made = made.map_err(|error| failed(&error))?;
         let reader = self.subscriber.create_datareader_no_key(&made, Some(qos));
@@ -215,8 +219,8 @@ impl Participant {
 }
 
 impl Writer {
-    /// Sends a message, given with its encapsulation. Never waits. If a reader acknowledges nothing for so long that
-    /// no more messages are taken, the topic starts again, so that it doesn't hold up the others.
+    /// Sends a message, given with its encapsulation. Never waits. A reader that acknowledges nothing fills the window
+    /// of unacknowledged messages; then the topic starts again, so that the other readers go on.
     pub fn write(&mut self, message: Vec<u8>, participant: &Participant) -> Sent {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         if self.writer.write(payload, None).is_ok() {

@@ -148,9 +148,9 @@ pub struct PatchPublisher {
     state: State,
 }
 
-/// What changes from frame to frame.
+/// The parts that change from frame to frame.
 struct State {
-    /// Number of baselines so far.
+    /// Baselines described so far.
     baselines: usize,
     /// Standard deviation of each cell at rest.
     sigmas: Vec<f32>,
@@ -263,7 +263,10 @@ impl PatchPublisher {
 impl Publisher for PatchPublisher {
     fn frame(&mut self, frame: &Frame) {
         self.state.wall_ns = frame.host_wall_ns;
-        let (to, stamp) = (Events { outbox: &self.outbox, topics: &self.topics }, Stamp { wall_ns: frame.host_wall_ns, frame_id: &self.head.frame_id });
+        let (to, stamp) = (
+            Events { outbox: &self.outbox, topics: &self.topics },
+            Stamp { wall_ns: frame.host_wall_ns, frame_id: &self.head.frame_id },
+        );
         self.head.events.frame(frame, |event, detail, values| to.send(stamp, event, detail, values));
     }
 
@@ -273,7 +276,10 @@ impl Publisher for PatchPublisher {
             self.send(OfPatch::Guard, messages::guard(self.stamp(), output.sequence, &report));
         }
         self.touches(output);
-        let (to, stamp) = (Events { outbox: &self.outbox, topics: &self.topics }, Stamp { wall_ns: output.wall_ns, frame_id: &self.head.frame_id });
+        let (to, stamp) = (
+            Events { outbox: &self.outbox, topics: &self.topics },
+            Stamp { wall_ns: output.wall_ns, frame_id: &self.head.frame_id },
+        );
         self.head.events.results(output, |event, detail, values| to.send(stamp, event, detail, values));
         self.clouds(output);
     }
@@ -310,5 +316,20 @@ impl Publisher for PatchPublisher {
 
     fn take_tare(&mut self) -> Option<TareRequest> {
         self.tares.try_recv().ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_queue_costs_messages_and_no_time() {
+        let (items, queue) = crossbeam_channel::bounded(4);
+        let outbox = Outbox { items, dropped: Arc::default(), most_before_clouds: 2 };
+        (0..10).for_each(|number| outbox.send(number, vec![number as u8]));
+        assert_eq!((outbox.dropped.load(Ordering::Relaxed), outbox.has_room()), (6, false));
+        let kept: Vec<usize> = queue.try_iter().map(|item| item.topic).collect();
+        assert_eq!((kept, outbox.has_room()), (vec![0, 1, 2, 3], true));
     }
 }

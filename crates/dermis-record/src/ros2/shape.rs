@@ -52,7 +52,7 @@ impl PatchShape {
 /// Thresholds and limits of a patch.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PatchLimits {
-    /// What forces come from.
+    /// Source of the forces.
     pub force_from: Option<&'static str>,
     pub force_sigma_n: Option<f64>,
     /// Peak of a touch over the noise of the image, at least.

@@ -89,8 +89,8 @@ impl Watch {
         let (last, elapsed_s) = (&self.last, 1e-9 * now_ns.saturating_sub(self.last_ns).max(1) as f64);
         let frames_per_s = status.frames.saturating_sub(last.frames) as f64 / elapsed_s;
         let new_lost = status.counters.total().saturating_sub(last.counters.total());
-        let new_dropped = (traffic.dropped + traffic.refused)
-            .saturating_sub(self.last_traffic.dropped + self.last_traffic.refused);
+        let new_dropped =
+            (traffic.dropped + traffic.refused).saturating_sub(self.last_traffic.dropped + self.last_traffic.refused);
         let left_out = status.channels_left_out.len();
         let (level, message) = match &status {
             PatchStatus { problem: Some(problem), .. } => (Level::Error, problem.clone()),
@@ -122,5 +122,42 @@ impl Watch {
         ];
         (self.last, self.last_ns, self.last_traffic) = (status, now_ns, traffic);
         Diagnosis { level, name: self.name.clone(), message, hardware_id: self.source.clone(), values }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    #[test]
+    fn a_diagnosis_names_the_worst_and_counts_since_the_last_one() {
+        let shared = SharedStatus::default();
+        let mut watch = Watch::new(shared.clone(), "dermis: palm".into(), "twin".into(), 0);
+        let diagnosis = watch.diagnose(SECOND_NS, Traffic::default());
+        assert_eq!((diagnosis.level, diagnosis.message.as_str()), (Level::Stale, "no frames"));
+
+        let status = PatchStatus { frames: 50, has_baseline: true, latency_p99_ms: 1.5, ..PatchStatus::default() };
+        shared.set(status.clone());
+        let diagnosis = watch.diagnose(2 * SECOND_NS, Traffic::default());
+        assert_eq!((diagnosis.level, diagnosis.hardware_id.as_str()), (Level::Ok, "twin"));
+        let value = |diagnosis: &Diagnosis, key: &str| {
+            diagnosis.values.iter().find(|(name, _)| *name == key).map(|(_, value)| value.clone()).unwrap()
+        };
+        assert_eq!(value(&diagnosis, "frames_per_s"), "50.0");
+
+        let counters = AcquisitionCounters { lost: 2, ..AcquisitionCounters::default() };
+        shared.set(PatchStatus { frames: 90, counters, channels_left_out: vec![3, 4], ..status.clone() });
+        let diagnosis = watch.diagnose(3 * SECOND_NS, Traffic::default());
+        assert_eq!((diagnosis.level, diagnosis.message.as_str()), (Level::Warn, "2 frames lost in the last second"));
+        assert_eq!(value(&diagnosis, "channels_left_out"), "3 4");
+
+        shared.set(PatchStatus { frames: 130, counters, ..status });
+        let dropped = Traffic { dropped: 5, ..Traffic::default() };
+        assert_eq!(watch.diagnose(4 * SECOND_NS, dropped).message, "5 messages not sent in the last second");
+        shared.set_problem(Some("tcp:skin:5025: connection refused"));
+        let diagnosis = watch.diagnose(5 * SECOND_NS, dropped);
+        assert_eq!((diagnosis.level, diagnosis.message.contains("refused")), (Level::Error, true));
     }
 }

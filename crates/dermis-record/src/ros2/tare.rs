@@ -45,8 +45,7 @@ impl TareService {
     pub fn new(participant: &Participant, service: &str) -> Result<(Self, Receiver<TareRequest>), Ros2Error> {
         let [request, reply] = dds_service(service);
         let (_, kind) = TARE;
-        let requests =
-            participant.dds_reader(&request, &dds_type(&format!("{kind}_Request")), Quality::Reliable)?;
+        let requests = participant.dds_reader(&request, &dds_type(&format!("{kind}_Request")), Quality::Reliable)?;
         let replies = participant.dds_writer(&reply, &dds_type(&format!("{kind}_Response")), Quality::Reliable)?;
         let (tares, taken) = bounded(MOST_WAITING);
         Ok((Self { requests, replies, tares, waiting: Vec::new() }, taken))

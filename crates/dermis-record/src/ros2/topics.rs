@@ -10,7 +10,7 @@ pub(super) struct Topic {
     pub quality: Quality,
 }
 
-/// What is published about each patch. The numbers are places in [`PATCH_TOPICS`].
+/// The topics of each patch, as indices into [`PATCH_TOPICS`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub(super) enum OfPatch {
@@ -46,8 +46,7 @@ pub(super) const PATCH_TOPICS: [Topic; 9] = [
 pub(super) const WRENCH: Topic = topic("wrench", "geometry_msgs/msg/WrenchStamped", Quality::Reliable);
 
 /// Topics with names of their own.
-pub(super) const DIAGNOSTICS: Topic =
-    topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Quality::Reliable);
+pub(super) const DIAGNOSTICS: Topic = topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Quality::Reliable);
 pub(super) const TF: Topic = topic("/tf", "tf2_msgs/msg/TFMessage", Quality::Reliable);
 pub(super) const TF_STATIC: Topic = topic("/tf_static", "tf2_msgs/msg/TFMessage", Quality::Latched);
 

@@ -11,9 +11,9 @@ use dermis_device::{Frame, HostStamp};
 use dermis_lab::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_record::{ForceAndTorque, LiveRecording, Publisher};
 use dermis_record::guard_socket::GuardPublisher;
 use dermis_record::sink::{JsonLines, LinesFor};
+use dermis_record::{ForceAndTorque, LiveRecording, Publisher};
 use dermis_touch::Touch;
 
 use super::joints::{JointFeed, JointsState};

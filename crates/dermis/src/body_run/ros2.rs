@@ -30,7 +30,9 @@ pub(super) fn open(
     let head = |(number, pipeline, source): &ReadyPatch<'_>| {
         let patch = &body.patches[*number];
         let link = body.kinematics.link_name(patch.link);
-        PatchHead::new(pipeline, &frame_of(body, *number), source).named(&patch.name).on_link(link, patch.link_from_patch)
+        PatchHead::new(pipeline, &frame_of(body, *number), source)
+            .named(&patch.name)
+            .on_link(link, patch.link_from_patch)
     };
     let values = joints.at(HostStamp::now().monotonic_ns);
     let never_move = match values.state {
