@@ -144,7 +144,7 @@ impl Ros2Node {
             };
             let link = patch.mount.as_ref().and_then(|mount| links.iter().position(|link| *link == mount.parent));
             let link_wrench = link.and_then(|link| link_wrenches.get(link).copied()).filter(|_| body_wrench.is_some());
-            let first = thread.add_patch(&prefix, &patch)?;
+            let first = thread.add_patch(&prefix)?;
             let topics = PatchTopics { first, link_wrench, body_wrench, root: root.clone() };
             let (tares, status) = thread.serve(&prefix, &patch)?;
             let publisher = PatchPublisher::new(patch, topics, outbox.clone(), status, tares, period_ns(options));
@@ -194,10 +194,10 @@ impl Drop for Ros2Node {
     }
 }
 
-/// Time between two clouds, nanoseconds; endless for none.
-fn period_ns(options: &Ros2Options) -> u64 {
+/// Time between two clouds, nanoseconds; `None` for no clouds.
+fn period_ns(options: &Ros2Options) -> Option<u64> {
     // The cast saturates.
-    (1e9 / options.clouds_per_s.max(0.0)) as u64
+    (options.clouds_per_s > 0.0).then(|| (1e9 / options.clouds_per_s) as u64)
 }
 
 /// The links that carry patches, each once.
@@ -239,7 +239,7 @@ impl NodeThread {
     }
 
     /// Adds the topics of a patch, and returns the number of the first.
-    fn add_patch(&mut self, prefix: &str, _patch: &PatchHead) -> Result<usize, Ros2Error> {
+    fn add_patch(&mut self, prefix: &str) -> Result<usize, Ros2Error> {
         let first = self.writers.len();
         for topic in PATCH_TOPICS {
             self.add(&format!("{prefix}/{}", topic.name), topic)?;

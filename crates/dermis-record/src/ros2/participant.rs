@@ -25,7 +25,7 @@ const MOST_DOMAIN: u16 = 232;
 /// Messages that a reader may miss before it is sent the newest instead: the default of ROS 2.
 const HISTORY: i32 = 10;
 /// Time for which a topic refuses messages, because a reader acknowledges none, before it starts again without them.
-const STALLED: StdDuration = StdDuration::from_millis(500);
+const STALLED: StdDuration = StdDuration::from_millis(100);
 
 /// Quality of service of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

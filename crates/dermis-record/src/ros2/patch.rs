@@ -23,6 +23,8 @@ use crate::view::SkinView;
 
 /// Interval between updates of a patch's state, nanoseconds: ten per message of diagnostics.
 const STATE_EVERY_NS: u64 = 100_000_000;
+/// Messages of one image: the cells, the image itself, the points of touches.
+const CLOUDS: u64 = 3;
 /// Origin of every frame of reference.
 const ORIGIN: [f64; 3] = [0.0; 3];
 
@@ -143,8 +145,8 @@ pub struct PatchPublisher {
     pub(super) outbox: Outbox,
     pub(super) status: SharedStatus,
     pub(super) tares: Receiver<TareRequest>,
-    /// Interval between clouds, nanoseconds.
-    pub(super) period_ns: u64,
+    /// Interval between clouds, nanoseconds; `None` for no clouds.
+    pub(super) period_ns: Option<u64>,
     state: State,
 }
 
@@ -172,7 +174,7 @@ impl PatchPublisher {
         outbox: Outbox,
         status: SharedStatus,
         tares: Receiver<TareRequest>,
-        period_ns: u64,
+        period_ns: Option<u64>,
     ) -> Self {
         let state = State {
             baselines: 0,
@@ -211,14 +213,16 @@ impl PatchPublisher {
 
     /// Sends image, cells and points of touches, if they are due.
     fn clouds(&mut self, output: &Output<'_>) {
+        let Some(period_ns) = self.period_ns else { return };
         let now_ns = HostStamp::now().monotonic_ns;
-        let is_image = output.image.iter().any(|value| value.is_finite());
-        if now_ns < self.state.next_cloud_ns || !is_image {
+        if now_ns < self.state.next_cloud_ns || !output.image.iter().any(|value| value.is_finite()) {
             return;
         }
-        self.state.next_cloud_ns = (self.state.next_cloud_ns + self.period_ns).max(now_ns + self.period_ns / 2);
+        // Keeps the rate, and catches up with at most half a period.
+        let next_ns = self.state.next_cloud_ns.saturating_add(period_ns);
+        self.state.next_cloud_ns = next_ns.max(now_ns.saturating_add(period_ns / 2));
         if !self.outbox.has_room() {
-            self.outbox.dropped.fetch_add(2, Ordering::Relaxed);
+            self.outbox.dropped.fetch_add(CLOUDS, Ordering::Relaxed);
             return;
         }
         let cells = messages::cells(self.stamp(), &self.head.shape.cells, &self.state.sigmas, output.image);

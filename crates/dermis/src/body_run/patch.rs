@@ -116,7 +116,9 @@ impl PatchThread {
             Ok(()) => PatchState::Ended,
             Err(error) => {
                 tracing::error!("patch {name}: {error}");
-                PatchState::Failed(error.to_string())
+                let reason = error.to_string();
+                self.publishers.iter_mut().for_each(|publisher| publisher.idle(Some(&reason)));
+                PatchState::Failed(reason)
             }
         };
         self.loads.lose(self.number, format!("{name}: {}", state.name()));
