@@ -388,14 +388,15 @@ def measure(program, seconds=20):
         for arguments in (["record", "healing-square", "--speed", "0", "--frames", "600", "--out", recorded],
                           ["export", recorded, "--format", "npy", "--out", frames]):
             subprocess.run([program, *arguments], check=True, capture_output=True)
-        sender = subprocess.Popen([sys.executable, "-c", SENDER, frames, str(port)])
-        time.sleep(1)
         options = ["--source", f"tcp:127.0.0.1:{port}#floats:{np.load(frames).shape[1]}", "--only-touches"]
-        try:
-            with_ros2(program, options, seconds)
-            without_ros2(program, options, sender, frames, port, seconds)
-        finally:
-            sender.kill()
+        for follow in (with_ros2, without_ros2):
+            sender = subprocess.Popen([sys.executable, "-c", SENDER, frames, str(port)], stderr=subprocess.DEVNULL)
+            time.sleep(1)
+            try:
+                follow(program, options, seconds)
+            finally:
+                sender.kill()
+                sender.wait()
 
 
 def with_ros2(program, options, seconds):
@@ -426,20 +427,15 @@ def with_ros2(program, options, seconds):
     print("".join(run.errors).strip())
 
 
-def without_ros2(program, options, sender, frames, port, seconds):
-    sender.kill()
-    sender.wait()
-    again = subprocess.Popen([sys.executable, "-c", SENDER, frames, str(port)])
-    time.sleep(1)
+def without_ros2(program, options, seconds):
     run = Dermis(program, "healing-square", *options)
-    try:
-        time.sleep(5)
-        before = cpu_s(run.process.pid)
-        time.sleep(seconds)
-        print(f"CPU without: {100 * (cpu_s(run.process.pid) - before) / seconds:.0f} % of a core")
-    finally:
-        run.process.kill()
-        again.kill()
+    time.sleep(5)
+    before = cpu_s(run.process.pid)
+    time.sleep(seconds)
+    print(f"CPU without: {100 * (cpu_s(run.process.pid) - before) / seconds:.0f} % of a core")
+    run.process.send_signal(signal.SIGINT)
+    run.process.wait(30)
+    print("".join(run.errors).strip())
 
 
 def main():

@@ -6,6 +6,7 @@
 mod baselines;
 mod calibrations;
 mod circuit;
+mod force_source;
 mod guard;
 mod hyperparameter;
 mod levels;
@@ -35,7 +36,7 @@ use crate::stages::classes::{ClassPace, ClassStage};
 use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
 use crate::stages::guard::GuardStage;
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
-pub use calibrations::ForceSource;
+pub use force_source::ForceSource;
 use operators::Operators;
 pub use stage_latencies::StageLatencies;
 use state::{Choices, Running, Starting, State, drift_compensation};

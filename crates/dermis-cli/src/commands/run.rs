@@ -55,7 +55,7 @@ const QUEUE: usize = 64;
 
 /// Arguments of `dermis run`.
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLE)]
+#[command(after_help = format!("{EXAMPLE}{}", ros2::EXAMPLE))]
 pub struct Arguments {
     #[command(flatten)]
     input: source::InputArguments,

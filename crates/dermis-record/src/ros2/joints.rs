@@ -1,6 +1,6 @@
 //! Joint values from a topic with `sensor_msgs/JointState`.
 
-use super::Ros2Error;
+use super::error::Ros2Error;
 use super::messages::read_joints;
 use super::names::{checked_topic, dds_topic, dds_type};
 use super::participant::{Participant, Quality, Reader, domain};

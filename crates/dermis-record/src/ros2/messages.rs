@@ -1,7 +1,7 @@
 //! Messages of ROS 2 that a node sends in addition to those of recordings, as CDR.
 
 use super::names::NodeName;
-use super::{PatchLimits, PatchShape};
+use super::shape::{PatchLimits, PatchShape};
 use crate::cdr::{CdrReader, CdrWriter};
 use crate::messages::Stamp;
 use crate::view::{FLOAT32, cloud};

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::Ros2Error;
+use super::error::Ros2Error;
 
 /// Longest name of a topic. DDS allows 255 characters, and some are needed for prefix and suffix.
 const MOST_CHARACTERS: usize = 247;

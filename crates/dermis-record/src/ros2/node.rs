@@ -9,7 +9,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use dermis_device::HostStamp;
 use rustdds::GUID;
 
-use super::Ros2Error;
+use super::error::Ros2Error;
 use super::messages::{self, NamedTransform};
 use super::names::{NodeName, tokens_of};
 use super::participant::{Participant, Sent, Writer, domain, no_multicast};

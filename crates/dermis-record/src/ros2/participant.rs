@@ -14,7 +14,7 @@ use rustdds::{
     RepresentationIdentifier, SampleIdentity, Subscriber, Topic, TopicKind, WriteOptionsBuilder,
 };
 
-use super::Ros2Error;
+use super::error::Ros2Error;
 use super::messages;
 use super::names::{NodeName, dds_topic, dds_type};
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use rustdds::{GUID, SampleIdentity};
 
-use super::Ros2Error;
+use super::error::Ros2Error;
 use super::messages::{cyclone_header, trigger_reply};
 use super::names::{dds_service, dds_type};
 use super::participant::{Participant, Quality, Reader, Received, Writer};

@@ -4,8 +4,14 @@ use dermis::body_run::BodyRunOptions;
 use dermis::live::pipeline::Pipeline;
 use dermis::record::ros2::{NodeHead, NodeName, PatchHead, Ros2Node, Ros2Options, Ros2Summary};
 
-use super::Running;
+use super::running::Running;
 use crate::exit::UsageError;
+
+/// The end of the command's help.
+pub const EXAMPLE: &str = "
+
+As a ROS 2 node:
+  dermis run --headless --frames 50 --speed 0 --ros2=/robot/skin";
 
 /// Options of the node.
 #[derive(clap::Args)]

@@ -3,8 +3,11 @@
 use dermis::body_run::BodyRunOptions;
 use dermis::live::pipeline::Pipeline;
 
-use super::Running;
+use super::running::Running;
 use crate::exit::UsageError;
+
+/// The help of the command ends before this.
+pub const EXAMPLE: &str = "";
 
 /// Options of a node that this build lacks.
 #[derive(clap::Args)]
