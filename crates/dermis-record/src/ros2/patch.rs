@@ -140,13 +140,13 @@ impl Events<'_> {
 
 /// Publishes one patch.
 pub struct PatchPublisher {
-    pub(super) head: PatchHead,
-    pub(super) topics: PatchTopics,
-    pub(super) outbox: Outbox,
-    pub(super) status: SharedStatus,
-    pub(super) tares: Receiver<TareRequest>,
+    head: PatchHead,
+    topics: PatchTopics,
+    outbox: Outbox,
+    status: SharedStatus,
+    tares: Receiver<TareRequest>,
     /// Interval between clouds, nanoseconds; `None` for no clouds.
-    pub(super) period_ns: Option<u64>,
+    period_ns: Option<u64>,
     state: State,
 }
 
