@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-# Domains above 100 are rarely used, and their ports are below those that Linux gives to clients.
-DOMAIN = 101 + os.getpid() % 100
+# Up to 101 a domain's ports are below those that Linux gives to clients; low numbers are used by robots.
+DOMAIN = 40 + os.getpid() % 60
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
 os.environ["ROS_LOCALHOST_ONLY"] = "1"
 os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>
