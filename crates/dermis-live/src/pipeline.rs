@@ -7,6 +7,7 @@ mod as_built;
 mod baselines;
 mod calibrations;
 mod circuit;
+mod force_source;
 mod guard;
 mod hyperparameter;
 mod levels;
@@ -37,6 +38,7 @@ use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView
 use crate::stages::guard::GuardStage;
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
 use as_built::BuildLearning;
+pub use force_source::ForceSource;
 use operators::Operators;
 pub use stage_latencies::StageLatencies;
 use state::{Choices, Running, Starting, State, drift_compensation};
