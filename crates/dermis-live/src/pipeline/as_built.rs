@@ -72,8 +72,10 @@ impl BuildLearning {
 
 fn learned(drawn: &Prepared, reference: &Reference) -> Result<Option<Box<Learned>>, Error> {
     let Some(prepared) = from_rest(drawn, reference)? else { return Ok(None) };
-    let reference =
-        Reference { noise: reference.noise.clone(), ..Reference::of(&prepared, &[reference.baseline.clone()])? };
+    let reference = Reference {
+        noise: reference.noise.clone(),
+        ..Reference::of(&prepared, std::slice::from_ref(&reference.baseline))?
+    };
     let refinement = Refinement::new(&prepared, &reference.noise)?;
     let CalibratedImager { imager, .. } = CalibratedImager::new(&prepared, None, reference, &[])?;
     Ok(Some(Box::new(Learned { prepared, imager, refinement })))
