@@ -57,4 +57,4 @@ pub use error::Error;
 pub use kinematics::{Assigned, JointValues, Kinematics};
 pub use space::{ForceEstimate, SpatialTouch, Taxels, trusted_force};
 pub use transform::{Matrix, Transform, Vector};
-pub use wrench::{Matrix6, Press, Wrench};
+pub use wrench::{Matrix6, Press, Wrench, presses};

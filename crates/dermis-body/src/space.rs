@@ -61,10 +61,14 @@ impl SpatialTouch {
 }
 
 /// The force of a touch, if it can be trusted: from a force calibration (`residual_n` is the root mean square of its
-/// errors), or from a calibration by pokes of known force. `None` outside the calibrated range.
+/// errors), by the law of the layer, or from a calibration by pokes of known force. `None` outside the calibrated range.
 pub fn trusted_force(touch: &Touch, residual_n: Option<f64>) -> Option<ForceEstimate> {
     if let Some(force_n) = touch.force.and_then(ForceReading::valid_n) {
         return Some(ForceEstimate { force_n, sigma_n: residual_n? });
+    }
+    if let Some(ForceReading::FromLaw { force_n, sigma_n }) = touch.force {
+        let is_sound = force_n.is_finite() && sigma_n.is_finite();
+        return is_sound.then_some(ForceEstimate { force_n: force_n.max(0.0), sigma_n });
     }
     let load = touch.load.filter(|load| load.quantity == LoadQuantity::ForceN)?;
     let is_sound = load.value.is_finite() && load.sigma.is_finite() && touch.force.is_none();

@@ -1,6 +1,7 @@
 //! Net force and torque of touches, with their covariance to first order in the errors of position and force.
 
 use dermis_tomo::mesh::Surface;
+use dermis_touch::{Observation, Touch};
 
 use crate::space::{ForceEstimate, SurfacePoint};
 use crate::transform::{Transform, Vector, add, cross, scaled, subtract};
@@ -30,6 +31,24 @@ pub struct Press {
     pub covariance_m2: [[f64; 2]; 2],
     /// The force.
     pub force: ForceEstimate,
+}
+
+/// The presses of a frame's touches, and the touches whose force is unknown. Touches that share a contact each report
+/// its whole force, and make one press.
+pub fn presses(touches: &[Touch], force: impl Fn(&Touch) -> Option<ForceEstimate>) -> (Vec<Press>, Vec<&Touch>) {
+    let (mut presses, mut unknown): (Vec<Press>, _) = (Vec::new(), Vec::new());
+    for touch in touches {
+        let Some(force) = force(touch) else {
+            unknown.push(touch);
+            continue;
+        };
+        let press = Press { position_m: touch.position_m, covariance_m2: touch.covariance_m2, force };
+        let shares = |other: &Press| other.position_m == press.position_m;
+        if touch.observation != Observation::Merged || !presses.iter().any(shares) {
+            presses.push(press);
+        }
+    }
+    (presses, unknown)
 }
 
 impl Wrench {

@@ -53,10 +53,28 @@ impl<'a> CdrWriter<'a> {
         self.u64(value.to_bits());
     }
 
+    #[cfg(feature = "ros2")]
+    pub(super) fn f32(&mut self, value: f32) {
+        self.u32(value.to_bits());
+    }
+
     /// A sequence's length; its elements follow.
     pub(super) fn length(&mut self, length: usize) {
         // No sequence here comes near four billion elements.
         self.u32(u32::try_from(length).unwrap_or(u32::MAX));
+    }
+
+    /// `builtin_interfaces/Time`: nanoseconds since 1970-01-01 UTC.
+    pub(super) fn time(&mut self, wall_ns: u64) {
+        // The standard's type ends in 2038.
+        self.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
+        self.u32((wall_ns % 1_000_000_000) as u32);
+    }
+
+    /// `std_msgs/Header`.
+    pub(super) fn header(&mut self, wall_ns: u64, frame_id: &str) {
+        self.time(wall_ns);
+        self.string(frame_id);
     }
 
     pub(super) fn string(&mut self, text: &str) {

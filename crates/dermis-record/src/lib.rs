@@ -33,6 +33,7 @@
 //! | [`recover`](fn@recover) | a complete recording from a broken one |
 //! | [`guard_socket`] | a guard's verdicts as lines on a socket |
 //! | `foxglove` | a live server for Foxglove, with the feature of this name |
+//! | [`Publisher`], `ros2` | a running patch for other programs, as it happens |
 //!
 //! # Channels
 //! All messages are CDR, and the file contains their definitions (`ros2msg`).
@@ -69,6 +70,7 @@ mod bag;
 mod body;
 mod cdr;
 mod error;
+mod events;
 mod export;
 mod file;
 #[cfg(feature = "foxglove")]
@@ -81,11 +83,14 @@ mod live_feed;
 mod live_request;
 mod live_writer;
 mod messages;
+mod publisher;
 mod queue;
 mod reader;
 mod recover;
 mod replay;
 mod rerun;
+#[cfg(feature = "ros2")]
+pub mod ros2;
 mod scan;
 mod schema;
 mod shared_file;
@@ -103,6 +108,7 @@ pub use live::{LiveRecording, RecordingEnd};
 pub use live_feed::LiveFeed;
 pub use live_request::{LiveCommand, LiveRequest};
 pub use messages::{BaselineEntry, EventEntry, OtherPlaceEntry, TouchEntry, TouchesEntry};
+pub use publisher::{ForceAndTorque, Publisher};
 pub use queue::{RecorderHandle, RecorderStatus, RecordingStop};
 pub use reader::{Damage, Entry, LostFrames, Recording};
 pub use recover::{Recovered, recover};

@@ -3,7 +3,7 @@
 
 use dermis_live::pipeline::Pipeline;
 
-use super::live_feed::LiveFeed;
+use super::live_feed::{HYPERPARAMETER, TARE};
 
 /// A command to a running pipeline.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,31 +18,32 @@ pub enum LiveCommand {
 }
 
 impl LiveCommand {
-    /// Carries out the command between two frames and tells the feeds. `by` says who asked for it, for the record. The
-    /// text says what was done, or why it was refused.
+    /// Carries out the command between two frames and tells everyone who takes what the pipeline hands out: `tell` gets
+    /// an event's name, a description and its numbers. `by` says who asked for it, for the record. The text says what
+    /// was done, or why it was refused.
     ///
     /// # Errors
     /// The pipeline refuses the command.
-    pub fn carry_out<'a>(
+    pub fn carry_out(
         self,
         by: &str,
         pipeline: &mut Pipeline,
-        feeds: impl Iterator<Item = &'a LiveFeed>,
+        mut tell: impl FnMut(&str, &str, &[f64]),
     ) -> Result<String, String> {
         match self {
             Self::Tare { force } => match pipeline.tare(force, by) {
                 Ok(frames) => {
-                    feeds.for_each(|feed| feed.tare(force, by));
+                    tell(TARE, by, &[f64::from(u8::from(force))]);
                     Ok(format!("taring over {frames} frames"))
                 }
                 Err(error) => {
-                    feeds.for_each(|feed| feed.event("tare-refused", &error.to_string(), &[]));
+                    tell("tare-refused", &error.to_string(), &[]);
                     Err(format!("tare refused: {error}"))
                 }
             },
             Self::Hyperparameter(lambda) => match pipeline.set_hyperparameter(lambda) {
                 Ok(()) => {
-                    feeds.for_each(|feed| feed.hyperparameter(lambda));
+                    tell(HYPERPARAMETER, &format!("lambda {lambda:e}"), &[lambda]);
                     Ok(format!("hyperparameter {lambda:.3e}"))
                 }
                 Err(error) => Err(format!("hyperparameter refused: {error}")),
@@ -76,9 +77,9 @@ impl LiveRequest {
         Self { command, by, answer: Some(Box::new(answer)) }
     }
 
-    /// Carries out the command between two frames, tells the feeds, and answers.
-    pub fn carry_out<'a>(self, pipeline: &mut Pipeline, feeds: impl Iterator<Item = &'a LiveFeed>) {
-        let done = self.command.carry_out(self.by, pipeline, feeds);
+    /// Carries out the command between two frames, tells of it as [`LiveCommand::carry_out`] does, and answers.
+    pub fn carry_out(self, pipeline: &mut Pipeline, tell: impl FnMut(&str, &str, &[f64])) {
+        let done = self.command.carry_out(self.by, pipeline, tell);
         self.answer(done);
     }
 

@@ -136,8 +136,22 @@ pub(super) fn read_baseline(bytes: &[u8]) -> Option<BaselineEntry> {
     Some(entry)
 }
 
+/// Time of a message on the wall clock, nanoseconds since 1970-01-01 UTC, and its frame of reference.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stamp<'a> {
+    pub wall_ns: u64,
+    pub frame_id: &'a str,
+}
+
 /// Writes the touches of frame `sequence`; those that ended in it are in `events`.
-pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+pub(super) fn write_touches(
+    out: &mut Vec<u8>,
+    stamp: Stamp<'_>,
+    sequence: u64,
+    time_ns: u64,
+    touches: &[Touch],
+    events: &[TouchEvent],
+) {
     let ended = || events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
     let all = || touches.iter().chain(ended());
     let mut cdr = CdrWriter::new(out);
@@ -167,6 +181,7 @@ pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touc
         cdr.f64(other.covariance_m2[1][1].sqrt());
         cdr.f64(other.probability);
     }
+    cdr.header(stamp.wall_ns, stamp.frame_id);
 }
 
 pub(super) fn read_touches(bytes: &[u8]) -> Option<TouchesEntry> {
@@ -202,19 +217,18 @@ fn read_touch(cdr: &mut CdrReader<'_>) -> Option<TouchEntry> {
     })
 }
 
-pub(super) fn write_event(out: &mut Vec<u8>, event: &str, detail: &str, values: &[f64]) {
+pub(super) fn write_event(out: &mut Vec<u8>, stamp: Stamp<'_>, event: &str, detail: &str, values: &[f64]) {
     let mut cdr = CdrWriter::new(out);
     cdr.string(event);
     cdr.string(detail);
     cdr.doubles(values);
+    cdr.header(stamp.wall_ns, stamp.frame_id);
 }
 
 /// Writes joint values, radians or metres, as a `sensor_msgs/JointState`.
 pub(super) fn write_joints<'a>(out: &mut Vec<u8>, wall_ns: u64, joints: impl ExactSizeIterator<Item = (&'a str, f64)>) {
     let mut cdr = CdrWriter::new(out);
-    cdr.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
-    cdr.u32((wall_ns % 1_000_000_000) as u32);
-    cdr.string("");
+    cdr.header(wall_ns, "");
     cdr.length(joints.len());
     let mut positions = Vec::with_capacity(joints.len());
     for (name, position) in joints {
@@ -322,7 +336,8 @@ mod tests {
         touches[0].other_place = Some(PlaceHypothesis { position_m: [-3e-3, 4e-3], covariance_m2, probability: 0.25 });
         let events = [TouchEvent::End(touch(2, TouchPhase::End, 5.0, 6.0)), TouchEvent::Begin(touches[0])];
         let mut bytes = Vec::new();
-        write_touches(&mut bytes, 7, 9, &touches, &events);
+        let stamp = Stamp { wall_ns: 5, frame_id: "skin" };
+        write_touches(&mut bytes, stamp, 7, 9, &touches, &events);
         let found = read_touches(&bytes).unwrap();
         assert_eq!((found.sequence, found.time_ns, found.touches.len()), (7, 9, 2));
         let [first, second] = &found.touches[..] else { panic!("{found:?}") };
@@ -333,10 +348,11 @@ mod tests {
         assert_eq!((first.other_place, second.other_place), (Some(other), None));
         assert_eq!((second.id, second.phase, second.position_m), (2, TouchPhase::End, [5e-3, 6e-3]));
 
-        // As before alternative positions were added: nothing after the touches.
+        // As before alternative positions and headers were added: nothing after the touches.
         touches[0].other_place = None;
-        write_touches(&mut bytes, 7, 9, &touches, &[]);
-        let before = read_touches(&bytes[..bytes.len() - 4]).unwrap();
+        write_touches(&mut bytes, stamp, 7, 9, &touches, &[]);
+        let header_bytes = 4 + 4 + 4 + "skin".len() + 1;
+        let before = read_touches(&bytes[..bytes.len() - header_bytes - 4]).unwrap();
         assert_eq!((before.touches.len(), before.touches[0].other_place), (1, None));
     }
 

@@ -49,8 +49,8 @@ pub(super) struct Schema {
 pub(super) const OWN: [Schema; 4] = [
     Schema { topic: FRAMES, name: "dermis_msgs/msg/Frame", parts: &[FRAME] },
     Schema { topic: BASELINES, name: "dermis_msgs/msg/Baseline", parts: &[BASELINE] },
-    Schema { topic: TOUCHES, name: "dermis_msgs/msg/Touches", parts: &[TOUCHES_OF_A_FRAME, TOUCH, OTHER_PLACE] },
-    Schema { topic: EVENTS, name: "dermis_msgs/msg/Event", parts: &[EVENT] },
+    Schema { topic: TOUCHES, name: "dermis_msgs/msg/Touches", parts: TOUCHES_PARTS },
+    Schema { topic: EVENTS, name: "dermis_msgs/msg/Event", parts: &[EVENT, HEADER, TIME] },
 ];
 
 /// Messages that viewers draw.
@@ -63,6 +63,8 @@ pub(super) const STANDARD: [Schema; 3] = [
         parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME],
     },
 ];
+
+const TOUCHES_PARTS: &[&str] = &[TOUCHES_OF_A_FRAME, TOUCH, OTHER_PLACE, HEADER, TIME];
 
 impl Schema {
     /// The text of the schema: the definition, then each further one under a heading `MSG: package/Type` after a

@@ -48,6 +48,11 @@ impl SkinView {
         Self { period_ns: (1e9 / images_per_s) as u64, ..self }
     }
 
+    /// The frame of reference.
+    pub(super) fn frame_id(&self) -> &str {
+        &self.frame_id
+    }
+
     /// Minimum time between two images, nanoseconds.
     pub(super) fn period_ns(&self) -> u64 {
         self.period_ns
@@ -61,7 +66,7 @@ impl SkinView {
     /// The image: 32FC1, row 0 at the top, NaN outside the skin.
     pub(super) fn write_image(&self, out: &mut Vec<u8>, wall_ns: u64, image: &[f32]) {
         let mut cdr = CdrWriter::new(out);
-        self.header(&mut cdr, wall_ns);
+        cdr.header(wall_ns, &self.frame_id);
         cdr.u32(self.rows as u32);
         cdr.u32(self.columns as u32);
         cdr.string("32FC1");
@@ -73,7 +78,7 @@ impl SkinView {
     /// One point for each pixel on the skin, with the image's value there.
     pub(super) fn write_points(&self, out: &mut Vec<u8>, wall_ns: u64, image: &[f32]) {
         let mut cdr = CdrWriter::new(out);
-        self.header(&mut cdr, wall_ns);
+        cdr.header(wall_ns, &self.frame_id);
         let fields = [("x", FLOAT32), ("y", FLOAT32), ("z", FLOAT32), ("pressure", FLOAT32)];
         cloud(&mut cdr, &fields, self.points.len(), |out| {
             for (pixel, [x, y, z]) in &self.points {
@@ -86,7 +91,7 @@ impl SkinView {
     /// One point for each touch; `force_n` is NaN without calibration.
     pub(super) fn write_touch_points(&self, out: &mut Vec<u8>, wall_ns: u64, touches: &[Touch]) {
         let mut cdr = CdrWriter::new(out);
-        self.header(&mut cdr, wall_ns);
+        cdr.header(wall_ns, &self.frame_id);
         let fields = [
             ("x", FLOAT32),
             ("y", FLOAT32),
@@ -106,22 +111,14 @@ impl SkinView {
             }
         });
     }
-
-    /// `std_msgs/Header`.
-    fn header(&self, cdr: &mut CdrWriter<'_>, wall_ns: u64) {
-        // The standard's type ends in 2038.
-        cdr.i32(i32::try_from(wall_ns / 1_000_000_000).unwrap_or(i32::MAX));
-        cdr.u32((wall_ns % 1_000_000_000) as u32);
-        cdr.string(&self.frame_id);
-    }
 }
 
 /// Numbers in `sensor_msgs/PointField` of the four-byte types.
 const UINT32: u8 = 6;
-const FLOAT32: u8 = 7;
+pub(super) const FLOAT32: u8 = 7;
 
 /// The rest of a `PointCloud2` after its header: one row of `count` points, whose four-byte fields `fill` appends.
-fn cloud(cdr: &mut CdrWriter<'_>, fields: &[(&str, u8)], count: usize, fill: impl FnOnce(&mut Vec<u8>)) {
+pub(super) fn cloud(cdr: &mut CdrWriter<'_>, fields: &[(&str, u8)], count: usize, fill: impl FnOnce(&mut Vec<u8>)) {
     let step = 4 * fields.len();
     cdr.u32(1);
     cdr.u32(count as u32);

@@ -11,10 +11,11 @@ use mcap::{Attachment, McapError};
 
 use super::file::{Destination, destination};
 use super::head::{FINISHED, RecordingHead, record};
+use super::messages::{self, Stamp};
+use super::schema;
 use super::schema::Schema;
 use super::shared_file::{FileWriter, SharedFile, lock, mcap_error, new_writer};
 use super::view::SkinView;
-use super::{messages, schema};
 use crate::Error;
 
 /// Summary of a finished recording.
@@ -24,6 +25,12 @@ pub struct RecordingSummary {
     pub frames: u64,
     /// Frames that were offered but didn't fit into the queue.
     pub dropped: u64,
+}
+
+/// Frame of reference of touches and events: the view's, or else the patch's.
+fn frame_of<'a>(drawn: &'a Option<Drawn>, patch: &'a Option<String>) -> &'a str {
+    let of_view = drawn.as_ref().map(|drawn| drawn.view.frame_id());
+    of_view.or(patch.as_deref()).unwrap_or_default()
 }
 
 /// Channel numbers in the file.
@@ -196,7 +203,8 @@ impl Recorder {
         touches: &[Touch],
         events: &[TouchEvent],
     ) -> Result<(), Error> {
-        messages::write_touches(&mut self.bytes, sequence, time_ns, touches, events);
+        let stamp = Stamp { wall_ns, frame_id: frame_of(&self.drawn, &self.patch) };
+        messages::write_touches(&mut self.bytes, stamp, sequence, time_ns, touches, events);
         self.write(self.channels.touches, wall_ns)
     }
 
@@ -236,7 +244,8 @@ impl Recorder {
     /// # Errors
     /// [`Error::Io`].
     pub fn write_event(&mut self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> Result<(), Error> {
-        messages::write_event(&mut self.bytes, event, detail, values);
+        let stamp = Stamp { wall_ns, frame_id: frame_of(&self.drawn, &self.patch) };
+        messages::write_event(&mut self.bytes, stamp, event, detail, values);
         self.write(self.channels.events, wall_ns)
     }
 

@@ -9,6 +9,8 @@ mod line;
 mod loads;
 mod patch;
 mod report;
+#[cfg(feature = "ros2")]
+mod ros2;
 mod run;
 
 pub use error::BodyRunError;

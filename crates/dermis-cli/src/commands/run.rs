@@ -2,6 +2,8 @@
 //! server has its own. All losses on the way are counted, shown, and reflected in the exit code.
 
 mod on_body;
+#[cfg_attr(not(feature = "ros2"), path = "run/ros2_absent.rs")]
+mod ros2;
 mod running;
 pub mod source;
 mod viewers;
@@ -55,7 +57,7 @@ const QUEUE: usize = 64;
 
 /// Arguments of `dermis run`.
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLE)]
+#[command(after_help = format!("{EXAMPLE}{}", ros2::EXAMPLE))]
 pub struct Arguments {
     #[command(flatten)]
     input: source::InputArguments,
@@ -90,8 +92,8 @@ pub struct Arguments {
     /// Stop after this many frames; for a body, frames of each patch.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
-    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, a file of such lines, or
-    /// sweep (a demonstration).
+    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, ros2:/TOPIC (JointState), a
+    /// file of such lines, or sweep (a demonstration).
     #[arg(long, value_name = "SOURCE")]
     joints: Option<String>,
     /// Run the other patches of a body if one can't be started.
@@ -104,6 +106,8 @@ pub struct Arguments {
     guard: Option<GuardAddress>,
     #[command(flatten)]
     viewers: ViewerArguments,
+    #[command(flatten)]
+    ros2: ros2::Ros2Arguments,
 }
 
 impl Arguments {
@@ -141,6 +145,7 @@ impl Arguments {
         if let Some(path) = &self.record {
             run.start_recording(path, &pipeline)?;
         }
+        let node = self.ros2.open(&mut run, &pipeline)?;
         // Started last, so that no frame waits for the setup above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let name = acquisition.name().to_string();
@@ -148,6 +153,7 @@ impl Arguments {
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, guard.as_ref(), out);
         // Its readers are told to stop before the recording is finished, which takes longer.
         drop(guard);
+        node.close();
         run.stop_recording();
         run.end_viewers();
         if pipeline.waits() > 0 {
@@ -179,7 +185,8 @@ impl Arguments {
         if !self.headless {
             super::hint("bodies have no page: JSON lines follow, as with --headless");
         }
-        let options = BodyRunOptions {
+        #[cfg_attr(not(feature = "ros2"), expect(clippy::needless_update, reason = "features add options"))]
+        let mut options = BodyRunOptions {
             source: self.input.source_options()?,
             joints: self.joints.clone(),
             keep_going: self.keep_going,
@@ -189,7 +196,9 @@ impl Arguments {
             guard: self.guard.clone(),
             #[cfg(feature = "foxglove")]
             foxglove: self.viewers.foxglove.clone(),
+            ..BodyRunOptions::default()
         };
+        self.ros2.add_to(&mut options)?;
         on_body::run(file, &options, self.only_touches, out)
     }
 
@@ -310,7 +319,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
         if let Some(requests) = self.requests {
             self.run.answer_all(requests, pipeline);
         }
-        self.run.answer_viewers(pipeline);
+        self.run.answer_others(pipeline);
         Ok(true)
     }
 

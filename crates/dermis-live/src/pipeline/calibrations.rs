@@ -3,9 +3,12 @@
 use dermis_touch::force::ForceCalibration;
 
 use super::Pipeline;
+use super::force_source::ForceSource;
 use super::state::State;
 use crate::Error;
 use crate::calibration::{Calibration, LoadQuantity};
+use crate::stages::force_law::ForceLaw;
+use crate::stages::refinement::Refinement;
 
 impl Pipeline {
     /// Estimates forces by a calibration from now on.
@@ -35,6 +38,20 @@ impl Pipeline {
     /// Quantity of the touches' loads, if a calibration by pokes estimates them.
     pub fn load_quantity(&self) -> Option<LoadQuantity> {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
+    }
+
+    /// Source of the touches' forces; `None` if nothing tells them.
+    pub fn force_source(&self) -> Option<ForceSource> {
+        let choices = &self.choices;
+        if let Some(forces) = &choices.forces {
+            return Some(ForceSource::Calibration { residual_n: forces.residual_n });
+        }
+        if self.load_quantity() == Some(LoadQuantity::ForceN) {
+            return Some(ForceSource::Pokes);
+        }
+        let has_law = Refinement::is_wanted(&self.prepared, choices.calibration.as_ref())
+            && ForceLaw::is_stated(&self.prepared.skin.frontend.layer);
+        has_law.then_some(ForceSource::Law)
     }
 
     /// True if a calibration without labels may locate touches, and may report alternative positions.

@@ -2,7 +2,7 @@
 
 use dermis_device::Frame;
 use dermis_skin::GuardSettings;
-use dermis_touch::guard::GuardReport;
+use dermis_touch::guard::{GuardLimits, GuardReport};
 use dermis_touch::{ReferenceOrigin, ReferenceRecord};
 
 use super::Pipeline;
@@ -22,6 +22,11 @@ impl Pipeline {
         let skin = skin.checked()?;
         self.guard = settings.map(|settings| GuardStage::new(&settings, &skin));
         Ok(())
+    }
+
+    /// The guard's limits, if there is a guard.
+    pub fn guard_limits(&self) -> Option<GuardLimits> {
+        self.guard.as_ref().map(GuardStage::limits)
     }
 
     /// The guard's verdict before the first frame, at a time on the host's monotonic clock, if there is a guard.

@@ -9,7 +9,7 @@
 use std::f64::consts::PI;
 
 use dermis_estimate::Press;
-use dermis_skin::Layer;
+use dermis_skin::{Layer, SheetLayer};
 
 use crate::prepare::Prepared;
 
@@ -31,17 +31,31 @@ pub(crate) enum ForceLaw {
     Membrane { pressure_pa: f64 },
 }
 
+/// Change of the logarithm of a sheet's conductance per pressure, 1/Pa.
+fn sheet_per_pa(layer: &SheetLayer) -> f64 {
+    1e-5 * layer.pressure_percent_per_kpa - 1e-3 * layer.gauge_factor / layer.modulus_kpa
+}
+
 impl ForceLaw {
     /// The law of a skin whose layer states one. `membrane_pa` is the pressure of a load of amplitude 1 on a
     /// membrane.
     pub fn of(prepared: &Prepared, membrane_pa: Option<f64>) -> Option<Self> {
         match &prepared.skin.frontend.layer {
             Layer::Sheet(layer) => {
-                let per_pa = 1e-5 * layer.pressure_percent_per_kpa - 1e-3 * layer.gauge_factor / layer.modulus_kpa;
+                let per_pa = sheet_per_pa(layer);
                 (per_pa != 0.0).then_some(Self::Sheet { per_pa })
             }
             Layer::Liquid(_) => membrane_pa.map(|pressure_pa| Self::Membrane { pressure_pa }),
             Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => None,
+        }
+    }
+
+    /// True if a layer states a law.
+    pub fn is_stated(layer: &Layer) -> bool {
+        match layer {
+            Layer::Sheet(layer) => sheet_per_pa(layer) != 0.0,
+            Layer::Liquid(_) => true,
+            Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => false,
         }
     }
 

@@ -49,6 +49,10 @@ impl GuardStage {
         Self { guard: Guard::new(limits), watches_lag: false }
     }
 
+    pub fn limits(&self) -> GuardLimits {
+        *self.guard.limits()
+    }
+
     pub fn watch_lag(&mut self, watch: bool) {
         self.watches_lag = watch;
     }

@@ -15,11 +15,13 @@ use super::channels::{Kept, PatchChannels, encoded, log};
 use super::parameters::{HYPERPARAMETER, Parameters, Running};
 use super::scene::Scene;
 use super::transforms::{FramePose, message, time};
-use crate::live_feed::{GAP, HYPERPARAMETER as NEW_LAMBDA};
+use crate::Error;
+use crate::events::GAP;
+use crate::live_feed::HYPERPARAMETER as NEW_LAMBDA;
 use crate::live_writer::{BaselineNews, LiveWriter, TouchBatch};
+use crate::messages::{self, Stamp};
 use crate::view::SkinView;
 use crate::writer::RecordingSummary;
-use crate::{Error, messages};
 
 /// Interval of counts and of transforms that don't move.
 const BEAT: Duration = Duration::from_secs(1);
@@ -150,7 +152,8 @@ impl LiveWriter for Publisher {
     fn touches(&mut self, batch: &TouchBatch) -> Result<(), Error> {
         let TouchBatch { wall_ns, sequence, time_ns, touches, events } = batch;
         if self.channels.touches.has_sinks() {
-            messages::write_touches(&mut self.bytes, *sequence, *time_ns, touches, events);
+            let stamp = Stamp { wall_ns: *wall_ns, frame_id: self.view.frame_id() };
+            messages::write_touches(&mut self.bytes, stamp, *sequence, *time_ns, touches, events);
             self.send(&self.channels.touches, *wall_ns);
         }
         if self.channels.touch_points.has_sinks() {
@@ -196,7 +199,8 @@ impl LiveWriter for Publisher {
 
     fn event(&mut self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> Result<(), Error> {
         if self.channels.events.has_sinks() {
-            messages::write_event(&mut self.bytes, event, detail, values);
+            let stamp = Stamp { wall_ns, frame_id: self.view.frame_id() };
+            messages::write_event(&mut self.bytes, stamp, event, detail, values);
             self.send(&self.channels.events, wall_ns);
         }
         self.say(wall_ns, level_of(event, detail), &format!("{event}: {detail}"));

@@ -40,6 +40,13 @@ pub enum BodyRunError {
         /// The cause.
         source: dermis_record::Error,
     },
+    /// The ROS 2 node could not be started.
+    #[cfg(feature = "ros2")]
+    #[error(transparent)]
+    Ros2 {
+        /// The cause.
+        source: dermis_record::ros2::Ros2Error,
+    },
     /// No patch is left to run.
     #[error("{body}: none of its {patches} patches can be started")]
     NoPatch {

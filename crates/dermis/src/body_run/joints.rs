@@ -1,5 +1,5 @@
-//! Joint values of a running body: from JSON lines on standard input, in a file or on a socket, from a demonstration,
-//! or from the body file.
+//! Joint values of a running body: from JSON lines on standard input, in a file or on a socket, from a topic of ROS 2,
+//! from a demonstration, or from the body file.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -19,8 +19,16 @@ use super::error::BodyRunError;
 const SWEEP_S: f64 = 12.0;
 /// Amplitude of the demonstration for a joint without limits, radians or metres.
 const SWEEP_REACH: f64 = 1.0;
+/// Unknown joints that are named; a few are enough to see what is wrong.
+const MOST_UNKNOWN: usize = 8;
+/// Wait between looks at a topic.
+#[cfg(feature = "ros2")]
+const TOPIC_NAP: Duration = Duration::from_millis(2);
 /// Delay before reconnecting a lost socket.
 const RETRY: Duration = Duration::from_millis(500);
+
+/// Prefix of a source that is a topic of ROS 2.
+const ROS2: &str = "ros2:";
 
 /// The newest joint values.
 #[derive(Clone, Debug)]
@@ -72,6 +80,8 @@ enum Kind {
     Fixed,
     Lines,
     Sweep,
+    /// A topic of ROS 2.
+    Ros2,
 }
 
 /// Joint values of a running body.
@@ -84,22 +94,27 @@ pub struct JointFeed {
 }
 
 impl JointFeed {
-    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `sweep` (a demonstration: every joint moves to and fro
-    /// between its limits) or a file of lines, at the pace of their `time_s`. Without a source the joints stay at
-    /// `joints.at` or, where that is missing, at rest.
+    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `ros2:/TOPIC`, `sweep` (a demonstration: every joint moves
+    /// to and fro between its limits) or a file of lines, at the pace of their `time_s`. Without a source the joints stay
+    /// at `joints.at` or, where that is missing, at rest.
     ///
     /// # Errors
-    /// The file cannot be opened.
+    /// The file or topic cannot be opened.
     pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, BodyRunError> {
         let (kind, values) = match source {
             None => (Kind::Fixed, rest_where_unknown(body)),
             Some("sweep") => (Kind::Sweep, rest_where_unknown(body)),
+            Some(text) if text.starts_with(ROS2) => (Kind::Ros2, body.first_joints.clone()),
             Some(_) => (Kind::Lines, body.first_joints.clone()),
         };
         let told = Told { values, at_ns: None, problem: None, unknown: BTreeSet::new() };
         let feed = Self { body: body.clone(), kind, told: Arc::new(Mutex::new(told)), begun: Instant::now() };
-        let Some(source) = source.filter(|_| feed.kind == Kind::Lines) else { return Ok(feed) };
+        let reads = matches!(feed.kind, Kind::Lines | Kind::Ros2);
+        let Some(source) = source.filter(|_| reads) else { return Ok(feed) };
         let (reader, name, stop) = (feed.clone(), source.to_owned(), stop.clone());
+        if let Some(topic) = source.strip_prefix(ROS2) {
+            return reader.subscribe(topic, stop).map(|()| feed);
+        }
         let work: Box<dyn FnOnce() + Send> = match source.strip_prefix("tcp:") {
             Some(address) => {
                 let address = address.to_owned();
@@ -118,6 +133,18 @@ impl JointFeed {
         Ok(feed)
     }
 
+    /// True if the joints never move.
+    #[cfg(feature = "ros2")]
+    pub fn is_fixed(&self) -> bool {
+        self.kind == Kind::Fixed
+    }
+
+    /// True if the values come from ROS 2.
+    #[cfg(feature = "ros2")]
+    pub fn is_of_ros(&self) -> bool {
+        self.kind == Kind::Ros2
+    }
+
     /// Joint values at a time on the host's monotonic clock.
     pub fn at(&self, now_ns: u64) -> JointSnapshot {
         let told = self.told();
@@ -129,7 +156,7 @@ impl JointFeed {
                 self.sweep(&mut values, self.begun.elapsed().as_secs_f64());
                 JointSnapshot { values, state: JointsState::Fresh, age_s: Some(0.0) }
             }
-            Kind::Lines => {
+            Kind::Lines | Kind::Ros2 => {
                 let age_s = told.at_ns.map(|at_ns| 1e-9 * now_ns.saturating_sub(at_ns) as f64);
                 let is_fresh = age_s.is_some_and(|age_s| age_s <= self.body.joints_stale_after_s);
                 let state = if is_fresh { JointsState::Fresh } else { JointsState::Stale };
@@ -145,6 +172,52 @@ impl JointFeed {
             .then(|| format!("no such joint: {}", told.unknown.iter().cloned().collect::<Vec<_>>().join(", ")));
         let parts: Vec<String> = told.problem.iter().cloned().chain(unknown).collect();
         (!parts.is_empty()).then(|| parts.join("; "))
+    }
+
+    /// Follows a topic of ROS 2.
+    #[cfg(feature = "ros2")]
+    fn subscribe(self, topic: &str, stop: Arc<AtomicBool>) -> Result<(), BodyRunError> {
+        let name = format!("{ROS2}{topic}");
+        let mut reader =
+            dermis_record::ros2::JointReader::open(topic).map_err(|source| BodyRunError::Ros2 { source })?;
+        let failed = |source| BodyRunError::Joints { name: name.clone(), source };
+        let (there, thread) = (name.clone(), std::thread::Builder::new().name("dermis-joints".to_owned()));
+        let work = move || {
+            while !stop.load(Ordering::Relaxed) {
+                match reader.take() {
+                    Some(Ok(joints)) => self.assign(&joints, &there),
+                    Some(Err(expected)) => self.told().problem = Some(format!("{there}: {expected}")),
+                    None => std::thread::sleep(TOPIC_NAP),
+                }
+            }
+        };
+        thread.spawn(work).map(drop).map_err(failed)
+    }
+
+    /// Without ROS 2 there is no such topic.
+    #[cfg(not(feature = "ros2"))]
+    fn subscribe(self, topic: &str, _stop: Arc<AtomicBool>) -> Result<(), BodyRunError> {
+        let source = io::Error::other("this dermis was built without the feature ros2");
+        Err(BodyRunError::Joints { name: format!("{ROS2}{topic}"), source })
+    }
+
+    /// Takes values of joints, radians or metres.
+    #[cfg(feature = "ros2")]
+    fn assign(&self, joints: &[(String, f64)], name: &str) {
+        let mut told = self.told();
+        told.problem = None;
+        for (joint, value) in joints {
+            match self.body.kinematics.assign(&mut told.values, joint, *value) {
+                Ok(dermis_body::Assigned::Unknown) if told.unknown.len() < MOST_UNKNOWN => {
+                    told.unknown.insert(joint.clone());
+                }
+                Ok(_) => {}
+                Err(error) => told.problem = Some(format!("{name}: {error}")),
+            }
+        }
+        if told.problem.is_none() {
+            told.at_ns = Some(HostStamp::now().monotonic_ns);
+        }
     }
 
     fn told(&self) -> MutexGuard<'_, Told> {
@@ -211,8 +284,7 @@ impl JointFeed {
                     told.values = values;
                     told.problem = None;
                     told.at_ns = Some(HostStamp::now().monotonic_ns);
-                    // A few names are enough to see what is wrong.
-                    let room = 8usize.saturating_sub(told.unknown.len());
+                    let room = MOST_UNKNOWN.saturating_sub(told.unknown.len());
                     told.unknown.extend(line.unknown.into_iter().take(room));
                 }
                 Err(error) => told.problem = Some(format!("{name}, line {number}: {error}")),

@@ -2,9 +2,9 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use dermis_body::{Body, ForceEstimate, JointValues, Press, Transform, Vector, Wrench};
+use dermis_body::{Body, ForceEstimate, JointValues, Press, Transform, Vector, Wrench, presses};
 use dermis_live::output::Output;
-use dermis_touch::{Observation, Touch};
+use dermis_touch::Touch;
 
 /// The presses of one patch.
 #[derive(Clone, Debug)]
@@ -47,19 +47,9 @@ impl Loads {
         if !is_ready {
             return self.lose(patch, format!("{name}: no baseline yet"));
         }
-        let (mut presses, mut unknown): (Vec<Press>, _) = (Vec::new(), Vec::new());
-        for touch in output.touches {
-            let Some(force) = force(touch) else {
-                unknown.push(format!("{name}: touch {} has no force: {}", touch.id, why_no_force(touch)));
-                continue;
-            };
-            let press = Press { position_m: touch.position_m, covariance_m2: touch.covariance_m2, force };
-            // Touches that share a contact each report its whole force.
-            let shares = |other: &Press| other.position_m == press.position_m;
-            if touch.observation != Observation::Merged || !presses.iter().any(shares) {
-                presses.push(press);
-            }
-        }
+        let (presses, without_force) = presses(output.touches, force);
+        let why = |touch: &&Touch| format!("{name}: touch {} has no force: {}", touch.id, why_no_force(touch));
+        let unknown = without_force.iter().map(why).collect();
         self.with(|loads| loads[patch] = PatchLoad { presses, unknown });
     }
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, SendTimeoutError, Sender};
-use dermis_body::{Body, SpatialTouch, trusted_force};
+use dermis_body::{Body, SpatialTouch, Wrench, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
 use dermis_device::{Frame, HostStamp};
 use dermis_lab::Error;
@@ -13,7 +13,7 @@ use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_record::guard_socket::GuardPublisher;
 use dermis_record::sink::{JsonLines, LinesFor};
-use dermis_record::{LiveFeed, LiveRecording, LiveRequest};
+use dermis_record::{ForceAndTorque, LiveFeed, LiveRecording, LiveRequest, Publisher};
 use dermis_touch::Touch;
 
 use super::joints::{JointFeed, JointsState};
@@ -94,6 +94,10 @@ pub(super) struct PatchThread {
     pub feeds: Vec<LiveFeed>,
     /// Commands of viewers.
     pub requests: Vec<Receiver<LiveRequest>>,
+    pub publishers: Vec<Box<dyn Publisher>>,
+    /// True if every patch on the link, and on the body, can tell forces; otherwise a sum of none means nothing.
+    pub link_tells_forces: bool,
+    pub body_tells_forces: bool,
     pub lines: bool,
     pub most_frames: Option<u64>,
 }
@@ -125,7 +129,9 @@ impl PatchThread {
             Ok(()) => PatchState::Ended,
             Err(error) => {
                 tracing::error!("patch {name}: {error}");
-                PatchState::Failed(error.to_string())
+                let reason = error.to_string();
+                self.publishers.iter_mut().for_each(|publisher| publisher.idle(Some(&reason)));
+                PatchState::Failed(reason)
             }
         };
         self.loads.lose(self.number, format!("{name}: {}", state.name()));
@@ -168,12 +174,16 @@ impl PatchThread {
         Ok(())
     }
 
-    /// Carries out the commands of viewers between two frames.
+    /// Carries out the commands of viewers and publishers between two frames.
     fn answer(&mut self) {
-        let waiting: Vec<LiveRequest> = self.requests.iter().flat_map(Receiver::try_iter).collect();
+        let mut waiting: Vec<LiveRequest> = self.requests.iter().flat_map(Receiver::try_iter).collect();
+        waiting.extend(self.publishers.iter_mut().filter_map(|publisher| publisher.take_request()));
         for request in waiting {
-            let feeds = self.recording.as_deref().into_iter().chain(&self.feeds);
-            request.carry_out(&mut self.pipeline, feeds);
+            request.carry_out(&mut self.pipeline, |event, detail, values| {
+                let feeds = self.recording.as_deref().into_iter().chain(&self.feeds);
+                feeds.for_each(|feed| feed.event(event, detail, values));
+                self.publishers.iter_mut().for_each(|publisher| publisher.event(event, detail, values));
+            });
         }
     }
 
@@ -183,8 +193,9 @@ impl PatchThread {
     }
 
     /// Updates the state when no frame has come.
-    fn wait(&self, is_silent: bool) {
+    fn wait(&mut self, is_silent: bool) {
         let problem = self.acquisition.problem();
+        self.publishers.iter_mut().for_each(|publisher| publisher.idle(problem.as_deref()));
         if is_silent {
             let name = &self.body.patches[self.number].name;
             self.loads.lose(self.number, format!("{name}: silent"));
@@ -207,6 +218,7 @@ impl PatchThread {
         let baselines = self.pipeline.baseline_records().len();
         // Hand on the raw frame before it is processed.
         self.feeds().for_each(|feed| feed.frame(frame));
+        self.publishers.iter_mut().for_each(|publisher| publisher.frame(frame));
         let patch = &self.body.patches[self.number];
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
         // First of all: everything else may wait.
@@ -216,6 +228,7 @@ impl PatchThread {
         // The frame that completes the baseline has no touches yet.
         let is_ready = is_ready_before;
         self.recording.as_deref_mut().into_iter().chain(&mut self.feeds).for_each(|feed| feed.results(&output));
+        self.publishers.iter_mut().for_each(|publisher| publisher.results(&output));
         let Output { sequence, time_ns, touches, .. } = output;
         let channels_left_out = output.health.channels.len();
         let joints = self.joints.at(HostStamp::now().monotonic_ns);
@@ -223,6 +236,9 @@ impl PatchThread {
         let known = is_known.then_some(&joints.values);
         self.loads.set(self.number, &patch.name, &output, is_ready, force);
         let (on_link, on_body) = (self.loads.on_link(&self.body, patch.link), self.loads.on_body(&self.body, known));
+        let link = on_link.wrench.filter(|_| self.link_tells_forces).map(force_and_torque);
+        let whole = on_body.wrench.filter(|_| self.body_tells_forces).map(force_and_torque);
+        self.publishers.iter_mut().for_each(|publisher| publisher.wrenches(link, whole));
         let root_from_patch = known.and_then(|joints| self.body.root_from_patch(self.number, joints));
         let surface = patch.surface();
         if self.lines {
@@ -267,6 +283,7 @@ impl PatchThread {
         let touches = report.touches.len();
         let is_read = self.publish(report);
         let counters = self.acquisition.counters();
+        self.publishers.iter_mut().for_each(|publisher| publisher.state(&self.pipeline, counters));
         let p99_us = self.pipeline.latencies().total.quantile_us(0.99);
         let mut row = self.health.row();
         row.state = if is_ready { PatchState::Running } else { PatchState::Starting };
@@ -294,4 +311,8 @@ impl PatchThread {
         }
         false
     }
+}
+
+fn force_and_torque(wrench: Wrench) -> ForceAndTorque {
+    [wrench.force_n, wrench.torque_nm]
 }

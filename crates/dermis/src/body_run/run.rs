@@ -17,7 +17,9 @@ use dermis_live::forces::parse_forces;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_record::guard_socket::{GuardAddress, GuardSocket};
-use dermis_record::{BodyHead, BodyRecording, LiveRecording, RecordingHead, SkinView, read_frames_of};
+#[cfg(feature = "ros2")]
+use dermis_record::ros2::{Ros2Node, Ros2Options, Ros2Summary};
+use dermis_record::{BodyHead, BodyRecording, LiveRecording, Publisher, RecordingHead, SkinView, read_frames_of};
 use dermis_skin::{GuardSettings, Skin};
 use dermis_touch::guard::GuardReport;
 
@@ -26,6 +28,8 @@ use super::joints::JointFeed;
 use super::loads::Loads;
 use super::patch::{PatchThread, SharedHealth};
 use super::report::{PatchHealth, PatchReport};
+#[cfg(feature = "ros2")]
+use super::ros2;
 use crate::source::{SourceOptions, TwinControl, open_source};
 
 /// Frames that may queue between a source and its pipeline.
@@ -59,6 +63,9 @@ pub struct BodyRunOptions {
     pub foxglove: Option<dermis_record::foxglove::FoxgloveAddress>,
     /// Publishes the guard's verdict on every frame on this socket. On patches without limits any touch stops.
     pub guard: Option<GuardAddress>,
+    /// Publishes every patch as a ROS 2 node.
+    #[cfg(feature = "ros2")]
+    pub ros2: Option<Ros2Options>,
 }
 
 /// A running body.
@@ -68,12 +75,14 @@ pub struct BodyRun {
     reports: Receiver<PatchReport>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    joint_recorder: Option<JoinHandle<()>>,
+    joint_threads: Vec<JoinHandle<()>>,
     health: Vec<SharedHealth>,
     twins: Vec<Option<TwinControl>>,
     guard: Option<GuardSocket>,
     #[cfg(feature = "foxglove")]
     foxglove: Option<super::foxglove::BodyServer>,
+    #[cfg(feature = "ros2")]
+    ros2: Option<Ros2Node>,
 }
 
 impl std::fmt::Debug for BodyRun {
@@ -136,23 +145,30 @@ impl BodyRun {
         };
         #[cfg(not(feature = "foxglove"))]
         let mut viewers: Vec<super::patch::Viewer> = Vec::new();
+        let joint_threads = joint_recorder.into_iter().collect();
         let mut run = Self {
             body,
             joints,
             reports,
             stop,
             threads: Vec::new(),
-            joint_recorder,
+            joint_threads,
             health,
             twins,
             guard,
             #[cfg(feature = "foxglove")]
             foxglove,
+            #[cfg(feature = "ros2")]
+            ros2: None,
         };
+        let publishers = run.open_publishers(options, &ready)?;
+        let silent_links: Vec<usize> = (ready.iter())
+            .filter(|(_, opened)| opened.pipeline.force_source().is_none())
+            .map(|(number, _)| run.body.patches[*number].link)
+            .collect();
         // Started last, so that no frame waits for another patch to be prepared.
-        for ((number, OpenedPatch { source, waits, pipeline, residual_n, .. }), recording) in
-            ready.into_iter().zip(recordings)
-        {
+        for (((number, opened), recording), publishers) in ready.into_iter().zip(recordings).zip(publishers) {
+            let OpenedPatch { source, waits, pipeline, residual_n, .. } = opened;
             let (feeds, requests) =
                 viewers.extract_if(.., |viewer| viewer.patch == number).map(|v| (v.feed, v.requests)).unzip();
             let thread = PatchThread {
@@ -171,6 +187,9 @@ impl BodyRun {
                 recording,
                 feeds,
                 requests,
+                publishers,
+                link_tells_forces: !silent_links.contains(&run.body.patches[number].link),
+                body_tells_forces: silent_links.is_empty(),
                 lines: options.lines,
                 most_frames: options.most_frames,
             };
@@ -181,6 +200,41 @@ impl BodyRun {
             run.threads.push(thread.map_err(|source| BodyRunError::Thread { patch: name, source })?);
         }
         Ok(run)
+    }
+
+    /// Opens what publishes the body, and makes the publishers of every ready patch.
+    #[cfg(feature = "ros2")]
+    fn open_publishers(
+        &mut self,
+        options: &BodyRunOptions,
+        ready: &[(usize, OpenedPatch)],
+    ) -> Result<Vec<Vec<Box<dyn Publisher>>>, BodyRunError> {
+        let Some(options) = &options.ros2 else { return Ok(ready.iter().map(|_| Vec::new()).collect()) };
+        let patches: Vec<_> =
+            ready.iter().map(|(number, opened)| (*number, &opened.pipeline, opened.head.source.as_str())).collect();
+        let mut node = ros2::open(options, &self.body, &self.joints, &patches)?;
+        self.joint_threads.extend(ros2::follow_joints(node.transforms(), &self.body, &self.joints, &self.stop)?);
+        let boxed = |publisher| Box::new(publisher) as Box<dyn Publisher>;
+        let publishers = (0..ready.len()).map(|patch| node.publisher(patch).map(boxed).into_iter().collect()).collect();
+        self.ros2 = Some(node);
+        Ok(publishers)
+    }
+
+    /// Without the features that publish there is nothing to open.
+    #[cfg(not(feature = "ros2"))]
+    fn open_publishers(
+        &mut self,
+        _options: &BodyRunOptions,
+        ready: &[(usize, OpenedPatch)],
+    ) -> Result<Vec<Vec<Box<dyn Publisher>>>, BodyRunError> {
+        Ok(ready.iter().map(|_| Vec::new()).collect())
+    }
+
+    /// Stops every patch, sends what is queued for ROS 2, and returns the numbers of messages if there was a node.
+    #[cfg(feature = "ros2")]
+    pub fn close_ros2(&mut self) -> Option<Ros2Summary> {
+        self.end();
+        self.ros2.take().map(Ros2Node::close)
     }
 
     /// The body.
@@ -232,7 +286,7 @@ impl BodyRun {
 
     fn end(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads.drain(..).chain(self.joint_recorder.take()) {
+        for thread in self.threads.drain(..).chain(self.joint_threads.drain(..)) {
             // A panic is already in the table of health.
             let _ = thread.join();
         }

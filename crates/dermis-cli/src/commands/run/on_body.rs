@@ -43,7 +43,8 @@ pub(super) fn run(
         hint(&format!("{} stand still: --joints SOURCE says where they are", needed.join(", ")));
     }
     let busy = busy(format!("preparing {} patches", body.patches.len()));
-    let run = BodyRun::start(body, options)?;
+    #[cfg_attr(not(feature = "ros2"), expect(unused_mut, reason = "only a node is closed before the end"))]
+    let mut run = BodyRun::start(body, options)?;
     busy.finish();
     if let Some(address) = run.guard_address() {
         eprintln!("guard: {address}");
@@ -54,6 +55,8 @@ pub(super) fn run(
     }
     let interrupted = interrupt::begin();
     let outcome = follow(&run, only_touches, interrupted, out);
+    #[cfg(feature = "ros2")]
+    run.close_ros2().iter().for_each(super::ros2::print_summary);
     let health = run.finish();
     outcome?;
     let is_lossy = |row: &PatchHealth| {

@@ -9,7 +9,9 @@ use dermis::device::acquire::{Acquisition, AcquisitionCounters};
 use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
-use dermis::record::{LiveCommand, LiveFeed, LiveRecording, RecorderStatus, RecordingEnd, RecordingHead, SkinView};
+use dermis::record::{
+    LiveCommand, LiveFeed, LiveRecording, Publisher, RecorderStatus, RecordingEnd, RecordingHead, SkinView,
+};
 use dermis::twin::from_skin::treatment_of;
 use dermis_device::{Frame, HostStamp};
 use dermis_page::Announcer;
@@ -35,6 +37,7 @@ pub(in crate::commands) struct Running {
     announcer: Announcer,
     hub: Hub,
     feed: PageFeed,
+    publishers: Vec<Box<dyn Publisher>>,
 }
 
 impl Running {
@@ -56,7 +59,20 @@ impl Running {
             announcer: Announcer::new(&pipeline.prepared().skin),
             hub: Hub::new(),
             feed,
+            publishers: Vec::new(),
         }
+    }
+
+    /// The source of the frames.
+    #[cfg(feature = "ros2")]
+    pub(in crate::commands) fn source(&self) -> &str {
+        &self.head.source
+    }
+
+    /// Also publishes the run here.
+    #[cfg(feature = "ros2")]
+    pub(in crate::commands) fn publish_to(&mut self, publisher: Box<dyn Publisher>) {
+        self.publishers.push(publisher);
     }
 
     /// The run with viewers other than pages.
@@ -64,10 +80,12 @@ impl Running {
         Self { viewers, ..self }
     }
 
-    /// Carries out the viewers' requests before the next frame.
-    pub(in crate::commands) fn answer_viewers(&mut self, pipeline: &mut Pipeline) {
-        for request in self.viewers.requests() {
-            request.carry_out(pipeline, self.feeds());
+    /// Carries out the requests of viewers and publishers before the next frame.
+    pub(in crate::commands) fn answer_others(&mut self, pipeline: &mut Pipeline) {
+        let mut requests = self.viewers.requests();
+        requests.extend(self.publishers.iter_mut().filter_map(|publisher| publisher.take_request()));
+        for request in requests {
+            request.carry_out(pipeline, |event, detail, values| self.tell(event, detail, values));
         }
     }
 
@@ -108,7 +126,9 @@ impl Running {
 
     /// Call this when no frame arrived.
     pub(in crate::commands) fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
-        if self.feed.wait(acquisition.problem(), HostStamp::now().monotonic_ns) {
+        let problem = acquisition.problem();
+        self.publishers.iter_mut().for_each(|publisher| publisher.idle(problem.as_deref()));
+        if self.feed.wait(problem, HostStamp::now().monotonic_ns) {
             self.hub.publish(self.feed.update())?;
         }
         Ok(())
@@ -117,6 +137,7 @@ impl Running {
     /// Hands a raw frame to the recording and the viewers before it is processed.
     pub(in crate::commands) fn record(&mut self, frame: &Frame) {
         self.feeds_mut().for_each(|feed| feed.frame(frame));
+        self.publishers.iter_mut().for_each(|publisher| publisher.frame(frame));
     }
 
     /// Updates the page after a frame was shown. `renewed` is the frame's time if a new baseline has just been taken.
@@ -126,6 +147,8 @@ impl Running {
         pipeline: &Pipeline,
         renewed: Option<u64>,
     ) -> anyhow::Result<()> {
+        let counters = acquisition.counters();
+        self.publishers.iter_mut().for_each(|publisher| publisher.state(pipeline, counters));
         self.publish(acquisition, pipeline)?;
         if let Some(wall_ns) = renewed {
             self.new_baseline(pipeline, wall_ns);
@@ -153,6 +176,7 @@ impl Running {
     /// Hands the results of a frame to the recording, the viewers and the page, and announces events.
     pub(in crate::commands) fn show(&mut self, output: &Output<'_>) {
         self.feeds_mut().for_each(|feed| feed.results(output));
+        self.publishers.iter_mut().for_each(|publisher| publisher.results(output));
         self.feed.show(output, HostStamp::now().monotonic_ns);
         for Notice { level, text } in self.announcer.notices(output) {
             tracing::warn!(frame = output.sequence, "{text}");
@@ -255,10 +279,17 @@ impl Running {
     }
 
     fn command(&mut self, command: LiveCommand, reply: Reply, pipeline: &mut Pipeline) {
-        match command.carry_out("asked for in the page", pipeline, self.feeds()) {
+        let tell = |event: &str, detail: &str, values: &[f64]| self.tell(event, detail, values);
+        match command.carry_out("asked for in the page", pipeline, tell) {
             Ok(text) => reply.accept(text),
             Err(text) => reply.refuse(text),
         }
+    }
+
+    /// Tells the recording, the viewers and the publishers of an event before the next frame.
+    fn tell(&mut self, event: &str, detail: &str, values: &[f64]) {
+        self.feeds().for_each(|feed| feed.event(event, detail, values));
+        self.publishers.iter_mut().for_each(|publisher| publisher.event(event, detail, values));
     }
 
     fn command_twin(&self, command: TwinCommand) -> Result<(), CommandRefused> {

@@ -1,0 +1,37 @@
+//! The interface of everything that publishes a running patch to other programs: it sees the frames and their results,
+//! the state of the stream, and passes on requests. Nothing here may wait for a reader.
+
+use dermis_device::Frame;
+use dermis_device::acquire::AcquisitionCounters;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+
+use super::live_request::LiveRequest;
+
+/// Force (newtons) on the sensor and torque (newton metres).
+pub type ForceAndTorque = [[f64; 3]; 2];
+
+/// Publishes one patch.
+pub trait Publisher: Send {
+    /// Takes a raw frame before it is processed.
+    fn frame(&mut self, frame: &Frame);
+
+    /// Takes the results of a frame.
+    fn results(&mut self, output: &Output<'_>);
+
+    /// Takes the state after a frame.
+    fn state(&mut self, pipeline: &Pipeline, counters: AcquisitionCounters);
+
+    /// Takes the reason why no frame comes, if there is one, while none comes.
+    fn idle(&mut self, problem: Option<&str>);
+
+    /// Takes the net wrenches that belong to the last results: on the patch's link, in the link's frame about its
+    /// origin, and on the body, in the root's. `None` if one is unknown. Bodies have them, single skins don't.
+    fn wrenches(&mut self, on_link: Option<ForceAndTorque>, on_body: Option<ForceAndTorque>);
+
+    /// Takes an event that is not in the results, such as a tare: its name, a description and its numbers.
+    fn event(&mut self, event: &str, detail: &str, values: &[f64]);
+
+    /// The next command, if a reader has given one.
+    fn take_request(&mut self) -> Option<LiveRequest>;
+}
