@@ -2,11 +2,12 @@
 //! the frames' readings only. Tables are streamed, so memory doesn't grow with the recording. Frames of any other file
 //! that dermis reads are exported in the same formats.
 
+mod format;
 mod parquet;
 mod read_frames;
 mod rows;
 
-use std::io::{self, Read, Seek, Write};
+use std::io::{Read, Seek, Write};
 use std::path::Path;
 use std::str::FromStr;
 
@@ -14,12 +15,13 @@ use dermis_device::Frame;
 use dermis_device::instruments::npy::{self, Number};
 
 use super::messages::{origin_name, phase_name};
-use super::{BaselineEntry, Damage, Entry, EventEntry, Recording, TouchesEntry};
+use super::{BaselineEntry, Entry, EventEntry, Recording, TouchesEntry};
 use crate::Error;
 use crate::sink::staged::StagedFile;
-use parquet::ParquetWriter;
+use format::row_writer;
+pub use format::{Exported, TableFormat};
 pub use read_frames::export_frames;
-use rows::{Cell, Column, CsvWriter, Kind, RowWriter};
+use rows::{Cell, Column, Kind};
 
 /// The part of a recording to export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,18 +36,6 @@ pub enum Table {
     Events,
 }
 
-/// Format of a table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum TableFormat {
-    /// Comma-separated text with a header line.
-    Csv,
-    /// The readings of frames only: frames x channels of 8-byte floats, or, for complex instruments, frames x 2 x
-    /// channels with real parts before imaginary ones.
-    Npy,
-    /// Apache Parquet with typed columns, uncompressed.
-    Parquet,
-}
-
 impl FromStr for Table {
     type Err = String;
 
@@ -58,42 +48,6 @@ impl FromStr for Table {
             _ => Err("expected frames, touches, baselines or events".to_owned()),
         }
     }
-}
-
-impl TableFormat {
-    /// The format that a file name ends in; CSV for any other ending.
-    pub fn of_name(path: &Path) -> Self {
-        let ends_in = |ending: &str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending));
-        match () {
-            () if ends_in("npy") => Self::Npy,
-            () if ends_in("parquet") => Self::Parquet,
-            () => Self::Csv,
-        }
-    }
-}
-
-impl FromStr for TableFormat {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "csv" => Ok(Self::Csv),
-            "npy" => Ok(Self::Npy),
-            "parquet" => Ok(Self::Parquet),
-            _ => Err("expected csv, npy or parquet".to_owned()),
-        }
-    }
-}
-
-/// Summary of an export.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Exported {
-    /// Number of rows.
-    pub rows: u64,
-    /// Number of columns; for an array, values per row.
-    pub columns: usize,
-    /// Parts of the recording that could not be read.
-    pub damage: Damage,
 }
 
 /// Writes a table of `recording`, starting from its beginning, to `path`. The file appears only when it is complete.
@@ -142,18 +96,6 @@ pub fn export<R: Read + Seek>(
     drop(writer);
     file.finish()?;
     Ok(Exported { rows, columns: columns.len(), damage: recording.damage() })
-}
-
-/// Writer of a table; arrays have their own.
-fn row_writer<'a>(
-    out: impl Write + 'a,
-    columns: &'a [Column],
-    format: TableFormat,
-) -> io::Result<Box<dyn RowWriter + 'a>> {
-    Ok(match format {
-        TableFormat::Parquet => Box::new(ParquetWriter::new(out, columns)?),
-        TableFormat::Csv | TableFormat::Npy => Box::new(CsvWriter::new(out, columns)?),
-    })
 }
 
 /// Exports the frames' readings as an array. Its header states their number, so the frames are read twice.

@@ -6,10 +6,10 @@ use std::path::Path;
 use dermis_device::FrameTable;
 use dermis_device::instruments::npy::{self, Number};
 
+use super::format::{Exported, TableFormat, row_writer};
 use super::rows::{Cell, Column, Kind};
-use super::{Damage, Exported, TableFormat, row_writer};
-use crate::Error;
 use crate::sink::staged::StagedFile;
+use crate::{Damage, Error};
 
 /// Writes the frames of `table` to `path`, in their own units. The file appears only when it is complete.
 ///
