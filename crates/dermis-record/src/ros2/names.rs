@@ -181,7 +181,7 @@ mod tests {
             ("healing-square", "'-'"),
             ("2skin", "begins with a digit"),
             ("a__b", "two underscores"),
-            ("h\u{e4}nd", "'\u{e4}'"),
+            ("n\u{e4}me", "'\u{e4}'"),
             ("~skin", "'~'"),
         ] {
             let error = text.parse::<NodeName>().unwrap_err().to_string();
