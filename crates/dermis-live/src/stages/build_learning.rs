@@ -73,6 +73,10 @@ impl BuildLearning {
 }
 
 fn learned(drawn: &Prepared, reference: &Reference) -> Result<Option<Box<Learned>>, Error> {
+    // Twins in a page are as drawn, and there are no threads to work beside the frames.
+    if cfg!(target_family = "wasm") {
+        return Ok(None);
+    }
     let Some(prepared) = from_rest(drawn, reference)? else { return Ok(None) };
     let reference = Reference {
         noise: reference.noise.clone(),
