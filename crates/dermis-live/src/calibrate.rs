@@ -29,6 +29,8 @@ const LEAST_VARIANCE_M2: f64 = 1e-12;
 /// Minimum number of pokes that tell how a skin was built, and number of parts in which they are left out.
 const FEWEST_FOR_BUILD: usize = 8;
 const FOLDS: usize = 4;
+/// Largest number of pokes, evenly drawn, that tell how a skin was built: they determine a hundred parameters many times.
+const MOST_FOR_BUILD: usize = 120;
 /// Share of coordinates within one standard deviation.
 const ONE_SIGMA: f64 = 0.683;
 /// Time between unrelated frames, nanoseconds.
@@ -82,23 +84,28 @@ fn learned_as_built(
     if !as_built::is_wanted(prepared) || count < FEWEST_FOR_BUILD || !is_single {
         return Ok(None);
     }
-    let (reference, differences) = differences_of(prepared, measured)?;
-    let learned = BuildFit::new(prepared, &reference, &differences, &pokes.positions_m)?;
+    let (reference, mut differences) = differences_of(prepared, measured)?;
+    let chosen: Vec<usize> = (0..count).step_by(count.div_ceil(MOST_FOR_BUILD)).collect();
+    let count = chosen.len();
+    let places_m: Vec<[f64; 2]> = chosen.iter().map(|&i| pokes.positions_m[i]).collect();
+    differences = chosen.iter().map(|&i| std::mem::take(&mut differences[i])).collect();
+    let learned = BuildFit::new(prepared, &reference, &differences, &places_m)?;
     let mut left_out = Vec::new();
     for fold in 0..FOLDS {
         let (out, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(|i| i % FOLDS == fold);
         let Built { build, errors, .. } = learned.fit(&kept)?;
         let skin = prepared.as_built(build)?.with_errors(Arc::new(errors.clone()));
-        let seen = seen_by_model(&skin, measured, pokes, &out)?;
+        let rows: Vec<usize> = out.iter().map(|&i| chosen[i]).collect();
+        let seen = seen_by_model(&skin, measured, pokes, &rows)?;
         let sights = seen.into_iter().zip(&out);
-        left_out.extend(sights.map(|(sight, &row)| LeftOutPoke::of(&sight, pokes.positions_m[row], &errors)));
+        left_out.extend(sights.map(|(sight, &row)| LeftOutPoke::of(&sight, places_m[row], &errors)));
     }
     let scale = built_scale(&left_out);
     let examples: Vec<LeftOut> = left_out.iter().map(|poke| poke.example(scale)).collect();
     let all: Vec<usize> = (0..count).collect();
     let Built { build, errors, .. } = learned.fit(&all)?;
     let skin = prepared.as_built(build.clone())?;
-    let seen = seen_by_model(&skin, measured, pokes, &all)?;
+    let seen = seen_by_model(&skin, measured, pokes, &chosen)?;
     let single: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();
     let correction = PlaceCorrection::without_shifts(&single, examples, prepared.half_width_m())?;
     let (by_build, by_others) = (correction.leave_one_out(), other.leave_one_out());

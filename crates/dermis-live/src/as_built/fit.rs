@@ -19,8 +19,6 @@ use crate::reference::{Reference, baseline_is_known, scale_to_model};
 use crate::stages::spot_model::{TYPICAL_RADIUS, change_response};
 use crate::stages::workshop_error::WorkshopError;
 
-/// Largest number of pokes used, evenly drawn. Sixty determine a skin of sixteen electrodes to the model's own error.
-const MOST_POKES: usize = 120;
 /// Gauss-Newton steps.
 const STEPS: usize = 3;
 /// Steps of the fit of a poke's load and radius.
@@ -50,10 +48,23 @@ struct Fitted {
 struct Modes {
     /// Of the voltages at rest: channels x parameters.
     rest: Mat<f64>,
-    /// Of the response to each poke's spot: channels x parameters.
-    pokes: Vec<Mat<f64>>,
-    /// Of the response to spots at tabulated places.
-    table: Vec<Mat<f64>>,
+    /// Of the response to the spot of each poke, then of each tabulated place: for every parameter, channels x spots.
+    /// Single precision, since this is the largest object here. `None` for an error that cannot be built.
+    spots: Vec<Option<Mat<f32>>>,
+    pokes: usize,
+}
+
+impl Modes {
+    /// Of the response to a poke's spot: channels x parameters.
+    fn of_poke(&self, poke: usize) -> Mat<f64> {
+        let change = |c: usize, k: usize| self.spots[k].as_ref().map_or(0.0, |spots| f64::from(spots[(c, poke)]));
+        Mat::from_fn(self.rest.nrows(), self.rest.ncols(), change)
+    }
+
+    /// Of the response to a spot at a tabulated place.
+    fn of_place(&self, place: usize) -> Mat<f64> {
+        self.of_poke(self.pokes + place)
+    }
 }
 
 /// Learns how a skin was built from pokes.
@@ -116,7 +127,6 @@ impl<'a> BuildFit<'a> {
     /// # Errors
     /// A skin that cannot be solved.
     pub(crate) fn fit(&self, rows: &[usize]) -> Result<Built, Error> {
-        let rows: Vec<usize> = rows.iter().copied().step_by(rows.len().div_ceil(MOST_POKES).max(1)).collect();
         let count = self.prior.len();
         let mut parameters = vec![0.0; count];
         let mut covariance = Mat::identity(count, count);
@@ -130,7 +140,7 @@ impl<'a> BuildFit<'a> {
                     Some((_, frames, fitted)) => (&frames[number][..], &fitted[number]),
                     None => (self.pokes[row].difference, &self.pokes[row].drawn),
                 };
-                system.add_poke(frame, fitted, &self.modes.pokes[row], &self.reference.noise, left);
+                system.add_poke(frame, fitted, &self.modes.of_poke(row), &self.reference.noise, left);
             }
             if baseline_is_known(self.prepared) {
                 let now = built.as_ref().map_or(self.prepared, |(skin, ..)| skin);
@@ -188,7 +198,7 @@ impl<'a> BuildFit<'a> {
         let responses = jacobian * Spots::new(skin)?.columns(&at);
         let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
         let law = (0.01 * skin.skin.tolerances.contact_law_percent).powi(2);
-        let changes = |place: usize| &self.modes.table[place] * &root;
+        let changes = |place: usize| self.modes.of_place(place) * &root;
         Ok(error_table(self.grid.clone(), responses.as_ref(), &uniform, law, changes))
     }
 }
@@ -210,6 +220,9 @@ struct Seen<'a> {
 
 /// Fits load and radius of every poke at its known position, by Gauss-Newton steps.
 fn fit_spots(skin: &Prepared, pokes: &[Seen<'_>]) -> Result<Vec<Fitted>, Error> {
+    if pokes.is_empty() {
+        return Ok(Vec::new());
+    }
     let spots = Spots::new(skin)?;
     let response = change_response(skin)?;
     pokes
@@ -299,7 +312,7 @@ fn modes(
     let columns = spots.columns(&all);
     let alone = Mat::from_fn(columns.nrows(), all.len(), |p, k| columns[(p, PARAMETERS * k + LOAD)]);
     let drawn = prepared.jacobian.as_mat() * &alone;
-    let changed: Vec<Option<(Vec<f64>, Mat<f64>)>> = (0..prior.len())
+    let changed: Vec<Option<(Vec<f64>, Mat<f32>)>> = (0..prior.len())
         .into_par_iter()
         .map(|k| {
             let mut parameters = vec![0.0; prior.len()];
@@ -308,25 +321,15 @@ fn modes(
             let skin = prepared.as_built(prior.build(&parameters)).ok()?;
             let scale = scale_to_model(prepared, &skin.voltages).ok()?;
             let rest = skin.voltages.iter().zip(&prepared.voltages).map(|(new, old)| new - old).collect();
-            let mut response = skin.jacobian.as_mat() * &alone;
-            for (c, scale) in scale.iter().enumerate() {
-                for k in 0..all.len() {
-                    response[(c, k)] = scale * response[(c, k)] - drawn[(c, k)];
-                }
-            }
-            Some((rest, response))
+            let response = skin.jacobian.as_mat() * &alone;
+            let change = |c: usize, spot: usize| (scale[c] * response[(c, spot)] - drawn[(c, spot)]) as f32;
+            Some((rest, Mat::from_fn(scale.len(), all.len(), change)))
         })
         .collect();
-    let channels = prepared.channels();
-    let rest = Mat::from_fn(channels, prior.len(), |c, k| changed[k].as_ref().map_or(0.0, |(rest, _)| rest[c]));
-    let of_spot = |spot: usize| {
-        Mat::from_fn(channels, prior.len(), |c, k| changed[k].as_ref().map_or(0.0, |(_, response)| response[(c, spot)]))
-    };
-    Ok(Modes {
-        rest,
-        pokes: (0..known.len()).map(of_spot).collect(),
-        table: (known.len()..all.len()).map(of_spot).collect(),
-    })
+    let of_rest = |c: usize, k: usize| changed[k].as_ref().map_or(0.0, |(rest, _)| rest[c]);
+    let rest = Mat::from_fn(prepared.channels(), prior.len(), of_rest);
+    let spots = changed.into_iter().map(|changed| changed.map(|(_, spots)| spots)).collect();
+    Ok(Modes { rest, spots, pokes: known.len() })
 }
 
 /// Normal equations of a step.

@@ -16,11 +16,15 @@ pub(crate) const AS_DRAWN: f64 = 0.006;
 /// meshes. Fifteen twins built with the default tolerances reach 0.35 to 0.87.
 const MOST_MISFIT: f64 = 2.0;
 
+/// Largest number of channels. With more, the changes of all responses would take gigabytes.
+const MOST_CHANNELS: usize = 2000;
+
 /// True if pokes can tell how a skin was built: presses are spots on its sheet, read without a circuit between.
 pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
     let skin = &prepared.skin;
     let has_spots = matches!(skin.frontend.layer, Layer::Sheet(_) | Layer::Liquid(_));
-    has_spots && skin.fits_touches() && skin.backend.wiring.is_known()
+    let is_small = prepared.channels() <= MOST_CHANNELS;
+    has_spots && is_small && skin.fits_touches() && skin.backend.wiring.is_known()
 }
 
 /// True if the baseline of this skin, as drawn, tells how it was built.
