@@ -61,7 +61,8 @@ impl SpatialTouch {
 }
 
 /// The force of a touch, if it can be trusted: from a force calibration (`residual_n` is the root mean square of its
-/// errors), by the law of the layer, or from a calibration by pokes of known force. `None` outside the calibrated range.
+/// errors), by the law of the layer, or from a calibration by pokes of known force. `None` outside the calibrated
+/// range.
 pub fn trusted_force(touch: &Touch, residual_n: Option<f64>) -> Option<ForceEstimate> {
     if let Some(force_n) = touch.force.and_then(ForceReading::valid_n) {
         return Some(ForceEstimate { force_n, sigma_n: residual_n? });

@@ -11,6 +11,8 @@ mod rest;
 mod spots;
 
 pub use build::Build;
+pub(crate) use errors::{RADIUS_UNKNOWN, places};
 pub(crate) use fit::{BuildFit, Built};
 pub use rest::from_rest;
 pub(crate) use rest::{AS_DRAWN, is_off, is_wanted, learns_from_rest};
+pub(crate) use spots::{LOAD, PARAMETERS, RADIUS, Spots};

@@ -45,7 +45,8 @@ impl Build {
     /// # Errors
     /// Displacements so large that elements fold over.
     pub(crate) fn moved(&self, body: &SkinBody) -> Result<ElectrodedMesh, MeshError> {
-        let handles: Vec<Handle> = handles(&body.outline, &body.electrodes, self);
+        let mut handles: Vec<Handle> = handles(&body.outline, &body.electrodes, self);
+        handles.retain(Handle::moves);
         let mesh = &body.mesh.mesh;
         let nodes = mesh.nodes().iter().map(|&[x, y, z]| {
             let [dx, dy] = handles.iter().fold([0.0; 2], |sum, handle| {
@@ -97,14 +98,8 @@ impl BuildPrior {
             Ok(factor) => factor.solve(factor.L()),
             Err(_) => Mat::zeros(count, count),
         };
-        let is_pad = |shape: &ElectrodeShape| {
-            matches!(
-                shape,
-                ElectrodeShape::PadCircle { .. } | ElectrodeShape::PadRectangle { .. } | ElectrodeShape::Point { .. }
-            )
-        };
         Self {
-            axes: body.electrodes.iter().map(|shape| 1 + usize::from(is_pad(shape))).collect(),
+            axes: body.electrodes.iter().map(|shape| 1 + usize::from(shape.pad_box().is_some())).collect(),
             place_m: 1e-3 * tolerances.electrode_place_mm,
             width: 0.01 * tolerances.electrode_width_percent,
             contact_log: tolerances.contact_impedance_factor.ln(),
@@ -150,6 +145,13 @@ enum Handle {
 }
 
 impl Handle {
+    fn moves(&self) -> bool {
+        match *self {
+            Self::End { by_m, .. } => by_m != 0.0,
+            Self::Pad { by_m, wider, .. } => by_m != [0.0; 2] || wider != 0.0,
+        }
+    }
+
     fn displacement(&self, outline: &Outline, place_m: [f64; 2]) -> [f64; 2] {
         match *self {
             Self::End { position_m, by_m, reach_m } => {
@@ -162,7 +164,7 @@ impl Handle {
                     .map(|corner| wrapped(along_m - corner, perimeter_m).abs())
                     .fold(f64::INFINITY, f64::min);
                 let weight = hat(off_m / reach_m) * hat(inward_m / reach_m) * (to_corner_m / reach_m).min(1.0);
-                if weight == 0.0 || by_m == 0.0 {
+                if weight == 0.0 {
                     return [0.0; 2];
                 }
                 let (from, to) = (outline.rim_at(along_m), outline.rim_at(along_m + weight * by_m));
@@ -189,24 +191,12 @@ fn wrapped(off_m: f64, perimeter_m: f64) -> f64 {
     if off_m > 0.5 * perimeter_m { off_m - perimeter_m } else { off_m }
 }
 
-/// Position along the rim and half the width of an electrode on it.
-fn on_rim(outline: &Outline, shape: &ElectrodeShape) -> Option<(f64, f64)> {
-    match *shape {
-        ElectrodeShape::RimArc { centre_rad, width_m } => {
-            Some((centre_rad * outline.perimeter_m() / std::f64::consts::TAU, 0.5 * width_m))
-        }
-        ElectrodeShape::RimSegment { centre_m, width_m } => Some((centre_m, 0.5 * width_m)),
-        ElectrodeShape::RimPoint { position_m } => Some((position_m, 0.0)),
-        _ => None,
-    }
-}
-
 fn handles(outline: &Outline, shapes: &[ElectrodeShape], build: &Build) -> Vec<Handle> {
     let perimeter_m = outline.perimeter_m();
-    let rims: Vec<(f64, f64)> = shapes.iter().filter_map(|shape| on_rim(outline, shape)).collect();
+    let rims: Vec<(f64, f64)> = shapes.iter().filter_map(|shape| shape.on_rim(outline)).collect();
     let mut handles = Vec::new();
     for ((shape, by_m), wider) in shapes.iter().zip(&build.moved_m).zip(&build.wider) {
-        if let Some((position_m, half_m)) = on_rim(outline, shape) {
+        if let Some((position_m, half_m)) = shape.on_rim(outline) {
             // Half of the way to the next electrode, or to the middle of this one.
             let gaps =
                 rims.iter().map(|(other, width)| wrapped(position_m - other, perimeter_m).abs() - half_m - width);
@@ -222,22 +212,8 @@ fn handles(outline: &Outline, shapes: &[ElectrodeShape], build: &Build) -> Vec<H
             }
             continue;
         }
-        let (centre_m, half_m) = match *shape {
-            ElectrodeShape::PadCircle { centre_m, radius_m } => (centre_m, [radius_m; 2]),
-            ElectrodeShape::PadRectangle { centre_m, width_m, height_m, angle_rad } => {
-                let (sine, cosine) = (angle_rad.sin().abs(), angle_rad.cos().abs());
-                (centre_m, [0.5 * (width_m * cosine + height_m * sine), 0.5 * (width_m * sine + height_m * cosine)])
-            }
-            ElectrodeShape::Point { position_m } => (position_m, [0.0; 2]),
-            _ => continue,
-        };
-        let others = shapes.iter().filter_map(|other| match *other {
-            ElectrodeShape::PadCircle { centre_m, .. } | ElectrodeShape::PadRectangle { centre_m, .. } => {
-                Some(centre_m)
-            }
-            ElectrodeShape::Point { position_m } => Some(position_m),
-            _ => None,
-        });
+        let Some((centre_m, half_m)) = shape.pad_box() else { continue };
+        let others = shapes.iter().filter_map(|other| Some(other.pad_box()?.0));
         let apart_m = others
             .map(|other| (other[0] - centre_m[0]).hypot(other[1] - centre_m[1]))
             .filter(|apart| *apart > 0.0)

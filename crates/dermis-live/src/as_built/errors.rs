@@ -10,10 +10,10 @@ use crate::stages::workshop_error::WorkshopError;
 /// Approximate number of positions at which errors are tabulated.
 const PLACES: f64 = 120.0;
 /// Prior standard deviation of the logarithm of the radius.
-const RADIUS_UNKNOWN: f64 = 0.5;
+pub(crate) const RADIUS_UNKNOWN: f64 = 0.5;
 
 /// A grid of positions inside the outline, and their spacing.
-pub(super) fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
+pub(crate) fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
     let (low, high) = outline.bounds_m();
     let spacing_m = (outline.area_m2() / PLACES).sqrt();
     let count = |axis: usize| ((high[axis] - low[axis]) / spacing_m).ceil().max(1.0) as usize;

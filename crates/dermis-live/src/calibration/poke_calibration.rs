@@ -2,20 +2,22 @@
 //! locator, which locates single touches with a calibrated sigma. With few pokes the locator relies on physics or on
 //! sister skins, with many on the pokes alone.
 
+mod as_built;
 mod frames;
 mod groups;
 mod map;
+mod review;
 mod start;
 mod stored;
 mod strength;
 
+pub(crate) use as_built::AsBuilt;
 pub(crate) use frames::differences_of;
 pub use frames::{PokeFrames, set_channels};
 pub use groups::PokeGroup;
 use groups::split;
 
 use std::path::Path;
-use std::sync::Arc;
 
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::health::RestScatter;
@@ -25,6 +27,7 @@ use dermis_touch::locator::{
 };
 use frames::without_silence;
 use map::signature_map;
+pub use review::PokeReview;
 use serde::{Deserialize, Serialize};
 use start::{Earlier, Started, fit_best};
 pub use start::{StartReview, StartUse};
@@ -34,9 +37,7 @@ use strength::{TouchStrength, Weighed};
 use super::poke_check::{Sound, check_pokes};
 use super::pokes::{LoadQuantity, Pokes};
 use crate::Error;
-use crate::as_built::Build;
 use crate::prepare::Prepared;
-use crate::stages::workshop_error::WorkshopError;
 
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
@@ -69,29 +70,6 @@ impl Default for CalibrationOptions<'_> {
     }
 }
 
-/// Findings about the pokes, other than their locations.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PokeReview {
-    /// Number of pokes excluded because they repeat another one exactly, value by value.
-    pub repeated: usize,
-    /// Channels that read the same in every poke, or nothing.
-    pub dead_channels: Vec<u32>,
-    /// Drift over the session, if the pokes are in the order they were made and numerous enough.
-    pub drift: Option<SessionDrift>,
-    /// Channels excluded because they jump while nothing touches the skin. Determined only if each poke has its own
-    /// baseline.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub unsound_channels: Vec<u32>,
-    /// Scatter of each channel over these baselines, without jumps, in the unit of the readings; 0 for a channel that
-    /// never read anything.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub rest_scatter: Vec<f64>,
-    /// Use of an earlier calibration, if one was given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub start: Option<StartReview>,
-}
-
 /// A calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "stored::StoredCalibration", into = "stored::StoredCalibration")]
@@ -117,14 +95,6 @@ pub struct Calibration {
     pokes: usize,
     strength: TouchStrength,
     review: PokeReview,
-}
-
-/// A skin as built, with the errors of touches that remain.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct AsBuilt {
-    pub(crate) build: Build,
-    pub(crate) errors: WorkshopError,
 }
 
 /// Load of each poke relative to a typical one, by its index; 1 if loads are unknown.
@@ -285,10 +255,8 @@ impl Calibration {
     /// # Errors
     /// A skin that cannot be solved.
     pub fn skin_as_built(&self, prepared: &Prepared) -> Result<Option<Prepared>, Error> {
-        let Some(AsBuilt { build, errors }) = self.as_built.as_ref().filter(|_| !prepared.is_as_built()) else {
-            return Ok(None);
-        };
-        Ok(Some(prepared.as_built(build.clone())?.with_errors(Arc::new(errors.clone()))))
+        let as_built = self.as_built.as_ref().filter(|_| !prepared.is_as_built());
+        as_built.map(|as_built| as_built.skin(prepared)).transpose()
     }
 
     /// True if touches are located by the model of the skin as built.

@@ -15,28 +15,22 @@ use std::sync::Arc;
 
 use dermis_skin::{Dice, Tolerances, built_electrodes};
 use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::mesh::{Outline, PixelMap};
+use dermis_tomo::mesh::PixelMap;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::as_built::AS_DRAWN;
+use crate::as_built::{AS_DRAWN, LOAD, PARAMETERS, RADIUS, RADIUS_UNKNOWN, Spots, places};
 use crate::prepare::Prepared;
 use crate::reference::{misfit, scale_to_model};
-use crate::stages::spot_model::Membrane;
+use crate::stages::spot_model::TYPICAL_RADIUS;
 use crate::stages::workshop_error::{BuiltError, WorkshopError};
 
 /// Number of skins in the ensemble. Their root mean square has a relative error of `1 / sqrt(2 * 24)` = 14 %.
 const MEMBERS: u64 = 24;
 /// Largest number of elements of their meshes. Members are compared with a nominal skin on an equally coarse mesh.
 const ELEMENTS: usize = 2500;
-/// Approximate number of positions at which the covariance is tabulated.
-const PLACES: f64 = 120.0;
-/// Radius of the spot that represents a touch, relative to half the shorter side.
-const SPOT_RADIUS: f64 = 0.12;
-/// Prior standard deviation of the logarithm of the radius.
-const RADIUS_UNKNOWN: f64 = 0.5;
 /// Number of cosines in a random conductivity.
 const COSINES: usize = 64;
 
@@ -75,7 +69,9 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     let tolerances = &prepared.skin.tolerances;
     let nominal = member(prepared, &Tolerances::none(), 0)?;
     let (places_m, spacing_m) = places(&prepared.skin.outline());
-    let spots = spots(prepared, &places_m)?;
+    let radius_m = TYPICAL_RADIUS * prepared.half_width_m();
+    let at: Vec<([f64; 2], f64)> = places_m.iter().map(|place| (*place, radius_m)).collect();
+    let spots = Spots::new(prepared)?.columns(&at);
     let responses = &nominal.jacobian * &spots;
     let uniform: Vec<f64> = nominal.jacobian.row_iter().map(|row| row.iter().sum()).collect();
     let drawn: Vec<_> = (1..=MEMBERS)
@@ -140,11 +136,6 @@ fn member_errors(member: &Member, spots: &Mat<f64>, responses: &Mat<f64>, unifor
         })
         .collect()
 }
-
-/// Parameters of a spot, in this order: x, y, load, logarithm of the radius.
-const PARAMETERS: usize = 4;
-const LOAD: usize = 2;
-const RADIUS: usize = 3;
 
 /// Skin number `number` of the ensemble.
 fn member(prepared: &Prepared, tolerances: &Tolerances, number: u64) -> Result<Member, Error> {
@@ -219,38 +210,4 @@ impl Field {
         let sum: f64 = self.waves.iter().map(|[x, y, phase]| (x * place_m[0] + y * place_m[1] + phase).cos()).sum();
         (self.deviation * sum * (2.0 / COSINES as f64).sqrt()).exp()
     }
-}
-
-/// A grid of positions inside the outline, and their spacing.
-fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
-    let (low, high) = outline.bounds_m();
-    let spacing_m = (outline.area_m2() / PLACES).sqrt();
-    let count = |axis: usize| ((high[axis] - low[axis]) / spacing_m).ceil().max(1.0) as usize;
-    let at = |axis: usize, k: usize| low[axis] + (k as f64 + 0.5) * (high[axis] - low[axis]) / count(axis) as f64;
-    let all = (0..count(1)).flat_map(|row| (0..count(0)).map(move |column| [column, row]));
-    let places =
-        all.map(|[column, row]| [at(0, column), at(1, row)]).filter(|place| outline.contains(*place)).collect();
-    (places, spacing_m)
-}
-
-/// Relative changes of the inside pixels by a Gaussian spot at each position, and its derivatives: PARAMETERS columns
-/// each.
-fn spots(prepared: &Prepared, places_m: &[[f64; 2]]) -> Result<Mat<f64>, Error> {
-    let radius_m = SPOT_RADIUS * prepared.half_width_m();
-    let centres = &prepared.basis.positions;
-    let spots = Mat::from_fn(centres.len(), PARAMETERS * places_m.len(), |pixel, column| {
-        let place = places_m[column / PARAMETERS];
-        let off = [0, 1].map(|axis| (centres[pixel][axis] - place[axis]) / radius_m);
-        let square = off[0] * off[0] + off[1] * off[1];
-        let value = (-0.5 * square).exp();
-        match column % PARAMETERS {
-            LOAD => value,
-            RADIUS => value * square,
-            axis => value * off[axis] / radius_m,
-        }
-    });
-    Ok(match Membrane::of(prepared)? {
-        Some(membrane) => membrane.spread * spots,
-        None => spots,
-    })
 }

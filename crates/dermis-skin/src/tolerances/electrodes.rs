@@ -77,40 +77,14 @@ fn moved(outline: &Outline, shape: &ElectrodeShape, [along, up]: [f64; 2], facto
     }
 }
 
-/// Position along the rim and half-width of an electrode on it.
-fn on_rim(outline: &Outline, shape: &ElectrodeShape) -> Option<(f64, f64)> {
-    match *shape {
-        ElectrodeShape::RimArc { centre_rad, width_m } => {
-            Some((centre_rad * outline.perimeter_m() / std::f64::consts::TAU, 0.5 * width_m))
-        }
-        ElectrodeShape::RimSegment { centre_m, width_m } => Some((centre_m, 0.5 * width_m)),
-        ElectrodeShape::RimPoint { position_m } => Some((position_m, 0.0)),
-        _ => None,
-    }
-}
-
-/// Centre of a pad, and half its extent along x and y.
-fn pad_box(shape: &ElectrodeShape) -> Option<([f64; 2], [f64; 2])> {
-    match *shape {
-        ElectrodeShape::PadCircle { centre_m, radius_m } => Some((centre_m, [radius_m; 2])),
-        ElectrodeShape::Point { position_m } => Some((position_m, [0.0; 2])),
-        ElectrodeShape::PadRectangle { centre_m, width_m, height_m, angle_rad } => {
-            let (sine, cosine) = (angle_rad.sin().abs(), angle_rad.cos().abs());
-            let half = [0.5 * (width_m * cosine + height_m * sine), 0.5 * (width_m * sine + height_m * cosine)];
-            Some((centre_m, half))
-        }
-        _ => None,
-    }
-}
-
 /// Width of sheet between two electrodes, metres; negative if they overlap.
 fn gap(outline: &Outline, a: &ElectrodeShape, b: &ElectrodeShape) -> f64 {
-    if let (Some((s, half)), Some((t, other))) = (on_rim(outline, a), on_rim(outline, b)) {
+    if let (Some((s, half)), Some((t, other))) = (a.on_rim(outline), b.on_rim(outline)) {
         let perimeter = outline.perimeter_m();
         let apart = (s - t).rem_euclid(perimeter);
         return apart.min(perimeter - apart) - half - other;
     }
-    match (pad_box(a), pad_box(b)) {
+    match (a.pad_box(), b.pad_box()) {
         (Some((p, half)), Some((q, other))) => {
             let along = |axis: usize| (p[axis] - q[axis]).abs() - half[axis] - other[axis];
             along(0).max(along(1))
@@ -121,7 +95,7 @@ fn gap(outline: &Outline, a: &ElectrodeShape, b: &ElectrodeShape) -> f64 {
 
 /// Width of sheet between a pad and the rim, metres; negative if it crosses the rim.
 fn clearance(outline: &Outline, shape: &ElectrodeShape) -> f64 {
-    let Some((centre, half)) = pad_box(shape) else { return f64::INFINITY };
+    let Some((centre, half)) = shape.pad_box() else { return f64::INFINITY };
     if let ElectrodeShape::PadCircle { radius_m, .. } = shape {
         return to_rim(outline, centre) - radius_m;
     }

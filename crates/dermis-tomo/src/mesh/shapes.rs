@@ -101,6 +101,32 @@ impl Direction {
     }
 }
 
+impl ElectrodeShape {
+    /// Position along the rim and half the width of an electrode on it, metres; `None` for pads and inner points.
+    pub fn on_rim(&self, outline: &Outline) -> Option<(f64, f64)> {
+        match *self {
+            Self::RimArc { centre_rad, width_m } => Some((centre_rad * outline.perimeter_m() / TAU, 0.5 * width_m)),
+            Self::RimSegment { centre_m, width_m } => Some((centre_m, 0.5 * width_m)),
+            Self::RimPoint { position_m } => Some((position_m, 0.0)),
+            _ => None,
+        }
+    }
+
+    /// Centre of a pad or an inner point, and half its extent along x and y, metres; `None` for electrodes on the rim.
+    pub fn pad_box(&self) -> Option<([f64; 2], [f64; 2])> {
+        match *self {
+            Self::PadCircle { centre_m, radius_m } => Some((centre_m, [radius_m; 2])),
+            Self::Point { position_m } => Some((position_m, [0.0; 2])),
+            Self::PadRectangle { centre_m, width_m, height_m, angle_rad } => {
+                let (sine, cosine) = (angle_rad.sin().abs(), angle_rad.cos().abs());
+                let half = [0.5 * (width_m * cosine + height_m * sine), 0.5 * (width_m * sine + height_m * cosine)];
+                Some((centre_m, half))
+            }
+            _ => None,
+        }
+    }
+}
+
 impl Outline {
     /// Length of the rim (of the true circle, for a disc).
     pub fn perimeter_m(&self) -> f64 {
