@@ -2,7 +2,8 @@
 //!
 //! A fit of position, radius and load to a frame that has drifted can trade one for the other. As long as the frame
 //! is consistent with the position and radius from when the baseline was fresh, these are kept, and only the load is
-//! estimated: its posterior given them, `l + C_la C_aa^-1 (a - x_a)`.
+//! estimated: the posterior of its logarithm given them, `ln l + C_la C_aa^-1 (a - x_a) / l`. Load and radius trade off
+//! as powers of each other.
 
 use crate::press::Press;
 
@@ -62,8 +63,9 @@ impl Anchor {
         if !(0.0..=SAME).contains(&distance) {
             return None;
         }
-        let load = press.load + kept.iter().zip(&weights).map(|(&a, w)| c[2][a] * w).sum::<f64>();
-        (load * press.load > 0.0).then_some(Press {
+        let log_factor = kept.iter().zip(&weights).map(|(&a, w)| c[2][a] * w).sum::<f64>() / press.load;
+        let load = press.load * log_factor.exp();
+        load.is_finite().then_some(Press {
             position_m: self.position_m,
             radius_m: self.log_radius.exp(),
             load,
@@ -100,11 +102,13 @@ mod tests {
     #[test]
     fn a_wide_and_weak_press_is_the_narrow_and_strong_one_that_it_was() {
         let fresh = Press { position_m: [0.01, 0.0], radius_m: 0.01, load: 1.0, ..Press::default() };
-        // Load and radius trade off: twenty per cent wider is forty per cent weaker.
+        // Load and radius trade off: the square of the radius times the load stays.
         let mut covariance = [[0.0; 4]; 4];
         (0..2).for_each(|axis| covariance[axis][axis] = 1e-8);
-        (covariance[3][3], covariance[2][3], covariance[3][2], covariance[2][2]) = (0.04, -0.08, -0.08, 0.161);
-        let wide = Press { radius_m: 0.01 * 0.2_f64.exp(), load: 0.6, covariance, ..fresh };
+        let load = (-0.4_f64).exp();
+        (covariance[3][3], covariance[2][3], covariance[3][2]) = (0.04, -0.08 * load, -0.08 * load);
+        covariance[2][2] = 0.161 * load * load;
+        let wide = Press { radius_m: 0.01 * 0.2_f64.exp(), load, covariance, ..fresh };
         let held = Anchor::at(&fresh).hold(&wide).unwrap();
         assert!((held.load - 1.0).abs() < 1e-9 && (held.radius_m - 0.01).abs() < 1e-12, "{held:?}");
         let elsewhere = Press { position_m: [0.012, 0.0], ..wide };

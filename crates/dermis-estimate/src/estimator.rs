@@ -27,6 +27,8 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
+/// Radii from which a joint set is fitted, relative to the typical one.
+const JOINT_RADII: [f64; 2] = [1.0, 1.4];
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
 /// After a failed search for further presses, wait this many frames before the next, and twice as many after each
@@ -123,7 +125,8 @@ impl Estimator {
         let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.left.max(best.cost.freedom);
         let is_poor_start = !best.presses.is_empty() && (has_jumped || has_changed);
         best = self.grown(best, &null, hints);
-        if is_poor_start {
+        // The gain of a first press is that over the whole frame, not over what the last fit left.
+        if is_poor_start && let Some(null) = self.fit.fit_nothing() {
             let afresh = self.grown(Explanation { presses: Vec::new(), cost: null }, &null, hints);
             if !afresh.presses.is_empty() && self.score(&afresh) < self.score(&best) {
                 best = afresh;
@@ -184,9 +187,11 @@ impl Estimator {
     }
 
     /// True if the position of one press among `count` is determined at all. A press without a definite position
-    /// compensates for drift, or for what the other presses leave unexplained.
+    /// compensates for drift, or for what the other presses leave unexplained. The strength of contacts that saturate
+    /// is vague even where their positions are definite.
     fn is_placed(&self, press: &Press, count: usize) -> bool {
-        press.place_sigma_m() <= self.fit.most_sigma_m() && (count == 1 || press.significance() >= LEAST_SIGNIFICANT)
+        let is_strong = || self.fit.is_joint() || press.significance() >= LEAST_SIGNIFICANT;
+        press.place_sigma_m() <= self.fit.most_sigma_m() && (count == 1 || is_strong())
     }
 
     /// Significance of a press in an explanation, in standard deviations. For one press among several it comes from
@@ -274,7 +279,20 @@ impl Estimator {
         if best.presses.is_empty() && !hints.is_empty() {
             found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
         }
-        for peak in self.peaks(best) {
+        let sets = self.fit.joint_sets(best.presses.len() + 1);
+        let is_joint = !sets.is_empty();
+        for set in sets {
+            // Pressure and radius trade off, and a fit may end in a local optimum.
+            let starts = JOINT_RADII.map(|share| scaled(&set, share));
+            let fits = starts.into_iter().filter_map(|start| self.fitted(&start, Effort::Quick));
+            let Some(more) = fits.min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual)) else { continue };
+            let is_enough = more.cost.is_noise();
+            found.push(more);
+            if is_enough {
+                break;
+            }
+        }
+        for peak in if is_joint { Vec::new() } else { self.peaks(best) } {
             let mut starts: Vec<Press> = best.presses.iter().copied().chain([peak]).collect();
             for _ in 0..LOOKAHEAD.min(room) {
                 let Some(more) = self.fitted(&starts, Effort::Quick) else { break };
@@ -290,8 +308,11 @@ impl Estimator {
                 }
             }
         }
-        self.pursue(best, &mut found);
-        for k in 0..best.presses.len().min(MOST_SPLIT) {
+        if !is_joint {
+            self.pursue(best, &mut found);
+        }
+        let splits = if is_joint { 0 } else { best.presses.len().min(MOST_SPLIT) };
+        for k in 0..splits {
             for direction in 0..DIRECTIONS {
                 if let Some(starts) = self.split(&best.presses, k, direction) {
                     found.extend(self.fitted(&starts, Effort::Quick));
@@ -438,6 +459,11 @@ impl Estimator {
         starts.push(half(halves[1]));
         Some(starts)
     }
+}
+
+/// Presses with their radii scaled.
+fn scaled(presses: &[Press], share: f64) -> Vec<Press> {
+    presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect()
 }
 
 /// True if two sets of presses would be fitted to the same result.

@@ -114,6 +114,17 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// set.
     fn seek(&self, negative: bool) -> Vec<Press>;
 
+    /// True if presses act together in a way that their single responses do not show: linear images join them.
+    fn is_joint(&self) -> bool {
+        false
+    }
+
+    /// Sets of presses that together explain the last frame taken best, one of each size from `least` on; none unless
+    /// [`PressFit::is_joint`].
+    fn joint_sets(&self, _least: usize) -> Vec<Vec<Press>> {
+        Vec::new()
+    }
+
     /// Gain of the best of these proposals, without listing them.
     fn most_gain(&self, negative: bool) -> f64;
 
@@ -132,6 +143,16 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
 
     /// Change of the channels by these presses, volts.
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
+
+    /// Radius that a press is reported with, metres: that of the spot, or of a disc of contact.
+    fn disc_radius_m(&self, press: &Press) -> f64 {
+        press.radius_m
+    }
+
+    /// Force of a press and its standard deviation, newtons, by the model's own law of contact; `None` if it has none.
+    fn force_n(&self, _press: &Press) -> Option<[f64; 2]> {
+        None
+    }
 
     /// Largest change of the skin per unit of load under a press like this one.
     fn largest_change(&mut self, _press: &Press) -> f64 {

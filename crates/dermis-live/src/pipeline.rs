@@ -383,7 +383,7 @@ impl Pipeline {
             noise: &reference.noise,
             touches: reconstructor.touches.touches(),
             contacts: reconstructor.touches.contacts(),
-            patches: reconstructor.refinement.patches(),
+            refinement: &reconstructor.refinement,
             loaded,
         };
         let DamageDecision { adopt, hold_drift, follow_rest, is_free } = damage.process(&frame, &self.prepared)?;

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
-use dermis_tomo::mesh::PixelMap;
+use dermis_tomo::mesh::{ElectrodedMesh, PixelMap};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -124,6 +124,11 @@ impl Prepared {
     /// Sheet conductance of every element at rest, siemens.
     pub(crate) fn conductances_s(&self) -> Vec<f64> {
         conductances_s(&self.skin, &self.body, self.built.as_deref())
+    }
+
+    /// How the skin was built, if that is known.
+    pub(crate) fn build(&self) -> Option<&Arc<Build>> {
+        self.built.as_ref()
     }
 
     /// The same skin with other image settings, without recomputing mesh or fields. The grid and the number of
@@ -268,6 +273,25 @@ fn electric_model(
 }
 
 /// Sheet conductance of every element at rest, siemens.
+/// A mesh of the sheet as drawn with its electrodes where they are as built, and the conductance of its elements,
+/// siemens. `body` has the outline and the electrodes as drawn.
+///
+/// # Errors
+/// Errors of the workshop that cannot be built.
+pub(crate) fn sheet_as_built(
+    skin: &Skin,
+    body: &SkinBody,
+    build: Option<&Build>,
+    drawn: ElectrodedMesh,
+) -> Result<(ElectrodedMesh, Vec<f64>), Error> {
+    let mut body = SkinBody { mesh: drawn, ..body.clone() };
+    if let Some(build) = build {
+        body.mesh = build.moved(&body).map_err(|source| Error::Mesh { skin: skin.name.clone(), source })?;
+    }
+    let sheet_s = conductances_s(skin, &body, build);
+    Ok((body.mesh, sheet_s))
+}
+
 fn conductances_s(skin: &Skin, body: &SkinBody, build: Option<&Build>) -> Vec<f64> {
     let (mesh, conductance) = (&body.mesh.mesh, skin.sheet_conductance_s());
     let relative = |element: usize| {

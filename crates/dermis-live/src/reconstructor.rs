@@ -101,8 +101,8 @@ impl Reconstructor {
         }
         if imposed.is_none() {
             self.refinement.refine(time_ns, &self.imager, image, self.touches.contacts_mut())?;
-            if self.refinement.fits_spots() {
-                self.touches.drop_weak();
+            if self.refinement.refines() {
+                self.touches.drop_weak(!self.refinement.is_joint());
             }
         }
         match (correction, placement) {
@@ -120,7 +120,7 @@ impl Reconstructor {
     }
 
     /// The current frame (model volts, `NaN` where missing) with its fit.
-    pub(crate) fn fitted<'a>(&'a self, difference: &'a [f64]) -> FittedFrame<'a> {
+    pub(crate) fn fitted<'a>(&'a mut self, difference: &'a [f64]) -> FittedFrame<'a> {
         FittedFrame { difference, contacts: self.touches.contacts(), explained: self.refinement.explained() }
     }
 
@@ -134,9 +134,9 @@ impl Reconstructor {
         self.refinement.leave_out(prepared, channels, noise)
     }
 
-    /// True while anything lies on the skin, including unconfirmed contacts and frames not yet explained.
+    /// True while anything lies on the skin, including unconfirmed contacts.
     pub fn is_loaded(&self) -> bool {
-        self.touches.is_loaded() || self.refinement.is_seeking()
+        self.touches.is_loaded()
     }
 
     /// True if the last image showed something strong enough to begin a touch, but no touch was reported: its search is
@@ -148,7 +148,7 @@ impl Reconstructor {
     /// Reports that the stream was interrupted before the next frame: see [`TouchStage::interrupt`].
     pub fn interrupt(&mut self, time_ns: u64) {
         self.forget_places();
-        self.refinement.interrupt();
+        self.refinement.forget();
         self.touches.interrupt(time_ns);
     }
 

@@ -20,7 +20,18 @@ pub struct SkinBody {
     pub mesh: ElectrodedMesh,
 }
 
+/// Fingertip radius as a share of the shorter side, and its minimum and maximum, metres.
+const FINGER_SHARE: f64 = 0.08;
+const FINGER_M: [f64; 2] = [3e-3, 11e-3];
+
 impl Skin {
+    /// Radius of a usual press: a fingertip, or less on a small skin; metres.
+    pub fn fingertip_m(&self) -> f64 {
+        let (low, high) = self.outline().bounds_m();
+        let shorter_m = (high[0] - low[0]).min(high[1] - low[1]);
+        (FINGER_SHARE * shorter_m).clamp(FINGER_M[0], FINGER_M[1]).min(0.2 * shorter_m)
+    }
+
     /// Outline in metres.
     pub fn outline(&self) -> Outline {
         self.frontend.shape.outline()

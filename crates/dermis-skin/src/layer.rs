@@ -330,6 +330,9 @@ impl SheetLayer {
 }
 
 impl SandwichLayer {
+    /// Contact under a usual press, as a share of the saturated contact.
+    pub const USUAL_CONTACT: f64 = 0.6;
+
     fn copper_s() -> f64 {
         35e-6 * 5.8e7
     }
@@ -340,6 +343,10 @@ impl SandwichLayer {
 }
 
 impl PatchesLayer {
+    /// Contact under a usual press, as a share of the saturated contact. Patches far from electrodes need more pressure
+    /// to be visible than one layer over the whole sheet.
+    pub const USUAL_CONTACT: f64 = 6.0 / 7.0;
+
     fn pitch() -> f64 {
         10.0
     }
@@ -382,6 +389,11 @@ impl ElementsLayer {
 }
 
 impl ContactLaw {
+    /// Pressure at this share of the saturated contact, kPa.
+    pub fn pressure_at_kpa(&self, share: f64) -> f64 {
+        self.threshold_kpa + self.reference_kpa * (share / (1.0 - share)).powf(self.exponent.recip())
+    }
+
     /// Assumed, not fitted: the 80 kPa of the published presses then reach about 60 % of saturation, and current
     /// crosses into the copper within 2.4 mm of the indenter's edge.
     fn sandwich() -> Self {

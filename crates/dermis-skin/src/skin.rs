@@ -170,7 +170,8 @@ impl Skin {
         let is_stated = match &self.frontend.layer {
             Layer::Sheet(layer) => layer.pressure_percent_per_kpa != 0.0 || layer.gauge_factor != 0.0,
             Layer::Liquid(layer) => layer.tension_n_per_m > 0.0,
-            Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => false,
+            Layer::Sandwich(_) | Layer::Patches(_) => true,
+            Layer::Elements(_) => false,
         };
         is_stated && self.fits_touches()
     }

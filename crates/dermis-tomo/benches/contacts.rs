@@ -1,7 +1,7 @@
-//! Speed of the sandwich's contact model: patches tracked from frame to frame, and patches searched from scratch.
+//! Speed of the sandwich's contact model: the effect of patches, and patches searched from scratch.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dermis_tomo::eit::contacts::{ContactPatch, ContactSheet, FitOptions, Looked, PatchSearch};
+use dermis_tomo::eit::contacts::{ContactPatch, ContactSheet, PatchSearch};
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, SheetSpec};
 
@@ -34,15 +34,6 @@ fn contacts(c: &mut Criterion) {
         (0..100).map(|k| [f64::from(k % 10) - 4.5, f64::from(k / 10) - 4.5].map(|v| 10e-3 * v)).collect();
     let typical = ContactPatch { position_m: [0.0; 2], radius_m: 8e-3, conductance_s_per_m2: 700.0 };
     let search = PatchSearch::new(&sheet, typical, &places).expect("places are on the sheet");
-    let options = FitOptions {
-        radius_m: 8e-3,
-        radius_log_deviation: 0.5,
-        most_radius_m: f64::INFINITY,
-        conductance_s_per_m2: 700.0,
-        conductance_log_deviation: 0.5,
-        gain_deviation: 0.0,
-        most_steps: 4,
-    };
     let all = [patch(-25.0, 12.0), patch(24.0, 20.0), patch(-20.0, -26.0), patch(22.0, -21.0)];
     let mut group = c.benchmark_group("sandwich, 208 channels");
     for count in [1, 2, 4] {
@@ -50,33 +41,13 @@ fn contacts(c: &mut Criterion) {
         let change = sheet.change_v(patches).expect("patches are sound");
         let size = (change.iter().map(|v| v * v).sum::<f64>() / change.len() as f64).sqrt();
         let deviation: Vec<f64> = change.iter().map(|v| (0.02 * v).hypot(0.005 * size)).collect();
-        // The previous frame, a tenth of a millimetre away.
-        let before: Vec<ContactPatch> = patches
-            .iter()
-            .map(|p| ContactPatch { position_m: [p.position_m[0] + 1e-4, p.position_m[1]], ..*p })
-            .collect();
-        let mut left = Vec::new();
-        group.bench_function(format!("{count} patches followed"), |b| {
-            b.iter(|| sheet.fit(&change, &deviation, &before, &options, &mut left).map(|(fits, _)| fits.len()));
-        });
+        group.bench_function(format!("change by {count}"), |b| b.iter(|| sheet.change_v(patches)));
         group.bench_function(format!("best set of {count}"), |b| {
             b.iter(|| {
                 let mut sets = search.begin(&sheet, &change, &deviation).ok()?;
                 (0..count).map(|_| search.look(&mut sets, usize::MAX)).last()
             });
         });
-        let mut sets = search.begin(&sheet, &change, &deviation).expect("lengths agree");
-        let start = match (0..count).map(|_| search.look(&mut sets, usize::MAX)).last() {
-            Some(Looked::Best(start)) => start,
-            _ => Vec::new(),
-        };
-        let options = FitOptions { most_steps: 25, ..options };
-        group.bench_function(format!("{count} patches fitted from the best set"), |b| {
-            b.iter(|| sheet.fit(&change, &deviation, &start, &options, &mut left).map(|(_, summary)| summary.steps));
-        });
-        if let Ok((_, summary)) = sheet.fit(&change, &deviation, &start, &options, &mut left) {
-            eprintln!("{count}: {} steps, misfit {:.2e}", summary.steps, summary.misfit);
-        }
     }
     group.finish();
 }

@@ -7,7 +7,7 @@ use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scr
 
 use super::model::{Contacts, LOG_DEVIATIONS, LONGEST_LOG, PlateModel};
 use super::pressure::{OF_PRESS, Pressed};
-use crate::evidence::NOISE_UNKNOWN;
+use crate::evidence::{Evidence, NOISE_UNKNOWN};
 use crate::press::{Cost, Effort, Press, PressFit};
 use crate::whitening::Whitening;
 
@@ -23,6 +23,8 @@ const DAMPING: f64 = 1e-3;
 const CONVERGED: f64 = 2e-3;
 /// Largest move in one step, in radii.
 const LONGEST: f64 = 0.5;
+/// Error of the force as a share of it, from the meshes: 0.1 on twins of two skins with patches.
+const FORCE_SHARE: f64 = 0.12;
 /// Number of proposals for one more press, and their distance from each other in typical radii.
 const PROPOSALS: usize = 3;
 const APART: f64 = 2.0;
@@ -32,6 +34,9 @@ const APART: f64 = 2.0;
 pub struct PlateFit {
     model: Arc<PlateModel>,
     whitening: Whitening,
+    /// The last frame and its deviations, volts.
+    volts: Vec<f64>,
+    deviations: Vec<f64>,
     /// Whitened changes by the proposed presses, of unit length, and their lengths.
     units: Vec<f32>,
     lengths: Vec<f64>,
@@ -39,6 +44,9 @@ pub struct PlateFit {
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
+    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter hardly differ in
+    /// what they do, so that these errors weigh more on a force than on a position.
+    inflation: f64,
 }
 
 /// Presses with what they explain.
@@ -70,7 +78,21 @@ impl PlateFit {
             lengths.push(length);
         }
         let (at, error_share) = (State::nothing(Vec::new()), model.options.error_share);
-        Self { model, whitening, units, lengths, error_share, frame: Vec::new(), at, covariances: Vec::new() }
+        let deviations = deviations.to_vec();
+        let (volts, frame, covariances) = (Vec::new(), Vec::new(), Vec::new());
+        Self {
+            model,
+            whitening,
+            volts,
+            deviations,
+            units,
+            lengths,
+            error_share,
+            frame,
+            at,
+            covariances,
+            inflation: 1.0,
+        }
     }
 
     /// The state of these presses, with their residual.
@@ -98,6 +120,7 @@ impl PlateFit {
         let n = OF_PRESS * self.at.presses.len();
         let Scratch { equations, factor, step } = solver;
         let scale = (cost.residual / cost.freedom - NOISE_UNKNOWN).max(1.0);
+        self.inflation = Evidence::model_scale(cost);
         self.covariances.clear();
         self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
         for column in 0..n {
@@ -127,6 +150,8 @@ impl PressFit for PlateFit {
         let mut whitened = std::mem::take(&mut self.frame);
         self.whitening.apply(frame, &mut whitened);
         self.frame = whitened;
+        self.volts.clear();
+        self.volts.extend_from_slice(frame);
         self.fit_nothing()
     }
 
@@ -234,6 +259,17 @@ impl PressFit for PlateFit {
         found
     }
 
+    fn is_joint(&self) -> bool {
+        self.model.is_joint()
+    }
+
+    fn joint_sets(&self, least: usize) -> Vec<Vec<Press>> {
+        let [load, radius_m] = self.model.reported_typical();
+        let press = |position_m: [f64; 2]| Press { position_m, radius_m, load, ..Press::default() };
+        let sets = self.model.joint_places(&self.volts, &self.deviations, least);
+        sets.into_iter().map(|places| places.into_iter().map(press).collect()).collect()
+    }
+
     fn most_gain(&self, negative: bool) -> f64 {
         let signed = |product: f64| if negative { product.abs() } else { product };
         self.products().into_iter().map(signed).fold(0.0, f64::max).powi(2)
@@ -253,6 +289,27 @@ impl PressFit for PlateFit {
 
     fn set_error_beyond(&mut self, share: f64) {
         self.error_share = self.model.options.error_share + share;
+    }
+
+    fn disc_radius_m(&self, press: &Press) -> f64 {
+        self.model.contact_radius_m(&self.model.pressed(press))
+    }
+
+    fn force_n(&self, press: &Press) -> Option<[f64; 2]> {
+        let pressed = self.model.pressed(press);
+        let [[a, b], [c, d]] = self.model.reported_by(pressed.log_pressure, pressed.log_radius);
+        let by_radius = self.model.log_force_by_log_radius(&pressed);
+        // ln F = ln p + ln A(R), with both a function of the reported load and radius.
+        let determinant = a * d - b * c;
+        let by_load = (d - by_radius * c) / determinant / press.load;
+        let by_log_radius = (a * by_radius - b) / determinant;
+        let covariance = &press.covariance;
+        let variance = by_load * by_load * covariance[2][2]
+            + 2.0 * by_load * by_log_radius * covariance[2][3]
+            + by_log_radius * by_log_radius * covariance[3][3];
+        let force_n = self.model.force_n(&pressed);
+        let sigma_n = force_n * (self.inflation * variance.max(0.0)).sqrt().hypot(FORCE_SHARE);
+        (!pressed.has_ended && force_n.is_finite() && sigma_n.is_finite()).then_some([force_n, sigma_n])
     }
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {

@@ -1,9 +1,9 @@
 //! What presses on plates do to the channels, and what is reported of them.
 
-use std::f64::consts::FRAC_1_SQRT_2;
+use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
 use dermis_tomo::eit::EitError;
-use dermis_tomo::eit::contacts::{PlateContact, PlatedSheet};
+use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PlateContact, PlatedSheet};
 use dermis_tomo::mesh::PixelGrid;
 
 use super::pressure::{Field, OF_PRESS, PlateLaw, Pressed};
@@ -12,12 +12,14 @@ use crate::press::{Effort, Press};
 /// Largest change of a logarithm in one step.
 pub(super) const LONGEST_LOG: f64 = 0.7;
 /// Prior standard deviations of the logarithms of pressure and radius.
-pub(super) const LOG_DEVIATIONS: [f64; 2] = [1.5, 0.7];
+pub(super) const LOG_DEVIATIONS: [f64; 2] = [1.0, 0.35];
 /// Pressures beyond this many deviations from the usual one are not tried: contact is saturated, or open.
 const MOST_DEVIATIONS: f64 = 4.0;
 /// Number of rings over which a contact is integrated, and steps from a reported press to the parameters of the fit.
 const RINGS: usize = 48;
 const INVERSE_STEPS: usize = 30;
+/// Bisections for the radius of a contact: to a millionth of it.
+const HALVINGS: usize = 20;
 
 /// Contacts of the presses that act, and of those that are part of the baseline and have ended.
 pub(super) type Contacts = [Option<PlateContact>; 2];
@@ -29,6 +31,10 @@ pub struct PlateOptions {
     pub typical_radius_m: f64,
     /// See `typical_radius_m`.
     pub typical_pa: f64,
+    /// Most probable radius and pressure.
+    pub usual_radius_m: f64,
+    /// See `usual_radius_m`.
+    pub usual_pa: f64,
     /// Smallest and largest radius.
     pub radii_m: [f64; 2],
     /// Distance between the positions at which presses are proposed.
@@ -50,6 +56,8 @@ pub struct PlateModel {
     inside: Vec<bool>,
     /// Positions at which presses are proposed, with the change of the channels (volts) by a typical press there.
     pub(super) proposals: Vec<([f64; 2], Vec<f64>)>,
+    /// Searches for sets of presses under a plate that connects all of them.
+    search: Option<PatchSearch>,
 }
 
 impl PlateModel {
@@ -65,7 +73,7 @@ impl PlateModel {
         grid: PixelGrid,
         inside: Vec<bool>,
     ) -> Result<Self, EitError> {
-        let mut model = Self { sheets, law, options, grid, inside, proposals: Vec::new() };
+        let mut model = Self { sheets, law, options, grid, inside, proposals: Vec::new(), search: None };
         let (width_m, height_m) = (grid.pixel_m * grid.columns as f64, grid.pixel_m * grid.rows as f64);
         let count = |length_m: f64| (length_m / options.spacing_m).ceil().max(1.0) as usize;
         let (columns, rows) = (count(width_m), count(height_m));
@@ -79,11 +87,44 @@ impl PlateModel {
                 model.proposals.extend(contact.map(|contact| (place, contact.change_v)));
             }
         }
+        if model.sheets[0].has_one_plate() {
+            let places: Vec<[f64; 2]> = model.proposals.iter().map(|(place, _)| *place).collect();
+            let patch = ContactPatch {
+                position_m: [0.0; 2],
+                radius_m: options.typical_radius_m,
+                conductance_s_per_m2: law.conductance(options.typical_pa)[0],
+            };
+            model.search = Some(PatchSearch::new(model.sheets[0].sheet(), patch, &places)?);
+        }
         Ok(model)
+    }
+
+    /// The sets of positions, from `least` on, at which presses together explain a frame best (volts), one of each
+    /// size.
+    pub(super) fn joint_places(&self, frame: &[f64], deviations: &[f64], least: usize) -> Vec<Vec<[f64; 2]>> {
+        let mut found = Vec::new();
+        let Some(search) = &self.search else { return found };
+        let Ok(mut sets) = search.begin(self.sheets[0].sheet(), frame, deviations) else { return found };
+        while let Looked::Best(patches) = search.look(&mut sets, usize::MAX) {
+            if patches.len() >= least {
+                found.push(patches.iter().map(|patch| patch.position_m).collect());
+            }
+        }
+        found
     }
 
     fn sheet(&self, effort: Effort) -> &PlatedSheet {
         &self.sheets[usize::from(effort == Effort::Full)]
+    }
+
+    /// Channels without any press, volts.
+    pub fn bare_v(&self) -> &[f64] {
+        self.sheets[1].bare_v()
+    }
+
+    /// True if one plate connects the contacts of all presses.
+    pub(super) fn is_joint(&self) -> bool {
+        self.search.is_some()
     }
 
     pub(super) fn channels(&self) -> usize {
@@ -110,19 +151,34 @@ impl PlateModel {
             return Ok(None);
         }
         let sheet = self.sheet(effort);
-        let cells = sheet.cells();
-        let mut pressure_pa = vec![0.0; cells.len()];
+        let contacts: Vec<(usize, f64)> = self
+            .pressures(presses, has_ended, effort)
+            .into_iter()
+            .map(|(point, pressure_pa)| (point, self.law.conductance(pressure_pa)[0]))
+            .filter(|(_, conductance)| *conductance > 0.0)
+            .collect();
+        let contact = sheet.contact(&contacts)?;
+        Ok((!contact.is_open()).then_some(contact))
+    }
+
+    /// The points under presses of one kind, with their pressure, pascal.
+    fn pressures(&self, presses: &[Pressed], has_ended: bool, effort: Effort) -> Vec<(usize, f64)> {
+        let sheet = self.sheet(effort);
+        let mut found: Vec<(usize, f64)> = Vec::new();
         for press in presses.iter().filter(|press| press.has_ended == has_ended) {
             let field = Field::new(press, self.law.spread_m);
-            for (sum, cell) in pressure_pa.iter_mut().zip(cells) {
-                *sum += field.at(cell.position_m).map_or(0.0, |(pressure, _)| pressure);
-            }
+            let [x, reach_m] = [press.position_m[0], field.reach_m()];
+            let near = sheet.points_between(x - reach_m, x + reach_m);
+            found.extend(near.filter_map(|point| Some((point, field.at(sheet.points()[point].position_m)?.0))));
         }
-        let of_cell = |(pressure, area): (&f64, f64)| self.law.conductance(*pressure)[0] * area;
-        let conductance_s: Vec<f64> =
-            pressure_pa.iter().zip(cells.iter().map(|cell| cell.area_m2)).map(of_cell).collect();
-        let contact = sheet.contact(&conductance_s)?;
-        Ok((!contact.cells.is_empty()).then_some(contact))
+        // Pressures add up.
+        found.sort_unstable_by_key(|(point, _)| *point);
+        found.dedup_by(|(point, pressure), (kept, sum)| {
+            let is_same = point == kept;
+            *sum += if is_same { *pressure } else { 0.0 };
+            is_same
+        });
+        found
     }
 
     /// Change of the channels, volts.
@@ -142,28 +198,20 @@ impl PlateModel {
         let mut columns = vec![vec![0.0; self.channels()]; OF_PRESS * presses.len()];
         for (contact, has_ended) in contacts.iter().zip([false, true]) {
             let Some(contact) = contact else { continue };
-            let cells: Vec<_> = contact.cells.iter().map(|&cell| sheet.cells()[cell]).collect();
-            let fields: Vec<(usize, Field)> = presses
-                .iter()
-                .enumerate()
-                .filter(|(_, press)| press.has_ended == has_ended)
-                .map(|(k, press)| (k, Field::new(press, self.law.spread_m)))
-                .collect();
-            let slopes: Vec<f64> = cells
-                .iter()
-                .map(|cell| {
-                    let pressures = fields.iter().filter_map(|(_, field)| field.at(cell.position_m));
-                    self.law.conductance(pressures.map(|(pressure, _)| pressure).sum())[1] * cell.area_m2
-                })
+            let slopes: Vec<(usize, f64)> = self
+                .pressures(presses, has_ended, effort)
+                .into_iter()
+                .map(|(point, pressure_pa)| (point, self.law.conductance(pressure_pa)[1]))
+                .filter(|(_, slope)| *slope > 0.0)
                 .collect();
             let sign = if has_ended { -1.0 } else { 1.0 };
-            for (k, field) in &fields {
-                let moves: Vec<[f64; OF_PRESS]> = cells
+            for (k, press) in presses.iter().enumerate().filter(|(_, press)| press.has_ended == has_ended) {
+                let field = Field::new(press, self.law.spread_m);
+                let moves: Vec<(usize, [f64; OF_PRESS])> = slopes
                     .iter()
-                    .zip(&slopes)
-                    .map(|(cell, slope)| {
-                        let by = field.at(cell.position_m).map_or([0.0; OF_PRESS], |(_, by)| by);
-                        by.map(|value| sign * slope * value)
+                    .filter_map(|&(point, slope)| {
+                        let (_, by) = field.at(sheet.points()[point].position_m)?;
+                        Some((point, by.map(|value| sign * slope * value)))
                     })
                     .collect();
                 let jacobian = sheet.derivatives(contact, &moves);
@@ -193,6 +241,40 @@ impl PlateModel {
         let square = (0.5 * second / total).max(f64::MIN_POSITIVE);
         let load = total * reach_m / RINGS as f64 / (square * self.law.saturation_s_per_m2);
         [load.ln(), 0.5 * square.ln()]
+    }
+
+    /// Force under a press, newtons: the integral of its pressure, `p pi ((R^2 + s^2) Phi(R/s) + R s phi(R/s))` with the
+    /// normal distribution Phi and its density phi.
+    pub(super) fn force_n(&self, press: &Pressed) -> f64 {
+        let (radius_m, spread_m) = (press.log_radius.exp(), self.law.spread_m);
+        let x = radius_m / spread_m;
+        let below = 0.5 * libm::erfc(-x * FRAC_1_SQRT_2);
+        let density = (-0.5 * x * x).exp() / TAU.sqrt();
+        let area_m2 = PI * ((radius_m * radius_m + spread_m * spread_m) * below + radius_m * spread_m * density);
+        press.log_pressure.exp() * area_m2
+    }
+
+    /// Radius at which the contact under a press is half that in its middle, metres.
+    pub(super) fn contact_radius_m(&self, press: &Pressed) -> f64 {
+        let field = Field::new(press, self.law.spread_m);
+        let middle_pa = field.at(press.position_m).map_or(0.0, |(pressure, _)| pressure);
+        let half = 0.5 * self.law.conductance(middle_pa)[0];
+        let at = |distance_m: f64| field.at([press.position_m[0] + distance_m, press.position_m[1]]);
+        let is_more =
+            |distance_m: f64| at(distance_m).is_some_and(|(pressure, _)| self.law.conductance(pressure)[0] > half);
+        let (mut low, mut high) = (0.0, field.reach_m());
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if is_more(middle) { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
+    }
+
+    /// Derivative of the logarithm of the force with respect to that of the radius.
+    pub(super) fn log_force_by_log_radius(&self, press: &Pressed) -> f64 {
+        let h = 1e-4;
+        let at = |step: f64| self.force_n(&Pressed { log_radius: press.log_radius + step, ..*press }).ln();
+        (at(h) - at(-h)) / (2.0 * h)
     }
 
     /// What a proposed press reports: its load and radius (metres).
@@ -251,8 +333,8 @@ impl PlateModel {
     /// Deviations of pressure and radius from their priors, in standard deviations.
     pub(super) fn off(&self, press: &Pressed) -> [f64; 2] {
         [
-            (press.log_pressure - self.options.typical_pa.ln()) / LOG_DEVIATIONS[0],
-            (press.log_radius - self.options.typical_radius_m.ln()) / LOG_DEVIATIONS[1],
+            (press.log_pressure - self.options.usual_pa.ln()) / LOG_DEVIATIONS[0],
+            (press.log_radius - self.options.usual_radius_m.ln()) / LOG_DEVIATIONS[1],
         ]
     }
 

@@ -36,11 +36,6 @@ impl PlateLaw {
         let faint = FAINT * self.saturation_s_per_m2;
         if g <= faint { [0.0; 2] } else { [g - faint, g * self.exponent / (above * (1.0 + x))] }
     }
-
-    /// Pressure at this share of the saturated conductance, pascal.
-    pub fn pressure_at_pa(&self, share: f64) -> f64 {
-        self.threshold_pa + self.reference_pa * (share / (1.0 - share)).powf(self.exponent.recip())
-    }
 }
 
 /// A press in the parameters of the fit.
@@ -63,7 +58,7 @@ pub(super) struct Field {
 }
 
 impl Field {
-    /// Pressures further outside the disc than this many spreads are left out.
+    /// Pressures further outside the disc than this many spreads are left out, and those further inside are full.
     pub const REACH: f64 = 5.0;
 
     pub fn new(press: &Pressed, spread_m: f64) -> Self {
@@ -71,16 +66,24 @@ impl Field {
         Self { centre_m: press.position_m, pressure_pa, radius_m, spread_m }
     }
 
+    /// Distance from the centre beyond which there is no pressure, metres.
+    pub fn reach_m(&self) -> f64 {
+        self.radius_m + Self::REACH * self.spread_m
+    }
+
     /// Pressure at a position (pascal), and its derivatives by the parameters of the press; `None` beyond its reach.
     pub fn at(&self, place_m: [f64; 2]) -> Option<(f64, [f64; OF_PRESS])> {
         let off = [place_m[0] - self.centre_m[0], place_m[1] - self.centre_m[1]];
-        let reach_m = self.radius_m + Self::REACH * self.spread_m;
+        let reach_m = self.reach_m();
         let square = off[0] * off[0] + off[1] * off[1];
         if square > reach_m * reach_m {
             return None;
         }
         let distance_m = square.sqrt();
         let u = (self.radius_m - distance_m) / self.spread_m;
+        if u > Self::REACH {
+            return Some((self.pressure_pa, [0.0, 0.0, self.pressure_pa, 0.0]));
+        }
         let pressure = self.pressure_pa * 0.5 * libm::erfc(-u * FRAC_1_SQRT_2);
         let density = self.pressure_pa * (-0.5 * u * u).exp() / (TAU.sqrt() * self.spread_m);
         let along = density / distance_m.max(1e-9);

@@ -8,6 +8,7 @@ use super::fit::BuildFit;
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{Reference, baseline_is_known};
+use crate::stages::plates::fits_contacts;
 
 /// Baselines with a smaller relative misfit come from a twin as drawn: different meshes alone cause up to this much on
 /// twins of the built-in skins. Fifteen skins built with the default tolerances are off by 0.06 to 0.16.
@@ -21,15 +22,19 @@ const MOST_CHANNELS: usize = 2000;
 
 /// True if pokes can tell how a skin was built: presses are spots on its sheet, read without a circuit between.
 pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
+    let has_spots = matches!(prepared.skin.frontend.layer, Layer::Sheet(_) | Layer::Liquid(_));
+    has_spots && is_electric(prepared)
+}
+
+/// True if the responses of a skin follow from a sheet that is solved as built.
+fn is_electric(prepared: &Prepared) -> bool {
     let skin = &prepared.skin;
-    let has_spots = matches!(skin.frontend.layer, Layer::Sheet(_) | Layer::Liquid(_));
-    let is_small = prepared.channels() <= MOST_CHANNELS;
-    has_spots && is_small && skin.fits_touches() && skin.backend.wiring.is_known()
+    prepared.channels() <= MOST_CHANNELS && skin.fits_touches() && skin.backend.wiring.is_known()
 }
 
 /// True if the baseline of this skin, as drawn, tells how it was built.
 pub(crate) fn learns_from_rest(drawn: &Prepared) -> bool {
-    is_wanted(drawn) && !drawn.is_as_built() && baseline_is_known(drawn)
+    (is_wanted(drawn) || is_electric(drawn) && fits_contacts(drawn)) && !drawn.is_as_built() && baseline_is_known(drawn)
 }
 
 /// True if this baseline is not that of a skin as drawn. Without a baseline to compare, the misfit is not a number.

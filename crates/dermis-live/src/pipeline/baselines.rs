@@ -177,7 +177,7 @@ impl Pipeline {
                 };
                 imager.set_noise(&reference.noise)?;
                 touches.set_noise(imager.noise_image());
-                refinement.set_noise(&reference.noise);
+                refinement.set_noise(&reference.noise)?;
                 running.reconstructor.take_reference(&self.prepared, &reference);
                 running.reference = reference;
             }

@@ -7,7 +7,6 @@ use super::force_source::ForceSource;
 use super::state::State;
 use crate::Error;
 use crate::calibration::{Calibration, LoadQuantity};
-use crate::stages::force_law::ForceLaw;
 use crate::stages::refinement::Refinement;
 
 impl Pipeline {
@@ -50,7 +49,7 @@ impl Pipeline {
             return Some(ForceSource::Pokes);
         }
         let has_law = Refinement::is_wanted(&self.prepared, choices.calibration.as_ref())
-            && ForceLaw::is_stated(&self.prepared.skin.frontend.layer);
+            && self.prepared.skin.states_force_law();
         has_law.then_some(ForceSource::Law)
     }
 

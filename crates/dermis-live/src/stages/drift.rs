@@ -20,12 +20,6 @@ const LEAST_S: f64 = 8.0;
 /// Time after a touch ends from which drift no longer counts as noise, seconds: the baseline has caught up by then.
 const CAUGHT_UP_S: f64 = 5.0;
 
-/// Largest uniform drift, as a share of the voltages.
-const MOST_UNIFORM: f64 = 0.05;
-/// Largest mean square, in squared deviations, of a residual that drift and noise explain. The noise level, from 32
-/// frames, is only known to a third.
-const MOST_LEFT: f64 = 1.5;
-
 /// Effects of drift on one skin.
 #[derive(Debug)]
 pub(crate) struct Drift {
@@ -84,23 +78,6 @@ impl Drift {
     pub fn deviations(&self, noise: &[f64]) -> Vec<f64> {
         let own = CHANNEL_PER_S * self.age_s;
         noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect()
-    }
-
-    /// True if noise (model volts), a uniform change and the channels' own drift explain a frame. Channels without a
-    /// value are ignored.
-    pub fn explains(&self, difference: impl Iterator<Item = f64> + Clone, noise: &[f64]) -> bool {
-        let deviations = self.deviations(noise);
-        let frame =
-            || difference.clone().zip(&self.voltages).zip(&deviations).filter(|((value, _), _)| value.is_finite());
-        let (mut cross, mut square, mut count) = (0.0, 0.0, 0.0_f64);
-        for ((value, volts), sigma) in frame() {
-            cross += value * volts / (sigma * sigma);
-            square += volts * volts / (sigma * sigma);
-            count += 1.0;
-        }
-        let gain = if square > 0.0 { (cross / square).clamp(-MOST_UNIFORM, MOST_UNIFORM) } else { 0.0 };
-        let left: f64 = frame().map(|((value, volts), sigma)| ((value - gain * volts) / sigma).powi(2)).sum();
-        left <= MOST_LEFT * count.max(1.0)
     }
 
     /// Correlated effects of drift on the channels, one entry per cause: volts for one standard deviation.

@@ -1,4 +1,5 @@
-//! The force of a press from the change it causes, by the law of the layer in the skin's file.
+//! The force of a press from the change it causes, by the law of a sheet or a liquid in the skin's file. Contacts with
+//! plates have their force from their own fit.
 //!
 //! A spot changes the conductance by `u exp(-d^2 / (2 r^2))`. Channels respond to a large change like a dipole `2 u /
 //! (2 + u)` (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane), which gives u from the fitted
@@ -47,15 +48,6 @@ impl ForceLaw {
             }
             Layer::Liquid(_) => membrane_pa.map(|pressure_pa| Self::Membrane { pressure_pa }),
             Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => None,
-        }
-    }
-
-    /// True if a layer states a law.
-    pub fn is_stated(layer: &Layer) -> bool {
-        match layer {
-            Layer::Sheet(layer) => sheet_per_pa(layer) != 0.0,
-            Layer::Liquid(_) => true,
-            Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => false,
         }
     }
 

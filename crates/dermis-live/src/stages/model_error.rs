@@ -7,7 +7,7 @@ use dermis_tomo::mesh::Outline;
 use dermis_touch::Contact;
 
 use crate::prepare::Prepared;
-use crate::stages::press_model::fits_contacts;
+use crate::stages::plates::fits_contacts;
 
 /// Error of touches that only the image places, and of touches in frames that their fit doesn't explain: a share of
 /// half the shorter side, as one sigma per coordinate. The skin file can override it.

@@ -2,19 +2,16 @@
 
 use std::sync::Arc;
 
-use dermis_estimate::{PlateFit, PlateLaw, PlateModel, PlateOptions, PressFit, SpotFit};
-use dermis_skin::{Layer, PatchesLayer};
-use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::eit::contacts::PlatedSheet;
+use dermis_estimate::{PlateFit, PlateModel, PressFit, SpotFit};
+use dermis_skin::Layer;
 use dermis_tomo::inverse::SpotModel;
 use dermis_tomo::mesh::PixelGrid;
 
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
-use crate::stages::spot_model::{
-    LARGEST_RADIUS, MOST_SPOTS, Membrane, SMALLEST_RADIUS, TYPICAL_RADIUS, may_look_beyond, spot_model_under,
-};
+use crate::stages::plates::{Plates, SheetCut};
+use crate::stages::spot_model::{Membrane, spot_model_under};
 
 /// Share of a frame's energy that the model of a press leaves unexplained, on twins. Up to 0.002 on gels, foams and
 /// liquids; more for deep dents with the linear model; 0.002 to 0.006 in open tanks, whose surface takes the shape of
@@ -24,19 +21,7 @@ const SPOTS_ERROR: f64 = 0.001;
 const IN_PROPORTION_ERROR: f64 = 0.005;
 const TANK_ERROR: f64 = 0.005;
 const PATCHES_ERROR: f64 = 0.04;
-/// The same for the physics of contact with patches: 0 to 0.002.
-const CONTACT_ERROR: f64 = 0.0005;
-
-/// Number of elements of the mesh under patches, and of the one on which explanations are compared.
-const ELEMENTS: usize = 4000;
-const COARSE_ELEMENTS: usize = 1500;
-/// Largest number of channels for fits of contact with patches. Skins with more keep smooth spots.
-const MOST_CHANNELS: usize = 2000;
-/// Contact under a usual press, as a share of the saturated contact.
-const USUAL_CONTACT: f64 = 0.8;
-/// Distance between the positions at which presses on patches are proposed, in pitches.
-const PROPOSED_EVERY: f64 = 0.5;
-/// Standard deviation of a uniform change of a sheet under patches.
+/// Standard deviation of a uniform change of a sheet under plates.
 const UNIFORM_DEVIATION: f64 = 0.2;
 
 /// The model of one skin.
@@ -52,18 +37,12 @@ pub(super) enum PressModel {
         grid: PixelGrid,
         inside: Vec<bool>,
     },
-    /// Contacts with separate patches.
+    /// Contacts with the plates above the sheet.
     Plates {
         model: Arc<PlateModel>,
         /// Change of the channels by one standard deviation of a uniform change, volts.
         uniform: Vec<f64>,
     },
-}
-
-/// True if presses on a skin's patches are fitted as contacts; otherwise they are smooth spots.
-pub(super) fn fits_contacts(prepared: &Prepared) -> bool {
-    let has_patches = matches!(prepared.skin.frontend.layer, Layer::Patches(_));
-    has_patches && may_look_beyond(prepared) && prepared.channels() <= MOST_CHANNELS
 }
 
 impl PressModel {
@@ -72,10 +51,8 @@ impl PressModel {
     /// # Errors
     /// A membrane or contacts that cannot be solved; no positive deviation; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, deviations: &[f64]) -> Result<Self, Error> {
-        if let Layer::Patches(layer) = &prepared.skin.frontend.layer
-            && fits_contacts(prepared)
-        {
-            return Self::of_patches(prepared, layer);
+        if let Some(plates) = Plates::of(prepared) {
+            return Self::of_plates(&plates, &[]);
         }
         let membrane = Membrane::of(prepared)?;
         let whole = Box::new(spot_model_under(prepared, deviations, membrane.as_ref())?);
@@ -88,45 +65,13 @@ impl PressModel {
         })
     }
 
-    fn of_patches(prepared: &Prepared, layer: &PatchesLayer) -> Result<Self, Error> {
-        let skin = &prepared.skin;
-        let (low, high) = skin.outline().bounds_m();
-        let (pitch_m, gap_m) = (1e-3 * layer.pitch_mm, 1e-3 * layer.gap_mm);
-        // Patches are centred on the sheet; rounding must not add one.
-        let count = [0, 1].map(|axis| ((high[axis] - low[axis]) / pitch_m - 1e-6).ceil().max(1.0));
-        let corner = [0, 1].map(|axis| 0.5 * (low[axis] + high[axis] - count[axis] * pitch_m));
-        let plate_at = |place: [f64; 2]| {
-            let along = [0, 1].map(|axis| (place[axis] - corner[axis]) / pitch_m);
-            let is_on = |at: f64| (at - at.floor() - 0.5).abs() * pitch_m <= 0.5 * (pitch_m - gap_m);
-            let [column, row] = along.map(|at| at.floor().max(0.0) as u32);
-            along.iter().all(|at| is_on(*at)).then_some(row * count[0] as u32 + column)
-        };
-        let sheet = |elements: usize| -> Result<PlatedSheet, Error> {
-            let (slit, _) = skin.slit_mesh(elements, &[])?;
-            let sheet_s = vec![skin.sheet_conductance_s(); slit.mesh.mesh.measures().len()];
-            let model = ForwardModel::new(slit.mesh, prepared.protocol.clone())?;
-            Ok(PlatedSheet::new(&model, &sheet_s, plate_at)?)
-        };
-        let sheets = [sheet(COARSE_ELEMENTS)?, sheet(ELEMENTS)?];
-        let contact = &layer.contact;
-        let law = PlateLaw {
-            threshold_pa: 1e3 * contact.threshold_kpa,
-            reference_pa: 1e3 * contact.reference_kpa,
-            exponent: contact.exponent,
-            saturation_s_per_m2: contact.saturation_s_per_m2,
-            spread_m: (1e-3 * layer.smoothing_mm).max(0.05 * pitch_m),
-        };
-        let half_width_m = prepared.half_width_m();
-        let options = PlateOptions {
-            typical_radius_m: TYPICAL_RADIUS * half_width_m,
-            typical_pa: law.pressure_at_pa(USUAL_CONTACT),
-            radii_m: [SMALLEST_RADIUS * half_width_m, LARGEST_RADIUS * half_width_m],
-            spacing_m: PROPOSED_EVERY * pitch_m,
-            most_presses: MOST_SPOTS,
-            error_share: CONTACT_ERROR,
-        };
-        let uniform = sheets[1].bare_v().iter().map(|volts| UNIFORM_DEVIATION * volts).collect();
-        let model = PlateModel::new(sheets, law, options, *prepared.map.grid(), prepared.map.inside_mask())?;
+    /// The model of presses on these plates, above a sheet with these cuts.
+    ///
+    /// # Errors
+    /// As [`Plates::model`].
+    pub fn of_plates(plates: &Plates, cuts: &[SheetCut]) -> Result<Self, Error> {
+        let model = plates.model(cuts)?;
+        let uniform = model.bare_v().iter().map(|volts| UNIFORM_DEVIATION * volts).collect();
         Ok(Self::Plates { model: Arc::new(model), uniform })
     }
 

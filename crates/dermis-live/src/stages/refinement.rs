@@ -1,16 +1,20 @@
-//! Improves the contacts of the image with the forward model: as patches of contact on a sandwich, as spots of
+//! Improves the contacts of the image with the forward model: as contacts with the plates above a sheet, as spots of
 //! conductivity on other layers, or not at all.
 
+use std::sync::Arc;
+
+use dermis_estimate::{Estimator, Evidence};
 use dermis_touch::Contact;
 
 use crate::Error;
+use crate::beside::Beside;
 use crate::calibration::Calibration;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
 use crate::stages::gone::Gone;
+use crate::stages::plates::{Plates, SheetCut};
 use crate::stages::press_model::PressModel;
-use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
 use crate::stages::spot_model::assumed_deviations;
 use crate::stages::touch_refinement::SpotStage;
 use crate::stages::workshop_error::BuiltError;
@@ -22,22 +26,80 @@ pub struct Refinement {
     takes_time: bool,
 }
 
+/// Delay after which a model with new cuts takes effect, nanoseconds: several times the time to compute it on one slow
+/// core.
+const READY_NS: u64 = 3_000_000_000;
+
 #[derive(Debug)]
 enum By {
     /// Contacts stay as found in the image.
     Nothing,
-    Spots {
-        model: PressModel,
-        /// Fits with the channels and noise in use; `None` until the noise is known.
-        stage: Option<Box<SpotStage>>,
-        /// Noise of the channels in model volts, and the channels left out.
-        noise: Vec<f64>,
-        left_out: Vec<u32>,
-        drift: Box<Drift>,
-        /// Share of a press's energy that the model leaves because the skin is not as drawn.
-        built_share: f64,
-    },
-    Patches(Box<PatchStage>),
+    Presses(Box<Presses>),
+}
+
+/// Presses fitted to each frame.
+#[derive(Debug)]
+struct Presses {
+    model: PressModel,
+    /// Fits with the channels and noise in use; `None` until the noise is known.
+    stage: Option<Box<SpotStage>>,
+    /// Noise of the channels in model volts, and the channels left out.
+    noise: Vec<f64>,
+    left_out: Vec<u32>,
+    drift: Drift,
+    /// Share of a press's energy that the model leaves because the skin is not as drawn.
+    built_share: f64,
+    evidence: Evidence,
+    /// The sheet and its cuts, if presses are fitted to a sheet that can be cut.
+    cut: Option<CutModels>,
+}
+
+/// The models of a sheet that is being cut. New ones take up to a second and are computed in the background.
+#[derive(Debug)]
+struct CutModels {
+    plates: Arc<Plates>,
+    /// The cuts of the model ordered last.
+    cuts: Vec<SheetCut>,
+    coming: Beside<Result<PressModel, Error>>,
+}
+
+impl Presses {
+    fn new(prepared: &Prepared, model: PressModel, noise: Vec<f64>) -> Self {
+        let touch = &prepared.skin.touch;
+        let plates = Plates::of(prepared).filter(Plates::is_one).map(Arc::new);
+        Self {
+            model,
+            stage: None,
+            noise,
+            left_out: Vec::new(),
+            drift: Drift::new(prepared),
+            built_share: 0.0,
+            evidence: Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma },
+            cut: plates.map(|plates| CutModels { plates, cuts: Vec::new(), coming: Beside::new() }),
+        }
+    }
+
+    /// Restarts with the channels and noise in use.
+    fn restart(&mut self, prepared: &Prepared) -> Result<(), Error> {
+        self.drift.forget();
+        self.drift.age_s = 0.0;
+        let fit = self.model.fit(&self.noise, &self.left_out, &self.drift)?;
+        let mut fresh = SpotStage::new(prepared, fit, self.model.membrane_pa());
+        fresh.set_built_share(self.built_share);
+        self.stage = Some(Box::new(fresh));
+        Ok(())
+    }
+
+    /// Puts an ordered model into use when it is due.
+    fn take_up_cuts(&mut self, time_ns: u64) -> Result<(), Error> {
+        let Some(model) = self.cut.as_mut().and_then(|cut| cut.coming.take(time_ns)) else { return Ok(()) };
+        self.model = model?;
+        if let Some(stage) = &mut self.stage {
+            stage.set_fit(self.model.fit(&self.noise, &self.left_out, &self.drift)?, self.drift.age_s > 0.0);
+            stage.forget();
+        }
+        Ok(())
+    }
 }
 
 impl Refinement {
@@ -62,16 +124,17 @@ impl Refinement {
         !matches!(self.by, By::Nothing)
     }
 
-    /// True if contacts are fitted as spots, with amplitudes from the image.
-    pub(crate) fn fits_spots(&self) -> bool {
-        matches!(self.by, By::Spots { .. })
+    /// True if presses act together, so that the amplitude of one alone cannot be compared with the image.
+    pub(crate) fn is_joint(&self) -> bool {
+        matches!(&self.by, By::Presses(presses) if presses.cut.is_some())
     }
 
     /// Takes into account how far the skin is from its file.
     pub(crate) fn set_built(&mut self, built: Option<&BuiltError>) {
-        if let By::Spots { stage, built_share, .. } = &mut self.by {
-            *built_share = built.map_or(0.0, BuiltError::unexplained);
-            stage.iter_mut().for_each(|stage| stage.set_built_share(*built_share));
+        if let By::Presses(presses) = &mut self.by {
+            presses.built_share = built.map_or(0.0, BuiltError::unexplained);
+            let share = presses.built_share;
+            presses.stage.iter_mut().for_each(|stage| stage.set_built_share(share));
         }
     }
 
@@ -80,26 +143,16 @@ impl Refinement {
     /// # Errors
     /// A membrane that cannot be solved; no positive noise; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, noise: &[f64]) -> Result<Self, Error> {
-        if is_sandwich(prepared) {
-            return Ok(Self::by(By::Patches(Box::new(PatchStage::new(prepared, noise)?))));
-        }
-        let model = PressModel::new(prepared, noise)?;
-        let drift = Box::new(Drift::new(prepared));
-        let fit = model.fit(noise, &[], &drift)?;
-        let stage = Some(Box::new(SpotStage::new(prepared, fit, model.membrane_pa())));
-        let (noise, left_out) = (noise.to_vec(), Vec::new());
-        Ok(Self::by(By::Spots { model, stage, noise, left_out, drift, built_share: 0.0 }))
+        let mut presses = Presses::new(prepared, PressModel::new(prepared, noise)?, noise.to_vec());
+        presses.restart(prepared)?;
+        Ok(Self::by(By::Presses(Box::new(presses))))
     }
 
     /// A refinement before any noise is known: refines nothing until [`Refinement::leave_out`] is called with the
     /// noise.
     pub(crate) fn without_noise(prepared: &Prepared) -> Result<Self, Error> {
-        if is_sandwich(prepared) {
-            return Self::new(prepared, &vec![0.0; prepared.channels()]);
-        }
-        let (noise, left_out, drift) = (Vec::new(), Vec::new(), Box::new(Drift::new(prepared)));
         let model = PressModel::new(prepared, &assumed_deviations(prepared))?;
-        Ok(Self::by(By::Spots { model, stage: None, noise, left_out, drift, built_share: 0.0 }))
+        Ok(Self::by(By::Presses(Box::new(Presses::new(prepared, model, Vec::new())))))
     }
 
     /// From now on, finishes the search for touches in each frame, however long it takes: for offline frames, where
@@ -117,18 +170,30 @@ impl Refinement {
     }
 
     fn tell_pace(&mut self) {
-        match &mut self.by {
-            By::Patches(patches) if self.takes_time => patches.take_time(),
-            By::Spots { stage: Some(spots), .. } if self.takes_time => spots.take_time(),
-            By::Patches(_) | By::Spots { .. } | By::Nothing => {}
+        if let (true, Some(stage)) = (self.takes_time, self.stage()) {
+            stage.take_time();
         }
     }
 
-    /// Replaces the noise of the channels (model volts) for fits of patches.
-    pub(crate) fn set_noise(&mut self, noise: &[f64]) {
-        if let By::Patches(patches) = &mut self.by {
-            patches.set_noise(noise);
+    fn stage(&mut self) -> Option<&mut SpotStage> {
+        match &mut self.by {
+            By::Presses(presses) => presses.stage.as_deref_mut(),
+            By::Nothing => None,
         }
+    }
+
+    /// Replaces the noise of the channels (model volts).
+    ///
+    /// # Errors
+    /// No positive noise.
+    pub(crate) fn set_noise(&mut self, noise: &[f64]) -> Result<(), Error> {
+        let By::Presses(presses) = &mut self.by else { return Ok(()) };
+        let Presses { model, stage: Some(stage), noise: kept, left_out, drift, .. } = &mut **presses else {
+            return Ok(());
+        };
+        *kept = noise.to_vec();
+        stage.set_fit(model.fit(noise, left_out, drift)?, drift.age_s > 0.0);
+        Ok(())
     }
 
     /// Continues without these channels, with this noise of the others (model volts). An empty list restores all
@@ -138,18 +203,9 @@ impl Refinement {
     /// The wrong number of channels, or none left: see
     /// [`SpotModel::without`](dermis_tomo::inverse::SpotModel::without).
     pub fn leave_out(&mut self, prepared: &Prepared, channels: &[u32], noise: &[f64]) -> Result<(), Error> {
-        match &mut self.by {
-            By::Nothing => {}
-            By::Patches(patches) => patches.leave_out(channels),
-            By::Spots { model, stage, noise: kept, left_out, drift, built_share } => {
-                (*kept, *left_out) = (noise.to_vec(), channels.to_vec());
-                drift.forget();
-                drift.age_s = 0.0;
-                let fit = model.fit(noise, channels, drift)?;
-                let mut fresh = SpotStage::new(prepared, fit, model.membrane_pa());
-                fresh.set_built_share(*built_share);
-                *stage = Some(Box::new(fresh));
-            }
+        if let By::Presses(presses) = &mut self.by {
+            (presses.noise, presses.left_out) = (noise.to_vec(), channels.to_vec());
+            presses.restart(prepared)?;
         }
         self.tell_pace();
         Ok(())
@@ -161,10 +217,6 @@ impl Refinement {
     /// # Errors
     /// As [`Refinement::leave_out`].
     pub fn renew(&mut self, prepared: &Prepared, noise: &[f64]) -> Result<(), Error> {
-        if let By::Patches(patches) = &mut self.by {
-            patches.renew(noise);
-            return Ok(());
-        }
         self.leave_out(prepared, &[], noise)
     }
 
@@ -179,77 +231,74 @@ impl Refinement {
         image: &[f32],
         contacts: &mut Vec<Contact>,
     ) -> Result<(), Error> {
-        let difference = imager.filled();
-        match &mut self.by {
-            By::Patches(patches) => {
-                let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
-                patches.refine(time_ns, difference, f64::from(lowest), contacts)?;
-            }
-            By::Spots { model, stage: Some(spots), noise, left_out, drift, .. } => {
-                spots.refine(time_ns, difference, imager, contacts);
-                if drift.observe(time_ns, spots.is_touched()) {
-                    spots.set_fit(model.fit(noise, left_out, drift)?, drift.age_s > 0.0);
-                }
-            }
-            By::Spots { stage: None, .. } | By::Nothing => {}
+        let By::Presses(presses) = &mut self.by else { return Ok(()) };
+        presses.take_up_cuts(time_ns)?;
+        let Presses { model, stage: Some(stage), noise, left_out, drift, .. } = &mut **presses else { return Ok(()) };
+        let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
+        stage.refine(time_ns, imager.filled(), imager, f64::from(lowest), contacts);
+        if drift.observe(time_ns, stage.is_touched()) {
+            stage.set_fit(model.fit(noise, left_out, drift)?, drift.age_s > 0.0);
         }
         Ok(())
     }
 
     /// Presses that are part of the baseline but have ended, once that is certain.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
-        match &mut self.by {
-            By::Spots { stage: Some(spots), .. } => spots.gone(),
-            By::Patches(patches) => patches.take_gone().then_some(Gone::Alone),
-            By::Spots { stage: None, .. } | By::Nothing => None,
-        }
+        self.stage().and_then(SpotStage::gone)
     }
 
-    /// The part of the last frame explained by the fitted contacts of a sandwich (model volts); `None` if no fit is
-    /// accepted.
-    pub(crate) fn explained(&self) -> Option<&[f64]> {
-        self.patches().and_then(PatchStage::explained)
+    /// The part of the last frame explained by the presses reported (model volts); `None` without any.
+    pub(crate) fn explained(&mut self) -> Option<&[f64]> {
+        self.stage().and_then(SpotStage::explained)
     }
 
-    /// Number of frames that had to wait for the sheets that touches are fitted on.
+    /// Number of frames that had to wait for a model with new cuts.
     pub(crate) fn waits(&self) -> u64 {
-        self.patches().map_or(0, PatchStage::waits)
-    }
-
-    /// True while a search for touches is in progress.
-    pub(crate) fn is_seeking(&self) -> bool {
-        matches!(&self.by, By::Patches(patches) if patches.is_seeking())
-    }
-
-    /// Frames are missing before the next: restart the search for touches, but keep the age of the baseline.
-    pub(crate) fn interrupt(&mut self) {
-        match &mut self.by {
-            By::Patches(patches) => patches.let_go(),
-            By::Spots { .. } | By::Nothing => self.forget(),
+        match &self.by {
+            By::Presses(presses) => presses.cut.as_ref().map_or(0, |cut| cut.coming.waits()),
+            By::Nothing => 0,
         }
     }
 
     /// Forgets the last frame: the next is unrelated to it.
     pub(crate) fn forget(&mut self) {
-        match &mut self.by {
-            By::Patches(patches) => patches.forget(),
-            By::Spots { stage: Some(spots), .. } => spots.forget(),
-            By::Spots { stage: None, .. } | By::Nothing => {}
+        if let Some(stage) = self.stage() {
+            stage.forget();
         }
     }
 
-    /// Fits touches to the sheet with these cuts, if they are fitted to a sheet that can be cut.
+    /// Fits touches to the sheet with these cuts, if they are fitted to a sheet that can be cut. The cuts take effect
+    /// after three seconds of frame time. Does nothing if the sheet has the same cuts already.
     pub(crate) fn set_cuts(&mut self, time_ns: u64, cuts: &[SheetCut]) {
-        if let By::Patches(patches) = &mut self.by {
-            patches.set_cuts(time_ns, cuts);
-        }
+        let By::Presses(presses) = &mut self.by else { return };
+        let Some(cut) = presses.cut.as_mut().filter(|cut| cut.cuts != cuts) else { return };
+        cut.cuts = cuts.to_vec();
+        let (plates, cuts) = (cut.plates.clone(), cuts.to_vec());
+        cut.coming.begin(time_ns.saturating_add(READY_NS), move |wanted| {
+            wanted.go_on()?;
+            Some(PressModel::of_plates(&plates, &cuts))
+        });
     }
 
-    /// The fit of patches, if it is in use.
-    pub(crate) fn patches(&self) -> Option<&PatchStage> {
-        match &self.by {
-            By::Patches(patches) => Some(patches),
-            By::Spots { .. } | By::Nothing => None,
+    /// True if [`Refinement::share_of_release`] has an answer.
+    pub(crate) fn knows_releases(&self) -> bool {
+        matches!(&self.by, By::Presses(presses) if presses.cut.is_some() && presses.stage.is_some())
+    }
+
+    /// Share of the energy of a change of the untouched skin (model volts, NaN where missing) that the end of presses
+    /// explains. `None` if that cannot be tested.
+    pub(crate) fn share_of_release(&self, change: &[f64]) -> Option<f64> {
+        let By::Presses(presses) = &self.by else { return None };
+        let missing = |(channel, value): (u32, &f64)| !value.is_finite() && !presses.left_out.contains(&channel);
+        if !self.knows_releases() || (0..).zip(change).any(missing) {
+            return None;
         }
+        let fit = presses.model.fit(&presses.noise, &presses.left_out, &presses.drift).ok()?;
+        let mut estimator = Estimator::new(fit, presses.evidence, false);
+        estimator.take_time();
+        // Channels that are left out are ignored.
+        let opposite: Vec<f64> = change.iter().map(|value| if value.is_finite() { -value } else { 0.0 }).collect();
+        let estimate = estimator.explain(&opposite, &[])?;
+        (!estimate.presses.is_empty()).then_some(1.0 - estimate.unexplained)
     }
 }

@@ -3,15 +3,15 @@
 use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::PixelGrid;
-use dermis_touch::Contact;
 use dermis_touch::force::ForceReading;
+use dermis_touch::{Contact, ContactStrength};
 
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::force_law::ForceLaw;
 use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
-use crate::stages::press_model::fits_contacts;
+use crate::stages::plates::fits_contacts;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
@@ -34,6 +34,11 @@ const EXPLAINED: f64 = 0.05;
 const FAR: f64 = 0.2;
 const PATCHES_EXPLAINED: f64 = 0.01;
 const FAR_PITCHES: f64 = 0.5;
+/// Where images join presses, fits that leave more than this share of a frame's energy are rejected: something else
+/// than presses changed the skin. The image's contacts then begin no touch, unless a peak is this many times as high as
+/// the image's lowest value is deep: a press on a cut looks like that.
+const MOST_UNEXPLAINED: f64 = 0.3;
+const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
 /// A press below this share of its own peak amplitude is only a remnant: layers creep, and take a set of a few per
@@ -49,6 +54,23 @@ struct Peak {
     seen_ns: u64,
 }
 
+/// Pause after frames that no presses explain, nanoseconds: initial and maximum. It doubles each time.
+const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
+
+/// A pause in the search for presses.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pause {
+    until_ns: u64,
+    length_ns: u64,
+}
+
+impl Pause {
+    fn begin(&mut self, time_ns: u64) {
+        self.length_ns = (2 * self.length_ns).clamp(PAUSE_NS[0], PAUSE_NS[1]);
+        self.until_ns = time_ns.saturating_add(self.length_ns);
+    }
+}
+
 /// Explains frames one after the other by presses, with its own working memory.
 #[derive(Debug)]
 pub(crate) struct SpotStage {
@@ -57,6 +79,8 @@ pub(crate) struct SpotStage {
     error: Option<SpotError>,
     /// The largest share of a frame that a fit may leave unexplained above the noise.
     most_unexplained: f64,
+    /// Weak presses are side lobes.
+    is_tank: bool,
     both_signs: bool,
     /// Converts presses to forces, if the file states the layer's response.
     law: Option<ForceLaw>,
@@ -67,6 +91,9 @@ pub(crate) struct SpotStage {
     typical_radius_m: f64,
     /// Share of a press's energy that the model leaves because the skin is not as drawn.
     built_share: f64,
+    /// Images join presses.
+    is_joint: bool,
+    pause: Pause,
     explained: f64,
     far_m: f64,
     hints: Vec<Press>,
@@ -107,10 +134,14 @@ impl SpotStage {
             _ => None,
         };
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
+        let is_joint = fit.is_joint();
         Self {
+            is_joint,
+            pause: Pause::default(),
             estimator: Estimator::new(fit, evidence, touch.both_signs),
             error: SpotError::of(prepared),
-            most_unexplained: touch.most_unexplained,
+            most_unexplained: touch.most_unexplained.min(if is_joint { MOST_UNEXPLAINED } else { 1.0 }),
+            is_tank: touch.most_unexplained < 1.0,
             both_signs: touch.both_signs,
             law: ForceLaw::of(prepared, membrane_pa),
             polarity: prepared.skin.imaging.polarity.sign(),
@@ -156,6 +187,15 @@ impl SpotStage {
         self.estimator.fit_mut().set_error_beyond(self.built_share);
     }
 
+    /// The part of the last frame explained by the presses reported (model volts); `None` without any.
+    pub(crate) fn explained(&mut self) -> Option<&[f64]> {
+        if self.shown.is_empty() {
+            return None;
+        }
+        self.estimator.fit_mut().channels_of(&self.shown, &mut self.volts);
+        Some(&self.volts)
+    }
+
     /// True if presses are being followed.
     pub(crate) fn is_touched(&self) -> bool {
         !self.shown.is_empty()
@@ -164,6 +204,7 @@ impl SpotStage {
     /// Forgets the last frame: the next is unrelated to it.
     pub(crate) fn forget(&mut self) {
         self.estimator.forget();
+        self.pause = Pause::default();
         (self.gone_frames, self.wait) = (0, 0);
         self.peaks.clear();
         self.anchors.clear();
@@ -256,7 +297,15 @@ impl SpotStage {
 
     /// Replaces the contacts of an image by the presses that explain its frame (model volts). The image's contacts
     /// stay if the frame cannot be fitted, or if presses leave more of it unexplained than `touch.most_unexplained`.
-    pub(crate) fn refine(&mut self, time_ns: u64, difference: &[f64], imager: &Imager, contacts: &mut Vec<Contact>) {
+    /// `lowest` is the lowest value of the image.
+    pub(crate) fn refine(
+        &mut self,
+        time_ns: u64,
+        difference: &[f64],
+        imager: &Imager,
+        lowest: f64,
+        contacts: &mut Vec<Contact>,
+    ) {
         self.shown.clear();
         self.peaks.retain(|peak| time_ns.saturating_sub(peak.seen_ns) < REMEMBERED_NS);
         self.hints.clear();
@@ -266,6 +315,13 @@ impl SpotStage {
             load: contact.peak_value,
             ..Press::default()
         }));
+        if contacts.is_empty() {
+            self.pause = Pause::default();
+        }
+        if !self.is_unhurried && time_ns < self.pause.until_ns {
+            doubt(contacts, lowest);
+            return;
+        }
         let Some(mut estimate) = self.estimator.explain(difference, &self.hints) else { return };
         self.hold(&mut estimate.presses);
         if let Some(without_gone) = self.look_for_gone(&estimate) {
@@ -273,14 +329,22 @@ impl SpotStage {
             estimate = without_gone;
         }
         if estimate.unexplained > self.most_unexplained {
+            if self.is_joint {
+                self.pause.begin(time_ns);
+                self.estimator.forget();
+                doubt(contacts, lowest);
+                // No later frame continues this search.
+                contacts.retain(|contact| !self.is_unhurried || contact.strength != ContactStrength::Weak);
+            }
             return;
         }
+        self.pause = Pause::default();
         self.of_image.clear();
         self.of_image.append(contacts);
         // In a tank, weak presses may be side lobes of a strong one.
         let strongest = estimate.presses.first().map_or(0.0, Press::strength);
         for (press, sigma) in estimate.presses.iter().zip(&estimate.evidence) {
-            if self.most_unexplained < 1.0 && press.strength() / strongest < LOBE {
+            if self.is_tank && press.strength() / strongest < LOBE {
                 continue;
             }
             self.estimator.fit_mut().channels_of(std::slice::from_ref(press), &mut self.volts);
@@ -296,9 +360,12 @@ impl SpotStage {
             let largest = self.estimator.fit_mut().largest_change(press);
             let nearest = self.of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied();
             let area_m2 = nearest.map_or(std::f64::consts::PI * press.radius_m.powi(2), |contact| contact.area_m2);
+            let by_contact = self.estimator.fit_mut().force_n(press).map(|[force_n, sigma_n]| (force_n, sigma_n));
+            let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity));
             let c = &press.covariance;
             let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
-            if estimate.unexplained > self.explained
+            if !self.is_joint
+                && estimate.unexplained > self.explained
                 && let Some(contact) = nearest.filter(is_far)
             {
                 // Two presses may stand for one contact.
@@ -310,8 +377,8 @@ impl SpotStage {
             contacts.push(Contact {
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
                 significance: *sigma,
-                radius_m: Some(press.radius_m),
-                force: self.law.and_then(|law| law.read(press, largest, self.polarity)).map(from_law),
+                radius_m: Some(self.estimator.fit_mut().disc_radius_m(press)),
+                force: by_contact.or_else(by_law).map(from_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,
                 ..Contact::even(press.position_m, value, area_m2)
@@ -348,6 +415,15 @@ impl SpotStage {
 
 fn from_law((force_n, sigma_n): (f64, f64)) -> ForceReading {
     ForceReading::FromLaw { force_n, sigma_n }
+}
+
+/// Contacts of an image that nothing explains begin no touch, unless one stands out.
+fn doubt(contacts: &mut Vec<Contact>, lowest: f64) {
+    if contacts.first().is_some_and(|contact| contact.amplitude > OUTSTANDING * -lowest) {
+        contacts.truncate(1);
+    } else {
+        contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+    }
 }
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {

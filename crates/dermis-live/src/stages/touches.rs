@@ -169,9 +169,10 @@ impl TouchStage {
         }));
     }
 
-    /// Drops contacts that a fit has found weaker than the skin file or the frame allows.
-    pub(crate) fn drop_weak(&mut self) {
-        let least = self.floor.max(self.finder.params().min_amplitude);
+    /// Drops contacts that a fit has found weaker than the skin file allows, or `by_frame` than the frame's side lobes.
+    pub(crate) fn drop_weak(&mut self, by_frame: bool) {
+        let floor = if by_frame { self.floor } else { 0.0 };
+        let least = floor.max(self.finder.params().min_amplitude);
         self.contacts.retain(|contact| contact.amplitude >= least);
     }
 

@@ -11,13 +11,11 @@
 //! potential across the contact. No net current enters the layer. Each node represents the area of the sheet around
 //! it (lumped mass).
 
-mod fit;
 mod plates;
 mod search;
 mod sheet;
 
-pub use fit::{ContactFit, FitOptions, FitSummary, PatchFit};
-pub use plates::{PlateCell, PlateContact, PlatedSheet};
+pub use plates::{PlateContact, PlatePoint, PlatedSheet};
 pub use search::{Looked, PatchSearch, PatchSets};
 pub use sheet::{ContactPatch, ContactSheet};
 

@@ -3,7 +3,9 @@
 
 use std::f64::consts::PI;
 
-use dermis_skin::{Demonstration, Elements, ElementsLayer, Layer, LiquidLayer, PressSettings, Skin};
+use dermis_skin::{
+    Demonstration, Elements, ElementsLayer, Layer, LiquidLayer, PatchesLayer, PressSettings, SandwichLayer, Skin,
+};
 use dermis_tomo::mesh::Outline;
 
 use crate::scene::{Event, Script};
@@ -24,9 +26,6 @@ pub struct PressRange {
 /// The demonstration was designed for a square of this half width and this pressure.
 const DEMO_HALF_WIDTH_M: f64 = 0.05;
 const DEMO_PRESSURE_PA: f64 = 80e3;
-/// Fingertip radius as a share of the shorter side, and its minimum and maximum, metres.
-const FINGER_SHARE: f64 = 0.08;
-const FINGER_M: [f64; 2] = [3e-3, 11e-3];
 
 impl PressRange {
     /// A range around the radius and pressure that a skin is designed for.
@@ -59,19 +58,14 @@ pub fn press_range(skin: &Skin) -> PressRange {
     let outline = skin.outline();
     let (low, high) = outline.bounds_m();
     let shorter_m = (high[0] - low[0]).min(high[1] - low[1]);
-    let finger_m = (FINGER_SHARE * shorter_m).clamp(FINGER_M[0], FINGER_M[1]).min(0.2 * shorter_m);
+    let finger_m = skin.fingertip_m();
     match (&skin.frontend.layer, &skin.frontend.elements) {
         (Layer::Sheet(layer), _) => PressRange::about(finger_m, 1e3 * 0.35 / layer.response_per_kpa().abs()),
         (Layer::Sandwich(layer), _) => {
-            let law = layer.contact;
-            let ratio = (0.6_f64 / 0.4).powf(1.0 / law.exponent);
-            PressRange::about(finger_m, 1e3 * (law.threshold_kpa + ratio * law.reference_kpa))
+            PressRange::about(finger_m, 1e3 * layer.contact.pressure_at_kpa(SandwichLayer::USUAL_CONTACT))
         }
         (Layer::Patches(layer), _) => {
-            let law = layer.contact;
-            // Patches far from electrodes need more pressure to be visible.
-            let ratio = 6_f64.powf(1.0 / law.exponent);
-            PressRange::about(finger_m, 1e3 * (law.threshold_kpa + ratio * law.reference_kpa))
+            PressRange::about(finger_m, 1e3 * layer.contact.pressure_at_kpa(PatchesLayer::USUAL_CONTACT))
         }
         (Layer::Liquid(layer), _) => PressRange::about(finger_m, denting_pa(layer, finger_m, shorter_m)),
         (Layer::Elements(layer), Some(elements)) => {

@@ -330,10 +330,10 @@ fn fitted_touches_are_an_input_of_sandwiches_that_refine_them() {
     let mut images = vec![0.0; 3 * grid.len()];
     first.images_of(&difference, &mut images).unwrap();
     let [image, contacts, left] = [0, 1, 2].map(|k| &images[k * grid.len()..(k + 1) * grid.len()]);
-    // The pressing disc covers 314 mm^2, and the fit has its centre.
+    // The pressing disc covers 314 mm^2, and the fit has its centre. Its pressure and its radius trade off.
     let covered: f64 = contacts.iter().map(|share| f64::from(*share)).sum();
     let area_mm2 = covered * (1e3 * grid.pixel_m).powi(2);
-    assert!((220.0..420.0).contains(&area_mm2), "{area_mm2} mm^2");
+    assert!((220.0..450.0).contains(&area_mm2), "{area_mm2} mm^2");
     let mean = |axis: usize| {
         let sum: f64 = (0..grid.len()).map(|pixel| f64::from(contacts[pixel]) * grid.centre_m(pixel)[axis]).sum();
         sum / covered

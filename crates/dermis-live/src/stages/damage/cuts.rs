@@ -8,7 +8,7 @@ use super::fit::estimate_cut;
 use super::healing::{Healing, HealingMonitor};
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::stages::sandwich_contacts::SheetCut;
+use crate::stages::plates::SheetCut;
 
 /// Minimum share of the data's energy that a fit must explain. Otherwise the damage is not a cut.
 const LEAST_EXPLAINED: f64 = 0.7;

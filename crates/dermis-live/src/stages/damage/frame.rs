@@ -2,7 +2,7 @@
 
 use dermis_touch::{Baseline, Contact, Touch};
 
-use crate::stages::sandwich_contacts::PatchStage;
+use crate::stages::refinement::Refinement;
 
 /// One frame with its touches.
 #[derive(Clone, Copy)]
@@ -21,8 +21,8 @@ pub(crate) struct DamageFrame<'a> {
     pub touches: &'a [Touch],
     /// Contacts, both those of touches and those too weak to begin one.
     pub contacts: &'a [Contact],
-    /// The stage that fits touches, if used.
-    pub patches: Option<&'a PatchStage>,
+    /// The stage that fits touches.
+    pub refinement: &'a Refinement,
     /// True if anything lies on the skin.
     pub loaded: bool,
 }

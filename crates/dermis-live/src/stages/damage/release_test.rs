@@ -6,40 +6,24 @@ use dermis_skin::GainMatch;
 
 use super::frame::DamageFrame;
 use crate::prepare::Prepared;
-use crate::stages::sandwich_contacts::{ReleaseLook, Released};
 
 /// Minimum share of a change's weighted energy that touches must explain.
 const LEAST_EXPLAINED: f64 = 0.9;
 /// Minimum progress towards the model of an intact sheet, on a scale where damage is 0 and a release is 1.
 const LEAST_NEARER: f64 = 0.5;
 
-/// Starts to test whether `change` (model volts, free skin minus reference, NaN where missing) is the release of a
-/// touch that was present when `reference` (as measured) was taken. `None` if it is not.
-pub(super) fn begin_look(
-    change: &[f64],
-    reference: &[f64],
-    frame: &DamageFrame<'_>,
-    prepared: &Prepared,
-) -> Option<ReleaseLook> {
+/// True if `change` (model volts, free skin minus reference, NaN where missing) is the release of a touch that was
+/// present when `reference` (as measured) was taken.
+pub(super) fn is_release(change: &[f64], reference: &[f64], frame: &DamageFrame<'_>, prepared: &Prepared) -> bool {
     let offset: Vec<f64> =
         reference.iter().zip(frame.scale).zip(&prepared.voltages).map(|((r, scale), v)| scale * r - v).collect();
     // If every channel is scaled to the model individually, the reference cannot deviate from it.
     let knows = prepared.skin.imaging.gain != GainMatch::Channel;
     let nearer = nearer(change, &offset, &prepared.voltages).filter(|_| knows);
     let may_be = nearer.is_none_or(|share| share >= LEAST_NEARER);
-    tracing::debug!(?nearer, "is this fall a touch that has gone?");
-    frame.patches.filter(|_| may_be).and_then(|patches| patches.look_for_release(change))
-}
-
-/// Continues a test, for a limited time per frame. `None` if it must continue in the next one.
-pub(super) fn is_release(look: &mut ReleaseLook, frame: &DamageFrame<'_>) -> Option<bool> {
-    let found = frame.patches.map_or(Released::Unknown, |patches| patches.go_on_looking(look));
-    tracing::debug!(?found, "is this fall a touch that has gone?");
-    match found {
-        Released::UnderWay => None,
-        Released::Unknown => Some(false),
-        Released::Share(explained) => Some(explained >= LEAST_EXPLAINED),
-    }
+    let explained = if may_be { frame.refinement.share_of_release(change) } else { None };
+    tracing::debug!(?nearer, ?explained, "is this fall a touch that has gone?");
+    explained.is_some_and(|share| share >= LEAST_EXPLAINED)
 }
 
 /// Share of a change that leads from the reference's offset towards zero offset, ignoring the common gain:

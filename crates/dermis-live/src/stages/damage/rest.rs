@@ -64,7 +64,7 @@ impl Rest {
         let due = frame.time_ns.saturating_sub(self.looked_ns) as f64 * 1e-9 >= RELEASE_S;
         let alone = !monitor.damages().iter().any(Damage::is_open);
         let seen = alone && readings.frames >= FEWEST_FOR_RELEASE && monitor.is_suspicious();
-        let is_due = due && seen && !frame.loaded && frame.patches.is_some();
+        let is_due = due && seen && !frame.loaded && frame.refinement.knows_releases();
         if is_due {
             self.looked_ns = frame.time_ns;
         }

@@ -11,7 +11,7 @@ use super::cuts::KnownCuts;
 use super::frame::{Adoption, DamageDecision, DamageFrame};
 use super::intact::IntactReference;
 use super::readings::{Readings, mean_difference};
-use super::release_test::{begin_look, is_release};
+use super::release_test::is_release;
 use super::rest::Rest;
 use super::unexplained::Unexplained;
 use super::view::DamageView;
@@ -19,7 +19,7 @@ use super::warmth::{Look, Warmth};
 use crate::Error;
 use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
-use crate::stages::sandwich_contacts::{ReleaseLook, SheetCut};
+use crate::stages::plates::SheetCut;
 
 /// Rises of the touch image below this share of its deepest fall are side lobes of damage not yet in the baseline. On
 /// the sandwich's twin, the lobes of a cut reach 0.62 of its fall, while the falls around a press reach 0.13 of its
@@ -41,8 +41,6 @@ pub(crate) struct DamageStage {
     cuts: KnownCuts,
     unexplained: Unexplained,
     rest: Rest,
-    /// Test in progress whether a suspicion is a released touch.
-    release: Option<ReleaseLook>,
     warmth: Warmth,
     /// Mean readings over frames of a free skin.
     readings: Readings,
@@ -84,7 +82,6 @@ impl DamageStage {
             cuts: KnownCuts::new(prepared)?,
             unexplained: Unexplained::new(),
             rest: Rest::new(channels),
-            release: None,
             warmth: Warmth::default(),
             readings: Readings::with_capacity(channels),
             noise: Vec::new(),
@@ -105,7 +102,6 @@ impl DamageStage {
             self.cuts.retain(self.monitor.damages());
         }
         self.unexplained.clear();
-        self.release = None;
         self.rest.restart();
     }
 
@@ -113,7 +109,6 @@ impl DamageStage {
     pub fn set_noise(&mut self, noise: Vec<f32>) {
         self.noise = noise;
         self.cuts.invalidate_image();
-        self.release = None;
         self.monitor.restart();
     }
 
@@ -189,7 +184,6 @@ impl DamageStage {
         let began = std::mem::replace(&mut self.suspicious, self.monitor.is_suspicious());
         if frame.loaded || (self.suspicious && !began) {
             self.readings.restart();
-            self.release = None;
             self.rest.postpone_look(frame.time_ns);
         }
         self.fit_new_damage(frame, prepared)?;
@@ -242,16 +236,11 @@ impl DamageStage {
     /// the current readings become the intact reference, and a new baseline is proposed, which alone repairs the
     /// image of touches.
     fn look_for_release(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
-        if self.release.is_none() && self.rest.is_look_due(frame, &self.readings, &self.monitor) {
-            let change = self.intact.change_of(&self.readings.mean, frame);
-            self.release = begin_look(&change, self.intact.readings(), frame, prepared);
+        if !self.rest.is_look_due(frame, &self.readings, &self.monitor) {
+            return;
         }
-        if frame.loaded || !self.monitor.is_suspicious() || self.monitor.damages().iter().any(Damage::is_open) {
-            self.release = None;
-        }
-        let Some(is_release) = self.release.as_mut().and_then(|look| is_release(look, frame)) else { return };
-        self.release = None;
-        if is_release {
+        let change = self.intact.change_of(&self.readings.mean, frame);
+        if is_release(&change, self.intact.readings(), frame, prepared) {
             self.intact.set_readings(&self.readings.mean, frame.baseline.drift_factor());
             self.rest.note_release(frame.time_ns);
             self.monitor.dismiss();

@@ -3,32 +3,46 @@
 //! plates in place of `1`, `P = M^-1 - M^-1 B (B' M^-1 B)^-1 B' M^-1`.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
-use super::fit::OF_PATCH;
-use super::sheet::{ContactSheet, Touched};
+use super::sheet::{ContactSheet, OF_PRESS, Touched};
 use crate::eit::{EitError, ForwardModel};
 
-/// Each triangle is divided into the square of this many equal ones to find the plates above it.
+/// Each triangle is divided into the square of this many equal parts to find the plates above it.
 const DIVISIONS: usize = 6;
+/// The parts in each quarter of a triangle that are under the same plate become one point.
+const QUARTERS: usize = 2;
 /// Contacts below this share of the largest are left out: they carry no current.
 const LEAST_CONTACT: f64 = 1e-9;
 
-/// The part of a node's area that is under one plate.
+/// A small part of the sheet under one plate, at which contact is evaluated.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlateCell {
+pub struct PlatePoint {
     /// Centroid, metres.
     pub position_m: [f64; 2],
     /// Area, m^2.
     pub area_m2: f64,
-    node: u32,
-    plate: u32,
+    /// The cell that it belongs to.
+    cell: u32,
 }
 
-/// A sheet under separate plates, prepared for any contacts.
+/// A point before the cells are known: with its plate, and the shares of the corners around it.
+struct Part {
+    position_m: [f64; 2],
+    area_m2: f64,
+    plate: u32,
+    corners: [(u32, f64); 3],
+}
+
+/// A sheet under separate plates, prepared for any contacts. Current flows between sheet and plates in cells: parts of
+/// one plate about as large as the sheet's elements. A cell sees the mean potential of the sheet under it.
 #[derive(Debug)]
 pub struct PlatedSheet {
+    /// The sheet, with its cells in place of nodes.
     sheet: ContactSheet,
-    cells: Vec<PlateCell>,
+    /// Plate of each cell.
+    plates: Vec<u32>,
+    points: Vec<PlatePoint>,
 }
 
 /// Solution for one set of contacts.
@@ -36,9 +50,16 @@ pub struct PlatedSheet {
 pub struct PlateContact {
     /// Change of each channel, volts.
     pub change_v: Vec<f64>,
-    /// The cells in contact, as indices in [`PlatedSheet::cells`], ascending.
-    pub cells: Vec<usize>,
+    /// The cells in contact, ascending.
+    cells: Vec<u32>,
     touched: Touched,
+}
+
+impl PlateContact {
+    /// True if nothing is in contact.
+    pub fn is_open(&self) -> bool {
+        self.cells.is_empty()
+    }
 }
 
 impl PlatedSheet {
@@ -54,32 +75,20 @@ impl PlatedSheet {
         plate_at: impl Fn([f64; 2]) -> Option<u32>,
     ) -> Result<Self, EitError> {
         let (sheet, order) = ContactSheet::with_order(model, sheet_s, 0.0)?;
-        let mesh = &model.body.mesh;
-        let mut place = vec![0; order.len()];
-        order.iter().enumerate().for_each(|(at, &node)| place[node] = at as u32);
-        // Area and moments of each node under each plate.
-        let mut parts: BTreeMap<(u32, u32), [f64; 3]> = BTreeMap::new();
-        let shares = subtriangles();
-        for (nodes, measure) in mesh.elements().zip(mesh.measures()) {
-            let &[a, b, c] = nodes else { continue };
-            let corners = [a, b, c].map(|node| mesh.nodes()[node as usize]);
-            for share in &shares {
-                let [x, y] = [0, 1].map(|axis| (0..3).map(|k| share[k] * corners[k][axis]).sum::<f64>());
-                let Some(plate) = plate_at([x, y]) else { continue };
-                for (node, share) in [a, b, c].into_iter().zip(share) {
-                    let area = measure * share / shares.len() as f64;
-                    let part = parts.entry((place[node as usize], plate)).or_default();
-                    part.iter_mut().zip([area, area * x, area * y]).for_each(|(sum, value)| *sum += value);
-                }
-            }
+        let mut parts = parts_under_plates(model, &order, plate_at);
+        parts.sort_by(|a, b| a.position_m[0].total_cmp(&b.position_m[0]));
+        let cells = cells_of(&parts, sheet.node_spacing_m());
+        let count = cells.iter().max().map_or(0, |last| *last as usize + 1);
+        let (mut means, mut plates) = (vec![Vec::new(); count], vec![0; count]);
+        for (part, &cell) in parts.iter().zip(&cells) {
+            plates[cell as usize] = part.plate;
+            means[cell as usize].extend(part.corners.map(|(node, share)| (node, share * part.area_m2)));
         }
-        let cells = parts.into_iter().map(|((node, plate), [area_m2, x, y])| PlateCell {
-            position_m: [x / area_m2, y / area_m2],
-            area_m2,
-            node,
-            plate,
-        });
-        Ok(Self { cells: cells.collect(), sheet })
+        let point = |(part, cell): (&Part, u32)| {
+            let Part { position_m, area_m2, .. } = *part;
+            PlatePoint { position_m, area_m2, cell }
+        };
+        Ok(Self { sheet: sheet.averaged(&means), plates, points: parts.iter().zip(cells).map(point).collect() })
     }
 
     /// Number of channels.
@@ -92,22 +101,44 @@ impl PlatedSheet {
         self.sheet.bare_v()
     }
 
-    /// All cells that can make contact.
-    pub fn cells(&self) -> &[PlateCell] {
-        &self.cells
+    /// The sheet without its plates, with cells for nodes.
+    pub fn sheet(&self) -> &ContactSheet {
+        &self.sheet
     }
 
-    /// Solves for these contacts: the conductance of each cell, siemens.
+    /// True if one plate covers the whole sheet and so connects all contacts.
+    pub fn has_one_plate(&self) -> bool {
+        self.plates.iter().all(|plate| *plate == self.plates[0])
+    }
+
+    /// All points at which the sheet can make contact, in ascending order of x.
+    pub fn points(&self) -> &[PlatePoint] {
+        &self.points
+    }
+
+    /// The range of the points with x between these values, metres.
+    pub fn points_between(&self, from_m: f64, to_m: f64) -> Range<usize> {
+        let below = |x_m: f64| self.points.partition_point(|point| point.position_m[0] < x_m);
+        below(from_m)..below(to_m).max(below(from_m))
+    }
+
+    /// Solves for these contacts: points (as indices in [`PlatedSheet::points`]) with their conductance per area,
+    /// S/m^2.
     ///
     /// # Errors
     /// A conductance that is not finite.
-    pub fn contact(&self, conductance_s: &[f64]) -> Result<PlateContact, EitError> {
+    pub fn contact(&self, contacts: &[(usize, f64)]) -> Result<PlateContact, EitError> {
+        let mut conductance_s = vec![0.0; self.plates.len()];
+        for &(point, conductance) in contacts {
+            let PlatePoint { area_m2, cell, .. } = self.points[point];
+            conductance_s[cell as usize] += area_m2 * conductance;
+        }
         let largest = conductance_s.iter().copied().fold(0.0, f64::max);
-        let touches = |cell: &usize| conductance_s[*cell] > LEAST_CONTACT * largest;
-        let cells: Vec<usize> = (0..self.cells.len()).filter(touches).collect();
-        let nodes = cells.iter().map(|&cell| self.cells[cell].node).collect();
-        let plates: Vec<u32> = cells.iter().map(|&cell| self.cells[cell].plate).collect();
-        let touched = self.sheet.solve(nodes, cells.iter().map(|&cell| conductance_s[cell]).collect(), &plates)?;
+        let touches = |cell: &u32| conductance_s[*cell as usize] > LEAST_CONTACT * largest;
+        let cells: Vec<u32> = (0..self.plates.len() as u32).filter(touches).collect();
+        let plates: Vec<u32> = cells.iter().map(|&cell| self.plates[cell as usize]).collect();
+        let touched = cells.iter().map(|&cell| conductance_s[cell as usize]).collect();
+        let touched = self.sheet.solve(cells.clone(), touched, &plates)?;
         let change_v = match cells.is_empty() {
             true => vec![0.0; self.channels()],
             false => self.sheet.change_of(&touched),
@@ -115,22 +146,88 @@ impl PlatedSheet {
         Ok(PlateContact { change_v, cells, touched })
     }
 
-    /// Derivatives of the channels with respect to four parameters, channels x parameters, row-major. `moves` are the
-    /// derivatives of the conductances of the cells in contact, siemens per unit of each parameter.
-    pub fn derivatives(&self, contact: &PlateContact, moves: &[[f64; OF_PATCH]]) -> Vec<f64> {
-        let mut jacobian = vec![0.0; self.channels() * OF_PATCH];
+    /// Derivatives of the channels with respect to four parameters, channels x parameters, row-major. `moves` are
+    /// points with the derivatives of their conductance per area, S/m^2 per unit of each parameter.
+    pub fn derivatives(&self, contact: &PlateContact, moves: &[(usize, [f64; OF_PRESS])]) -> Vec<f64> {
+        let mut of_cells = vec![[0.0; OF_PRESS]; self.plates.len()];
+        for (point, by) in moves {
+            let PlatePoint { area_m2, cell, .. } = self.points[*point];
+            of_cells[cell as usize].iter_mut().zip(by).for_each(|(sum, value)| *sum += area_m2 * value);
+        }
+        let mut jacobian = vec![0.0; self.channels() * OF_PRESS];
         let (mut rows, mut relative) = (Vec::new(), Vec::new());
-        for (row, (moves, conductance)) in moves.iter().zip(&contact.touched.conductance_s).enumerate() {
+        for (row, (&cell, conductance)) in contact.cells.iter().zip(&contact.touched.conductance_s).enumerate() {
+            let moves = of_cells[cell as usize];
             if moves.iter().any(|value| *value != 0.0) {
                 rows.push(row);
                 relative.push(moves.map(|value| value / conductance));
             }
         }
         self.sheet.exchange(&contact.touched, &rows, &relative, |channel, parameter, value| {
-            jacobian[OF_PATCH * channel + parameter] = value;
+            jacobian[OF_PRESS * channel + parameter] = value;
         });
         jacobian
     }
+}
+
+/// The parts of the mesh's triangles under the plates. `order` has the index in the mesh of each of the sheet's nodes.
+fn parts_under_plates(model: &ForwardModel, order: &[usize], plate_at: impl Fn([f64; 2]) -> Option<u32>) -> Vec<Part> {
+    let mesh = &model.body.mesh;
+    let mut place = vec![0; order.len()];
+    order.iter().enumerate().for_each(|(at, &node)| place[node] = at as u32);
+    let shares = subtriangles();
+    let mut parts = Vec::new();
+    // Area and moments of the corners' shares of each quarter under each plate.
+    let mut of_triangle: BTreeMap<(usize, u32), [f64; 5]> = BTreeMap::new();
+    for (nodes, measure) in mesh.elements().zip(mesh.measures()) {
+        let &[a, b, c] = nodes else { continue };
+        let corners = [a, b, c].map(|node| mesh.nodes()[node as usize]);
+        of_triangle.clear();
+        for share in &shares {
+            let [x, y] = [0, 1].map(|axis| (0..3).map(|k| share[k] * corners[k][axis]).sum::<f64>());
+            let Some(plate) = plate_at([x, y]) else { continue };
+            let area = measure / shares.len() as f64;
+            let part = of_triangle.entry((quarter(share), plate)).or_default();
+            let added = [x, y, share[0], share[1], share[2]];
+            part.iter_mut().zip(added).for_each(|(sum, value)| *sum += area * value);
+        }
+        for (&(_, plate), [x, y, of_corners @ ..]) in &of_triangle {
+            let area_m2: f64 = of_corners.iter().sum();
+            let corners = [0, 1, 2].map(|k| (place[[a, b, c][k] as usize], of_corners[k] / area_m2));
+            parts.push(Part { position_m: [x / area_m2, y / area_m2], area_m2, plate, corners });
+        }
+    }
+    parts
+}
+
+/// The cell of each part: squares of about this size, which divide the extent of each plate evenly.
+fn cells_of(parts: &[Part], size_m: f64) -> Vec<u32> {
+    let mut extents: BTreeMap<u32, [[f64; 2]; 2]> = BTreeMap::new();
+    for Part { position_m, plate, .. } in parts {
+        let extent = extents.entry(*plate).or_insert([*position_m; 2]);
+        for (axis, at) in position_m.iter().enumerate() {
+            extent[0][axis] = extent[0][axis].min(*at);
+            extent[1][axis] = extent[1][axis].max(*at);
+        }
+    }
+    let key = |part: &Part| {
+        let [low, high] = extents[&part.plate];
+        let [column, row] = [0, 1].map(|axis| {
+            let length_m = high[axis] - low[axis];
+            let count = (length_m / size_m).ceil().max(1.0);
+            let share = (part.position_m[axis] - low[axis]) / length_m.max(f64::MIN_POSITIVE);
+            (share * count).min(count - 1.0) as u32
+        });
+        (part.plate, row, column)
+    };
+    let mut numbers: BTreeMap<(u32, u32, u32), u32> = parts.iter().map(|part| (key(part), 0)).collect();
+    (0..).zip(numbers.values_mut()).for_each(|(number, cell)| *cell = number);
+    parts.iter().map(|part| numbers[&key(part)]).collect()
+}
+
+/// Number of the quarter of a triangle that contains these barycentric coordinates.
+fn quarter(share: &[f64; 3]) -> usize {
+    share.iter().position(|value| *value > 1.0 / QUARTERS as f64).unwrap_or(3)
 }
 
 /// Barycentric coordinates of the centroids of a triangle's equal parts.

@@ -142,8 +142,8 @@ impl PatchSearch {
         Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0, grown: Vec::new(), judged: Vec::new() })
     }
 
-    /// Searches for the best single patch, on later calls the best pair and so on up to four: starting points for
-    /// [`ContactSheet::fit`]. Judges at most `most` sets per call.
+    /// Searches for the best single patch, on later calls the best pair and so on up to four: starting points for a
+    /// fit. Judges at most `most` sets per call.
     pub fn look(&self, sets: &mut PatchSets, most: usize) -> Looked {
         if sets.grown.is_empty() {
             self.grow(sets);

@@ -1,5 +1,6 @@
 //! The bare sheet, and the effect of patches of contact on its channels.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use faer::linalg::solvers::{Llt, Solve};
@@ -8,6 +9,9 @@ use faer::{Mat, MatRef, Side};
 use crate::eit::forward::balanced;
 use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
 use crate::sparse::SparseError;
+
+/// Number of parameters by which the channels are differentiated at once.
+pub(super) const OF_PRESS: usize = 4;
 
 /// A round patch of contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -146,11 +150,10 @@ impl ContactSheet {
         for (cell, measure) in mesh.elements().zip(mesh.measures()) {
             cell.iter().for_each(|&node| areas_m2[node as usize] += measure / cell.len() as f64);
         }
-        let area: f64 = areas_m2.iter().sum();
         let position = |&node: &usize| [mesh.nodes()[node][0], mesh.nodes()[node][1]];
-        let sheet = Self {
+        let mut sheet = Self {
             positions_m: order.iter().map(position).collect(),
-            edge_m: edge_m.max((area / nodes as f64).sqrt()),
+            edge_m,
             areas_m2: order.iter().map(|&node| areas_m2[node]).collect(),
             green: Green { nodes, triangle },
             fields: Mat::from_fn(columns.len(), nodes, |pattern, node| columns[pattern][order[node]]),
@@ -159,7 +162,57 @@ impl ContactSheet {
             measurements: protocol.measurements().to_vec(),
             bare_v: solution.voltages(),
         };
+        sheet.edge_m = edge_m.max(sheet.node_spacing_m());
         Ok((sheet, order))
+    }
+
+    /// The same sheet seen in cells: each is the mean over nodes (with these weights), and takes the place of a node.
+    /// The weights of a cell add up to its area, m^2.
+    pub(super) fn averaged(&self, cells: &[Vec<(u32, f64)>]) -> Self {
+        let areas_m2: Vec<f64> = cells.iter().map(|cell| cell.iter().map(|(_, weight)| weight).sum()).collect();
+        let shares: Vec<Vec<(usize, f64)>> = cells
+            .iter()
+            .zip(&areas_m2)
+            .map(|(cell, area)| {
+                let mut shares: BTreeMap<usize, f64> = BTreeMap::new();
+                cell.iter().for_each(|(node, weight)| *shares.entry(*node as usize).or_default() += weight / area);
+                shares.into_iter().collect()
+            })
+            .collect();
+        let mean = |cell: usize, value: &dyn Fn(usize) -> f64| -> f64 {
+            shares[cell].iter().map(|&(node, share)| share * value(node)).sum()
+        };
+        let green = self.green.whole();
+        let mut triangle = Vec::with_capacity(cells.len() * (cells.len() + 1) / 2);
+        let mut potential = vec![0.0; self.positions_m.len()];
+        for (cell, of_cell) in shares.iter().enumerate() {
+            potential.fill(0.0);
+            for &(node, share) in of_cell {
+                let column = green.col_as_slice(node);
+                potential.iter_mut().zip(column).for_each(|(sum, value)| *sum += share * f64::from(*value));
+            }
+            triangle.extend((cell..cells.len()).map(|other| mean(other, &|node| potential[node]) as f32));
+        }
+        let position = |cell| [0, 1].map(|axis| mean(cell, &|node| self.positions_m[node][axis]));
+        Self {
+            positions_m: (0..cells.len()).map(position).collect(),
+            areas_m2,
+            edge_m: self.edge_m,
+            green: Green { nodes: cells.len(), triangle },
+            fields: Mat::from_fn(self.fields.nrows(), cells.len(), |field, cell| {
+                mean(cell, &|node| self.fields[(field, node)])
+            }),
+            stimulations: self.stimulations,
+            patterns: self.patterns.clone(),
+            measurements: self.measurements.clone(),
+            bare_v: self.bare_v.clone(),
+        }
+    }
+
+    /// Distance between neighbouring nodes, on average, metres.
+    pub(super) fn node_spacing_m(&self) -> f64 {
+        let area: f64 = self.areas_m2.iter().sum();
+        (area / self.areas_m2.len() as f64).sqrt()
     }
 
     /// Number of channels.
@@ -237,8 +290,7 @@ impl ContactSheet {
         self.solve(nodes, conductance_s, &plates)
     }
 
-    /// Solves for contacts at these nodes, in ascending order. `plates` is the conductor above each, and a node under
-    /// the edges of several of them occurs once for each.
+    /// Solves for contacts at these nodes, in ascending order. `plates` is the conductor above each.
     pub(super) fn solve(&self, nodes: Vec<u32>, conductance_s: Vec<f64>, plates: &[u32]) -> Result<Touched, EitError> {
         let (count, fields) = (nodes.len(), self.field_count());
         if count == 0 {
@@ -279,6 +331,46 @@ impl ContactSheet {
         let level = Llt::new(sums(alone).as_ref(), Side::Lower).map_err(singular)?;
         let currents = driven - alone * level.solve(sums(driven));
         Ok(Touched { nodes, conductance_s, currents, common })
+    }
+
+    /// Derivatives of the channels with respect to [`OF_PRESS`] parameters. `rows` are the touched nodes that
+    /// depend on them, and `moves` the derivatives of their conductances, divided by the conductances.
+    pub(super) fn exchange(
+        &self,
+        touched: &Touched,
+        rows: &[usize],
+        moves: &[[f64; OF_PRESS]],
+        mut set: impl FnMut(usize, usize, f64),
+    ) {
+        let (measuring, stimulations) = (self.measuring(), self.stimulations);
+        let mut measured = Mat::<f64>::zeros(rows.len(), measuring.len());
+        for (field, column) in measured.col_iter_mut().enumerate() {
+            let currents = touched.currents.col(measuring.start + field);
+            column.iter_mut().zip(rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
+        }
+        let mut driven = Mat::<f64>::zeros(rows.len(), OF_PRESS * stimulations);
+        for (column, values) in driven.col_iter_mut().enumerate() {
+            let (j, stimulation) = (column / stimulations, column % stimulations);
+            let currents = touched.currents.col(stimulation);
+            for ((value, &row), by) in values.iter_mut().zip(rows).zip(moves) {
+                *value = by[j] * currents[row];
+            }
+        }
+        let exchange = measured.transpose() * &driven;
+        for (number, channel) in self.measurements.iter().enumerate() {
+            for j in 0..OF_PRESS {
+                let column = j * stimulations + channel.stimulation as usize;
+                set(number, j, -self.measured(channel, |field| exchange[(field - measuring.start, column)]));
+            }
+        }
+    }
+
+    pub(super) fn check_frame(&self, change_v: &[f64], deviation_v: &[f64]) -> Result<(), EitError> {
+        let expected = self.channels();
+        match [change_v.len(), deviation_v.len()].into_iter().find(|length| *length != expected) {
+            Some(got) => Err(EitError::ChannelCount { expected, got }),
+            None => Ok(()),
+        }
     }
 
     pub(super) fn change_of(&self, touched: &Touched) -> Vec<f64> {

@@ -1,5 +1,5 @@
 //! Compares contacts with the same contacts as a floating electrode of the complete electrode model, compares
-//! derivatives with differences, and tests fits and searches on known patches.
+//! derivatives with differences, and tests searches on known patches.
 
 use super::*;
 use crate::eit::{Drive, Driven, EitError, ForwardModel, Measure, Order, Pattern, Protocol, ProtocolSpec};
@@ -123,22 +123,12 @@ fn next(search: &PatchSearch, sets: &mut PatchSets) -> Vec<ContactPatch> {
 }
 
 #[test]
-fn known_patches_are_found_and_fitted() {
+fn known_patches_are_found() {
     let sheet = sheet();
     let places: Vec<[f64; 2]> =
         (0..81).map(|k| [f64::from(k % 9) - 4.0, f64::from(k / 9) - 4.0].map(|v| 10e-3 * v)).collect();
     let typical = ContactPatch { position_m: [0.0; 2], radius_m: 10e-3, conductance_s_per_m2: 500.0 };
     let search = PatchSearch::new(&sheet, typical, &places).unwrap();
-    let options = FitOptions {
-        radius_m: 10e-3,
-        radius_log_deviation: 0.5,
-        most_radius_m: f64::INFINITY,
-        // The data hardly separate radius and conductance. The prior decides, and is correct here.
-        conductance_s_per_m2: 600.0,
-        conductance_log_deviation: 0.5,
-        gain_deviation: 0.0,
-        most_steps: 30,
-    };
     let truth = [
         vec![patch(7.0, -12.0, 9.0)],
         vec![patch(-25.0, 12.0, 10.0), patch(14.0, -23.0, 12.0)],
@@ -149,81 +139,15 @@ fn known_patches_are_found_and_fitted() {
         let deviation = vec![1e-3 * norm(&change) / (change.len() as f64).sqrt(); change.len()];
         let mut sets = search.begin(&sheet, &change, &deviation).unwrap();
         let starts: Vec<_> = (0..3).map(|_| next(&search, &mut sets)).collect();
-        let mut left = Vec::new();
-        let (fits, summary) = sheet.fit(&change, &deviation, &starts[patches.len() - 1], &options, &mut left).unwrap();
-        assert!(summary.misfit < 1.0, "{patches:?}: {summary:?}");
         for truth in &patches {
-            let distance = |f: &ContactFit| {
-                let at = f.patch.position_m;
+            let distance = |patch: &ContactPatch| {
+                let at = patch.position_m;
                 (at[0] - truth.position_m[0]).hypot(at[1] - truth.position_m[1])
             };
-            let near = fits.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
-            // The data are noise-free; only the pull of the prior remains.
-            assert!(distance(near) < 2e-4, "{} m off", distance(near));
-            // Radius and conductance trade off against each other; only their combined effect on a uniform current is
-            // determined.
-            assert!((near.patch.radius_m / truth.radius_m - 1.0).abs() < 0.1, "{near:?} for {truth:?}");
+            let near = starts[patches.len() - 1].iter().map(distance).fold(f64::INFINITY, f64::min);
+            // A position between four of the grid is at most 7.1 mm from one of them; the next best is 5 mm further.
+            assert!(near < 12.1e-3, "{near} m off");
         }
-    }
-}
-
-#[test]
-fn a_change_of_all_voltages_displaces_no_patch_where_it_is_allowed_for() {
-    let sheet = sheet();
-    let truth = patch(-20.0, 10.0, 10.0);
-    let gain = -0.008;
-    let bare = sheet.bare_v().iter();
-    let change: Vec<f64> = sheet.change_v(&[truth]).unwrap().iter().zip(bare).map(|(v, b)| v + gain * b).collect();
-    let deviation = vec![1e-3 * norm(&change) / (change.len() as f64).sqrt(); change.len()];
-    let start = [patch(-18.0, 11.0, 9.0)];
-    let off_m = |gain_deviation: f64| {
-        let options = FitOptions {
-            radius_m: 10e-3,
-            radius_log_deviation: 0.5,
-            most_radius_m: f64::INFINITY,
-            conductance_s_per_m2: truth.conductance_s_per_m2,
-            conductance_log_deviation: 0.5,
-            gain_deviation,
-            most_steps: 30,
-        };
-        let mut fit = sheet.begin_fit(&start).unwrap();
-        let mut left = Vec::new();
-        let (fits, summary) = sheet.go_on(&change, &deviation, &mut fit, &options, &mut left).unwrap();
-        let at = fits[0].patch.position_m;
-        let off_m = (at[0] - truth.position_m[0]).hypot(at[1] - truth.position_m[1]);
-        println!("{gain_deviation}: {off_m:.2e} m off, gain {:.5}, {summary:?}", fit.gain());
-        (off_m, fit.gain(), norm(&left) / norm(&change))
-    };
-    let (displaced_m, none, _) = off_m(0.0);
-    assert!(displaced_m > 1e-3 && none == 0.0, "{displaced_m}");
-    // The prior shrinks the gain by about one over its size in standard deviations of the data, thousands here.
-    let (off_m, found, left) = off_m(0.008);
-    assert!(off_m < 1e-4 && (found - gain).abs() < 1e-4 && left < 1e-3, "{off_m} {found} {left}");
-}
-
-#[test]
-fn derivatives_are_those_of_differences() {
-    let sheet = sheet();
-    let patches = [patch(-20.0, 10.0, 10.3), patch(20.0, -12.0, 11.2)];
-    let derivatives = sheet.derivatives(&patches, &sheet.touch(&patches).unwrap());
-    for parameter in 0..8 {
-        // Steps stay well within the 3 mm over which an edge is blurred.
-        let moved = |sign: f64| {
-            let mut moved = patches;
-            let patch = &mut moved[parameter / 4];
-            match parameter % 4 {
-                0 => patch.position_m[0] += sign * 1e-7,
-                1 => patch.position_m[1] += sign * 1e-7,
-                2 => patch.radius_m *= (sign * 1e-5).exp(),
-                _ => patch.conductance_s_per_m2 *= (sign * 1e-5).exp(),
-            }
-            sheet.change_v(&moved).unwrap()
-        };
-        let step = if parameter % 4 < 2 { 1e-7 } else { 1e-5 };
-        let by_difference: Vec<f64> = moved(1.0).iter().zip(moved(-1.0)).map(|(a, b)| (a - b) / (2.0 * step)).collect();
-        let column: Vec<f64> = derivatives.chunks_exact(8).map(|row| row[parameter]).collect();
-        let off = difference(&column, &by_difference);
-        assert!(off < 1e-4, "parameter {parameter}: {off}");
     }
 }
 
@@ -241,14 +165,14 @@ fn plates_are_separate_floating_electrodes() {
     let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
     let plated = |plate_at: &dyn Fn([f64; 2]) -> Option<u32>| PlatedSheet::new(&model, &sheet_s, plate_at).unwrap();
     let patches = [patch(-18.0, 5.0, 9.0), patch(16.0, -4.0, 9.0)];
-    let conductance = |sheet: &PlatedSheet| -> Vec<f64> {
+    let conductance = |sheet: &PlatedSheet| -> Vec<(usize, f64)> {
         let covers = |p: &ContactPatch, at: [f64; 2]| {
             let off_m = (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]);
             // Blurred over a node's size, as the patches of a sandwich are.
             ((p.radius_m - off_m) / 2e-3 + 0.5).clamp(0.0, 1.0)
         };
         let share = |at| patches.iter().map(|p| covers(p, at)).fold(0.0, f64::max);
-        sheet.cells().iter().map(|cell| 600.0 * cell.area_m2 * share(cell.position_m)).collect()
+        sheet.points().iter().map(|point| 600.0 * share(point.position_m)).enumerate().collect()
     };
     let separate = plated(&|at| Some(u32::from(at[0] > 0.0)));
     let apart = separate.contact(&conductance(&separate)).unwrap().change_v;
@@ -271,22 +195,17 @@ fn derivatives_of_plates_agree_with_differences() {
     };
     let sheet = PlatedSheet::new(&model, &sheet_s, stripe).unwrap();
     // A bump of contact that moves in x and grows.
-    let conductance = |x_m: f64, log: f64| -> Vec<f64> {
-        let of = |cell: &PlateCell| {
-            let square = (cell.position_m[0] - x_m).powi(2) + cell.position_m[1].powi(2);
-            log.exp() * 300.0 * cell.area_m2 * (-square / 2e-4).exp()
+    let conductance = |x_m: f64, log: f64| -> Vec<(usize, f64)> {
+        let of = |point: &PlatePoint| {
+            let square = (point.position_m[0] - x_m).powi(2) + point.position_m[1].powi(2);
+            log.exp() * 300.0 * (-square / 2e-4).exp()
         };
-        sheet.cells().iter().map(of).collect()
+        sheet.points().iter().map(of).enumerate().collect()
     };
-    let at = sheet.contact(&conductance(3e-3, 0.0)).unwrap();
-    let moves: Vec<[f64; 4]> = at
-        .cells
-        .iter()
-        .map(|&cell| {
-            let g = conductance(3e-3, 0.0)[cell];
-            [g * (sheet.cells()[cell].position_m[0] - 3e-3) / 1e-4, 0.0, g, 0.0]
-        })
-        .collect();
+    let contacts = conductance(3e-3, 0.0);
+    let at = sheet.contact(&contacts).unwrap();
+    let by_x = |point: usize| (sheet.points()[point].position_m[0] - 3e-3) / 1e-4;
+    let moves: Vec<_> = contacts.iter().map(|&(point, g)| (point, [g * by_x(point), 0.0, g, 0.0])).collect();
     let jacobian = sheet.derivatives(&at, &moves);
     for (parameter, [x, log]) in [(0, [1e-6, 0.0]), (2, [0.0, 1e-4])] {
         let change = |sign: f64| sheet.contact(&conductance(3e-3 + sign * x, sign * log)).unwrap().change_v;
