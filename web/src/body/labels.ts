@@ -1,6 +1,7 @@
 // Names and forces over the robot: text of the page, so that it stays readable at every zoom. A name stands off its
 // skin along the normal and keeps clear of others.
 
+import type { Vector3 } from "three";
 import { write } from "../rows";
 import type { BodyState } from "./protocol";
 import type { Robot } from "./robot";
@@ -19,6 +20,9 @@ interface Box {
   width: number;
   height: number;
 }
+
+/** True if a skin with this outward normal shows its back. On a skin seen from the side, arrows are seen well. */
+const isAway = (at: Vector3, outward: Vector3, stage: Stage) => outward.dot(stage.camera.position.clone().sub(at).normalize()) < -0.2;
 
 const overlap = (a: Box, b: Box) => Math.abs(a.x - b.x) < (a.width + b.width) / 2 + GAP && Math.abs(a.y - b.y) < (a.height + b.height) / 2 + GAP;
 
@@ -77,7 +81,6 @@ export class Labels {
       const { box, line, sizes } = this.names[number];
       const at = skin.group.localToWorld(skin.middle.clone());
       const outward = skin.normal.clone().transformDirection(skin.group.matrixWorld);
-      const isFacing = outward.dot(stage.camera.position.clone().sub(at)) > 0;
       const [from, to] = [stage.project(at), stage.project(at.clone().addScaledVector(outward, 0.05))];
       const isSeen = from !== null && to !== null && skin.group.parent!.visible;
       box.hidden = !isSeen;
@@ -102,7 +105,7 @@ export class Labels {
       }
       taken.push(put);
       box.style.transform = `translate(${(put.x - w / 2).toFixed(1)}px, ${(put.y - h / 2).toFixed(1)}px)`;
-      box.classList.toggle("away", !isFacing);
+      box.classList.toggle("away", isAway(at, outward, stage));
       const ends = { x1: from.x, y1: from.y, x2: put.x, y2: put.y };
       for (const [name, value] of Object.entries(ends)) line.setAttribute(name, value.toFixed(1));
     });
@@ -112,7 +115,7 @@ export class Labels {
   private moveForces(robot: Robot, stage: Stage): void {
     const shown = new Set<string>();
     for (const skin of robot.skins) {
-      for (const { key, at, text } of skin.labels()) {
+      for (const { key, at, outward, text } of skin.labels()) {
         const seen = stage.project(at);
         if (!seen) continue;
         shown.add(key);
@@ -123,7 +126,8 @@ export class Labels {
           this.place.append(label);
         }
         write(label, text);
-        label.style.transform = `translate(${seen.x.toFixed(1)}px, ${seen.y.toFixed(1)}px) translate(-50%, -100%)`;
+        label.classList.toggle("away", isAway(at, outward, stage));
+        label.style.transform = `translate(${seen.x.toFixed(1)}px, ${seen.y.toFixed(1)}px) translate(-50%, calc(-100% - 4px))`;
       }
     }
     for (const [key, label] of this.forces) {

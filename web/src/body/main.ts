@@ -77,12 +77,11 @@ function receive(next: BodyState): void {
   robot.show(next);
   labels.tell(next, robot);
   presser.flush();
-  stage.touch();
+  stage.moved();
   if (isFramed) return;
   isFramed = true;
   find("wait").hidden = true;
   stage.paint();
-  stage.view("fit");
 }
 
 function showLink(link: Link, detail: string): void {
@@ -195,7 +194,7 @@ countShown();
 /** For tests and for the curious: where things are in the window and in the root's frame. */
 Object.assign(window, {
   dermisBody: {
-    state: () => state,
+    state: () => state, stage,
     /** The point of a skin above a place on its flattened sheet: in the root's frame, millimetres, and in the window. */
     place(name: string, x_mm: number, y_mm: number) {
       const skin = robot?.skins.find(({ patch }) => patch.name === name);

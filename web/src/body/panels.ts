@@ -6,7 +6,7 @@ import type { Robot } from "./robot";
 
 const MOST_MESSAGES = 50;
 /** Columns of the list of patches. */
-const PATCH_CELLS = 8;
+const PATCH_CELLS = 7;
 /** A slider that somebody has moved keeps its value for this long, until the server tells the same. */
 const HOLD_MS = 600;
 
@@ -47,7 +47,12 @@ export class Panels {
     badge.textContent = twins === scene.patches.length ? "digital twins" : `${twins} of ${scene.patches.length} are twins`;
     find("badges").replaceChildren(...(twins > 0 ? [badge] : []));
     this.patchRows = scene.patches.map((patch, number) => this.patchRow(patch, number));
-    find("patches").replaceChildren(...this.patchRows);
+    const problem = () => {
+      const row = Object.assign(document.createElement("tr"), { className: "problem", hidden: true });
+      row.insertCell().colSpan = PATCH_CELLS;
+      return row;
+    };
+    find("patches").replaceChildren(...this.patchRows.flatMap((row) => [row, problem()]));
     find("signed-legend").hidden = !scene.patches.some(({ running }) => (running?.range_hint?.[0] ?? 0) < 0);
     this.beginJoints(scene);
   }
@@ -102,13 +107,15 @@ export class Panels {
     state.patches.forEach((patch, number) => {
       const row = this.patchRows[number];
       this.patchState(row, number, state);
-      const live = patch.touches.filter(({ phase }) => phase !== "end").length;
       const [low, high] = robot.skins[number].shownRange;
       const scale = this.scene!.patches[number].running ? (low < 0 ? `± ${brief(high)}` : brief(high)) : "–";
-      const p99 = patch.latency_p99_ms === null ? "–" : patch.latency_p99_ms.toFixed(1);
-      const texts = [String(live), patch.fps > 0 ? patch.fps.toFixed(1) : "–", p99, String(patch.lost), scale];
+      const p99 = patch.latency_p99_ms === null ? "–" : patch.latency_p99_ms.toFixed(patch.latency_p99_ms < 10 ? 1 : 0);
+      const texts = [patch.fps > 0 ? patch.fps.toFixed(1) : "–", p99, String(patch.lost), scale];
       texts.forEach((text, index) => write(row.cells[index + 3], text));
+      // Twins skip frames that the computer is too slow for; an instrument's are lost.
+      row.classList.toggle("lossy", patch.lost > 0 && !this.scene!.patches[number].running?.is_twin);
     });
+    find("patches").parentElement!.classList.toggle("no-guard", state.patches.every(({ guard }) => guard === null));
   }
 
   private patchRow(patch: Patch, number: number): HTMLTableRowElement {
@@ -122,9 +129,7 @@ export class Panels {
     kind.className = patch.running?.is_twin ? "badge source twin" : "badge source";
     kind.textContent = patch.running?.is_twin ? "twin" : patch.skin;
     kind.title = patch.skin;
-    const problem = document.createElement("span");
-    problem.className = "problem";
-    row.cells[0].append(name, " ", kind, problem);
+    row.cells[0].append(name, " ", kind);
     for (const cell of [row.cells[1], row.cells[2]]) cell.append(Object.assign(document.createElement("span"), { className: "chip" }));
     row.addEventListener("pointerenter", () => this.pointed(number));
     row.addEventListener("pointerleave", () => this.pointed(-1));
@@ -138,11 +143,14 @@ export class Panels {
     const [stateChip, guardChip] = [row.cells[1].firstElementChild as HTMLElement, row.cells[2].firstElementChild as HTMLElement];
     write(stateChip, isPlaced || now.state !== "running" ? now.state : "joints stale");
     stateChip.dataset.level = now.state === "running" ? (isPlaced ? "good" : "warn") : now.state === "failed" ? "bad" : now.state === "silent" ? "warn" : "";
-    write(guardChip, now.guard?.verdict ?? "none");
+    write(guardChip, now.guard?.verdict ?? "");
     guardChip.dataset.level = now.guard ? { ok: "good", stale: "warn", stop: "bad" }[now.guard.verdict] : "";
     guardChip.title = now.guard?.reasons.join(", ") ?? "";
     const left = now.channels_left_out > 0 ? `${now.channels_left_out} channels left out` : "";
-    write(row.querySelector(".problem")!, [now.problem ?? "", left].filter(Boolean).join("; "));
+    const problem = row.nextElementSibling as HTMLTableRowElement;
+    write(problem.cells[0], [now.problem ?? "", left].filter(Boolean).join("; "));
+    problem.dataset.state = now.state;
+    problem.hidden = problem.cells[0].textContent === "";
   }
 
   private touches(state: BodyState): void {
@@ -150,10 +158,10 @@ export class Panels {
     write(find("touch-count"), String(live.length));
     const cells = live.map(([number, touch]): [string, string[]] => {
       const placed = touch.in_root ?? touch.in_patch;
-      const sigma = touch.force_n !== null && touch.sigma_force_n !== null ? ` ± ${touch.sigma_force_n.toPrecision(1)}` : "";
+      const sigma = touch.force_n !== null && touch.sigma_force_n !== null ? ` ± ${touch.sigma_force_n.toFixed(2)}` : "";
       const force = touch.force_n === null ? "–" : touch.force_n.toFixed(2) + sigma;
       const name = `${this.scene!.patches[number].name} ${touch.id}`;
-      return [`${number}:${touch.id}`, [touch.in_root ? name : `${name} (on the patch)`, ...placed.position_mm.map((mm) => mm.toFixed(1)), placed.sigma_mm.map((mm) => mm.toFixed(1)).join(" × "), force]];
+      return [`${number}:${touch.id}`, [touch.in_root ? name : `${name} (on the patch)`, ...placed.position_mm.map((mm) => mm.toFixed(1)), Math.max(...placed.sigma_mm).toFixed(1), force]];
     });
     rows(find("touches"), new Map(cells)).forEach((row, index) => {
       const [number, touch] = live[index];

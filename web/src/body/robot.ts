@@ -77,8 +77,12 @@ export class Robot {
     this.group.updateMatrixWorld(true);
   }
 
-  /** The box that the robot fills, in the root's frame. */
-  box(): THREE.Box3 {
-    return new THREE.Box3().setFromObject(this.group);
+  /** Corners of boxes around links and skins, in the root's frame. */
+  corners(): THREE.Vector3[] {
+    return [...this.solids, ...this.skins.map(({ mesh }) => mesh)].flatMap(({ geometry, matrixWorld }) => {
+      if (!geometry.boundingBox) geometry.computeBoundingBox();
+      const { min, max } = geometry.boundingBox!;
+      return Array.from({ length: 8 }, (_, k) => new THREE.Vector3(k & 1 ? max.x : min.x, k & 2 ? max.y : min.y, k & 4 ? max.z : min.z).applyMatrix4(matrixWorld));
+    });
   }
 }

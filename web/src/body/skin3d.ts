@@ -2,6 +2,9 @@
 // in the patch's frame and moves with its link.
 
 import * as THREE from "three";
+import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
+import { LineSegments2 } from "three/examples/jsm/lines/LineSegments2.js";
+import { LineSegmentsGeometry } from "three/examples/jsm/lines/LineSegmentsGeometry.js";
 import { Range, paint, table } from "../colour";
 import type { Point } from "../protocol";
 import { Rim } from "../rim";
@@ -15,7 +18,9 @@ const MM = 1e-3;
 /** How a skin is drawn. */
 export type Look = "live" | "starting" | "silent" | "failed" | "ended";
 
-const RIM_COLOURS: Record<Look | "stop" | "stale", number> = { live: 0x8fd3e0, starting: 0x93a1b0, silent: 0xe9a94b, failed: 0xff5a4a, ended: 0x93a1b0, stop: 0xff3b30, stale: 0xe9a94b };
+/** Width of rims, pixels. */
+const RIM_PX = { usual: 2, alarm: 4 };
+const RIM_COLOURS: Record<Look | "stop" | "stale", number> = { live: 0x35a7bd, starting: 0x93a1b0, silent: 0xe9a94b, failed: 0xff5a4a, ended: 0x93a1b0, stop: 0xff3b30, stale: 0xe9a94b };
 const BACK = new THREE.MeshLambertMaterial({ color: 0x2b333b, side: THREE.BackSide });
 
 export class Skin3d {
@@ -33,7 +38,7 @@ export class Skin3d {
   private readonly flipped: Uint32Array;
   private readonly outside: Rim | null;
   private readonly material: THREE.MeshBasicMaterial;
-  private readonly rims: THREE.LineBasicMaterial;
+  private readonly rims = new LineMaterial({ linewidth: RIM_PX.usual, transparent: true });
   private readonly touches = new Map<number, Touch3d>();
   private readonly presses = new Map<number, THREE.Mesh>();
 
@@ -77,12 +82,11 @@ export class Skin3d {
     this.material = new THREE.MeshBasicMaterial({ map: this.texture, transparent: true });
     this.mesh = new THREE.Mesh(geometry, this.material);
     this.mesh.userData.skin = this;
-    this.rims = new THREE.LineBasicMaterial({ color: RIM_COLOURS.live, transparent: true });
     this.group.add(this.mesh, new THREE.Mesh(geometry, BACK));
     for (const rim of surface.rims_mm) {
-      const line = new THREE.BufferGeometry();
-      line.setAttribute("position", new THREE.BufferAttribute(new Float32Array(rim).map((mm) => MM * mm), 3));
-      this.group.add(new THREE.LineLoop(line, this.rims));
+      const ends: number[] = [];
+      for (let k = 0; k < rim.length; k += 3) for (let c = 0; c < 6; c += 1) ends.push(MM * rim[(k + c) % rim.length]);
+      this.group.add(new LineSegments2(new LineSegmentsGeometry().setPositions(ends), this.rims));
     }
     this.place();
     const [x, y, z, ...turn] = patch.link_from_patch;
@@ -127,7 +131,10 @@ export class Skin3d {
     this.material.color.setHex(plain);
     this.material.opacity = isPlaced ? 1 : 0.4;
     const alarm = isLive && verdict !== "ok" ? verdict : null;
+    const isAlarm = alarm !== null || look === "failed" || look === "silent";
     this.rims.color.setHex(RIM_COLOURS[alarm ?? look]);
+    this.rims.linewidth = isAlarm ? RIM_PX.alarm : RIM_PX.usual;
+    this.rims.opacity = isPlaced ? 1 : 0.5;
   }
 
   show(touches: BodyTouch[]): void {
@@ -150,8 +157,8 @@ export class Skin3d {
   }
 
   /** Labels of the touches: where they stand in the root's frame, and their text. */
-  labels(): { key: string; at: THREE.Vector3; text: string }[] {
-    return [...this.touches].map(([id, touch]) => ({ key: `${this.number}:${id}`, at: touch.labelAt(), text: touch.text }));
+  labels(): { key: string; at: THREE.Vector3; outward: THREE.Vector3; text: string }[] {
+    return [...this.touches].map(([id, touch]) => ({ key: `${this.number}:${id}`, at: touch.labelAt(), outward: touch.outward(), text: touch.text }));
   }
 
   /** Place on the flattened sheet of a ray's hit. */

@@ -5,14 +5,28 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import type { Robot } from "./robot";
 
 /** Directions from which to look, root's frame: x forward, y left, z up. */
-export const VIEWS = { fit: [1, 0.62, 0.5], front: [1, 0, 0.0001], left: [0, 1, 0.0001], back: [-1, 0, 0.0001], above: [0.0001, 0, 1] } as const;
+export const VIEWS = { fit: [1, -0.6, 0.5], front: [1, 0, 0.0001], left: [0, 1, 0.0001], back: [-1, 0, 0.0001], above: [0.0001, 0, 1] } as const;
 export type ViewName = keyof typeof VIEWS;
 
-/** Share of the view that the robot fills. */
-const FILL = 1.15;
+/** Share of the view's height and width that the robot fills at most: names stand around it. */
+const FILL = 0.92;
+/** Size of a cell of space, metres, and most cells to remember. */
+const SEEN_M = 0.05;
+const MOST_SEEN = 20_000;
+/** Length of the root's axes, metres. */
+const AXES_M = 0.15;
 /** Turn and zoom of a key press. */
 const KEY_TURN = Math.PI / 24;
 const KEY_ZOOM = 1.1;
+
+/** True if the processor draws instead of a graphics card: then shadows and smooth edges cost too much. */
+function drawsByProcessor(): boolean {
+  const context = document.createElement("canvas").getContext("webgl2");
+  const more = context?.getExtension("WEBGL_debug_renderer_info");
+  const name = String(context?.getParameter(more?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER));
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
 
 export class Stage {
   readonly camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
@@ -28,20 +42,30 @@ export class Stage {
   private readonly light = new THREE.DirectionalLight(0xffffff, 1.9);
   private isStale = true;
   private robot: Robot | null = null;
+  /** Places where the robot has been, one per cell of space. */
+  private readonly seen = new Map<string, THREE.Vector3>();
+  /** The view that follows the robot until somebody moves the camera. */
+  private followed: ViewName | null = "fit";
 
   constructor(private readonly place: HTMLElement) {
     THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
     this.camera.up.set(0, 0, 1);
-    this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    const isSlow = drawsByProcessor();
+    this.renderer = new THREE.WebGLRenderer({ antialias: !isSlow, alpha: true });
+    this.renderer.setPixelRatio(isSlow ? 1 : Math.min(window.devicePixelRatio, 2));
     this.canvas = this.renderer.domElement;
     place.prepend(this.canvas);
+    this.renderer.shadowMap.enabled = !isSlow;
     this.controls = new OrbitControls(this.camera, this.canvas);
     this.controls.enableDamping = false;
     this.controls.minDistance = 0.05;
     this.controls.maxDistance = 50;
     this.controls.addEventListener("change", () => this.touch());
-    this.light.position.set(2, 1.2, 3);
+    this.controls.addEventListener("start", () => (this.followed = null));
+    this.light.position.set(1.5, 1.2, 3);
+    this.light.castShadow = true;
+    this.light.shadow.mapSize.set(1024, 1024);
+    this.light.shadow.bias = -1e-3;
     const fill = new THREE.DirectionalLight(0xffffff, 0.5);
     fill.position.set(-2, -1.5, 1);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 1.5), this.light, fill, this.grid);
@@ -59,6 +83,19 @@ export class Stage {
     if (this.robot) this.scene.remove(this.robot.group);
     this.robot = robot;
     this.scene.add(robot.group);
+    this.seen.clear();
+    this.followed = "fit";
+  }
+
+  /** The robot has moved. The view widens with it, unless somebody has moved the camera. */
+  moved(): void {
+    const before = this.seen.size;
+    for (const point of this.robot?.corners() ?? []) {
+      const key = point.toArray().map((m) => Math.round(m / SEEN_M)).join();
+      if (!this.seen.has(key) && this.seen.size < MOST_SEEN) this.seen.set(key, point);
+    }
+    if (this.seen.size > before && this.followed) this.view(this.followed);
+    this.touch();
   }
 
   /** Something has changed: draw again. */
@@ -79,7 +116,7 @@ export class Stage {
   private ground(minor: string, major: string): void {
     this.grid.clear();
     if (!this.robot) return;
-    const box = this.robot.box();
+    const box = new THREE.Box3().setFromPoints(this.robot.corners());
     const size = box.getSize(new THREE.Vector3());
     const half = Math.max(1, Math.ceil(1.2 * Math.max(size.x, size.y)));
     const lines = (step: number, colour: string) => {
@@ -87,28 +124,41 @@ export class Stage {
       grid.position.z = Math.min(box.min.z, 0) - 1e-3;
       return grid;
     };
-    this.grid.add(lines(0.1, minor), lines(0.5, major), new THREE.AxesHelper(0.15));
+    const axes = new THREE.AxesHelper(AXES_M);
+    // Seen through the link that they are in.
+    Object.assign(axes.material, { depthTest: false, transparent: true, opacity: 0.9 });
+    axes.renderOrder = 2;
+    // Only the ground shows shadows: on the robot they would hide what a skin says.
+    const ground = new THREE.Mesh(new THREE.PlaneGeometry(4 * half, 4 * half), new THREE.ShadowMaterial({ opacity: 0.22 }));
+    ground.position.z = Math.min(box.min.z, 0) - 2e-3;
+    ground.receiveShadow = true;
+    Object.assign(this.light.shadow.camera, { left: -half, right: half, top: half, bottom: -half, near: 0.1, far: 10 * half });
+    this.light.shadow.camera.updateProjectionMatrix();
+    this.grid.add(ground, lines(0.1, minor), lines(0.5, major), axes);
   }
 
-  /** Looks at the whole robot from one side. */
+  /** Looks at all places where the robot has been, from one side. */
   view(name: ViewName): void {
-    if (!this.robot) return;
-    const box = this.robot.box();
-    const middle = box.getCenter(new THREE.Vector3());
-    const direction = new THREE.Vector3(...VIEWS[name]).normalize();
-    // The farthest corner, seen from there, must fit into height and width.
-    const basis = new THREE.Matrix4().lookAt(direction, new THREE.Vector3(), this.camera.up);
-    const [right, up, back] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3()];
-    basis.extractBasis(right, up, back);
-    const tall = Math.tan((this.camera.fov * Math.PI) / 360);
-    let distance = 0.1;
-    for (let k = 0; k < 8; k += 1) {
-      const corner = new THREE.Vector3(k & 1 ? box.max.x : box.min.x, k & 2 ? box.max.y : box.min.y, k & 4 ? box.max.z : box.min.z).sub(middle);
-      const near = corner.dot(direction);
-      distance = Math.max(distance, near + Math.abs(corner.dot(up)) / tall, near + Math.abs(corner.dot(right)) / (tall * this.camera.aspect));
+    if (this.seen.size === 0) return;
+    this.followed = name;
+    const back = new THREE.Vector3(...VIEWS[name]).normalize();
+    const right = new THREE.Vector3().crossVectors(this.camera.up, back).normalize();
+    const up = new THREE.Vector3().crossVectors(back, right);
+    // The nearest camera at (r, u, b) that has every point p within its slopes: |p.right - r| <= slope (b - p.back),
+    // and the same upwards.
+    const tall = FILL * Math.tan((this.camera.fov * Math.PI) / 360);
+    const wide = tall * this.camera.aspect;
+    const most = [-Infinity, -Infinity, -Infinity, -Infinity];
+    let [depths, count] = [0, 0];
+    for (const point of this.seen.values()) {
+      const [r, u, b] = [point.dot(right), point.dot(up), point.dot(back)];
+      [r + wide * b, -r + wide * b, u + tall * b, -u + tall * b].forEach((value, side) => (most[side] = Math.max(most[side], value)));
+      [depths, count] = [depths + b, count + 1];
     }
-    this.camera.position.copy(middle).addScaledVector(direction, FILL * distance);
-    this.controls.target.copy(middle);
+    const distance = Math.max((most[0] + most[1]) / (2 * wide), (most[2] + most[3]) / (2 * tall));
+    const middle = new THREE.Vector3().addScaledVector(right, (most[0] - most[1]) / 2).addScaledVector(up, (most[2] - most[3]) / 2);
+    this.camera.position.copy(middle).addScaledVector(back, distance);
+    this.controls.target.copy(middle).addScaledVector(back, Math.min(depths / count, distance - 0.05));
     this.controls.update();
     this.touch();
   }
@@ -145,6 +195,7 @@ export class Stage {
     }[event.key];
     if (!action) return;
     event.preventDefault();
+    if (event.key !== "f") this.followed = null;
     action();
     this.touch();
   }
@@ -155,6 +206,7 @@ export class Stage {
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.camera.aspect = clientWidth / clientHeight;
     this.camera.updateProjectionMatrix();
+    if (this.followed) this.view(this.followed);
     this.touch();
   }
 

@@ -5,10 +5,10 @@ import * as THREE from "three";
 import type { BodyTouch } from "./protocol";
 
 const MM = 1e-3;
-/** Length of an arrow, metres per newton, as in Foxglove; and the shortest and longest arrows. */
-const ARROW_M_PER_N = 0.01;
-const SHORTEST_M = 0.025;
-const LONGEST_M = 0.3;
+/** Length of an arrow, metres per newton: a light touch is seen on a robot of a metre. And the shortest and longest. */
+const ARROW_M_PER_N = 0.04;
+const SHORTEST_M = 0.03;
+const LONGEST_M = 0.4;
 /** Radius of a touch that tells none, millimetres. */
 const USUAL_RADIUS_MM = 5;
 /** Height of the disc over the skin, metres. */
@@ -61,6 +61,11 @@ export class Touch3d {
     this.edge.color.setHex(colours.disc);
     this.red.color.setHex(colours.arrow);
     this.text = touch.force_n === null ? String(touch.id) : `${touch.force_n.toPrecision(2)} N`;
+  }
+
+  /** Outward normal of the skin there, in the root's frame. */
+  outward(): THREE.Vector3 {
+    return Z.clone().transformDirection(this.group.matrixWorld);
   }
 
   /** Where its label stands, in the root's frame. */
