@@ -37,6 +37,9 @@ const traces = new ChannelStrip(find("traces"));
 const noise = new NoiseBars(find<HTMLCanvasElement>("noise"), find("noise-pick"));
 const slider = find<HTMLInputElement>("hyperparameter");
 
+/** Name of the patch on a body, if this is one. */
+const patch = decodeURIComponent(/\/patch\/([^/]+)\/$/.exec(location.pathname)?.[1] ?? "");
+
 let connection: SkinConnection;
 const presser = new Presser(view, () => connection, find<HTMLInputElement>("radius"), find<HTMLInputElement>("pressure"), find("cursor"));
 
@@ -74,8 +77,9 @@ function begin(next: Scene): void {
     if (chosen.length) connection.ask({ choose_channels: chosen });
     return;
   }
-  document.title = `${next.skin} – dermis`;
-  find("skin-name").textContent = next.skin;
+  const name = patch ? `${patch} (${next.skin})` : next.skin;
+  document.title = `${name} – dermis`;
+  find("skin-name").textContent = name;
   showBadges(next);
   view.begin(next);
   presser.begin(next);
@@ -336,7 +340,7 @@ function countShown(): void {
 
 // The token is stored in a cookie by now. Remove it from the address, where it would be copied along.
 if (location.search.includes("token=")) history.replaceState(null, "", location.pathname);
-document.body.classList.toggle("patch", location.pathname.includes("/patch/"));
+document.body.classList.toggle("patch", patch !== "");
 // Embedded in another page there is only room for the picture and the touches.
 document.body.classList.toggle("embedded", new URLSearchParams(location.search).has("embed"));
 bindControls();

@@ -98,8 +98,17 @@ pub struct SurfaceView {
     pub sheet_mm: Vec<f32>,
     /// Three corners each, counter-clockwise seen from outside.
     pub triangles: Vec<u32>,
-    /// Outlines in space: the outer one first, then holes; x, y and z of each point, millimetres.
-    pub rims_mm: Vec<Vec<f32>>,
+    /// Closed outlines in space: the outer one first, then holes.
+    pub rims: Vec<RimView>,
+}
+
+/// A closed outline in the patch's frame, without repeating the first point.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct RimView {
+    /// Points: x, y and z of each, millimetres.
+    pub positions_mm: Vec<f32>,
+    /// Outward unit normals of the skin there.
+    pub normals: Vec<f32>,
 }
 
 /// A skin that runs.

@@ -32,7 +32,7 @@ mod update;
 pub use announcer::Announcer;
 pub use body_command::{BodyCommand, PatchCommand};
 pub use body_scene::{
-    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RunningPatchView, ShapeView, SurfaceView,
+    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, ShapeView, SurfaceView,
 };
 pub use body_state::{BodyState, BodyTouchView, JointsView, LinkPoseView, PatchStateView, PlacedTouchView};
 pub use command::{Command, Press};

@@ -38,7 +38,6 @@ export class Panels {
     write(find("body-name"), scene.body);
     document.title = `${scene.body} – dermis`;
     write(find("root-name"), scene.root);
-    write(find("touch-frame"), `in ${scene.root}'s frame`);
     write(find("not-drawn"), scene.not_drawn.join("; "));
     write(find("patch-count"), String(scene.patches.length));
     const twins = scene.patches.filter(({ running }) => running?.is_twin).length;
@@ -156,12 +155,14 @@ export class Panels {
   private touches(state: BodyState): void {
     const live = state.patches.flatMap(({ touches }, number) => touches.filter(({ phase }) => phase !== "end").map((touch): [number, BodyTouch] => [number, touch]));
     write(find("touch-count"), String(live.length));
+    const isPlaced = live.every(([, { in_root }]) => in_root !== null);
+    write(find("touch-frame"), isPlaced ? `in ${this.scene!.root}'s frame` : "grey: in the patch's frame, joints are stale");
     const cells = live.map(([number, touch]): [string, string[]] => {
       const placed = touch.in_root ?? touch.in_patch;
       const sigma = touch.force_n !== null && touch.sigma_force_n !== null ? ` ± ${touch.sigma_force_n.toFixed(2)}` : "";
       const force = touch.force_n === null ? "–" : touch.force_n.toFixed(2) + sigma;
       const name = `${this.scene!.patches[number].name} ${touch.id}`;
-      return [`${number}:${touch.id}`, [touch.in_root ? name : `${name} (on the patch)`, ...placed.position_mm.map((mm) => mm.toFixed(1)), Math.max(...placed.sigma_mm).toFixed(1), force]];
+      return [`${number}:${touch.id}`, [name, ...placed.position_mm.map((mm) => mm.toFixed(1)), Math.max(...placed.sigma_mm).toFixed(1), force]];
     });
     rows(find("touches"), new Map(cells)).forEach((row, index) => {
       const [number, touch] = live[index];

@@ -17,7 +17,7 @@ export interface Patch {
   skin: string;
   link: number;
   link_from_patch: Pose;
-  surface: { positions_mm: number[]; normals: number[]; sheet_mm: number[]; triangles: number[]; rims_mm: number[][] };
+  surface: { positions_mm: number[]; normals: number[]; sheet_mm: number[]; triangles: number[]; rims: { positions_mm: number[]; normals: number[] }[] };
   /** Null for a patch that could not be started. */
   running: {
     page: string;

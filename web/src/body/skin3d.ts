@@ -83,9 +83,11 @@ export class Skin3d {
     this.mesh = new THREE.Mesh(geometry, this.material);
     this.mesh.userData.skin = this;
     this.group.add(this.mesh, new THREE.Mesh(geometry, BACK));
-    for (const rim of surface.rims_mm) {
+    for (const { positions_mm, normals } of surface.rims) {
       const ends: number[] = [];
-      for (let k = 0; k < rim.length; k += 3) for (let c = 0; c < 6; c += 1) ends.push(MM * rim[(k + c) % rim.length]);
+      for (let k = 0; k < positions_mm.length; k += 3) {
+        for (let c = k; c < k + 6; c += 1) ends.push(MM * positions_mm[c % normals.length] + 1.5 * ABOVE_M * normals[c % normals.length]);
+      }
       this.group.add(new LineSegments2(new LineSegmentsGeometry().setPositions(ends), this.rims));
     }
     this.place();

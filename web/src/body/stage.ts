@@ -71,6 +71,11 @@ export class Stage {
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 1.5), this.light, fill, this.grid);
     new ResizeObserver(() => this.resize()).observe(place);
     place.addEventListener("keydown", (event) => this.key(event));
+    // A drag selects no text.
+    this.canvas.addEventListener("mousedown", (event) => {
+      event.preventDefault();
+      place.focus({ preventScroll: true });
+    });
     this.resize();
     const loop = () => {
       this.draw();
@@ -160,6 +165,7 @@ export class Stage {
     this.camera.position.copy(middle).addScaledVector(back, distance);
     this.controls.target.copy(middle).addScaledVector(back, Math.min(depths / count, distance - 0.05));
     this.controls.update();
+    this.camera.updateMatrixWorld();
     this.touch();
   }
 

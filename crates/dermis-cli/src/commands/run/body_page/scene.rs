@@ -4,7 +4,7 @@ use dermis::body::urdf::{Geometry, Shape};
 use dermis::body::{Body, Patch, Transform};
 use dermis::tomo::mesh::{Outline, SheetSpec, Surface};
 use dermis_page::{
-    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RunningPatchView, Scene, ShapeView, SurfaceView,
+    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, Scene, ShapeView, SurfaceView,
     rings,
 };
 
@@ -88,7 +88,7 @@ fn patch_view(patch: &Patch, scene: Option<&Scene>) -> PatchView {
 /// A sheet on its surface. A sheet that cannot be meshed has rims only.
 fn surface_view(outline: &Outline, surface: &Surface) -> SurfaceView {
     let in_mm = |point: [f64; 3]| point.map(|m| (MM * m) as f32);
-    let along = |ring: Vec<[f64; 2]>| -> Vec<f32> {
+    let along = |ring: Vec<[f64; 2]>| {
         let edges = (0..ring.len()).map(|k| (ring[k], ring[(k + 1) % ring.len()]));
         let points = edges.flat_map(|(a, b)| {
             (0..RIM_STEPS).map(move |step| {
@@ -96,9 +96,14 @@ fn surface_view(outline: &Outline, surface: &Surface) -> SurfaceView {
                 [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]
             })
         });
-        points.flat_map(|sheet_m| in_mm(surface.point_m(sheet_m))).collect()
+        let mut rim = RimView::default();
+        for sheet_m in points {
+            rim.positions_mm.extend(in_mm(surface.point_m(sheet_m)));
+            rim.normals.extend(surface.normal(sheet_m).map(|part| part as f32));
+        }
+        rim
     };
-    let mut view = SurfaceView { rims_mm: rings(outline).into_iter().map(along).collect(), ..SurfaceView::default() };
+    let mut view = SurfaceView { rims: rings(outline).into_iter().map(along).collect(), ..SurfaceView::default() };
     // An equilateral triangle with edge h covers sqrt(3)/4 h^2, and its chord of a circle of radius r misses h^2 / (8 r).
     let flat_m = (outline.area_m2() / TRIANGLES / 0.433).sqrt();
     let size_m = match *surface {
