@@ -330,3 +330,41 @@ pub(super) fn rest_where_unknown(body: &Body, told: &JointValues) -> JointValues
     }
     values
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn feed(source: Option<&str>) -> JointFeed {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in dermis_body::DEMO_FILES {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        let body = Arc::new(Body::open(&folder.path().join("arm.toml")).unwrap());
+        JointFeed::open(&body, source, &Arc::default()).unwrap()
+    }
+
+    #[test]
+    fn joints_are_set_by_hand_where_the_page_is_their_source() {
+        let joints = feed(Some("page"));
+        assert!(joints.is_set_by_hand());
+        joints.set("elbow", 0.7).unwrap();
+        let now = joints.at(HostStamp::now().monotonic_ns);
+        let value = |name| joints.body.kinematics.value(&now.values, name);
+        assert_eq!((now.state, value("elbow"), value("wrist")), (JointsState::Fresh, Some(0.7), Some(0.0)));
+        for (name, number, expected) in
+            [("knee", 0.0, "no such joint"), ("finger_mirror", 0.0, "moves by itself"), ("elbow", f64::NAN, "finite")]
+        {
+            let refusal = joints.set(name, number).unwrap_err();
+            assert!(refusal.contains(name) && refusal.contains(expected), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn joints_with_a_source_are_not_set_by_hand() {
+        for source in [None, Some("sweep")] {
+            let refusal = feed(source).set("elbow", 0.7).unwrap_err();
+            assert!(refusal.contains("elbow") && refusal.contains("their source"), "{refusal}");
+        }
+    }
+}

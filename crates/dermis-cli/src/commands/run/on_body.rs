@@ -13,7 +13,7 @@ use super::super::{busy, hint, spinner};
 use super::body_page::PageOfBody;
 use super::source;
 use super::viewers::tell_not_shown;
-use crate::exit::Outcome;
+use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 use crate::page::Binding;
 
@@ -60,6 +60,10 @@ pub(super) fn run(
     let mut options = options.clone();
     if matches!(shown, Shown::Page { .. }) && body.joint_source.is_none() {
         options.joints.get_or_insert_with(|| "page".to_owned());
+    }
+    if let (Shown::Lines { .. }, Some("page")) = (&shown, options.joints.as_deref().or(body.joint_source.as_deref())) {
+        let text = "joints from the page: expected another source with --headless, which has no page";
+        return Err(UsageError(text.into()).into());
     }
     if options.joints.is_none() && body.joint_source.is_none() && !body.needed_joints().is_empty() {
         let needed: Vec<&str> = body.needed_joints().into_iter().collect();
