@@ -23,7 +23,7 @@ pub struct BodyScene {
     pub sets_joints: bool,
     /// The skins, by number.
     pub patches: Vec<PatchView>,
-    /// What the page doesn't draw, one sentence each.
+    /// Parts that the page doesn't draw, one sentence each.
     pub not_drawn: Vec<String>,
 }
 
@@ -83,7 +83,7 @@ pub struct PatchView {
     pub link_from_patch: Pose,
     /// Its surface.
     pub surface: SurfaceView,
-    /// What is known once it runs; `None` for a patch that could not be started.
+    /// Properties of a patch that runs; `None` if it could not be started.
     pub running: Option<RunningPatchView>,
 }
 

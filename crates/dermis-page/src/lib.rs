@@ -41,6 +41,6 @@ pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use skin_scene::{rings, scene};
 pub use update::{
     BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, FrameFaultView, GuardView,
-    HealthView, Image, OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView,
-    Update,
+    HealthView, Image, OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase,
+    TouchView, Update,
 };

@@ -1,4 +1,4 @@
-// The lists beside the robot: patches, touches, joints, messages.
+// The lists next to the robot: patches, touches, joints, messages.
 
 import { rows, write } from "../rows";
 import type { BodyConnection, BodyScene, BodyState, BodyTouch, Guard, Joint, Patch, PatchState } from "./protocol";

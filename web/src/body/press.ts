@@ -1,4 +1,5 @@
-// Presses on twins: the pointer's ray meets a skin, and the twin is pressed there. Elsewhere the pointer turns the view.
+// Presses on twins: the pointer's ray meets a skin, and the twin is pressed there. Elsewhere the pointer turns the
+// view.
 
 import * as THREE from "three";
 import type { Command, Point } from "../protocol";

@@ -1,5 +1,5 @@
-// The robot in space: links as the URDF file shapes them, carrying their skins. The server places the links, so that one
-// program alone knows the kinematics.
+// The robot in space: links as the URDF file shapes them, carrying their skins. The server places the links, so that
+// only one program knows the kinematics.
 
 import * as THREE from "three";
 import type { BodyScene, BodyState, Pose, Shape } from "./protocol";

@@ -1,4 +1,5 @@
-//! What one address of the server shows, and whom its commands go to: a skin, or a body with all its skins.
+//! The content behind one address of the server, and the receivers of its commands: a skin, or a body with all its
+//! skins.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -38,7 +39,7 @@ pub struct PatchImage {
 /// A skin behind a page.
 #[derive(Debug, Clone)]
 pub struct SkinPage {
-    /// Where its pipeline publishes.
+    /// The place where its pipeline publishes.
     pub hub: Hub,
     /// Its scene.
     pub scene: Scene,
@@ -123,10 +124,6 @@ impl Packet {
     pub(super) fn of_body(sequence: u64, feed: &dyn BodyFeed) -> Self {
         let (state, images) = feed.now();
         let part = |PatchImage { patch, version, message }| Part { slot: patch, version, message };
-        Self {
-            sequence,
-            parts: images.into_iter().map(part).collect(),
-            state: protocol::body_state(sequence, &state),
-        }
+        Self { sequence, parts: images.into_iter().map(part).collect(), state: protocol::body_state(sequence, &state) }
     }
 }

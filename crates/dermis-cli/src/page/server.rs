@@ -62,7 +62,8 @@ const HEADERS: [(header::HeaderName, &str); 7] = [
     (header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-/// Serves the page of a skin at `address` (port 0 for any free one) until the handle is dropped. Returns once it listens.
+/// Serves the page of a skin at `address` (port 0 for any free one) until the handle is dropped. Returns once it
+/// listens.
 ///
 /// # Errors
 /// [`PageError::PortInUse`] or [`PageError::Bind`] if the address is not available, [`PageError::TokenMissing`]
@@ -274,7 +275,7 @@ async fn encode_body(endpoint: Arc<Endpoint>, feed: Arc<dyn BodyFeed>) {
     }
 }
 
-/// What the server shows: at `/`, and for each patch of a body at `/patch/NAME/`.
+/// The addresses of the server: `/`, and `/patch/NAME/` for each patch of a body.
 struct Site {
     root: Arc<Endpoint>,
     patches: BTreeMap<String, Arc<Endpoint>>,

@@ -1,5 +1,5 @@
-//! A running body as other threads see it: its patches' health and its joints, which may be set by hand. Publishers that
-//! the program brings along are opened with it.
+//! A running body as other threads see it: its patches' health and its joints, which may be set by hand. The program's
+//! own publishers are opened with it.
 
 use std::sync::Arc;
 

@@ -22,7 +22,7 @@ const HEALTH_EVERY: Duration = Duration::from_secs(1);
 /// Longest wait for a line.
 const NAP: Duration = Duration::from_millis(50);
 
-/// What a running body is shown by.
+/// Output of a running body.
 pub(super) enum Shown {
     /// JSON lines on standard output.
     Lines {
@@ -39,12 +39,7 @@ pub(super) enum Shown {
 }
 
 /// Runs a body until every patch has ended or the user interrupts.
-pub(super) fn run(
-    file: &Path,
-    options: &BodyRunOptions,
-    shown: Shown,
-    out: &mut dyn Write,
-) -> anyhow::Result<Outcome> {
+pub(super) fn run(file: &Path, options: &BodyRunOptions, shown: Shown, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let (body, problems) = Body::examine(file)?;
     let mut has_left_out = false;
     for problem in problems {
@@ -72,7 +67,8 @@ pub(super) fn run(
     let busy = busy(format!("preparing {} patches", body.patches.len()));
     let mut page = matches!(shown, Shown::Page { .. }).then(|| PageOfBody::new(body.patches.len()));
     #[cfg_attr(not(feature = "ros2"), expect(unused_mut, reason = "only a node is closed before the end"))]
-    let mut run = BodyRun::start_with(body, &options, &mut |watch, patch| Some(page.as_mut()?.publisher(watch, patch)))?;
+    let mut run =
+        BodyRun::start_with(body, &options, &mut |watch, patch| Some(page.as_mut()?.publisher(watch, patch)))?;
     busy.finish();
     let (only_touches, server) = match (shown, page) {
         (Shown::Page { binding, opens_browser }, Some(page)) => {
@@ -138,12 +134,7 @@ fn follow_silently(run: &BodyRun, interrupted: &AtomicBool) -> anyhow::Result<bo
 }
 
 /// Prints the reports; returns true if every patch has ended by itself.
-fn follow(
-    run: &BodyRun,
-    only_touches: bool,
-    interrupted: &AtomicBool,
-    out: &mut dyn Write,
-) -> anyhow::Result<bool> {
+fn follow(run: &BodyRun, only_touches: bool, interrupted: &AtomicBool, out: &mut dyn Write) -> anyhow::Result<bool> {
     let begun = Instant::now();
     let mut told = begun;
     let ended = loop {

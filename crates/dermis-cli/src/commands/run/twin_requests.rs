@@ -8,11 +8,7 @@ use dermis_page::feed::PageFeed;
 use crate::page::{Command, Reply, Request};
 
 /// Carries out the request if it is for the twin; otherwise hands back its command and reply.
-pub(super) fn carry_out(
-    request: Request,
-    twin: Option<&TwinControl>,
-    feed: &mut PageFeed,
-) -> Option<(Command, Reply)> {
+pub(super) fn carry_out(request: Request, twin: Option<&TwinControl>, feed: &mut PageFeed) -> Option<(Command, Reply)> {
     let reply = request.reply;
     match request.command {
         Command::Press(press) | Command::Move(press) => {

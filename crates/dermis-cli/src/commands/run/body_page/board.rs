@@ -1,4 +1,5 @@
-//! The newest results of one patch, left by its thread and read by the page's server. The lock is held only for copying.
+//! The newest results of one patch, left by its thread and read by the page's server. The lock is held only for
+//! copying.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -12,7 +13,7 @@ use crate::page::PatchImage;
 #[derive(Debug, Default)]
 pub(super) struct PatchBoard(Mutex<Posted>);
 
-/// What a patch has posted.
+/// Results of one patch.
 #[derive(Debug, Default)]
 pub(super) struct Posted {
     /// Counts images from 1.

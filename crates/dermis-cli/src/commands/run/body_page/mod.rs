@@ -20,7 +20,7 @@ use crate::page::{Binding, BodyFeed, BodyPage, Hub, PatchImage, ServerHandle, Sk
 /// Most page requests that a patch takes per frame.
 const MOST_REQUESTS: usize = 256;
 
-/// Collects what the page shows while the patches start.
+/// Collects the parts of the page while the patches start.
 pub(super) struct PageOfBody {
     hub: Hub,
     boards: Vec<Arc<PatchBoard>>,
@@ -34,7 +34,7 @@ impl PageOfBody {
         Self { hub: Hub::new(), boards, patches: (0..patches).map(|_| None).collect() }
     }
 
-    /// What shows a patch, for its thread.
+    /// The publisher of a patch, for its thread.
     pub fn publisher(&mut self, watch: &BodyWatch, patch: StartingPatch<'_>) -> Box<dyn Publisher> {
         let StartingPatch { number, pipeline, twin, residual_n } = patch;
         let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);

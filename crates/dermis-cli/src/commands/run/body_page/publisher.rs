@@ -24,7 +24,7 @@ use crate::page::{self, Command, Hub, Level, Reply, Request, SourceState};
 /// Millimetres per metre.
 const MM: f64 = 1e3;
 
-/// What shows a patch.
+/// Publishes a patch to its own page and to the body's.
 pub(super) struct PagePublisher {
     pub number: usize,
     pub watch: BodyWatch,
@@ -152,7 +152,9 @@ impl Publisher for PagePublisher {
                 Command::Tare { force } => LiveCommand::Tare { force },
                 Command::Hyperparameter(value) => LiveCommand::Hyperparameter(value),
                 Command::RecordStart | Command::RecordStop => {
-                    reply.refuse("a body is recorded as a whole, from its start: dermis run BODY.toml --record FILE.mcap");
+                    reply.refuse(
+                        "a body is recorded as a whole, from its start: dermis run BODY.toml --record FILE.mcap",
+                    );
                     continue;
                 }
                 // All channels are published; the page selects. The twin has had the others.

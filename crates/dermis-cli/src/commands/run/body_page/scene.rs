@@ -4,8 +4,8 @@ use dermis::body::urdf::{Geometry, Shape};
 use dermis::body::{Body, Patch, Transform};
 use dermis::tomo::mesh::{Outline, SheetSpec, Surface};
 use dermis_page::{
-    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, Scene, ShapeView, SurfaceView,
-    rings,
+    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, Scene, ShapeView,
+    SurfaceView, rings,
 };
 
 /// Millimetres per metre.
@@ -104,7 +104,8 @@ fn surface_view(outline: &Outline, surface: &Surface) -> SurfaceView {
         rim
     };
     let mut view = SurfaceView { rims: rings(outline).into_iter().map(along).collect(), ..SurfaceView::default() };
-    // An equilateral triangle with edge h covers sqrt(3)/4 h^2, and its chord of a circle of radius r misses h^2 / (8 r).
+    // An equilateral triangle with edge h covers sqrt(3)/4 h^2. Its edge as a chord of a circle of radius r is off by
+    // h^2 / (8 r).
     let flat_m = (outline.area_m2() / TRIANGLES / 0.433).sqrt();
     let size_m = match *surface {
         Surface::Flat => flat_m,
