@@ -57,6 +57,13 @@ pub enum GeometryView {
     Cylinder([f64; 2]),
     /// A sphere about the origin: its radius.
     Sphere(f64),
+    /// Triangles.
+    Mesh {
+        /// Address of the corners, relative to the page: x, y and z as f32, little-endian, three corners per triangle.
+        address: String,
+        /// Factors on x, y and z that give metres.
+        scale: [f64; 3],
+    },
 }
 
 /// A joint that moves by itself.

@@ -58,6 +58,7 @@ function begin(next: BodyScene): void {
   scene = next;
   if (!isNew) return;
   robot = new Robot(next);
+  robot.loaded = () => stage.moved();
   stage.begin(robot);
   labels.begin(robot);
   panels.begin(next);

@@ -9,7 +9,7 @@ export type Vector = [number, number, number];
 
 export interface Shape {
   link_from_shape: Pose;
-  geometry: { box: Vector } | { cylinder: [number, number] } | { sphere: number };
+  geometry: { box: Vector } | { cylinder: [number, number] } | { sphere: number } | { mesh: { address: string; scale: Vector } };
 }
 
 export interface Patch {

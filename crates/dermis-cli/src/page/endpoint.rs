@@ -57,6 +57,8 @@ pub struct BodyPage {
     pub feed: Arc<dyn BodyFeed>,
     /// Its patches by number; `None` for one that doesn't run.
     pub patches: Vec<Option<SkinPage>>,
+    /// Meshes of its links, which the scene refers to as `mesh/NUMBER`.
+    pub meshes: Vec<Bytes>,
 }
 
 /// One address with its WebSocket.

@@ -10,7 +10,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::{Path, Request as HttpRequest, State, WebSocketUpgrade};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
@@ -43,6 +43,7 @@ pub struct ServerHandle {
     thread: Option<JoinHandle<()>>,
 }
 
+const BINARY: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "application/octet-stream")];
 /// Interval between updates of a body's page: as often as a screen of 30 Hz shows one.
 const BODY_PERIOD: Duration = Duration::from_millis(33);
 /// Time for pages to be closed properly.
@@ -77,7 +78,7 @@ pub fn serve(
     commands: Sender<Request>,
 ) -> Result<ServerHandle, PageError> {
     let root = Endpoint::of_skin(SkinPage { hub, scene, commands });
-    Binding::new(address, options)?.serve(Site { root: Arc::new(root), patches: BTreeMap::new() })
+    Binding::new(address, options)?.serve(Site { root: Arc::new(root), patches: BTreeMap::new(), meshes: Vec::new() })
 }
 
 /// An address that is listened on, before anything is served there.
@@ -109,10 +110,11 @@ impl Binding {
     /// [`PageError::Start`] if no thread could start.
     pub fn serve_body(self, page: BodyPage) -> Result<ServerHandle, PageError> {
         let root = Arc::new(Endpoint::of_body(&page));
+        let meshes = page.meshes;
         let named = page.scene.patches.into_iter().zip(page.patches);
         let patches = named.filter_map(|(patch, skin)| Some((patch.name, Arc::new(Endpoint::of_skin(skin?)))));
         let patches = patches.collect();
-        self.serve(Site { root, patches })
+        self.serve(Site { root, patches, meshes })
     }
 
     fn serve(self, site: Site) -> Result<ServerHandle, PageError> {
@@ -279,10 +281,11 @@ async fn encode_body(endpoint: Arc<Endpoint>, feed: Arc<dyn BodyFeed>) {
 struct Site {
     root: Arc<Endpoint>,
     patches: BTreeMap<String, Arc<Endpoint>>,
+    meshes: Vec<Bytes>,
 }
 
 fn router(shared: Arc<Shared>, site: Site) -> Router {
-    let Site { root, patches } = site;
+    let Site { root, patches, meshes } = site;
     let own = if root.body.is_some() { &assets::BODY } else { &assets::SKIN };
     let patches = Arc::new(patches);
     let mut router = Router::new();
@@ -291,6 +294,9 @@ fn router(shared: Arc<Shared>, site: Site) -> Router {
     }
     let at_root = shared.clone();
     router = router.route("/ws", get(move |socket| upgrade(at_root, Some(root), socket)));
+    for (number, mesh) in meshes.into_iter().enumerate() {
+        router = router.route(&format!("/mesh/{number}"), get(move || async move { (BINARY, mesh) }));
+    }
     if !patches.is_empty() {
         for asset in &assets::SKIN {
             let known = patches.clone();

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
+use axum::body::Bytes;
 use crossbeam_channel::{Receiver, bounded};
 use dermis_cli::page::{
     Binding, BodyFeed, BodyPage, Command, Hub, Level, PageOptions, PatchImage, Request, ServerHandle, SkinPage,
@@ -55,7 +56,13 @@ fn serve() -> Served {
     let (hub, patch_hub, feed) = (Hub::new(), Hub::new(), Arc::new(Feed::default()));
     feed.version.store(1, Ordering::Relaxed);
     let skin = SkinPage { hub: patch_hub.clone(), scene: scene(true), commands };
-    let page = BodyPage { hub: hub.clone(), scene: body, feed: feed.clone(), patches: vec![None, Some(skin)] };
+    let page = BodyPage {
+        hub: hub.clone(),
+        scene: body,
+        feed: feed.clone(),
+        patches: vec![None, Some(skin)],
+        meshes: vec![Bytes::from_static(b"corners")],
+    };
     let binding = Binding::new(LOOPBACK, PageOptions::default()).expect("a free port");
     let server = binding.serve_body(page).expect("a thread");
     Served { server, feed, hub, patch_hub, requests }
@@ -148,6 +155,8 @@ async fn a_patch_has_a_page_of_its_own_below_the_bodys() {
         ("/patch/chest/page.js", 200),
         ("/patch/chest/body.js", 404),
         ("/patch/back/", 404),
+        ("/mesh/0", 200),
+        ("/mesh/1", 404),
         ("/patch/nobody/", 404),
         ("/patch/../Cargo.toml", 404),
     ] {

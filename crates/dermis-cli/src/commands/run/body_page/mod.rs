@@ -1,6 +1,7 @@
 //! The page of a running body: the robot in space, and a page of its own for each patch.
 
 mod board;
+mod meshes;
 mod publisher;
 mod scene;
 
@@ -14,11 +15,9 @@ use dermis_page::feed::PageFeed;
 use dermis_page::{Announcer, BodyState, JointsView, LinkPoseView, Scene};
 
 use self::board::PatchBoard;
-use self::publisher::PagePublisher;
+use self::meshes::Meshes;
+use self::publisher::{MOST_REQUESTS, PagePublisher};
 use crate::page::{Binding, BodyFeed, BodyPage, Hub, PatchImage, ServerHandle, SkinPage};
-
-/// Most page requests that a patch takes per frame.
-const MOST_REQUESTS: usize = 256;
 
 /// Collects the parts of the page while the patches start.
 pub(super) struct PageOfBody {
@@ -67,9 +66,11 @@ impl PageOfBody {
         let Self { hub, boards, patches } = self;
         let scenes: Vec<Option<Scene>> =
             patches.iter().map(|patch| patch.as_ref().map(|page| page.scene.clone())).collect();
-        let scene = scene::body_scene(watch.body(), watch.sets_joints(), &scenes);
+        let Meshes { shown, meshes, not_drawn } = Meshes::of(watch.body());
+        let mut scene = scene::body_scene(watch.body(), watch.sets_joints(), &scenes, &shown);
+        scene.not_drawn = not_drawn;
         let feed = Arc::new(BodyOnPage { watch, boards });
-        Ok(binding.serve_body(BodyPage { hub, scene, feed, patches })?)
+        Ok(binding.serve_body(BodyPage { hub, scene, feed, patches, meshes })?)
     }
 }
 

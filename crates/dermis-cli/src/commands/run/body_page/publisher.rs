@@ -21,6 +21,8 @@ use super::super::twin_requests;
 use super::board::PatchBoard;
 use crate::page::{self, Command, Hub, Level, Reply, Request, SourceState};
 
+/// Most page requests that a patch takes per frame.
+pub(super) const MOST_REQUESTS: usize = 256;
 /// Millimetres per metre.
 const MM: f64 = 1e3;
 
@@ -144,7 +146,7 @@ impl Publisher for PagePublisher {
     fn event(&mut self, _event: &str, _detail: &str, _values: &[f64]) {}
 
     fn take_request(&mut self) -> Option<LiveRequest> {
-        for request in page::coalesced(self.requests.try_iter().take(super::MOST_REQUESTS)) {
+        for request in page::coalesced(self.requests.try_iter().take(MOST_REQUESTS)) {
             self.waiting.extend(twin_requests::carry_out(request, self.twin.as_ref(), &mut self.feed));
         }
         while let Some((command, reply)) = self.waiting.pop_front() {

@@ -1,5 +1,7 @@
 //! The scene of a body: its links as the URDF file shapes them, and its skins as triangles.
 
+use std::collections::BTreeMap;
+
 use dermis::body::urdf::{Geometry, Shape};
 use dermis::body::{Body, Patch, Transform};
 use dermis::tomo::mesh::{Outline, SheetSpec, Surface};
@@ -17,15 +19,21 @@ const CHORD_ERROR_M: f64 = 0.3e-3;
 /// Steps along each edge of a rim, which may be bent.
 const RIM_STEPS: usize = 12;
 
-/// The scene of a body. `running` has the scenes of the patches that run, by number.
-pub(super) fn body_scene(body: &Body, sets_joints: bool, running: &[Option<Scene>]) -> BodyScene {
+/// The scene of a body. `running` has the scenes of the patches that run, by number, and `meshes` the numbers of the
+/// meshes that are drawn, by their names in the URDF file.
+pub(super) fn body_scene(
+    body: &Body,
+    sets_joints: bool,
+    running: &[Option<Scene>],
+    meshes: &BTreeMap<String, usize>,
+) -> BodyScene {
     let kinematics = &body.kinematics;
     let urdf = body.urdf.as_ref().map(|(_, urdf)| urdf);
     let shapes = |link: usize| urdf.and_then(|urdf| urdf.links.get(link)).map_or(&[][..], |link| &link.shapes);
     let links = kinematics.link_names().enumerate().map(|(number, name)| LinkView {
         name: name.to_owned(),
         parent: kinematics.parent(number),
-        shapes: shapes(number).iter().filter_map(shape).collect(),
+        shapes: shapes(number).iter().filter_map(|shape| shape_view(shape, meshes)).collect(),
     });
     let slides = |name: &str| {
         let joint = urdf.and_then(|urdf| urdf.joints.iter().find(|joint| joint.name == name));
@@ -37,8 +45,6 @@ pub(super) fn body_scene(body: &Body, sets_joints: bool, running: &[Option<Scene
         limits: kinematics.limits(name),
     });
     let patches = body.patches.iter().zip(running);
-    let is_mesh = |shape: &&Shape| matches!(shape.geometry, Geometry::Mesh { .. });
-    let meshes = urdf.map_or(0, |urdf| urdf.links.iter().flat_map(|link| &link.shapes).filter(is_mesh).count());
     BodyScene {
         body: body.name.clone(),
         root: body.root().to_owned(),
@@ -46,7 +52,7 @@ pub(super) fn body_scene(body: &Body, sets_joints: bool, running: &[Option<Scene
         joints: joints.collect(),
         sets_joints,
         patches: patches.map(|(patch, scene)| patch_view(patch, scene.as_ref())).collect(),
-        not_drawn: (meshes > 0).then(|| format!("{meshes} meshes of the robot are not drawn")).into_iter().collect(),
+        not_drawn: Vec::new(),
     }
 }
 
@@ -56,12 +62,14 @@ pub(super) fn pose(outer_from_inner: &Transform) -> Pose {
     [x, y, z, qx, qy, qz, qw]
 }
 
-fn shape(shape: &Shape) -> Option<ShapeView> {
-    let geometry = match shape.geometry {
-        Geometry::Box { size_m } => GeometryView::Box(size_m),
-        Geometry::Cylinder { radius_m, length_m } => GeometryView::Cylinder([radius_m, length_m]),
-        Geometry::Sphere { radius_m } => GeometryView::Sphere(radius_m),
-        Geometry::Mesh { .. } => return None,
+fn shape_view(shape: &Shape, meshes: &BTreeMap<String, usize>) -> Option<ShapeView> {
+    let geometry = match &shape.geometry {
+        Geometry::Box { size_m } => GeometryView::Box(*size_m),
+        Geometry::Cylinder { radius_m, length_m } => GeometryView::Cylinder([*radius_m, *length_m]),
+        Geometry::Sphere { radius_m } => GeometryView::Sphere(*radius_m),
+        Geometry::Mesh { filename, scale } => {
+            GeometryView::Mesh { address: format!("mesh/{}", meshes.get(filename)?), scale: *scale }
+        }
     };
     Some(ShapeView { link_from_shape: pose(&shape.link_from_shape), geometry })
 }
