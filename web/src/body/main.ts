@@ -195,7 +195,7 @@ countShown();
 /** For tests and for the curious: where things are in the window and in the root's frame. */
 Object.assign(window, {
   dermisBody: {
-    state: () => state, stage,
+    state: () => state,
     /** The point of a skin above a place on its flattened sheet: in the root's frame, millimetres, and in the window. */
     place(name: string, x_mm: number, y_mm: number) {
       const skin = robot?.skins.find(({ patch }) => patch.name === name);

@@ -23,6 +23,9 @@ const RIM_PX = { usual: 2, alarm: 4 };
 const RIM_COLOURS: Record<Look | "stop" | "stale", number> = { live: 0x35a7bd, starting: 0x93a1b0, silent: 0xe9a94b, failed: 0xff5a4a, ended: 0x93a1b0, stop: 0xff3b30, stale: 0xe9a94b };
 const BACK = new THREE.MeshLambertMaterial({ color: 0x2b333b, side: THREE.BackSide });
 
+const PRESS_RING = new THREE.RingGeometry(0.94, 1, 40);
+const PRESS_COLOUR = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.DoubleSide, depthTest: false, transparent: true });
+
 export class Skin3d {
   readonly group = new THREE.Group();
   /** What a ray meets. */
@@ -145,6 +148,7 @@ export class Skin3d {
     for (const [id, touch] of this.touches) {
       if (ids.has(id)) continue;
       this.group.remove(touch.group);
+      touch.dispose();
       this.touches.delete(id);
     }
     for (const touch of live) {
@@ -195,8 +199,8 @@ export class Skin3d {
     if (old) this.group.remove(old);
     this.presses.delete(pointer);
     if (!press) return;
-    const radius = press.radius_mm * MM;
-    const ring = new THREE.Mesh(new THREE.RingGeometry(radius * 0.94, radius, 40), new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.DoubleSide, depthTest: false, transparent: true }));
+    const ring = new THREE.Mesh(PRESS_RING, PRESS_COLOUR);
+    ring.scale.setScalar(press.radius_mm * MM);
     const { at, normal } = this.pointOf(press.at);
     ring.position.copy(at).addScaledVector(normal, 3 * ABOVE_M);
     ring.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);

@@ -64,7 +64,8 @@ export class Stage {
     this.controls.addEventListener("start", () => (this.followed = null));
     this.light.position.set(1.5, 1.2, 3);
     this.light.castShadow = true;
-    this.light.shadow.mapSize.set(1024, 1024);
+    this.light.shadow.mapSize.set(2048, 2048);
+    this.light.shadow.radius = 5;
     this.light.shadow.bias = -1e-3;
     const fill = new THREE.DirectionalLight(0xffffff, 0.5);
     fill.position.set(-2, -1.5, 1);
@@ -134,7 +135,7 @@ export class Stage {
     Object.assign(axes.material, { depthTest: false, transparent: true, opacity: 0.9 });
     axes.renderOrder = 2;
     // Only the ground shows shadows: on the robot they would hide what a skin says.
-    const ground = new THREE.Mesh(new THREE.PlaneGeometry(4 * half, 4 * half), new THREE.ShadowMaterial({ opacity: 0.22 }));
+    const ground = new THREE.Mesh(new THREE.PlaneGeometry(4 * half, 4 * half), new THREE.ShadowMaterial({ opacity: 0.13 }));
     ground.position.z = Math.min(box.min.z, 0) - 2e-3;
     ground.receiveShadow = true;
     Object.assign(this.light.shadow.camera, { left: -half, right: half, top: half, bottom: -half, near: 0.1, far: 10 * half });

@@ -41,6 +41,11 @@ export class Touch3d {
     this.group.add(this.flat, this.arrow);
   }
 
+  /** Frees what the graphics card holds. */
+  dispose(): void {
+    for (const material of [this.fill, this.edge, this.red]) material.dispose();
+  }
+
   show(touch: BodyTouch): void {
     const { position_mm, normal } = touch.in_patch;
     const outward = new THREE.Vector3(...normal);
