@@ -189,7 +189,7 @@ impl Arguments {
             Shown::Lines { only_touches: self.only_touches }
         } else {
             // Opened before the patches are prepared, which takes longer.
-            let binding = Binding::new(self.address(), self.page_options()?)?;
+            let binding = Box::new(Binding::new(self.address(), self.page_options()?)?);
             Shown::Page { binding, opens_browser: !self.no_open }
         };
         #[cfg_attr(not(feature = "ros2"), expect(clippy::needless_update, reason = "features add options"))]

@@ -32,7 +32,7 @@ pub(super) enum Shown {
     /// A page at this address.
     Page {
         /// The address.
-        binding: Binding,
+        binding: Box<Binding>,
         /// Opens it in a browser.
         opens_browser: bool,
     },
@@ -72,7 +72,7 @@ pub(super) fn run(file: &Path, options: &BodyRunOptions, shown: Shown, out: &mut
     busy.finish();
     let (only_touches, server) = match (shown, page) {
         (Shown::Page { binding, opens_browser }, Some(page)) => {
-            let server = page.serve(binding, run.watch())?;
+            let server = page.serve(*binding, run.watch())?;
             writeln!(out, "page: {}", server.url())?;
             out.flush()?;
             if opens_browser {
