@@ -11,6 +11,9 @@ import type { Stage } from "./stage";
 const OFF = 46;
 /** Room kept around a name, pixels. */
 const GAP = 4;
+/** Height of a force, and width of one of its characters, pixels. */
+const FORCE_HEIGHT = 15;
+const FORCE_DIGIT = 7;
 /** Names near the edge of the view move in by this much. */
 const EDGE = 6;
 
@@ -109,10 +112,10 @@ export class Labels {
       const ends = { x1: from.x, y1: from.y, x2: put.x, y2: put.y };
       for (const [name, value] of Object.entries(ends)) line.setAttribute(name, value.toFixed(1));
     });
-    this.moveForces(robot, stage);
+    this.moveForces(robot, stage, taken);
   }
 
-  private moveForces(robot: Robot, stage: Stage): void {
+  private moveForces(robot: Robot, stage: Stage, taken: Box[]): void {
     const shown = new Set<string>();
     for (const skin of robot.skins) {
       for (const { key, at, outward, text } of skin.labels()) {
@@ -127,7 +130,10 @@ export class Labels {
         }
         write(label, text);
         label.classList.toggle("away", isAway(at, outward, stage));
-        label.style.transform = `translate(${seen.x.toFixed(1)}px, ${seen.y.toFixed(1)}px) translate(-50%, calc(-100% - 4px))`;
+        const put: Box = { x: seen.x, y: seen.y - 4 - FORCE_HEIGHT / 2, width: FORCE_DIGIT * text.length + 8, height: FORCE_HEIGHT };
+        // Beside the end of the arrow, if a name is above it.
+        if (taken.some((other) => overlap(put, other))) [put.x, put.y] = [seen.x + put.width / 2 + 12, seen.y + FORCE_HEIGHT];
+        label.style.transform = `translate(${put.x.toFixed(1)}px, ${put.y.toFixed(1)}px) translate(-50%, -50%)`;
       }
     }
     for (const [key, label] of this.forces) {

@@ -140,7 +140,8 @@ export class Panels {
     row.dataset.state = now.state;
     const isPlaced = state.links[patch.link].is_known;
     const [stateChip, guardChip] = [row.cells[1].firstElementChild as HTMLElement, row.cells[2].firstElementChild as HTMLElement];
-    write(stateChip, isPlaced || now.state !== "running" ? now.state : "joints stale");
+    write(stateChip, isPlaced || now.state !== "running" ? now.state : "stale");
+    stateChip.title = isPlaced ? "" : "Values of joints on the way to its link are unknown or too old";
     stateChip.dataset.level = now.state === "running" ? (isPlaced ? "good" : "warn") : now.state === "failed" ? "bad" : now.state === "silent" ? "warn" : "";
     write(guardChip, now.guard?.verdict ?? "");
     guardChip.dataset.level = now.guard ? { ok: "good", stale: "warn", stop: "bad" }[now.guard.verdict] : "";
