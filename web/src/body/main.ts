@@ -81,7 +81,8 @@ function receive(next: BodyState): void {
   stage.moved();
   if (isFramed) return;
   isFramed = true;
-  find("wait").hidden = true;
+  find("wait").hidden = stage.draws;
+  find("wait").textContent = "This browser has no WebGL 2, so only the lists are shown.";
   stage.paint();
 }
 

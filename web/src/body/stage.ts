@@ -28,6 +28,19 @@ function drawsByProcessor(): boolean {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
+/** A renderer; null if the browser has no WebGL 2. */
+function openRenderer(): THREE.WebGLRenderer | null {
+  const isSlow = drawsByProcessor();
+  try {
+    const renderer = new THREE.WebGLRenderer({ antialias: !isSlow, alpha: true });
+    renderer.setPixelRatio(isSlow ? 1 : Math.min(window.devicePixelRatio, 2));
+    renderer.shadowMap.enabled = !isSlow;
+    return renderer;
+  } catch {
+    return null;
+  }
+}
+
 export class Stage {
   readonly camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
   readonly controls: OrbitControls;
@@ -36,7 +49,8 @@ export class Stage {
   drawn = 0;
   /** Called before a picture is drawn. */
   beforeDrawing: () => void = () => {};
-  private readonly renderer: THREE.WebGLRenderer;
+  /** Null without WebGL: then only the lists are shown. */
+  private readonly renderer: THREE.WebGLRenderer | null;
   private readonly scene = new THREE.Scene();
   private readonly grid = new THREE.Group();
   private readonly light = new THREE.DirectionalLight(0xffffff, 1.9);
@@ -50,12 +64,9 @@ export class Stage {
   constructor(private readonly place: HTMLElement) {
     THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
     this.camera.up.set(0, 0, 1);
-    const isSlow = drawsByProcessor();
-    this.renderer = new THREE.WebGLRenderer({ antialias: !isSlow, alpha: true });
-    this.renderer.setPixelRatio(isSlow ? 1 : Math.min(window.devicePixelRatio, 2));
-    this.canvas = this.renderer.domElement;
+    this.renderer = openRenderer();
+    this.canvas = this.renderer?.domElement ?? document.createElement("canvas");
     place.prepend(this.canvas);
-    this.renderer.shadowMap.enabled = !isSlow;
     this.controls = new OrbitControls(this.camera, this.canvas);
     this.controls.enableDamping = false;
     this.controls.minDistance = 0.05;
@@ -83,6 +94,11 @@ export class Stage {
       requestAnimationFrame(loop);
     };
     requestAnimationFrame(loop);
+  }
+
+  /** False if the browser can't draw the robot. */
+  get draws(): boolean {
+    return this.renderer !== null;
   }
 
   begin(robot: Robot): void {
@@ -210,7 +226,7 @@ export class Stage {
   private resize(): void {
     const { clientWidth, clientHeight } = this.place;
     if (clientWidth === 0 || clientHeight === 0) return;
-    this.renderer.setSize(clientWidth, clientHeight, false);
+    this.renderer?.setSize(clientWidth, clientHeight, false);
     this.camera.aspect = clientWidth / clientHeight;
     this.camera.updateProjectionMatrix();
     if (this.followed) this.view(this.followed);
@@ -221,6 +237,7 @@ export class Stage {
     if (!this.isStale || document.hidden || !this.robot) return;
     this.isStale = false;
     this.beforeDrawing();
+    if (!this.renderer) return;
     this.renderer.render(this.scene, this.camera);
     this.drawn += 1;
   }
