@@ -36,7 +36,7 @@ skin = "healing-square"
 link = "torso"
 xyz_mm = [100, 0, 300]
 rpy_deg = [90, 0, 90]
-guard = { any_touch = true }
+guard = { any_touch = true, stale_after_ms = 1000 }
 
 [[patch]]
 name = "back"
@@ -158,10 +158,11 @@ test("a press in space becomes a touch in the root's frame; states, verdicts and
   });
 
   await t.test("presses on two skins show where the ray met them, and end", async () => {
-    assert.equal(await page.locator("#verdict").textContent(), "guard: ok");
+    // Frames of a twin may be late on a busy machine, which is stale.
+    await until(page, "the guard's verdict", () => page.locator("#verdict").textContent(), (text) => text === "guard: ok");
     await pressed(page, "chest", 12, -8);
     await until(page, "the guard's verdict", () => page.locator("#verdict").textContent(), (text) => text === "guard: stop");
-    assert.equal(await page.locator('.patch-label[data-patch="chest"] .guard').textContent(), "stop");
+    await until(page, "the verdict at the skin", () => page.locator('.patch-label[data-patch="chest"] .guard').textContent(), (text) => text === "stop");
     await keepPicture(page, "body-pressed");
     await page.mouse.up();
     await until(page, "no touch", () => touches(page), (rows) => rows.length === 0);
