@@ -11,30 +11,37 @@ const assets = join(here, "../crates/dermis-cli/assets");
 const isCheck = process.argv.includes("--check");
 const demo = process.argv.includes("--demo") ? process.argv[process.argv.indexOf("--demo") + 1] : null;
 
-// Its licence requires this text wherever the code goes.
-const licence = `/*! uPlot, https://github.com/leeoniya/uPlot\n${await readFile(join(here, "node_modules/uplot/LICENSE"), "utf8")}*/`;
+/** A library's licence, which requires its text wherever the code goes. */
+const licence = async (name, address) => `/*! ${name}, ${address}\n${await readFile(join(here, "node_modules", name.toLowerCase(), "LICENSE"), "utf8")}*/`;
+const uPlot = await licence("uPlot", "https://github.com/leeoniya/uPlot");
+const three = await licence("three", "https://threejs.org");
 
-const { outputFiles } = await build({
-  absWorkingDir: here,
-  entryPoints: { page: "src/main.ts", ...(demo && { engine: "src/engine.ts" }) },
-  outdir: "out",
-  bundle: true,
-  write: false,
-  minify: true,
-  format: "iife",
-  target: ["es2022"],
-  charset: "utf8",
-  legalComments: "none",
-  banner: { js: licence },
-});
+const bundle = async (entryPoints, banner) => {
+  const { outputFiles } = await build({
+    absWorkingDir: here,
+    entryPoints,
+    outdir: "out",
+    bundle: true,
+    write: false,
+    minify: true,
+    format: "iife",
+    target: ["es2022"],
+    charset: "utf8",
+    legalComments: "none",
+    banner,
+  });
+  return outputFiles;
+};
+const outputFiles = await bundle({ page: "src/main.ts" }, { js: uPlot });
+if (demo) outputFiles.push(...(await bundle({ engine: "src/engine.ts" }, {})));
+// The page of a body is of no use without a server.
+else outputFiles.push(...(await bundle({ body: "src/body/main.ts" }, { js: three })));
 const files = new Map(outputFiles.map((file) => [file.path.split(/[\\/]/).pop(), Buffer.from(file.contents)]));
-for (const name of ["index.html", "icon.svg"]) files.set(name, await readFile(join(here, "public", name)));
-// Without its indentation.
-files.set("index.html", Buffer.from(files.get("index.html").toString().replace(/\n\s+/g, "\n")));
+for (const name of ["index.html", "icon.svg", ...(demo ? [] : ["body.html"])]) files.set(name, await readFile(join(here, "public", name)));
+// Without their indentation.
+for (const [name, contents] of files) if (name.endsWith(".html")) files.set(name, Buffer.from(contents.toString().replace(/\n\s+/g, "\n")));
 
 if (demo) {
-  // Only the page contains uPlot.
-  files.set("engine.js", Buffer.from(files.get("engine.js").toString().replace(licence, "").trimStart()));
   files.set("index.html", Buffer.from(files.get("index.html").toString().replace("<html ", '<html data-engine="engine.js" ')));
   await mkdir(demo, { recursive: true });
   for (const [name, contents] of files) await writeFile(join(demo, name), contents);

@@ -30,4 +30,4 @@ if [ -z "${DERMIS_BIN:-}${PAGE_DEMO_BIN:-}" ]; then
     cargo build --quiet --manifest-path ../Cargo.toml -p dermis-cli --example page_demo
 fi
 # Run one at a time: each has its own server and browser, and needs the machine's full speed.
-exec node --test --test-concurrency=1 tests/page.spec.mjs tests/instrument.spec.mjs tests/layout.spec.mjs tests/damage.spec.mjs
+exec node --test --test-concurrency=1 tests/page.spec.mjs tests/instrument.spec.mjs tests/layout.spec.mjs tests/damage.spec.mjs tests/body.spec.mjs

@@ -31,7 +31,8 @@ class SocketChannel implements Channel {
 
   constructor(listener: ChannelListener) {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    this.socket = new WebSocket(`${scheme}://${location.host}/ws`);
+    // Next to the page: a patch of a body has a page below the body's.
+    this.socket = new WebSocket(`${scheme}://${location.host}${location.pathname.replace(/[^/]*$/, "")}ws`);
     this.socket.binaryType = "arraybuffer";
     this.socket.onopen = () => listener.open();
     this.socket.onmessage = (event) => listener.message(event.data);

@@ -2,17 +2,15 @@
 // the page never gets more than it can take, and matches answers to requests.
 
 import { type Channel, openChannel } from "./channel";
-import { type Alive, type Channels, type Classes, type Command, type Image, type Notice, type Scene, type State, VERSION, decode } from "./protocol";
+import { type Alive, type Notice, VERSION } from "./protocol";
 
 export type Link = "connecting" | "live" | "silent" | "lost";
 
-export interface Listener {
+/** Takes the messages of a page with these types of scene and state. */
+export interface Listener<Scene, State> {
   link(link: Link, detail: string): void;
   scene(scene: Scene): void;
-  image(image: Image): void;
-  channels(channels: Channels): void;
-  noise(noise: Float32Array): void;
-  classes(classes: Classes): void;
+  binary(data: ArrayBuffer): void;
   state(state: State): void;
   alive(alive: Alive): void;
   notice(notice: Notice): void;
@@ -24,7 +22,7 @@ const SILENCE_MS = 5000;
 const STALE_MS = 2000;
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
 
-export class Connection {
+export class Connection<Scene, State, Command> {
   private channel: Channel | null = null;
   private attempts = 0;
   private nextId = 1;
@@ -33,7 +31,7 @@ export class Connection {
   /** The reason given by the server when it stopped. */
   private farewell = "";
 
-  constructor(private readonly listener: Listener) {
+  constructor(private readonly listener: Listener<Scene, State>) {
     this.open();
     setInterval(() => this.watch(), 500);
   }
@@ -88,11 +86,7 @@ export class Connection {
   private receive(data: string | ArrayBuffer): void {
     this.heard = performance.now();
     if (typeof data !== "string") {
-      const message = decode(data);
-      if (message?.kind === "image") this.listener.image(message.image);
-      else if (message?.kind === "channels") this.listener.channels(message.channels);
-      else if (message?.kind === "noise") this.listener.noise(message.noise);
-      else if (message?.kind === "classes") this.listener.classes(message.classes);
+      this.listener.binary(data);
       return;
     }
     const message = JSON.parse(data);
@@ -102,12 +96,14 @@ export class Connection {
     }
     switch (message.type) {
       case "scene":
+      case "body_scene":
         this.attempts = 0;
         this.farewell = "";
         this.listener.scene(message);
         this.listener.link("live", "live");
         break;
       case "state":
+      case "body_state":
         this.updated = this.heard;
         this.send({ v: VERSION, ack: message.sequence });
         this.listener.link("live", "live");

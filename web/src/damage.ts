@@ -2,7 +2,7 @@
 // against.
 
 import type { DamageView, Scene } from "./protocol";
-import { rows, write } from "./panels";
+import { rows, write } from "./rows";
 import { element } from "./view";
 
 const find = (id: string) => document.getElementById(id)!;

@@ -12,7 +12,7 @@ import { Layout } from "./layout";
 import { NoiseBars } from "./noise";
 import { showBadges, showCounters, showHealth, showLatency, showMessage, showPipeline, showTouches } from "./panels";
 import { Presser } from "./press";
-import type { Channels, Classes, Image, Scene, State } from "./protocol";
+import { type Channels, type Classes, type Image, type Scene, type SkinConnection, type State, decode } from "./protocol";
 import { type Tool, Treater } from "./treat";
 import { View } from "./view";
 
@@ -37,7 +37,10 @@ const traces = new ChannelStrip(find("traces"));
 const noise = new NoiseBars(find<HTMLCanvasElement>("noise"), find("noise-pick"));
 const slider = find<HTMLInputElement>("hyperparameter");
 
-let connection: Connection;
+/** Name of the patch on a body, if this is one. */
+const patch = decodeURIComponent(/\/patch\/([^/]+)\/$/.exec(location.pathname)?.[1] ?? "");
+
+let connection: SkinConnection;
 const presser = new Presser(view, () => connection, find<HTMLInputElement>("radius"), find<HTMLInputElement>("pressure"), find("cursor"));
 
 const treater = new Treater(view, () => connection, find<HTMLInputElement>("radius"));
@@ -59,13 +62,7 @@ let sliderTouchedAt = -Infinity;
 connection = new Connection({
   link: showLink,
   scene: begin,
-  image: (next) => {
-    image = next;
-    isFresh = true;
-  },
-  channels: (next) => (channels = next),
-  noise: (next) => noise.show(next),
-  classes: (next) => (classes = next),
+  binary: receiveBinary,
   state: receiveState,
   alive: ({ missed }) => (find("missed").textContent = String(missed)),
   notice: ({ level, text }) => showMessage(level, text),
@@ -80,8 +77,9 @@ function begin(next: Scene): void {
     if (chosen.length) connection.ask({ choose_channels: chosen });
     return;
   }
-  document.title = `${next.skin} – dermis`;
-  find("skin-name").textContent = next.skin;
+  const name = patch ? `${patch} (${next.skin})` : next.skin;
+  document.title = `${name} – dermis`;
+  find("skin-name").textContent = name;
   showBadges(next);
   view.begin(next);
   presser.begin(next);
@@ -114,6 +112,16 @@ function showSolid(isSolid: boolean): void {
   view.solid.show(isSolid);
   const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius; keys: ?";
   find("stage-help").textContent = isSolid ? "Drag to turn. Presses are made on the flat picture." : scene?.is_twin ? help : "";
+}
+
+function receiveBinary(data: ArrayBuffer): void {
+  const message = decode(data);
+  if (message?.kind === "image") {
+    image = message.image;
+    isFresh = true;
+  } else if (message?.kind === "channels") channels = message.channels;
+  else if (message?.kind === "noise") noise.show(message.noise);
+  else if (message?.kind === "classes") classes = message.classes;
 }
 
 function receiveState(next: State): void {
@@ -332,6 +340,7 @@ function countShown(): void {
 
 // The token is stored in a cookie by now. Remove it from the address, where it would be copied along.
 if (location.search.includes("token=")) history.replaceState(null, "", location.pathname);
+document.body.classList.toggle("patch", patch !== "");
 // Embedded in another page there is only room for the picture and the touches.
 document.body.classList.toggle("embedded", new URLSearchParams(location.search).has("embed"));
 bindControls();

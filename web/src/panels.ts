@@ -1,36 +1,14 @@
-// Tables, badges and messages. Rows are reused and only changes are written, because a table rebuilt fifty times a
-// second can neither be read nor selected.
+// Tables, badges and messages.
 
 import { brief } from "./charts";
 import type { Fault, Health, Notice, Pipeline, Scene, State, Touch } from "./protocol";
+import { rows, write } from "./rows";
 import { touchColour } from "./view";
 import { wordFor, wordForBadge } from "./words";
 
 const MOST_MESSAGES = 50;
 
 const find = (id: string) => document.getElementById(id)!;
-
-export function write(cell: Element, text: string): void {
-  if (cell.textContent !== text) cell.textContent = text;
-}
-
-/** Gives `body` one row of `cells` texts per key, in order, reusing rows. */
-export function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTableRowElement[] {
-  const present = new Map([...body.children].map((row) => [(row as HTMLElement).dataset.key, row as HTMLTableRowElement]));
-  const made = [...wanted].map(([key, cells]) => {
-    const row = present.get(key) ?? document.createElement("tr");
-    present.delete(key);
-    row.dataset.key = key;
-    while (row.cells.length < cells.length) row.insertCell();
-    cells.forEach((text, index) => write(row.cells[index], text));
-    return row;
-  });
-  for (const row of present.values()) row.remove();
-  made.forEach((row, index) => {
-    if (body.children[index] !== row) body.insertBefore(row, body.children[index] ?? null);
-  });
-  return made;
-}
 
 /** Outside its calibration a force is only known to be below or above the end of the range. */
 function forceSign(range: Touch["force_range"]): string {

@@ -1,7 +1,6 @@
 // Presses on the twin with mouse, pen, fingers or keys. Updates are sent at most once per display frame and pointer.
 
-import type { Connection } from "./connection";
-import type { Press, Scene } from "./protocol";
+import type { Press, Scene, SkinConnection } from "./protocol";
 import type { View } from "./view";
 
 /** Pointer id of the keyboard's press, which no browser assigns. */
@@ -32,7 +31,7 @@ export class Presser {
 
   constructor(
     private readonly view: View,
-    private readonly connection: () => Connection,
+    private readonly connection: () => SkinConnection,
     private readonly radius: HTMLInputElement,
     private readonly pressure: HTMLInputElement,
     private readonly readout: HTMLElement,

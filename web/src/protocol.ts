@@ -1,5 +1,7 @@
 // The messages between the page and the server, version 1; docs/src/page-protocol.md describes them.
 
+import type { Connection } from "./connection";
+
 export const VERSION = 1;
 
 export type Point = [number, number];
@@ -184,19 +186,30 @@ export type Command =
   | { demonstrate: boolean }
   | { choose_channels: number[] };
 
+/** A connection to the server of one skin. */
+export type SkinConnection = Connection<Scene, State, Command>;
+
 type Binary = { kind: "image"; image: Image } | { kind: "channels"; channels: Channels } | { kind: "noise"; noise: Float32Array } | { kind: "classes"; classes: Classes };
 
 const MAGIC = 0x534d5244; // "DRMS" read as a little-endian word
-const HEADER_BYTES = 32;
+export const HEADER_BYTES = 32;
+
+/** Kind of a binary message; 0 if this version doesn't know it. */
+export function kindOf(buffer: ArrayBuffer): number {
+  const view = new DataView(buffer);
+  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC || view.getUint16(4, true) !== VERSION) return 0;
+  return view.getUint16(6, true);
+}
 
 /** Reads a binary message; null if this version doesn't know it. */
 export function decode(buffer: ArrayBuffer): Binary | null {
+  const kind = kindOf(buffer);
+  if (kind === 0) return null;
   const view = new DataView(buffer);
-  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC || view.getUint16(4, true) !== VERSION) return null;
   const first = view.getUint32(24, true);
   const second = view.getUint32(28, true);
   const words = (buffer.byteLength - HEADER_BYTES) / 4;
-  switch (view.getUint16(6, true)) {
+  switch (kind) {
     case 1: {
       if (words !== first * second) return null;
       const values = new Float32Array(buffer, HEADER_BYTES, words);

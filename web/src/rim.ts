@@ -25,7 +25,7 @@ export class Rim {
   private readonly cols: number;
   private filled = new Float32Array(0);
 
-  constructor({ grid, outline_mm }: Scene) {
+  constructor({ grid, outline_mm }: Pick<Scene, "grid" | "outline_mm">) {
     [this.rows, this.cols] = [grid.rows, grid.cols];
     const [width, height] = [(grid.x_max_mm - grid.x_min_mm) / grid.cols, (grid.y_max_mm - grid.y_min_mm) / grid.rows];
     const centre = (index: number): Point => [

@@ -1,8 +1,7 @@
 // Treatments of a self-healing skin's twin: cutting with the mouse, healing with a heat pad, time lapse, and a new
 // sheet.
 
-import type { Connection } from "./connection";
-import type { Point, Scene } from "./protocol";
+import type { Point, Scene, SkinConnection } from "./protocol";
 import { type View, element } from "./view";
 
 /** Shorter strokes are slips of the mouse. */
@@ -20,7 +19,7 @@ export class Treater {
 
   constructor(
     private readonly view: View,
-    private readonly connection: () => Connection,
+    private readonly connection: () => SkinConnection,
     private readonly radius: HTMLInputElement,
   ) {
     const { stage } = view;

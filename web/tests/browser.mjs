@@ -24,7 +24,15 @@ function commandLine(port, extra) {
 
 /** Starts the server, on any free port by default, and waits until it prints `page: ADDRESS`. */
 export async function startServer(port = 0, extra = []) {
-  const [program, args] = commandLine(String(port), extra);
+  return start(commandLine(String(port), extra));
+}
+
+/** Starts `dermis run` with a body file. */
+export async function startBodyServer(file, extra = []) {
+  return start([process.env.DERMIS_BIN, ["run", file, "--no-open", "--port", "0", ...extra]]);
+}
+
+async function start([program, args]) {
   const server = spawn(program, args, { cwd: root, stdio: ["ignore", "pipe", "pipe"] });
   const said = [];
   const address = await new Promise((resolve, reject) => {
@@ -73,12 +81,13 @@ export async function startPage() {
   return { ...files, address: `${files.address}/poke/index.html` };
 }
 
-export async function startBrowser() {
+/** `draws3d`: WebGL, drawn by the processor if there is no graphics card. */
+export async function startBrowser({ draws3d = false } = {}) {
   const candidates = [process.env.CHROMIUM, "/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
   const executablePath = candidates.find((path) => path && existsSync(path));
   if (!executablePath) throw new Error("no Chromium found; install the package chromium or set CHROMIUM to its path");
   // Containers run as root, where Chromium's own sandbox cannot start.
-  return chromium.launch({ executablePath, args: ["--no-sandbox", "--disable-dev-shm-usage"] });
+  return chromium.launch({ executablePath, args: ["--no-sandbox", "--disable-dev-shm-usage", ...(draws3d ? ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"] : [])] });
 }
 
 /** Opens the page and records its requests and complaints. */

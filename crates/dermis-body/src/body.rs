@@ -1,6 +1,6 @@
 //! A body: a robot, and the skins mounted on its links.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use dermis_skin::{Skin, builtin_text};
@@ -33,6 +33,8 @@ pub struct Body {
     pub file: PathBuf,
     /// The robot's URDF file and its content, if there is one.
     pub urdf: Option<(PathBuf, Urdf)>,
+    /// The robot's mesh files that were found, by their names in the URDF file.
+    pub meshes: BTreeMap<String, PathBuf>,
     /// Links and joints.
     pub kinematics: Kinematics,
     /// Source of joint values named in the body file.
@@ -98,7 +100,7 @@ impl Body {
     /// A file cannot be read or parsed, or the joints don't form a tree; then there is no body.
     pub fn examine(file: &Path) -> Result<(Self, Vec<Problem>), Error> {
         let (source, text) = Source::open(file)?;
-        Builder { source, problems: Vec::new() }.build(text)
+        Builder { source, meshes: BTreeMap::new(), problems: Vec::new() }.build(text)
     }
 
     /// Pose of a patch; `None` if a joint on the way has no value.
@@ -122,6 +124,7 @@ impl Body {
 /// A body being read.
 struct Builder {
     source: Source,
+    meshes: BTreeMap<String, PathBuf>,
     problems: Vec<Problem>,
 }
 
@@ -152,6 +155,7 @@ impl Builder {
             name: text.name.or_else(stem).unwrap_or_default(),
             file: self.source.file.clone(),
             urdf,
+            meshes: std::mem::take(&mut self.meshes),
             kinematics,
             joint_source: text.joints.source.map(Spanned::into_inner),
             joints_stale_after_s: 1e-3 * stale_after_ms,
@@ -191,13 +195,15 @@ impl Builder {
             text.packages.iter().map(|(name, place)| (name.clone(), folder.join(place))).collect();
         let mut seen = BTreeSet::new();
         for shape in urdf.links.iter().flat_map(|link| &link.shapes) {
-            let Geometry::Mesh { filename } = &shape.geometry else { continue };
+            let Geometry::Mesh { filename, .. } = &shape.geometry else { continue };
             if !seen.insert(filename) {
                 continue;
             }
             let found = files::resolve(filename, &file, &packages);
-            let checked = found
-                .and_then(|place| files::check_mesh(&place).map_err(|reason| format!("{}: {reason}", place.display())));
+            let checked = found.and_then(|place| match files::check_mesh(&place) {
+                Ok(()) => Ok(self.meshes.insert(filename.clone(), place)),
+                Err(reason) => Err(format!("{}: {reason}", place.display())),
+            });
             if let Err(reason) = checked {
                 let message = format!("mesh {filename:?}: {reason}");
                 let error = Error::Urdf { file: file.clone(), line: shape.line, message };
@@ -229,8 +235,10 @@ impl Builder {
     fn patch(&self, text: &PatchText, body: &Body, lines: &[usize]) -> Result<Patch, Error> {
         let name = text.name.get_ref();
         let is_plain = |c: char| c.is_alphanumeric() || "_-.".contains(c);
-        if name.is_empty() || name.len() > 100 || !name.chars().all(is_plain) {
-            let expected = "a name of 1 to 100 letters, digits, _, - and .";
+        // Names of dots alone are folders in addresses.
+        let is_dots = name.chars().all(|c| c == '.');
+        if is_dots || name.len() > 100 || !name.chars().all(is_plain) {
+            let expected = "a name of 1 to 100 letters, digits, _, - and ., not of dots alone";
             return Err(self.source.refused(&text.name, "patch.name", name.escape_debug(), expected));
         }
         if let Some(first) = body.patches.iter().position(|patch| patch.name == *name) {

@@ -73,6 +73,8 @@ pub enum Geometry {
     Mesh {
         /// As written in the URDF file: a path, `file://...` or `package://...`.
         filename: String,
+        /// Factors on x, y and z of the file.
+        scale: Vector,
     },
 }
 
@@ -235,7 +237,10 @@ impl Reader<'_> {
             }
             "cylinder" | "capsule" => Geometry::Cylinder { radius_m: size("radius")?, length_m: size("length")? },
             "sphere" => Geometry::Sphere { radius_m: size("radius")? },
-            "mesh" => Geometry::Mesh { filename: self.attribute(geometry, "filename")?.to_owned() },
+            "mesh" => Geometry::Mesh {
+                filename: self.attribute(geometry, "filename")?.to_owned(),
+                scale: self.numbers(geometry, "scale")?.unwrap_or([1.0; 3]),
+            },
             _ => return Ok(None),
         };
         Ok(Some(Shape { line: self.line(geometry), link_from_shape, geometry: what }))

@@ -3,6 +3,8 @@
 
 #[path = "page/access.rs"]
 mod access;
+#[path = "page/body.rs"]
+mod body;
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -88,7 +90,16 @@ fn status(answer: &str) -> u16 {
 }
 
 async fn open_with(address: SocketAddr, origin: Option<&str>, cookie: Option<&str>) -> Result<Socket, SocketError> {
-    let mut request = format!("ws://{address}/ws").into_client_request()?;
+    open_with_at(address, "/ws", origin, cookie).await
+}
+
+async fn open_with_at(
+    address: SocketAddr,
+    path: &str,
+    origin: Option<&str>,
+    cookie: Option<&str>,
+) -> Result<Socket, SocketError> {
+    let mut request = format!("ws://{address}{path}").into_client_request()?;
     for (name, value) in [("Origin", origin), ("Cookie", cookie)] {
         if let Some(value) = value {
             request.headers_mut().insert(name, value.parse().expect("a header"));
@@ -99,7 +110,12 @@ async fn open_with(address: SocketAddr, origin: Option<&str>, cookie: Option<&st
 }
 
 async fn open(address: SocketAddr) -> Socket {
-    open_with(address, Some(&format!("http://{address}")), None).await.expect("the page's own socket")
+    open_at(address, "/ws").await
+}
+
+async fn open_at(address: SocketAddr, path: &str) -> Socket {
+    let origin = format!("http://{address}");
+    open_with_at(address, path, Some(&origin), None).await.expect("the page's own socket")
 }
 
 fn refused_with(opened: Result<Socket, SocketError>) -> u16 {

@@ -16,6 +16,9 @@
 //! ```
 
 mod announcer;
+mod body_command;
+mod body_scene;
+mod body_state;
 mod command;
 mod error;
 pub mod feed;
@@ -27,12 +30,17 @@ mod skin_scene;
 mod update;
 
 pub use announcer::Announcer;
+pub use body_command::{BodyCommand, PatchCommand};
+pub use body_scene::{
+    BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, ShapeView, SurfaceView,
+};
+pub use body_state::{BodyState, BodyTouchView, JointsView, LinkPoseView, PatchStateView, PlacedTouchView};
 pub use command::{Command, Press};
 pub use error::UpdateError;
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
-pub use skin_scene::scene;
+pub use skin_scene::{rings, scene};
 pub use update::{
-    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, FrameFaultView, HealthView,
-    Image, OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView,
-    Update,
+    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, FrameFaultView, GuardView,
+    HealthView, Image, OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase,
+    TouchView, Update,
 };

@@ -2,9 +2,11 @@
 //! `docs/src/page-protocol.md` describes them for other programs; keep the two in step.
 
 use bytes::Bytes;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::command::Command;
+use crate::body_scene::BodyScene;
+use crate::body_state::BodyState;
 use crate::message::{Answer, HubStats, Notice};
 use crate::scene::Scene;
 use crate::update::{
@@ -19,6 +21,7 @@ const KIND_IMAGE: u16 = 1;
 const KIND_CHANNELS: u16 = 2;
 const KIND_NOISE: u16 = 3;
 const KIND_CLASSES: u16 = 4;
+const KIND_PATCH_IMAGE: u16 = 5;
 /// Bytes before the values of a binary message.
 const HEADER_BYTES: usize = 32;
 
@@ -39,11 +42,11 @@ pub struct Encoded {
 
 /// A message from a page.
 #[derive(Debug, PartialEq)]
-pub enum Said {
+pub enum Said<C> {
     /// The update with this sequence number has been shown.
     Acknowledge(u64),
     /// A request; the number is returned in the answer.
-    Ask(u64, Command),
+    Ask(u64, C),
 }
 
 /// A JSON message: version and type, then the body's own fields.
@@ -89,13 +92,30 @@ struct Alive {
     hub: HubStats,
 }
 
+impl<C> Said<C> {
+    /// The same message with another type of command.
+    pub fn map<D>(self, change: impl FnOnce(C) -> D) -> Said<D> {
+        match self {
+            Self::Acknowledge(sequence) => Said::Acknowledge(sequence),
+            Self::Ask(id, command) => Said::Ask(id, change(command)),
+        }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Incoming {
+struct Incoming<C> {
     v: u16,
     ack: Option<u64>,
     id: Option<u64>,
-    command: Option<Command>,
+    command: Option<C>,
+}
+
+#[derive(Serialize)]
+struct NumberedBodyState<'a> {
+    sequence: u64,
+    #[serde(flatten)]
+    state: &'a BodyState,
 }
 
 impl Encoded {
@@ -131,6 +151,23 @@ pub fn scene(scene: &Scene) -> String {
     json("scene", scene)
 }
 
+/// The scene of a body, sent first.
+pub fn body_scene(scene: &BodyScene) -> String {
+    json("body_scene", scene)
+}
+
+/// The state of a body; pages acknowledge its sequence number.
+pub fn body_state(sequence: u64, state: &BodyState) -> String {
+    json("body_state", NumberedBodyState { sequence, state })
+}
+
+/// The image of one of a body's patches, kind 5. `values` fill the grid in the patch's scene.
+pub fn patch_image(patch: usize, frame: u64, time_ns: u64, values: &[f32]) -> Bytes {
+    let mut message = header(KIND_PATCH_IMAGE, frame, time_ns, [patch as u32, values.len() as u32], values.len());
+    put_values(&mut message, values);
+    message.into()
+}
+
 /// An answer to one request.
 pub fn answer(answer: &Answer) -> String {
     json("answer", answer)
@@ -153,12 +190,12 @@ pub fn noise(values: &[f32]) -> Bytes {
     message.into()
 }
 
-/// Parses a message from a page.
+/// Parses a message from a page with commands of type `C`: [`crate::Command`] or [`crate::BodyCommand`].
 ///
 /// # Errors
 /// A sentence for the page that states the fault and what was expected, with the request's number if it was readable.
-pub fn parse(text: &str) -> Result<Said, (u64, String)> {
-    let incoming: Incoming =
+pub fn parse<C: DeserializeOwned>(text: &str) -> Result<Said<C>, (u64, String)> {
+    let incoming: Incoming<C> =
         serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
     let id = incoming.id.unwrap_or(0);
     if incoming.v != PROTOCOL_VERSION {
@@ -225,8 +262,9 @@ fn put_values(message: &mut Vec<u8>, values: &[f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::Press;
+    use crate::command::{Command, Press};
     use crate::update::Image;
+    use crate::{BodyCommand, PatchCommand};
 
     #[test]
     fn an_image_message_has_the_documented_layout() {
@@ -248,7 +286,7 @@ mod tests {
         let expected = Press { pointer_id: 1, x_mm: 2.0, y_mm: -3.5, radius_mm: 10.0, pressure_kpa: 80.0 };
         assert_eq!(parse(press), Ok(Said::Ask(3, Command::Press(expected))));
         assert_eq!(parse(r#"{"v":1,"id":4,"command":"record_start"}"#), Ok(Said::Ask(4, Command::RecordStart)));
-        assert_eq!(parse(r#"{"v":1,"ack":88}"#), Ok(Said::Acknowledge(88)));
+        assert_eq!(parse::<Command>(r#"{"v":1,"ack":88}"#), Ok(Said::Acknowledge(88)));
         for (wrong, hint) in [
             (r#"{"v":2,"ack":1}"#, "version 2"),
             (r#"{"v":1}"#, "expected either"),
@@ -257,9 +295,28 @@ mod tests {
             (r#"{"v":1,"id":1,"command":"explode"}"#, "unknown variant `explode`"),
             ("[1", "not understood"),
         ] {
-            let (_, text) = parse(wrong).expect_err(wrong);
+            let (_, text) = parse::<Command>(wrong).expect_err(wrong);
             assert!(text.contains(hint), "{wrong}: {text}");
         }
+    }
+
+    #[test]
+    fn commands_of_a_bodys_page_name_a_patch_or_joints() {
+        let tare = r#"{"v":1,"id":3,"command":{"patch":{"number":2,"command":{"tare":{"force":false}}}}}"#;
+        let command = Command::Tare { force: false };
+        assert_eq!(parse(tare), Ok(Said::Ask(3, BodyCommand::Patch(PatchCommand { number: 2, command }))));
+        let joints = r#"{"v":1,"id":4,"command":{"joints":{"elbow":0.5}}}"#;
+        assert_eq!(parse(joints), Ok(Said::Ask(4, BodyCommand::Joints([("elbow".to_owned(), 0.5)].into()))));
+        let (id, text) = parse::<BodyCommand>(r#"{"v":1,"id":5,"command":{"tare":{"force":false}}}"#).unwrap_err();
+        assert!(id == 0 && text.contains("unknown variant `tare`, expected `patch` or `joints`"), "{text}");
+    }
+
+    #[test]
+    fn the_image_of_a_patch_states_its_number() {
+        let message = patch_image(3, 7, 9, &[1.5, 2.5]);
+        assert_eq!(&message[..8], b"DRMS\x01\x00\x05\x00");
+        assert_eq!(message[24..32], [3, 0, 0, 0, 2, 0, 0, 0]);
+        assert_eq!(message[36..], 2.5f32.to_le_bytes());
     }
 
     #[test]

@@ -77,6 +77,14 @@ pub struct Touch {
     pub time_ns: u64,
 }
 
+impl Touch {
+    /// The fitted radius, or else the radius of a disc of the touch's area, metres; `None` if neither is known.
+    pub fn footprint_radius_m(&self) -> Option<f64> {
+        let radius_m = self.radius_m.unwrap_or((self.area_m2 / std::f64::consts::PI).sqrt());
+        (radius_m.is_finite() && radius_m > 0.0).then_some(radius_m)
+    }
+}
+
 /// An event in the life of a touch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -114,7 +114,7 @@ impl Engine {
 
     /// Handles a message from the page: an acknowledgement or a request.
     pub fn hear(&mut self, text: &str) {
-        let (id, answer) = match protocol::parse(text) {
+        let (id, answer) = match protocol::parse::<Command>(text) {
             Ok(Said::Acknowledge(sequence)) => {
                 self.acknowledged = sequence.clamp(self.acknowledged, self.sequence);
                 return;

@@ -12,6 +12,7 @@ mod report;
 #[cfg(feature = "ros2")]
 mod ros2;
 mod run;
+mod watch;
 
 pub use error::BodyRunError;
 #[cfg(feature = "foxglove")]
@@ -20,3 +21,4 @@ pub use joints::{JointSnapshot, JointsState};
 pub use loads::NetWrench;
 pub use report::{PatchHealth, PatchReport, PatchState, TouchInFrames};
 pub use run::{BodyRun, BodyRunOptions};
+pub use watch::{BodyWatch, OpenPublisher, StartingPatch};

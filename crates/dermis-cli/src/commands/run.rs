@@ -1,11 +1,13 @@
 //! `dermis run`: acquire, reconstruct, show. One thread reads the source, this one runs the pipeline, and the page's
 //! server has its own. All losses on the way are counted, shown, and reflected in the exit code.
 
+mod body_page;
 mod on_body;
 #[cfg_attr(not(feature = "ros2"), path = "run/ros2_absent.rs")]
 mod ros2;
 mod running;
 pub mod source;
+mod twin_requests;
 mod viewers;
 
 use std::io::Write;
@@ -15,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crate::page::{PageOptions, Request, Token};
+use crate::page::{Binding, PageOptions, Request, Token};
 use crossbeam_channel::Receiver;
 use dermis::body_run::BodyRunOptions;
 use dermis::device::acquire::Acquisition;
@@ -33,6 +35,7 @@ use dermis_learn::Model;
 use super::acquired::AcquiredFrames;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
+use on_body::Shown;
 pub(super) use running::Running;
 use viewers::{ViewerArguments, Viewers};
 
@@ -42,12 +45,13 @@ Examples:
   dermis run healing-square --no-open --port 8080
   dermis run healing-square --headless --frames 100
   dermis run --source recording.mcap --speed 0
+  dermis run arm/arm.toml
   dermis run arm/arm.toml --headless --frames 50 --speed 0
   dermis run --headless --frames 50 --guard tcp://127.0.0.1:0
 
 In place of a skin a body file runs all skins of a robot (`dermis body demo arm` writes one): every patch by the source
-that the file names, as JSON lines, with touches in the frames of patch, link and root, net wrenches, and once a second a
-line of health.
+that the file names. Its page shows the robot in 3-D, with a page for each patch. With --headless it prints JSON lines,
+with touches in the frames of patch, link and root, net wrenches, and once a second a line of health.
 
 Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is printed
 as `page: http://...`. Pages on other addresses than this machine's own need the token that is part of that address.";
@@ -93,7 +97,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
     /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, ros2:/TOPIC (JointState), a
-    /// file of such lines, or sweep (a demonstration).
+    /// file of such lines, sweep (a demonstration), or page (sliders on the page, also used if there is no source).
     #[arg(long, value_name = "SOURCE")]
     joints: Option<String>,
     /// Run the other patches of a body if one can't be started.
@@ -178,20 +182,23 @@ impl Arguments {
     }
 
     fn run_body(&self, file: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let given = [("--model", self.model.is_some()), ("--allow-host", !self.allow_host.is_empty())];
-        if let Some((option, _)) = given.into_iter().find(|(_, is_given)| *is_given) {
-            return Err(UsageError(format!("{option}: of single skins; expected none with a body file")).into());
+        if self.model.is_some() {
+            return Err(UsageError("--model: of single skins; expected none with a body file".into()).into());
         }
-        if !self.headless {
-            super::hint("bodies have no page: JSON lines follow, as with --headless");
-        }
+        let shown = if self.headless {
+            Shown::Lines { only_touches: self.only_touches }
+        } else {
+            // Opened before the patches are prepared, which takes longer.
+            let binding = Box::new(Binding::new(self.address(), self.page_options()?)?);
+            Shown::Page { binding, opens_browser: !self.no_open }
+        };
         #[cfg_attr(not(feature = "ros2"), expect(clippy::needless_update, reason = "features add options"))]
         let mut options = BodyRunOptions {
             source: self.input.source_options()?,
             joints: self.joints.clone(),
             keep_going: self.keep_going,
             record: self.record.clone(),
-            lines: true,
+            lines: self.headless,
             most_frames: self.frames,
             guard: self.guard.clone(),
             #[cfg(feature = "foxglove")]
@@ -199,7 +206,7 @@ impl Arguments {
             ..BodyRunOptions::default()
         };
         self.ros2.add_to(&mut options)?;
-        on_body::run(file, &options, self.only_touches, out)
+        on_body::run(file, &options, shown, out)
     }
 
     /// Loads the requested network, or the one shipped with the skin if the skin is unchanged since its training.

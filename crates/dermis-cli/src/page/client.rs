@@ -3,7 +3,7 @@
 //! A page acknowledges each update. At most [`WINDOW`] updates are in flight, so a slow page or network gets fewer
 //! updates rather than old ones: missed updates are counted, and nothing queues up.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -11,12 +11,13 @@ use std::time::Duration;
 use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use crossbeam_channel::TrySendError;
-use dermis_page::Command;
 use dermis_page::message::{Answer, Level, Notice};
-use dermis_page::protocol::{self, Encoded, Said};
+use dermis_page::protocol::{self, Said};
+use dermis_page::{BodyCommand, Command, PatchCommand};
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 
+use super::endpoint::{Endpoint, Packet, SkinPage};
 use super::request::{Reply, Request};
 use super::shared::Shared;
 
@@ -42,11 +43,15 @@ enum End {
 struct Client<'a> {
     socket: WebSocket,
     shared: &'a Shared,
+    endpoint: &'a Endpoint,
     number: u64,
     answers: mpsc::Sender<Answer>,
-    held: BTreeSet<u64>,
-    /// The last requested hyperparameter, while the pipeline's queue has no room for it.
-    later: Option<Request>,
+    /// Current presses: number of the skin, and pointer.
+    held: BTreeSet<(usize, u64)>,
+    /// The last requested hyperparameter and its skin, while that pipeline's queue has no room for it.
+    later: Option<(usize, Request)>,
+    /// Version of the last message sent in each slot.
+    versions: BTreeMap<usize, u64>,
     allowance: Allowance,
     /// Allowance for acknowledgements and pings.
     signs: Allowance,
@@ -63,7 +68,7 @@ struct Allowance {
 }
 
 /// Serves one page until it leaves or the server stops.
-pub(super) async fn serve(mut socket: WebSocket, shared: &Shared) {
+pub(super) async fn serve(mut socket: WebSocket, shared: &Shared, endpoint: &Endpoint) {
     let Ok(_place) = shared.places.try_acquire() else {
         return close(&mut socket, close_code::AGAIN, "as many pages as allowed are open: close one").await;
     };
@@ -71,17 +76,19 @@ pub(super) async fn serve(mut socket: WebSocket, shared: &Shared) {
     let mut client = Client {
         socket,
         shared,
+        endpoint,
         number: shared.next_client.fetch_add(1, Ordering::Relaxed),
         answers,
         held: BTreeSet::new(),
         later: None,
+        versions: BTreeMap::new(),
         allowance: Allowance::new(shared.options.most_messages_per_s),
         signs: Allowance::new(shared.options.most_messages_per_s),
         sent: 0,
         acknowledged: 0,
         missed: 0,
     };
-    let count = &shared.hub.inner.counts.clients;
+    let count = &endpoint.hub.inner.counts.clients;
     count.fetch_add(1, Ordering::Relaxed);
     let end = client.talk(unsent).await;
     count.fetch_sub(1, Ordering::Relaxed);
@@ -96,17 +103,18 @@ impl Client<'_> {
     async fn talk(&mut self, mut answers: mpsc::Receiver<Answer>) -> Result<(), End> {
         let shared = self.shared;
         let mut stop = shared.stop.clone();
-        let mut notices = shared.hub.inner.notices.subscribe();
-        let mut noise = shared.hub.inner.noise.subscribe();
-        let mut updates = shared.updates.subscribe();
+        let Endpoint { hub, updates, scene_json, .. } = self.endpoint;
+        let mut notices = hub.inner.notices.subscribe();
+        let mut noise = hub.inner.noise.subscribe();
+        let mut updates = updates.subscribe();
         let mut alive = interval(ALIVE_PERIOD);
         let mut retry = interval(RETRY);
         retry.set_missed_tick_behavior(MissedTickBehavior::Delay);
         noise.mark_changed();
         updates.mark_changed();
-        self.send_text(shared.scene_json.clone()).await?;
+        self.send_text(scene_json.clone()).await?;
         // An update published while no page was open is still waiting.
-        shared.hub.inner.published.notify_one();
+        hub.inner.published.notify_one();
         loop {
             let is_ready = self.sent - self.acknowledged < WINDOW;
             tokio::select! {
@@ -128,24 +136,24 @@ impl Client<'_> {
                     }
                 }
                 _ = retry.tick(), if self.later.is_some() => self.try_again(),
-                _ = alive.tick() => self.send_text(protocol::alive(self.missed, shared.hub.stats())).await?,
+                _ = alive.tick() => self.send_text(protocol::alive(self.missed, hub.stats())).await?,
             }
         }
     }
 
-    async fn send_update(&mut self, update: &Arc<Encoded>) -> Result<(), End> {
+    async fn send_update(&mut self, update: &Arc<Packet>) -> Result<(), End> {
         if self.sent > 0 {
             let missed = update.sequence.saturating_sub(self.sent + 1);
             self.missed += missed;
-            self.shared.hub.inner.counts.dropped.fetch_add(missed, Ordering::Relaxed);
+            self.endpoint.hub.inner.counts.dropped.fetch_add(missed, Ordering::Relaxed);
         } else {
             self.acknowledged = update.sequence - 1;
         }
         self.sent = update.sequence;
-        self.send_binary(update.image.clone()).await?;
-        self.send_binary(update.channels.clone()).await?;
-        if let Some(classes) = &update.classes {
-            self.send_binary(classes.clone()).await?;
+        for part in &update.parts {
+            if self.versions.insert(part.slot, part.version) != Some(part.version) {
+                self.send_binary(part.message.clone()).await?;
+            }
         }
         self.send_text(update.state.clone()).await
     }
@@ -169,7 +177,11 @@ impl Client<'_> {
             Some(Ok(Message::Close(_))) | None => return Err(End::Gone),
             Some(Err(error)) => return Err(unreadable(&error)),
         };
-        match protocol::parse(&text) {
+        let said = match &self.endpoint.body {
+            Some(_) => protocol::parse::<BodyCommand>(&text),
+            None => protocol::parse::<Command>(&text).map(|said| said.map(to_only_skin)),
+        };
+        match said {
             Ok(Said::Acknowledge(sequence)) => {
                 self.acknowledged = sequence.clamp(self.acknowledged, self.sent);
                 return self.count_sign();
@@ -177,7 +189,22 @@ impl Client<'_> {
             _ if !self.allowance.spend() => {
                 return Err(End::Closed(close_code::POLICY, "too many messages per second"));
             }
-            Ok(Said::Ask(id, command)) => self.pass_on(id, command),
+            Ok(Said::Ask(id, BodyCommand::Patch(PatchCommand { number, command }))) => {
+                match self.endpoint.skins.get(number) {
+                    Some(Some(skin)) => self.pass_on(id, number, skin, command),
+                    Some(None) => self.answer(id, format!("refused: patch {number} does not run")),
+                    None => {
+                        let expected = self.endpoint.skins.len();
+                        self.answer(id, format!("patch {number} refused: expected a number below {expected}"));
+                    }
+                }
+            }
+            Ok(Said::Ask(id, BodyCommand::Joints(values))) => {
+                let set = self.endpoint.body.as_ref().map(|body| body.set_joints(&values));
+                if let Some(Err(refusal)) = set {
+                    self.answer(id, refusal);
+                }
+            }
             Err((id, text)) => self.answer(id, text),
         }
         Ok(())
@@ -193,8 +220,8 @@ impl Client<'_> {
     }
 
     /// Checks a command and hands it to the pipeline, or replies with the reason for refusing it.
-    fn pass_on(&mut self, id: u64, mut command: Command) {
-        if let Err(refusal) = command.check(&self.shared.scene).and_then(|()| self.own(&mut command)) {
+    fn pass_on(&mut self, id: u64, number: usize, skin: &SkinPage, mut command: Command) {
+        if let Err(refusal) = command.check(&skin.scene).and_then(|()| self.own(number, &mut command)) {
             return self.answer(id, refusal);
         }
         let held = match &command {
@@ -205,22 +232,23 @@ impl Client<'_> {
         let reply = Reply { id, answers: Some(self.answers.clone()) };
         let request = Request { client: self.number, command, reply };
         if self.later.is_some() && matches!(request.command, Command::Hyperparameter(_)) {
-            return self.keep_for_later(request);
+            return self.keep_for_later(number, request);
         }
-        match self.shared.commands.try_send(request) {
+        match skin.commands.try_send(request) {
             Ok(()) => match held {
-                Some((pointer, true)) => _ = self.held.insert(pointer),
-                Some((pointer, false)) => _ = self.held.remove(&pointer),
+                Some((pointer, true)) => _ = self.held.insert((number, pointer)),
+                Some((pointer, false)) => _ = self.held.remove(&(number, pointer)),
                 None => {}
             },
             Err(TrySendError::Full(request)) if matches!(request.command, Command::Hyperparameter(_)) => {
-                self.keep_for_later(request);
+                self.keep_for_later(number, request);
             }
             Err(TrySendError::Full(request)) => {
                 request.reply.refuse("the pipeline is behind: not done, try again");
                 // The page has released its press and won't say so again.
                 if let Some((pointer, false)) = held {
-                    self.release_later(pointer);
+                    self.held.remove(&(number, pointer));
+                    tokio::spawn(release(skin.commands.clone(), self.number, pointer));
                 }
             }
             Err(TrySendError::Disconnected(request)) => request.reply.refuse("the pipeline has ended"),
@@ -228,22 +256,24 @@ impl Client<'_> {
     }
 
     /// Keeps the latest hyperparameter until there is room for it.
-    fn keep_for_later(&mut self, request: Request) {
-        if let Some(earlier) = self.later.replace(request) {
+    fn keep_for_later(&mut self, number: usize, request: Request) {
+        if let Some((_, earlier)) = self.later.replace((number, request)) {
             earlier.reply.accept("replaced by a later one");
         }
     }
 
     fn try_again(&mut self) {
-        match self.later.take().map(|request| self.shared.commands.try_send(request)) {
-            None | Some(Ok(())) => {}
-            Some(Err(TrySendError::Full(request))) => self.later = Some(request),
-            Some(Err(TrySendError::Disconnected(request))) => request.reply.refuse("the pipeline has ended"),
+        let Some((number, request)) = self.later.take() else { return };
+        let Some(Some(skin)) = self.endpoint.skins.get(number) else { return };
+        match skin.commands.try_send(request) {
+            Ok(()) => {}
+            Err(TrySendError::Full(request)) => self.later = Some((number, request)),
+            Err(TrySendError::Disconnected(request)) => request.reply.refuse("the pipeline has ended"),
         }
     }
 
     /// Makes pointer ids unique among pages, and lets a page move only its own presses.
-    fn own(&self, command: &mut Command) -> Result<(), String> {
+    fn own(&self, skin: usize, command: &mut Command) -> Result<(), String> {
         let (pointer, is_new) = match command {
             Command::Press(press) => (&mut press.pointer_id, true),
             Command::Move(press) => (&mut press.pointer_id, false),
@@ -254,7 +284,7 @@ impl Client<'_> {
             return Err(format!("pointer_id {pointer} refused: expected at most {}", u32::MAX));
         };
         *pointer = (self.number << 32) | u64::from(number);
-        match self.held.contains(pointer) {
+        match self.held.contains(&(skin, *pointer)) {
             true if is_new => Err(format!("press refused: pointer_id {number} presses already")),
             false if !is_new => Err(format!("pointer_id {number} refused: it does not press")),
             false if self.held.len() >= Command::MOST_PRESSES => {
@@ -264,15 +294,12 @@ impl Client<'_> {
         }
     }
 
-    fn release_later(&mut self, pointer_id: u64) {
-        self.held.remove(&pointer_id);
-        tokio::spawn(release(self.shared.commands.clone(), self.number, pointer_id));
-    }
-
     /// Ends the presses that a page still held when it left.
     async fn release_all(&mut self) {
-        for pointer_id in std::mem::take(&mut self.held) {
-            release(self.shared.commands.clone(), self.number, pointer_id).await;
+        for (number, pointer_id) in std::mem::take(&mut self.held) {
+            if let Some(Some(skin)) = self.endpoint.skins.get(number) {
+                release(skin.commands.clone(), self.number, pointer_id).await;
+            }
         }
     }
 
@@ -313,6 +340,11 @@ impl Allowance {
         self.left -= if is_enough { 1.0 } else { 0.0 };
         is_enough
     }
+}
+
+/// A command of a single skin's page: its endpoint has that skin alone.
+fn to_only_skin(command: Command) -> BodyCommand {
+    BodyCommand::Patch(PatchCommand { number: 0, command })
 }
 
 /// Returns when the server stops.

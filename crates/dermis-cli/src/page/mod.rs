@@ -25,8 +25,10 @@
 //! ```
 
 mod access;
+mod assets;
 mod client;
 mod connections;
+mod endpoint;
 mod error;
 mod hub;
 mod request;
@@ -41,8 +43,9 @@ pub use dermis_page::{
     FrameFaultView, GridView, HealthView, Image, OtherPlaceView, PipelineState, Press, PressLimits, ProposalView,
     Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update, UpdateError,
 };
+pub use endpoint::{BodyFeed, BodyPage, PatchImage, SkinPage};
 pub use error::PageError;
 pub use hub::Hub;
 pub use request::{Reply, Request, coalesced};
-pub use server::{ServerHandle, serve};
+pub use server::{Binding, ServerHandle, serve};
 pub use shared::PageOptions;

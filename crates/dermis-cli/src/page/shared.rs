@@ -4,14 +4,9 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use crossbeam_channel::Sender;
-use dermis_page::Scene;
-use dermis_page::protocol::Encoded;
 use tokio::sync::{Semaphore, watch};
 
 use super::access::{Access, Token};
-use super::hub::Hub;
-use super::request::Request;
 
 /// Options for serving the page.
 #[derive(Debug, Clone)]
@@ -55,11 +50,6 @@ impl Default for PageOptions {
 pub(super) struct Shared {
     pub(super) access: Access,
     pub(super) options: PageOptions,
-    pub(super) hub: Hub,
-    pub(super) scene: Scene,
-    pub(super) scene_json: String,
-    pub(super) commands: Sender<Request>,
-    pub(super) updates: watch::Sender<Option<Arc<Encoded>>>,
     pub(super) stop: watch::Receiver<bool>,
     /// Reason for stopping, as told to pages.
     pub(super) farewell: Arc<OnceLock<&'static str>>,

@@ -195,6 +195,8 @@ fn options_of_single_skins_are_refused_with_a_body_and_the_other_way_round() {
         (&["arm.toml", "--headless", "--speed", "-1"], "--speed -1: expected"),
         (&["healing-square", "--headless", "--joints", "-"], "expected a body file"),
         (&["arm.toml", "--headless", "--joints", "no.jsonl"], "joint values from no.jsonl"),
+        (&["arm.toml", "--headless", "--joints", "page"], "expected another source with --headless"),
+        (&["arm.toml", "--model", "x.json"], "--model: of single skins"),
     ] {
         let output = run(desk.path(), arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", message(&output));

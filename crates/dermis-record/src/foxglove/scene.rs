@@ -79,7 +79,7 @@ impl Scene {
         let force = Force::of(touch);
         let arrow = force.and_then(|force| force.arrow(&place));
         let label_m = force.map_or(0.0, |force| force.length_m()).max(LABEL_HEIGHT_M);
-        let (radius_m, sigma) = (radius_m(touch), sigma_ellipse(&place, touch.covariance_m2, ELLIPSE));
+        let (radius_m, sigma) = (touch.footprint_radius_m(), sigma_ellipse(&place, touch.covariance_m2, ELLIPSE));
         let mut texts = vec![label(&place, label_m, label_text(touch, force))];
         let mut spheres: Vec<_> = sigma.into_iter().collect();
         let mut cylinders: Vec<_> = radius_m.map(|radius_m| disc(&place, radius_m, DISC)).into_iter().collect();
@@ -189,12 +189,6 @@ impl Force {
             color: Some(ARROW),
         })
     }
-}
-
-/// The fitted radius, or else the radius of a disc of the touch's area, metres.
-fn radius_m(touch: &Touch) -> Option<f64> {
-    let radius_m = touch.radius_m.unwrap_or((touch.area_m2 / std::f64::consts::PI).sqrt());
-    (radius_m.is_finite() && radius_m > 0.0).then_some(radius_m)
 }
 
 fn disc(place: &Place, radius_m: f64, color: Color) -> CylinderPrimitive {

@@ -1,5 +1,5 @@
 //! Joint values of a running body: from JSON lines on standard input, in a file or on a socket, from a topic of ROS 2,
-//! from a demonstration, or from the body file.
+//! from a demonstration, from sliders on the page, or from the body file.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use dermis_body::joint_lines::{MOST_LINE_BYTES, take_line};
-use dermis_body::{Body, JointValues};
+use dermis_body::{Assigned, Body, JointValues};
 use dermis_device::HostStamp;
 
 use super::error::BodyRunError;
@@ -80,6 +80,8 @@ enum Kind {
     Fixed,
     Lines,
     Sweep,
+    /// Set by hand, from the page.
+    Page,
     /// A topic of ROS 2.
     Ros2,
 }
@@ -94,16 +96,17 @@ pub struct JointFeed {
 }
 
 impl JointFeed {
-    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `ros2:/TOPIC`, `sweep` (a demonstration: every joint moves
-    /// to and fro between its limits) or a file of lines, at the pace of their `time_s`. Without a source the joints stay
-    /// at `joints.at` or, where that is missing, at rest.
+    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `ros2:/TOPIC`, `sweep` (a demonstration: every joint
+    /// moves to and fro between its limits), `page` (set by [`JointFeed::set`]) or a file of lines, at the pace of their
+    /// `time_s`. Without a source the joints stay at `joints.at` or, where that is missing, at rest.
     ///
     /// # Errors
     /// The file or topic cannot be opened.
     pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, BodyRunError> {
         let (kind, values) = match source {
-            None => (Kind::Fixed, rest_where_unknown(body)),
-            Some("sweep") => (Kind::Sweep, rest_where_unknown(body)),
+            None => (Kind::Fixed, rest_where_unknown(body, &body.first_joints)),
+            Some("sweep") => (Kind::Sweep, rest_where_unknown(body, &body.first_joints)),
+            Some("page") => (Kind::Page, rest_where_unknown(body, &body.first_joints)),
             Some(text) if text.starts_with(ROS2) => (Kind::Ros2, body.first_joints.clone()),
             Some(_) => (Kind::Lines, body.first_joints.clone()),
         };
@@ -145,11 +148,33 @@ impl JointFeed {
         self.kind == Kind::Ros2
     }
 
+    /// True if joints are set by hand.
+    pub fn is_set_by_hand(&self) -> bool {
+        self.kind == Kind::Page
+    }
+
+    /// Sets a joint by hand, radians or metres.
+    ///
+    /// # Errors
+    /// The reason for refusing it: the joints have another source, there is no such joint, or its value isn't finite.
+    pub fn set(&self, joint: &str, value: f64) -> Result<(), String> {
+        if self.kind != Kind::Page {
+            return Err(format!("joint {joint} refused: the joints follow their source, not the page"));
+        }
+        match self.body.kinematics.assign(&mut self.told().values, joint, value) {
+            Ok(Assigned::Taken) => Ok(()),
+            Ok(Assigned::NotItsOwn) => Err(format!("joint {joint} refused: expected one that moves by itself")),
+            Ok(Assigned::Unknown) => Err(format!("joint {joint:?} refused: the robot has no such joint")),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
     /// Joint values at a time on the host's monotonic clock.
     pub fn at(&self, now_ns: u64) -> JointSnapshot {
         let told = self.told();
         match self.kind {
             Kind::Fixed => JointSnapshot { values: told.values.clone(), state: JointsState::Fixed, age_s: None },
+            Kind::Page => JointSnapshot { values: told.values.clone(), state: JointsState::Fresh, age_s: Some(0.0) },
             Kind::Sweep => {
                 let mut values = told.values.clone();
                 drop(told);
@@ -208,7 +233,7 @@ impl JointFeed {
         told.problem = None;
         for (joint, value) in joints {
             match self.body.kinematics.assign(&mut told.values, joint, *value) {
-                Ok(dermis_body::Assigned::Unknown) if told.unknown.len() < MOST_UNKNOWN => {
+                Ok(Assigned::Unknown) if told.unknown.len() < MOST_UNKNOWN => {
                     told.unknown.insert(joint.clone());
                 }
                 Ok(_) => {}
@@ -293,15 +318,53 @@ impl JointFeed {
     }
 }
 
-/// Values from the body file, and the rest position for the joints that it omits.
-fn rest_where_unknown(body: &Body) -> JointValues {
+/// The values, and the rest position for the joints that nobody has told.
+pub(super) fn rest_where_unknown(body: &Body, told: &JointValues) -> JointValues {
     let kinematics = &body.kinematics;
     let mut values = kinematics.at_rest();
     for name in kinematics.moving_joints() {
-        if let Some(value) = kinematics.value(&body.first_joints, name) {
+        if let Some(value) = kinematics.value(told, name) {
             // Succeeds: the joint exists and the value is finite.
             let _ = kinematics.assign(&mut values, name, value);
         }
     }
     values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn feed(source: Option<&str>) -> JointFeed {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in dermis_body::DEMO_FILES {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        let body = Arc::new(Body::open(&folder.path().join("arm.toml")).unwrap());
+        JointFeed::open(&body, source, &Arc::default()).unwrap()
+    }
+
+    #[test]
+    fn joints_are_set_by_hand_where_the_page_is_their_source() {
+        let joints = feed(Some("page"));
+        assert!(joints.is_set_by_hand());
+        joints.set("elbow", 0.7).unwrap();
+        let now = joints.at(HostStamp::now().monotonic_ns);
+        let value = |name| joints.body.kinematics.value(&now.values, name);
+        assert_eq!((now.state, value("elbow"), value("wrist")), (JointsState::Fresh, Some(0.7), Some(0.0)));
+        for (name, number, expected) in
+            [("knee", 0.0, "no such joint"), ("finger_mirror", 0.0, "moves by itself"), ("elbow", f64::NAN, "finite")]
+        {
+            let refusal = joints.set(name, number).unwrap_err();
+            assert!(refusal.contains(name) && refusal.contains(expected), "{refusal}");
+        }
+    }
+
+    #[test]
+    fn joints_with_a_source_are_not_set_by_hand() {
+        for source in [None, Some("sweep")] {
+            let refusal = feed(source).set("elbow", 0.7).unwrap_err();
+            assert!(refusal.contains("elbow") && refusal.contains("their source"), "{refusal}");
+        }
+    }
 }

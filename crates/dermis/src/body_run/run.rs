@@ -30,6 +30,7 @@ use super::patch::{PatchThread, SharedHealth};
 use super::report::{PatchHealth, PatchReport};
 #[cfg(feature = "ros2")]
 use super::ros2;
+use super::watch::{BodyWatch, OpenPublisher, StartingPatch};
 use crate::source::{SourceOptions, TwinControl, open_source};
 
 /// Frames that may queue between a source and its pipeline.
@@ -98,13 +99,25 @@ impl BodyRun {
     /// Opens the source of every patch and starts them together.
     ///
     /// Patches with identical skins share their preparation. Joint values come from `-` (JSON lines on standard
-    /// input), `tcp:HOST:PORT`, a file of such lines, or `sweep`, a demonstration. Without a source the joints stay
-    /// as in the body file, or else at rest.
+    /// input), `tcp:HOST:PORT`, a file of such lines, `sweep`, a demonstration, or `page`: set by
+    /// [`BodyWatch::set_joint`]. Without a source the joints stay as in the body file, or else at rest.
     ///
     /// # Errors
     /// A patch cannot be started and the options don't say to keep going, or a source of joint values cannot be
     /// opened.
     pub fn start(body: Body, options: &BodyRunOptions) -> Result<Self, BodyRunError> {
+        Self::start_with(body, options, &mut |_, _| None)
+    }
+
+    /// Like [`BodyRun::start`], with a publisher of the caller's own for every patch that `open` gives one.
+    ///
+    /// # Errors
+    /// As [`BodyRun::start`].
+    pub fn start_with(
+        body: Body,
+        options: &BodyRunOptions,
+        open: &mut OpenPublisher<'_>,
+    ) -> Result<Self, BodyRunError> {
         let body = Arc::new(body);
         let stop = Arc::new(AtomicBool::new(false));
         let joint_source = options.joints.as_deref().or(body.joint_source.as_deref());
@@ -161,7 +174,13 @@ impl BodyRun {
             #[cfg(feature = "ros2")]
             ros2: None,
         };
-        let publishers = run.open_publishers(options, &ready)?;
+        let mut publishers = run.open_publishers(options, &ready)?;
+        let watch = run.watch();
+        for ((number, opened), publishers) in ready.iter().zip(&mut publishers) {
+            let (number, pipeline, residual_n) = (*number, &opened.pipeline, opened.residual_n);
+            let patch = StartingPatch { number, pipeline, twin: run.twins[number].as_ref(), residual_n };
+            publishers.extend(open(&watch, patch));
+        }
         let silent_links: Vec<usize> = (ready.iter())
             .filter(|(_, opened)| opened.pipeline.force_source().is_none())
             .map(|(number, _)| run.body.patches[*number].link)
@@ -235,6 +254,11 @@ impl BodyRun {
     pub fn close_ros2(&mut self) -> Option<Ros2Summary> {
         self.end();
         self.ros2.take().map(Ros2Node::close)
+    }
+
+    /// The running body as other threads see it.
+    pub fn watch(&self) -> BodyWatch {
+        BodyWatch::new(&self.body, &self.joints, &self.health)
     }
 
     /// The body.

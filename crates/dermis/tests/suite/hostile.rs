@@ -104,7 +104,7 @@ fn whatever_nests_is_refused_before_the_stack_ends() {
         assert!(Calibration::parse(bytes, Path::new("nested.json")).is_err());
         assert!(parse_forces(bytes, Path::new("nested.json"), &skin).is_err());
         assert!(Case::parse(bytes, Path::new("nested.json")).is_err());
-        assert!(dermis_page::protocol::parse(text).is_err());
+        assert!(dermis_page::protocol::parse::<dermis_page::Command>(text).is_err());
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("model.json");
         std::fs::write(&file, text).unwrap();

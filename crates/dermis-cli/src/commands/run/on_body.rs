@@ -1,31 +1,45 @@
-//! `dermis run BODY.toml`: runs all skins of a robot at once and prints JSON lines.
+//! `dermis run BODY.toml`: runs all skins of a robot at once, and shows them on a page or prints JSON lines.
 
 use std::io::Write;
 use std::path::Path;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use dermis::body::Body;
 use dermis::body_run::{BodyRun, BodyRunOptions, PatchHealth, PatchState};
 use serde_json::{Value, json};
 
-use super::super::{busy, hint};
+use super::super::{busy, hint, spinner};
+use super::body_page::PageOfBody;
+use super::source;
 use super::viewers::tell_not_shown;
-use crate::exit::Outcome;
+use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
+use crate::page::Binding;
 
 /// Interval between printed tables of health.
 const HEALTH_EVERY: Duration = Duration::from_secs(1);
 /// Longest wait for a line.
 const NAP: Duration = Duration::from_millis(50);
 
+/// Output of a running body.
+pub(super) enum Shown {
+    /// JSON lines on standard output.
+    Lines {
+        /// Only frames with touches.
+        only_touches: bool,
+    },
+    /// A page at this address.
+    Page {
+        /// The address.
+        binding: Box<Binding>,
+        /// Opens it in a browser.
+        opens_browser: bool,
+    },
+}
+
 /// Runs a body until every patch has ended or the user interrupts.
-pub(super) fn run(
-    file: &Path,
-    options: &BodyRunOptions,
-    only_touches: bool,
-    out: &mut dyn Write,
-) -> anyhow::Result<Outcome> {
+pub(super) fn run(file: &Path, options: &BodyRunOptions, shown: Shown, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let (body, problems) = Body::examine(file)?;
     let mut has_left_out = false;
     for problem in problems {
@@ -38,14 +52,37 @@ pub(super) fn run(
             return Err(problem.error.into());
         }
     }
+    let mut options = options.clone();
+    if matches!(shown, Shown::Page { .. }) && body.joint_source.is_none() {
+        options.joints.get_or_insert_with(|| "page".to_owned());
+    }
+    if let (Shown::Lines { .. }, Some("page")) = (&shown, options.joints.as_deref().or(body.joint_source.as_deref())) {
+        let text = "joints from the page: expected another source with --headless, which has no page";
+        return Err(UsageError(text.into()).into());
+    }
     if options.joints.is_none() && body.joint_source.is_none() && !body.needed_joints().is_empty() {
         let needed: Vec<&str> = body.needed_joints().into_iter().collect();
         hint(&format!("{} stand still: --joints SOURCE says where they are", needed.join(", ")));
     }
     let busy = busy(format!("preparing {} patches", body.patches.len()));
+    let mut page = matches!(shown, Shown::Page { .. }).then(|| PageOfBody::new(body.patches.len()));
     #[cfg_attr(not(feature = "ros2"), expect(unused_mut, reason = "only a node is closed before the end"))]
-    let mut run = BodyRun::start(body, options)?;
+    let mut run =
+        BodyRun::start_with(body, &options, &mut |watch, patch| Some(page.as_mut()?.publisher(watch, patch)))?;
     busy.finish();
+    let (only_touches, server) = match (shown, page) {
+        (Shown::Page { binding, opens_browser }, Some(page)) => {
+            let server = page.serve(*binding, run.watch())?;
+            writeln!(out, "page: {}", server.url())?;
+            out.flush()?;
+            if opens_browser {
+                source::open_browser(&server.url());
+            }
+            (false, Some(server))
+        }
+        (Shown::Lines { only_touches }, _) => (only_touches, None),
+        (Shown::Page { .. }, None) => (false, None),
+    };
     if let Some(address) = run.guard_address() {
         eprintln!("guard: {address}");
     }
@@ -54,10 +91,17 @@ pub(super) fn run(
         super::viewers::announce(address);
     }
     let interrupted = interrupt::begin();
-    let outcome = follow(&run, only_touches, interrupted, out);
+    let outcome = match &server {
+        Some(_) => follow_silently(&run, interrupted),
+        None => follow(&run, only_touches, interrupted, out),
+    };
     #[cfg(feature = "ros2")]
     run.close_ros2().iter().for_each(super::ros2::print_summary);
     let health = run.finish();
+    match (server, &outcome) {
+        (Some(server), Ok(true)) => server.shutdown_because("every patch has ended"),
+        (server, _) => drop(server),
+    }
     outcome?;
     let is_lossy = |row: &PatchHealth| {
         let PatchHealth { patch, lost, damaged, dropped, unread, not_recorded, .. } = row;
@@ -72,12 +116,25 @@ pub(super) fn run(
     Ok(if lossy > 0 || has_left_out { Outcome::DataLost } else { Outcome::Done })
 }
 
-fn follow(
-    run: &BodyRun,
-    only_touches: bool,
-    interrupted: &std::sync::atomic::AtomicBool,
-    out: &mut dyn Write,
-) -> anyhow::Result<()> {
+/// Takes the reports, which the page doesn't need; returns true if every patch has ended by itself.
+fn follow_silently(run: &BodyRun, interrupted: &AtomicBool) -> anyhow::Result<bool> {
+    let bar = spinner("running");
+    let mut told = Instant::now();
+    while !interrupted.load(Ordering::Relaxed) {
+        if run.next(NAP).is_none() && run.has_ended() {
+            return Ok(true);
+        }
+        if told.elapsed() >= HEALTH_EVERY {
+            told = Instant::now();
+            let state = |row: PatchHealth| format!("{} {}", row.patch, row.state.name());
+            bar.set_message(run.health().into_iter().map(state).collect::<Vec<_>>().join(", "));
+        }
+    }
+    Ok(false)
+}
+
+/// Prints the reports; returns true if every patch has ended by itself.
+fn follow(run: &BodyRun, only_touches: bool, interrupted: &AtomicBool, out: &mut dyn Write) -> anyhow::Result<bool> {
     let begun = Instant::now();
     let mut told = begun;
     let ended = loop {
@@ -101,7 +158,7 @@ fn follow(
     if ended {
         print_health(run, begun, out)?;
     }
-    Ok(())
+    Ok(ended)
 }
 
 fn print_health(run: &BodyRun, begun: Instant, out: &mut dyn Write) -> anyhow::Result<()> {

@@ -6,19 +6,18 @@ use std::path::{Path, PathBuf};
 use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, ServerHandle};
 use crossbeam_channel::Receiver;
 use dermis::device::acquire::{Acquisition, AcquisitionCounters};
-use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
 use dermis::record::{
     LiveCommand, LiveFeed, LiveRecording, Publisher, RecorderStatus, RecordingEnd, RecordingHead, SkinView,
 };
-use dermis::twin::from_skin::treatment_of;
 use dermis_device::{Frame, HostStamp};
 use dermis_page::Announcer;
 use dermis_page::feed::{PageFeed, RecordingView};
 use dermis_page::message::Notice;
 
 use super::super::calendar::date_of;
+use super::twin_requests;
 use super::viewers::Viewers;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
@@ -228,8 +227,10 @@ impl Running {
     }
 
     fn answer(&mut self, request: Request, pipeline: &mut Pipeline) {
-        let reply = request.reply;
-        match request.command {
+        let Some((command, reply)) = twin_requests::carry_out(request, self.twin.as_ref(), &mut self.feed) else {
+            return;
+        };
+        match command {
             Command::Tare { force } => self.command(LiveCommand::Tare { force }, reply, pipeline),
             Command::RecordStart => {
                 let path = free_name();
@@ -248,33 +249,8 @@ impl Running {
                 None => reply.refuse("nothing is being recorded"),
             },
             Command::Hyperparameter(value) => self.command(LiveCommand::Hyperparameter(value), reply, pipeline),
-            Command::Press(press) | Command::Move(press) => {
-                let press = TwinCommand::Press {
-                    pointer: press.pointer_id,
-                    position_m: press.position_m(),
-                    radius_m: press.radius_m(),
-                    pressure_pa: press.pressure_pa(),
-                };
-                self.ask_twin(press, reply);
-            }
-            Command::Treat(action) => {
-                self.feed.demonstrate(false);
-                self.ask_twin(TwinCommand::Treat(treatment_of(action)), reply);
-            }
-            Command::Demonstrate(wanted) => match self.command_twin(TwinCommand::Demonstrate(wanted)) {
-                Ok(()) => {
-                    self.feed.demonstrate(wanted);
-                    reply.accept(if wanted {
-                        "the twin shows touches by itself"
-                    } else {
-                        "nothing but you presses the twin"
-                    });
-                }
-                Err(refused) => reply.refuse(format!("refused: {refused}")),
-            },
-            Command::Release { pointer_id } => self.ask_twin(TwinCommand::Release { pointer: pointer_id }, reply),
-            // All channels are published; the page selects.
-            Command::ChooseChannels(_) => {}
+            // All channels are published; the page selects. The twin has had the others.
+            _ => {}
         }
     }
 
@@ -290,17 +266,6 @@ impl Running {
     fn tell(&mut self, event: &str, detail: &str, values: &[f64]) {
         self.feeds().for_each(|feed| feed.event(event, detail, values));
         self.publishers.iter_mut().for_each(|publisher| publisher.event(event, detail, values));
-    }
-
-    fn command_twin(&self, command: TwinCommand) -> Result<(), CommandRefused> {
-        self.twin.as_ref().map_or(Ok(()), |twin| twin.commands.send(command))
-    }
-
-    /// Hands a command to the twin; replies only if it is refused.
-    fn ask_twin(&self, command: TwinCommand, reply: Reply) {
-        if let Err(refused) = self.command_twin(command) {
-            reply.refuse(format!("refused: {refused}"));
-        }
     }
 
     /// Starts a recording.

@@ -180,7 +180,7 @@ impl<'a> System<'a> {
     /// Handles a message from a page.
     fn hear(&mut self, text: &str) {
         FIGURES.messages.fetch_add(1, Ordering::Relaxed);
-        let command = match parse(text) {
+        let command = match parse::<Command>(text) {
             Ok(Said::Ask(_, command)) => command,
             Ok(Said::Acknowledge(_)) => return,
             Err((_, reason)) => return assert!(!reason.is_empty(), "{text:?} was refused without a reason"),

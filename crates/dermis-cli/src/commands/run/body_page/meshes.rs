@@ -1,0 +1,49 @@
+//! Meshes of a robot's links, as its page fetches them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use axum::body::Bytes;
+use dermis::body::urdf::Geometry;
+use dermis::body::{Body, read_triangles};
+
+/// Most corners on one page: a million triangles, more than the detailed models of arms in use.
+const MOST_CORNERS: usize = 3_000_000;
+
+/// The meshes of a robot.
+#[derive(Debug, Default)]
+pub(super) struct Meshes {
+    /// Number of each mesh that is drawn, by its name in the URDF file.
+    pub shown: BTreeMap<String, usize>,
+    /// Their corners by number: x, y and z as f32, little-endian.
+    pub meshes: Vec<Bytes>,
+    /// Reasons why others are not drawn.
+    pub not_drawn: Vec<String>,
+}
+
+impl Meshes {
+    /// Reads the meshes of a body.
+    pub fn of(body: &Body) -> Self {
+        let shapes = body.urdf.iter().flat_map(|(_, urdf)| urdf.links.iter().flat_map(|link| &link.shapes));
+        let names: BTreeSet<&str> = shapes
+            .filter_map(|shape| match &shape.geometry {
+                Geometry::Mesh { filename, .. } => Some(filename.as_str()),
+                _ => None,
+            })
+            .collect();
+        let (mut all, mut corners_left) = (Self::default(), MOST_CORNERS);
+        for name in names {
+            let read =
+                body.meshes.get(name).ok_or_else(|| "not found".to_owned()).and_then(|file| read_triangles(file));
+            match read {
+                Ok(corners) if corners.len() <= corners_left => {
+                    corners_left -= corners.len();
+                    all.shown.insert(name.to_owned(), all.meshes.len());
+                    all.meshes.push(corners.iter().flatten().flat_map(|number| number.to_le_bytes()).collect());
+                }
+                Ok(_) => all.not_drawn.push(format!("{name} is not drawn: more than {} triangles", MOST_CORNERS / 3)),
+                Err(reason) => all.not_drawn.push(format!("{name} is not drawn: {reason}")),
+            }
+        }
+        all
+    }
+}
