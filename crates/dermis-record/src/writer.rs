@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use dermis_device::{Frame, HostStamp};
-use dermis_touch::{ReferenceRecord, Touch, TouchEvent};
+use dermis_touch::{ReferenceRecord, Touch};
 use mcap::{Attachment, McapError};
 
 use super::file::{Destination, destination};
@@ -191,7 +191,7 @@ impl Recorder {
         self.write(self.channels.baselines, wall_ns)
     }
 
-    /// Writes the touches of frame `sequence`; those that ended in it are in `events`.
+    /// Writes the touches of frame `sequence`; those that ended in it are in `ended`.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -201,10 +201,10 @@ impl Recorder {
         sequence: u64,
         time_ns: u64,
         touches: &[Touch],
-        events: &[TouchEvent],
+        ended: &[Touch],
     ) -> Result<(), Error> {
         let stamp = Stamp { wall_ns, frame_id: frame_of(&self.drawn, &self.patch) };
-        messages::write_touches(&mut self.bytes, stamp, sequence, time_ns, touches, events);
+        messages::write_touches(&mut self.bytes, stamp, sequence, time_ns, touches, ended);
         self.write(self.channels.touches, wall_ns)
     }
 

@@ -1,4 +1,4 @@
-//! A touch in one frame, and its events.
+//! A touch in one frame.
 
 use serde::{Deserialize, Serialize};
 
@@ -75,26 +75,4 @@ pub struct Touch {
     pub begin_time_ns: u64,
     /// Time of this frame, nanoseconds.
     pub time_ns: u64,
-}
-
-/// An event in the life of a touch.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TouchEvent {
-    /// It begins.
-    Begin(Touch),
-    /// It is still there, whether it moved or not.
-    Move(Touch),
-    /// It has ended; its position is the last one seen.
-    End(Touch),
-}
-
-impl TouchEvent {
-    /// The touch concerned.
-    #[must_use]
-    pub fn touch(&self) -> &Touch {
-        match self {
-            Self::Begin(touch) | Self::Move(touch) | Self::End(touch) => touch,
-        }
-    }
 }
