@@ -23,8 +23,12 @@ pub mod message;
 pub mod protocol;
 mod recent;
 mod scene;
+#[cfg(test)]
+mod schema_text;
 mod skin_scene;
 mod update;
+#[cfg(test)]
+mod words;
 
 pub use announcer::Announcer;
 pub use command::{Command, Press};
