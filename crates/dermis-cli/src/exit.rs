@@ -96,13 +96,8 @@ fn hint_of(cause: &(dyn std::error::Error + 'static)) -> Option<&'static str> {
     if let Some(error) = cause.downcast_ref() {
         return hint_of_lab(error);
     }
-    if let Some(error) = cause.downcast_ref::<dermis_record::Error>() {
-        return match error {
-            dermis_record::Error::Live(error) => hint_of_live(error),
-            dermis_record::Error::Skin(error) => hint_of_skin(error),
-            dermis_record::Error::Device(error) => hint_of_device(error),
-            _ => None,
-        };
+    if let Some(dermis_record::Error::Live(error)) = cause.downcast_ref() {
+        return hint_of_live(error);
     }
     let of_live = cause.downcast_ref().and_then(hint_of_live);
     of_live
@@ -124,10 +119,8 @@ fn hint_of_dermis(error: &dermis::Error) -> Option<&'static str> {
 
 fn hint_of_lab(error: &dermis_lab::Error) -> Option<&'static str> {
     match error {
-        dermis_lab::Error::Skin(error) => hint_of_skin(error),
         dermis_lab::Error::Live(error) => hint_of_live(error),
         dermis_lab::Error::Record(error) => hint_of(error),
-        dermis_lab::Error::Device(error) => hint_of_device(error),
         _ => None,
     }
 }
@@ -215,20 +208,11 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
 }
 
 fn code_of_lab(error: &dermis_lab::Error) -> u8 {
-    use dermis_lab::Error;
     match error {
-        Error::Skin(error) => code_of_skin(error),
-        Error::Live(error) => code_of_live(error),
-        Error::Record(error) => code_of_record(error),
-        Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
-        Error::Touch(_) => BAD_INPUT,
-        Error::Io { source, .. } => code_of_io(source),
-        Error::Device(error) => code_of_device(error),
-        Error::Learn(error) => code_of_learn(error),
+        dermis_lab::Error::Live(error) => code_of_live(error),
+        dermis_lab::Error::Record(error) => code_of_record(error),
         // For example a skin whose twin would cost too much.
-        Error::Twin(TwinError::Skin(error)) => code_of_skin(error),
-        Error::Forward(error) => code_of_forward(error),
-        Error::Inverse(error) => code_of_inverse(error),
+        dermis_lab::Error::Twin(TwinError::Skin(error)) => code_of_skin(error),
         _ => FAILED,
     }
 }
@@ -265,13 +249,8 @@ fn code_of_live(error: &dermis_live::Error) -> u8 {
 }
 
 fn code_of_record(error: &dermis_record::Error) -> u8 {
-    use dermis_record::Error;
     match error {
-        Error::Live(error) => code_of_live(error),
-        Error::Skin(error) => code_of_skin(error),
-        Error::Io { source, .. } => code_of_io(source),
-        Error::Device(error) => code_of_device(error),
-        Error::Content { .. } | Error::Frames { .. } | Error::Touch(_) => BAD_INPUT,
+        dermis_record::Error::Live(error) => code_of_live(error),
         _ => FAILED,
     }
 }
@@ -310,8 +289,8 @@ fn code_of_io(error: &io::Error) -> u8 {
 mod tests {
     use super::*;
 
-    fn io_error(kind: io::ErrorKind) -> dermis_lab::Error {
-        dermis_lab::Error::Io { file: "x".into(), source: kind.into() }
+    fn io_error(kind: io::ErrorKind) -> dermis::Error {
+        dermis::Error::Io { file: "x".into(), source: kind.into() }
     }
 
     #[test]
@@ -320,11 +299,11 @@ mod tests {
         let singular = InverseError::Singular { what: "the system", hint: "raise it" };
         let cases: [(anyhow::Error, u8); 7] = [
             (UsageError("no".into()).into(), BAD_INPUT),
-            (dermis_lab::Error::Device(foreign).into(), BAD_INPUT),
+            (dermis::Error::Device(foreign).into(), BAD_INPUT),
             (io_error(io::ErrorKind::NotFound).into(), BAD_INPUT),
             (io_error(io::ErrorKind::AddrInUse).into(), FAILED),
             (io_error(io::ErrorKind::StorageFull).into(), FAILED),
-            (dermis_lab::Error::Inverse(singular).into(), FAILED),
+            (dermis::Error::Inverse(singular).into(), FAILED),
             (anyhow::anyhow!("something else"), FAILED),
         ];
         for (error, expected) in cases {

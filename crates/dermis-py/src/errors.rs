@@ -180,11 +180,6 @@ fn kind_of_live(error: &LiveError) -> Kind {
 fn kind_of_record(error: &RecordError) -> Kind {
     match error {
         RecordError::Live(error) => kind_of_live(error),
-        RecordError::Skin(error) => kind_of_skin(error),
-        RecordError::Io { source, .. } => kind_of_io(source),
-        RecordError::Device(error) => kind_of_device(error),
-        RecordError::Content { .. } => Kind::File,
-        RecordError::Frames { .. } | RecordError::Touch(_) => Kind::Input,
         _ => Kind::Other,
     }
 }
@@ -193,15 +188,6 @@ fn kind_of_lab(error: &LabError) -> Kind {
     match error {
         LabError::Live(error) => kind_of_live(error),
         LabError::Record(error) => kind_of_record(error),
-        LabError::Skin(error) => kind_of_skin(error),
-        LabError::Io { source, .. } => kind_of_io(source),
-        LabError::Content { .. } => Kind::File,
-        LabError::Frames { .. } | LabError::Touch(_) | LabError::Locator(_) | LabError::Quality(_) => Kind::Input,
-        LabError::Mesh { .. } | LabError::Protocol { .. } | LabError::Magnetic(_) => Kind::Skin,
-        LabError::Forward(error) => kind_of_forward(error),
-        LabError::Inverse(error) => kind_of_inverse(error),
-        LabError::Device(error) => kind_of_device(error),
-        LabError::Learn(error) => kind_of_learn(error),
         LabError::Twin(error) => kind_of_twin(error),
         _ => Kind::Other,
     }

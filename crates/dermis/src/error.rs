@@ -1,4 +1,4 @@
-//! The error of this crate. Every function of the facade, and of the crates behind it, fails with something that `?`
+//! The error of this crate. Every function of the facade, and of the crates behind it, fails with an error that `?`
 //! turns into it.
 
 use std::path::PathBuf;
@@ -44,15 +44,15 @@ pub enum Error {
     Device(#[from] DeviceError),
     /// From preparing a skin, from the pipeline, or from a calibration.
     #[error(transparent)]
-    Live(#[from] LiveError),
+    Live(LiveError),
     /// From a recording or another sink.
     #[error(transparent)]
-    Record(#[from] RecordError),
+    Record(RecordError),
     /// From offline work: design, doctor, images of files, training sets.
     #[error(transparent)]
-    Lab(#[from] LabError),
+    Lab(LabError),
     /// From a twin, or a press that its skin can't carry.
-    #[error(transparent)]
+    #[error("twin: {0}")]
     Twin(#[from] TwinError),
     /// A command that the twin can't queue.
     #[error(transparent)]
@@ -64,10 +64,10 @@ pub enum Error {
     #[error(transparent)]
     Learn(#[from] LearnError),
     /// From contacts and tracks.
-    #[error(transparent)]
+    #[error("touches: {0}")]
     Touch(#[from] TouchError),
     /// From a locator of touches.
-    #[error(transparent)]
+    #[error("calibration: {0}")]
     Locator(#[from] LocatorError),
     /// From a mesh.
     #[error(transparent)]
@@ -76,16 +76,16 @@ pub enum Error {
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
     /// From a forward model.
-    #[error(transparent)]
+    #[error("forward model: {0}")]
     Forward(#[from] EitError),
     /// From an inverse operator.
-    #[error(transparent)]
+    #[error("inverse operator: {0}")]
     Inverse(#[from] InverseError),
     /// An image that can't be scored.
     #[error(transparent)]
     Quality(#[from] QualityError),
     /// From coils and conducting elements.
-    #[error(transparent)]
+    #[error("coils and elements: {0}")]
     Magnetic(#[from] MitError),
     /// A file that could not be read or written.
     #[error("{}: {source}", file.display())]
@@ -159,4 +159,43 @@ pub enum Error {
         /// Error from the operating system.
         source: std::io::Error,
     },
+}
+
+impl From<LiveError> for Error {
+    /// An error that has a variant of its own gets it, whichever crate passed it on.
+    fn from(error: LiveError) -> Self {
+        match error {
+            LiveError::Skin(error) => Self::Skin(error),
+            LiveError::Device(error) => Self::Device(error),
+            LiveError::Learn(error) => Self::Learn(error),
+            LiveError::Touch(error) => Self::Touch(error),
+            LiveError::Locator(error) => Self::Locator(error),
+            LiveError::Forward(error) => Self::Forward(error),
+            LiveError::Inverse(error) => Self::Inverse(error),
+            LiveError::Quality(error) => Self::Quality(error),
+            LiveError::Magnetic(error) => Self::Magnetic(error),
+            LiveError::Io { file, source } => Self::Io { file, source },
+            other => Self::Live(other),
+        }
+    }
+}
+
+impl From<RecordError> for Error {
+    fn from(error: RecordError) -> Self {
+        match error {
+            RecordError::Live(error) => error.into(),
+            other => Self::Record(other),
+        }
+    }
+}
+
+impl From<LabError> for Error {
+    fn from(error: LabError) -> Self {
+        match error {
+            LabError::Live(error) => error.into(),
+            LabError::Record(error) => error.into(),
+            LabError::Twin(error) => Self::Twin(error),
+            other => Self::Lab(other),
+        }
+    }
 }

@@ -29,7 +29,8 @@ pub use dermis_record::{RecordingHead, SkinView};
 /// use dermis::source::Layout;
 ///
 /// let file = std::env::temp_dir().join(format!("dermis-entries-{}.mcap", std::process::id()));
-/// let mut recorder = Recorder::create(&file, &RecordingHead::new("name = \"mine\"", Layout::Channels { count: 2 }, "x"))?;
+/// let head = RecordingHead::new("name = \"mine\"", Layout::Channels { count: 2 }, "my board");
+/// let mut recorder = Recorder::create(&file, &head)?;
 /// recorder.write_event(0, "note", "the cable was moved", &[])?;
 /// recorder.finish(0)?;
 ///

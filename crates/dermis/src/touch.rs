@@ -1,4 +1,4 @@
-//! What a frame says in addition to where the skin is touched: the load of a touch, damage of the skin, faults of its
+//! Parts of a frame other than the position of a touch: its load, damage of the skin, faults of its
 //! channels, and the guard's verdict.
 
 /// ```

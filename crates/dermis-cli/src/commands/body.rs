@@ -164,7 +164,7 @@ fn posture(body: &Body, asked: &[(String, f64)]) -> anyhow::Result<JointValues> 
 }
 
 fn demo(folder: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-    std::fs::create_dir_all(folder).map_err(|source| dermis_lab::Error::Io { file: folder.to_path_buf(), source })?;
+    std::fs::create_dir_all(folder).map_err(|source| dermis_live::Error::Io { file: folder.to_path_buf(), source })?;
     for (name, _) in DEMO_FILES {
         let path = folder.join(name);
         if path.exists() {

@@ -119,8 +119,8 @@ impl Arguments {
 }
 
 /// Writes a file that must not exist yet.
-fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis_lab::Error> {
-    let failed = |source| dermis_lab::Error::Io { file: path.to_path_buf(), source };
+fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis_live::Error> {
+    let failed = |source| dermis_live::Error::Io { file: path.to_path_buf(), source };
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(content).and_then(|()| file.sync_all()).map_err(failed)
 }

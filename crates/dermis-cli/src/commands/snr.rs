@@ -82,9 +82,9 @@ impl Arguments {
 }
 
 impl Report {
-    fn of(table: &FrameTable) -> Result<Self, dermis_lab::Error> {
+    fn of(table: &FrameTable) -> Result<Self, dermis_live::Error> {
         if table.frames() < 2 {
-            return Err(dermis_lab::Error::Frames {
+            return Err(dermis_live::Error::Frames {
                 what: format!("{}: frames to take noise from", table.source().display()),
                 expected: "at least 2".to_string(),
                 got: table.frames().to_string(),

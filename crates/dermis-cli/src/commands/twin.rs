@@ -182,7 +182,7 @@ impl Serve {
         if self.pty {
             return pty();
         }
-        let failed = |source| dermis_lab::Error::Io { file: self.tcp.to_string().into(), source };
+        let failed = |source| dermis_live::Error::Io { file: self.tcp.to_string().into(), source };
         let listener = TcpListener::bind(self.tcp).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok((Door::tcp(listener).map_err(failed)?, format!("tcp:{address}")))
@@ -191,7 +191,7 @@ impl Serve {
 
 #[cfg(unix)]
 fn pty() -> anyhow::Result<(Door, String)> {
-    let failed = |source| dermis_lab::Error::Io { file: "pseudo-terminal".into(), source };
+    let failed = |source| dermis_live::Error::Io { file: "pseudo-terminal".into(), source };
     let pty = dermis_device::stream::Pty::open().map_err(failed)?;
     let selector = format!("serial:{}", pty.path());
     Ok((Door::Pty(pty), selector))

@@ -32,7 +32,7 @@ const ROS2: &str = "ros2:";
 
 /// The newest joint values.
 ///
-/// No example here: a part of what [`BodyRun`](crate::BodyRun) reports.
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug)]
 pub struct JointSnapshot {
     /// The values.
@@ -45,7 +45,7 @@ pub struct JointSnapshot {
 
 /// State of joint values.
 ///
-/// No example here: a part of what [`BodyRun`](crate::BodyRun) reports.
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointsState {
     /// Fixed values from the body file; there is no source.

@@ -8,7 +8,7 @@ use super::loads::NetWrench;
 
 /// One frame of one patch.
 ///
-/// No example here: a part of what [`BodyRun`](crate::BodyRun) reports.
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug)]
 pub struct PatchReport {
     /// Number of the patch.
@@ -33,7 +33,7 @@ pub struct PatchReport {
 
 /// A touch, in every frame.
 ///
-/// No example here: a part of what [`BodyRun`](crate::BodyRun) reports.
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Copy, Debug)]
 pub struct TouchInFrames {
     /// The touch on its flattened skin.
@@ -48,7 +48,7 @@ pub struct TouchInFrames {
 
 /// State of a patch.
 ///
-/// No example here: a part of what [`BodyRun`](crate::BodyRun) reports.
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PatchState {
     /// No baseline yet.
@@ -78,7 +78,7 @@ impl PatchState {
 
 /// One row of the table of health.
 ///
-/// No example here: a part of what [`BodyRun`](crate::BodyRun) reports.
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatchHealth {
     /// Name of the patch.
