@@ -289,19 +289,6 @@ mod tests {
         }
     }
 
-    /// Compares a file with what the types say, or writes it if `DERMIS_BLESS` is set.
-    fn check_file(path: &str, expected: impl FnOnce(&str) -> String) {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path);
-        let found = std::fs::read_to_string(&path).unwrap_or_default();
-        let expected = expected(&found);
-        if std::env::var_os("DERMIS_BLESS").is_some() {
-            std::fs::write(&path, &expected).expect("the file can be written");
-        } else {
-            let hint = "run DERMIS_BLESS=1 cargo test -p dermis-page --lib blessed";
-            assert!(found == expected, "{} is not what the types of the messages say; {hint}", path.display());
-        }
-    }
-
     #[test]
     fn types_of_the_page_and_tables_of_the_book_are_blessed() {
         use schemars::generate::SchemaSettings;
@@ -315,14 +302,14 @@ mod tests {
         received.subschema_for::<Command>();
         let (sent, received) = (sent.take_definitions(true), received.take_definitions(true));
         let messages = ["Scene", "State", "Alive", "Notice", "Answer"];
-        check_file("web/src/messages.ts", |_| {
+        dermis_testdata::blessed("web/src/messages.ts", |_| {
             let text = [schema_text::typescript(&sent, &messages), schema_text::typescript(&received, &["Command"])];
             format!(
                 "// Written by a test of crates/dermis-page from its types; protocol.rs says how.\n{}",
                 text.concat()
             )
         });
-        check_file("docs/src/page-protocol.md", |found| {
+        dermis_testdata::blessed("docs/src/page-protocol.md", |found| {
             let (begin, end) = ("<!-- fields: begin -->\n", "<!-- fields: end -->");
             let (before, rest) = found.split_once(begin).expect("the tables have a beginning");
             let (_, after) = rest.split_once(end).expect("the tables have an end");

@@ -1,5 +1,6 @@
-//! The public API: its names are those in `public-api.txt`, there are few of them, no two are equal, and each is shown
-//! in an example or says why not. `DERMIS_BLESS=1 cargo test -p dermis --test suite public_api` writes the file.
+//! The public API: its names and members are those in `public-api.txt`, there are few names, no two are equal, and each
+//! is shown in an example or says why not. `DERMIS_BLESS=1 cargo test -p dermis --test suite public_api` writes the
+//! file.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -133,25 +134,51 @@ fn exported() -> (Vec<String>, Vec<String>) {
 fn own_files() -> Vec<PathBuf> {
     let body_run = std::fs::read_dir(sources().join("body_run")).expect("the folder of running bodies");
     let mut files: Vec<PathBuf> = body_run.flatten().map(|entry| entry.path()).collect();
-    files.extend(["error.rs", "session.rs"].map(|name| sources().join(name)));
+    files.extend(["error.rs", "session.rs", "source.rs"].map(|name| sources().join(name)));
     files.sort();
     files
+}
+
+/// Fields, variants and functions of the types that are defined here and exported, as `Type: declaration`.
+fn members(names: &BTreeSet<String>) -> Vec<String> {
+    let mut found = Vec::new();
+    for file in own_files() {
+        let source = std::fs::read_to_string(&file).expect("a source file");
+        let (mut owner, mut lines) = (None, source.lines());
+        while let Some(line) = lines.next() {
+            let of = |start: &str| line.strip_prefix(start).map(|rest| declared(&format!("pub item {rest}")));
+            if let Some(name) = of("pub struct ").or_else(|| of("pub enum ")).or_else(|| of("impl ")) {
+                owner =
+                    Some(name).filter(|name| names.contains(name) && line.ends_with('{') && !line.contains(" for "));
+            } else if line == "}" {
+                owner = None;
+            }
+            let (Some(owner), Some(member)) = (&owner, line.strip_prefix("    ")) else { continue };
+            let is_variant = member.starts_with(|letter: char| letter.is_ascii_uppercase());
+            if !member.starts_with("pub ") && !is_variant {
+                continue;
+            }
+            let mut text = member.to_owned();
+            while text.starts_with("pub fn") && !text.ends_with('{') {
+                text = text + " " + lines.next().expect("a function has a body").trim();
+            }
+            found.push(format!("{owner}: {}", text.trim_end_matches([' ', '{', ','])));
+        }
+    }
+    found.sort();
+    found
 }
 
 #[test]
 fn the_names_are_those_on_file() {
     let (names, _) = exported();
-    let mut text =
-        String::from("# Names exported by `dermis`, sorted. tests/suite/public_api.rs says how to write this file.\n");
-    names.iter().for_each(|name| writeln!(text, "{name}").expect("text grows"));
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("public-api.txt");
-    if std::env::var_os("DERMIS_BLESS").is_some() {
-        std::fs::write(&file, &text).expect("the file can be written");
-    }
-    let known = std::fs::read_to_string(&file).unwrap_or_default();
-    let (known, now): (BTreeSet<&str>, BTreeSet<&str>) = (known.lines().collect(), text.lines().collect());
-    let (gone, new): (Vec<_>, Vec<_>) = (known.difference(&now).collect(), now.difference(&known).collect());
-    assert!(gone.is_empty() && new.is_empty(), "public-api.txt differs. Gone: {gone:#?}, new: {new:#?}");
+    let last = |name: &String| name.rsplit("::").next().unwrap_or_default().to_owned();
+    let members = members(&names.iter().map(last).collect());
+    let mut text = String::from(
+        "# Names exported by `dermis`, then the members of types defined in it. tests/suite/public_api.rs says how to write this.\n",
+    );
+    names.iter().chain(&members).for_each(|name| writeln!(text, "{name}").expect("text grows"));
+    dermis_testdata::blessed("crates/dermis/public-api.txt", |_| text);
 }
 
 #[test]
