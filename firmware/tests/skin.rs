@@ -4,13 +4,13 @@
 mod bench;
 
 use bench::{Analog, Bench, Pause, Shared, Spi, Wires, chips};
-use dermis::Skin;
-use dermis::lab::measured_list::measured_list;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
 use dermis_device::instruments::wire::Order;
 use dermis_device::{Layout, Status};
 use dermis_firmware::mux64::{Mux64, STEP_A, Selection};
+use dermis_lab::measured_list::measured_list;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
 use dermis_twin::from_skin::patched_options;
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PatchedSkin};

@@ -40,6 +40,26 @@ pub fn oracle_text(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
+/// Compares a committed file that is written from code with what the code says now, or writes it if `DERMIS_BLESS` is
+/// set. `path` is relative to the repository, and `expected` makes the text from the one found.
+///
+/// # Panics
+/// If the file differs, with the first line that does, or can't be written.
+pub fn blessed(path: &str, expected: impl FnOnce(&str) -> String) {
+    let file = here().join("..").join(path);
+    let found = std::fs::read_to_string(&file).unwrap_or_default();
+    let expected = expected(&found);
+    if std::env::var_os("DERMIS_BLESS").is_some() {
+        return std::fs::write(&file, &expected).unwrap_or_else(|error| panic!("{path}: {error}"));
+    }
+    let (old, new): (Vec<&str>, Vec<&str>) = (found.lines().collect(), expected.lines().collect());
+    let line = (0..old.len().max(new.len())).find(|&line| old.get(line) != new.get(line));
+    if let Some(line) = line {
+        let (old, new) = (old.get(line).unwrap_or(&""), new.get(line).unwrap_or(&""));
+        panic!("{path}, line {}: {old:?} should be {new:?}; run this test with DERMIS_BLESS=1", line + 1);
+    }
+}
+
 /// Decompresses Zstandard data.
 fn unpacked(compressed: &[u8]) -> Result<Vec<u8>, String> {
     let mut decoder = ruzstd::decoding::StreamingDecoder::new(compressed).map_err(|error| error.to_string())?;

@@ -113,7 +113,8 @@ export function showBadges(scene: Scene): void {
 
 export function showPipeline({ source, tare, baseline_age_s, recording, recorded_frames, demonstrates }: Pipeline): void {
   const age = baseline_age_s === null ? "" : `, ${baseline_age_s < 120 ? `${baseline_age_s.toFixed(0)} s` : `${(baseline_age_s / 60).toFixed(0)} min`} old`;
-  const texts = { none: "no baseline", taring: `taring, ${tare.frames_left ?? 0} frames left`, tared: `baseline${age}` };
+  const left = tare.kind === "taring" ? tare.frames_left : 0;
+  const texts = { none: "no baseline", taring: `taring, ${left} frames left`, tared: `baseline${age}` };
   write(find("tare-state"), texts[tare.kind]);
   find("record").setAttribute("aria-pressed", String(recording !== null));
   write(find("record-label"), recording === null ? "Record" : "Stop");
@@ -125,7 +126,8 @@ export function showPipeline({ source, tare, baseline_age_s, recording, recorded
   document.body.dataset.source = source.kind;
   if (source.kind !== "running" && document.body.dataset.connection === "live") {
     const text = { waiting: "source waiting", lost: "source lost", ended: "recording ended" }[source.kind];
-    write(find("connection"), source.reason ? `${text}: ${source.reason}` : text);
+    const reason = source.kind === "ended" ? "" : source.reason;
+    write(find("connection"), reason ? `${text}: ${reason}` : text);
   }
 }
 

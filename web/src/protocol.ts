@@ -1,133 +1,29 @@
-// The messages between the page and the server, version 1; docs/src/page-protocol.md describes them.
+// The messages between the page and the server, version 1; docs/src/page-protocol.md describes them. Those in JSON have
+// the types of messages.ts, which is written from the server's own.
+
+export type {
+  Alive,
+  Command,
+  DamageRow as Damage,
+  DamageView,
+  ElectrodeView as Electrode,
+  FaultView as Fault,
+  GridView as Grid,
+  HealthView as Health,
+  Notice,
+  PipelineState as Pipeline,
+  Press,
+  Scene,
+  State,
+  TouchView as Touch,
+} from "./messages";
 
 import type { Connection } from "./connection";
+import type { Command, Scene, State } from "./messages";
 
 export const VERSION = 1;
 
 export type Point = [number, number];
-
-export interface Electrode {
-  number: number;
-  position_mm: Point;
-  outline_mm: Point[];
-}
-
-export interface Grid {
-  rows: number;
-  cols: number;
-  x_min_mm: number;
-  x_max_mm: number;
-  y_min_mm: number;
-  y_max_mm: number;
-}
-
-export interface Scene {
-  skin: string;
-  modality: string;
-  is_twin: boolean;
-  /** True if the twin can be cut and healed. */
-  is_treatable: boolean;
-  /** True if the skin is watched for damage. */
-  watches_damage: boolean;
-  outline_mm: Point[][];
-  /** Diameter of the cylinder that the sheet is bent around; null if flat. */
-  bend_diameter_mm: number | null;
-  electrodes: Electrode[];
-  grid: Grid;
-  channel_labels: string[];
-  channel_unit: string;
-  image_quantity: string;
-  image_unit: string;
-  /** Unit of touch amplitudes; another than the image's with a calibration. */
-  amplitude_unit: string;
-  range_hint: [number, number] | null;
-  hyperparameter_range: [number, number];
-  press: {
-    radius_mm: [number, number];
-    pressure_kpa: [number, number];
-    initial_radius_mm: number;
-    initial_pressure_kpa: number;
-  };
-}
-
-export interface Touch {
-  id: number;
-  phase: "begin" | "move" | "end";
-  x_mm: number;
-  y_mm: number;
-  amplitude: number;
-  area_mm2: number;
-  sigma_x_mm: number | null;
-  sigma_y_mm: number | null;
-  force_n: number | null;
-  force_range: "within" | "below" | "above" | "saturated" | "none" | null;
-  /** An alternative position, with its probability. */
-  other: { x_mm: number; y_mm: number; probability: number } | null;
-}
-
-export interface Pipeline {
-  source: { kind: "running" | "waiting" | "lost" | "ended"; reason?: string };
-  tare: { kind: "none" | "taring" | "tared"; frames_left?: number };
-  baseline_age_s: number | null;
-  recording: string | null;
-  recorded_frames: number;
-  hyperparameter: number;
-  /** True while the twin shows touches by itself when nobody presses. */
-  demonstrates: boolean;
-}
-
-export interface Fault {
-  /** Counted from 1. */
-  number: number;
-  kind: "lost" | "shorted" | "inconsistent" | "noisy" | "dead" | "stuck" | "saturated" | "missing";
-  with: number | null;
-  for_s: number;
-}
-
-export interface Health {
-  /** Fault of the frames as a whole, during which touches are unknown. */
-  frame: { kind: "frozen" | "saturated" | "flipped" | "out-of-range" | "blank"; for_s: number } | null;
-  left_out: number;
-  electrodes: Fault[];
-  channels: Fault[];
-}
-
-export interface Damage {
-  id: number;
-  state: "suspected" | "confirmed" | "covered" | "healing" | "healed";
-  x_mm: number;
-  y_mm: number;
-  length_mm: number;
-  direction_deg: number;
-  ends_mm: [Point, Point];
-  /** Largest drop of the image since the damage began. */
-  depth: number;
-  /** Share that has healed. */
-  healed: number;
-  for_s: number;
-}
-
-export interface DamageView {
-  list: Damage[];
-  baselines: { origin: string; reason: string; age_s: number }[];
-  /** Index of the baseline that damage is measured against. */
-  intact: number | null;
-  proposal: { reason: "offset" | "healed" | "touched"; for_s: number; offset_sigma: number } | null;
-}
-
-export interface State {
-  sequence: number;
-  frame: number;
-  time_ns: string;
-  fps: number;
-  touches: Touch[];
-  latency: { stage: string; p50_us: number; p99_us: number }[];
-  counters: { name: string; value: number; is_loss: boolean }[];
-  state: Pipeline;
-  health: Health;
-  classes: { novelty: number | null; falls_back: boolean } | null;
-  damage: DamageView | null;
-}
 
 export interface Image {
   frame: number;
@@ -149,42 +45,6 @@ export interface Channels {
   indices: Uint32Array;
   values: Float32Array;
 }
-
-export interface Alive {
-  missed: number;
-  hub: { clients: number; published: number; coalesced: number; dropped: number };
-}
-
-export interface Notice {
-  level: "info" | "warning" | "error";
-  text: string;
-}
-
-export interface Press {
-  pointer_id: number;
-  x_mm: number;
-  y_mm: number;
-  radius_mm: number;
-  pressure_kpa: number;
-}
-
-export type Treatment =
-  | { cut: { from_mm: Point; to_mm: Point } }
-  | { heal: { at_mm: Point; radius_mm: number; temperature_c: number; hours: number } }
-  | { "time-lapse": number }
-  | "renew";
-
-export type Command =
-  | { tare: { force: boolean } }
-  | "record_start"
-  | "record_stop"
-  | { hyperparameter: number }
-  | { press: Press }
-  | { move: Press }
-  | { release: { pointer_id: number } }
-  | { treat: Treatment }
-  | { demonstrate: boolean }
-  | { choose_channels: number[] };
 
 /** A connection to the server of one skin. */
 export type SkinConnection = Connection<Scene, State, Command>;

@@ -18,12 +18,12 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use std::{env, fs, thread};
 
-use dermis::lab::serve::device_info;
-use dermis::live::latency::LatencyHistogram;
-use dermis::skin::Skin;
-use dermis::twin::TwinKit;
 use dermis_device::instruments::wire::WireDevice;
 use dermis_device::{Frame, HostStamp, Status};
+use dermis_lab::serve::device_info;
+use dermis_live::latency::LatencyHistogram;
+use dermis_skin::Skin;
+use dermis_twin::TwinKit;
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Treatment};
 

@@ -2,8 +2,8 @@
 
 use std::io;
 
-use dermis::device::acquire::AcquisitionCounters;
 use dermis_device::DeviceError;
+use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::LearnError;
 use dermis_tomo::eit::EitError;
 use dermis_tomo::inverse::InverseError;
@@ -93,13 +93,11 @@ fn hint_of(cause: &(dyn std::error::Error + 'static)) -> Option<&'static str> {
     if let Some(error) = cause.downcast_ref() {
         return hint_of_dermis(error);
     }
-    if let Some(error) = cause.downcast_ref::<dermis::record::Error>() {
-        return match error {
-            dermis::record::Error::Live(error) => hint_of_live(error),
-            dermis::record::Error::Skin(error) => hint_of_skin(error),
-            dermis::record::Error::Device(error) => hint_of_device(error),
-            _ => None,
-        };
+    if let Some(error) = cause.downcast_ref() {
+        return hint_of_lab(error);
+    }
+    if let Some(dermis_record::Error::Live(error)) = cause.downcast_ref() {
+        return hint_of_live(error);
     }
     let of_live = cause.downcast_ref().and_then(hint_of_live);
     of_live
@@ -109,24 +107,34 @@ fn hint_of(cause: &(dyn std::error::Error + 'static)) -> Option<&'static str> {
 
 fn hint_of_dermis(error: &dermis::Error) -> Option<&'static str> {
     match error {
+        dermis::Error::Lab(error) => hint_of_lab(error),
         dermis::Error::Skin(error) => hint_of_skin(error),
         dermis::Error::Live(error) => hint_of_live(error),
         dermis::Error::Record(error) => hint_of(error),
         dermis::Error::Device(error) => hint_of_device(error),
+        dermis::Error::Patch { source, .. } => hint_of_dermis(source),
         _ => None,
     }
 }
 
-fn hint_of_skin(error: &dermis::skin::Error) -> Option<&'static str> {
-    let is_unknown = matches!(error, dermis::skin::Error::UnknownSkin { .. });
+fn hint_of_lab(error: &dermis_lab::Error) -> Option<&'static str> {
+    match error {
+        dermis_lab::Error::Live(error) => hint_of_live(error),
+        dermis_lab::Error::Record(error) => hint_of(error),
+        _ => None,
+    }
+}
+
+fn hint_of_skin(error: &dermis_skin::Error) -> Option<&'static str> {
+    let is_unknown = matches!(error, dermis_skin::Error::UnknownSkin { .. });
     is_unknown.then_some("`dermis skins list` lists the built-in skins, `dermis new NAME` begins one of your own")
 }
 
-fn hint_of_live(error: &dermis::live::Error) -> Option<&'static str> {
+fn hint_of_live(error: &dermis_live::Error) -> Option<&'static str> {
     match error {
-        dermis::live::Error::Skin(error) => hint_of_skin(error),
-        dermis::live::Error::Device(error) => hint_of_device(error),
-        dermis::live::Error::Frames { expected, .. } if expected.ends_with("channels") => {
+        dermis_live::Error::Skin(error) => hint_of_skin(error),
+        dermis_live::Error::Device(error) => hint_of_device(error),
+        dermis_live::Error::Frames { expected, .. } if expected.ends_with("channels") => {
             Some("`dermis order --baseline FILE` finds out which protocol gives as many numbers, for the skin file")
         }
         _ => None,
@@ -165,6 +173,7 @@ fn code_of_cause(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     cause
         .downcast_ref()
         .map(code_of_dermis)
+        .or_else(|| cause.downcast_ref().map(code_of_lab))
         .or_else(|| cause.downcast_ref().map(code_of_body))
         .or_else(|| cause.downcast_ref().map(code_of_skin))
         .or_else(|| cause.downcast_ref().map(code_of_live))
@@ -178,38 +187,53 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
     use dermis::Error;
     match error {
         Error::Skin(error) => code_of_skin(error),
-        Error::Live(error) => code_of_live(error),
-        Error::Record(error) => code_of_record(error),
-        Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
-        Error::Touch(_) => BAD_INPUT,
-        Error::Io { source, .. } => code_of_io(source),
         Error::Device(error) => code_of_device(error),
-        Error::Learn(error) => code_of_learn(error),
-        // For example a skin whose twin would cost too much.
+        Error::Live(error) => code_of_live(error),
+        Error::Record(error) | Error::Guard { source: error } | Error::Foxglove { source: error } => {
+            code_of_record(error)
+        }
+        Error::Lab(error) => code_of_lab(error),
         Error::Twin(TwinError::Skin(error)) => code_of_skin(error),
+        Error::Body(error) => code_of_body(error),
+        Error::Learn(error) => code_of_learn(error),
         Error::Forward(error) => code_of_forward(error),
         Error::Inverse(error) => code_of_inverse(error),
+        Error::Patch { source, .. } => code_of_dermis(source),
+        Error::Io { source, .. } | Error::Joints { source, .. } => code_of_io(source),
+        Error::Touch(_) | Error::Mesh(_) | Error::Protocol(_) | Error::Value { .. } | Error::NotATwin { .. } => {
+            BAD_INPUT
+        }
         _ => FAILED,
     }
 }
 
-fn code_of_body(error: &dermis::body::Error) -> u8 {
+fn code_of_lab(error: &dermis_lab::Error) -> u8 {
     match error {
-        dermis::body::Error::Io { source, .. } => code_of_io(source),
-        dermis::body::Error::Skin { source, .. } => code_of_skin(source),
+        dermis_lab::Error::Live(error) => code_of_live(error),
+        dermis_lab::Error::Record(error) => code_of_record(error),
+        // For example a skin whose twin would cost too much.
+        dermis_lab::Error::Twin(TwinError::Skin(error)) => code_of_skin(error),
+        _ => FAILED,
+    }
+}
+
+fn code_of_body(error: &dermis_body::Error) -> u8 {
+    match error {
+        dermis_body::Error::Io { source, .. } => code_of_io(source),
+        dermis_body::Error::Skin { source, .. } => code_of_skin(source),
         _ => BAD_INPUT,
     }
 }
 
-fn code_of_skin(error: &dermis::skin::Error) -> u8 {
+fn code_of_skin(error: &dermis_skin::Error) -> u8 {
     match error {
-        dermis::skin::Error::Io { source, .. } => code_of_io(source),
+        dermis_skin::Error::Io { source, .. } => code_of_io(source),
         _ => BAD_INPUT,
     }
 }
 
-fn code_of_live(error: &dermis::live::Error) -> u8 {
-    use dermis::live::Error;
+fn code_of_live(error: &dermis_live::Error) -> u8 {
+    use dermis_live::Error;
     match error {
         Error::Skin(error) => code_of_skin(error),
         Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
@@ -224,14 +248,9 @@ fn code_of_live(error: &dermis::live::Error) -> u8 {
     }
 }
 
-fn code_of_record(error: &dermis::record::Error) -> u8 {
-    use dermis::record::Error;
+fn code_of_record(error: &dermis_record::Error) -> u8 {
     match error {
-        Error::Live(error) => code_of_live(error),
-        Error::Skin(error) => code_of_skin(error),
-        Error::Io { source, .. } => code_of_io(source),
-        Error::Device(error) => code_of_device(error),
-        Error::Content { .. } | Error::Frames { .. } | Error::Touch(_) => BAD_INPUT,
+        dermis_record::Error::Live(error) => code_of_live(error),
         _ => FAILED,
     }
 }

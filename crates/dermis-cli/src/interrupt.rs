@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, Once, PoisonError};
 use std::time::Duration;
 
-use dermis::record::RecordingStop;
+use dermis_record::RecordingStop;
 
 /// Exit code of an interrupted command, as shells expect.
 const INTERRUPTED: i32 = 130;

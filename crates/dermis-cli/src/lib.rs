@@ -34,7 +34,7 @@ use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 
 use clap::Parser;
-use dermis::record::UNDERSTOOD;
+use dermis_record::UNDERSTOOD;
 use tracing::{Event, Subscriber};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::FmtContext;
@@ -53,7 +53,7 @@ struct Cli {
     verbose: u8,
     /// Memory that preparing a skin may use, such as 8GB, however long it takes; default: three quarters of the
     /// machine's.
-    #[arg(long, global = true, value_name = "SIZE", value_parser = dermis::skin::budget::parse_bytes)]
+    #[arg(long, global = true, value_name = "SIZE", value_parser = dermis_skin::budget::parse_bytes)]
     memory: Option<u64>,
     #[command(subcommand)]
     command: Command,
@@ -81,7 +81,7 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     start_logging(cli.verbose);
     hint_at_new_spellings(&arguments);
     if let Some(bytes) = cli.memory {
-        dermis::skin::budget::set_memory_limit(bytes);
+        dermis_skin::budget::set_memory_limit(bytes);
     }
     interrupt::reset();
     dermis_device::remember(arguments.iter().skip(1).flat_map(|word| named_files(word)));
@@ -107,7 +107,7 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 ///
 /// # Errors
 /// The skin cannot be meshed.
-pub fn skin_svg(skin: &dermis::Skin) -> anyhow::Result<String> {
+pub fn skin_svg(skin: &dermis_skin::Skin) -> anyhow::Result<String> {
     commands::skin_svg(skin)
 }
 

@@ -267,10 +267,10 @@ fn write_rows(desk: &Desk, name: &str, rows: &[Vec<f64>]) {
 /// The files named in the examples of `reconstruct` and `calibrate`: frames of two skins, from their models.
 fn measured_files(desk: &Desk) {
     let prepare = |name: &str| {
-        let skin = dermis::skin::Skin::open(name).expect("a built-in skin");
-        dermis::live::prepare::Prepared::new(skin).expect("a skin that meshes")
+        let skin = dermis_skin::Skin::open(name).expect("a built-in skin");
+        dermis_live::prepare::Prepared::new(skin).expect("a skin that meshes")
     };
-    let touched = |prepared: &dermis::live::prepare::Prepared, at: [f64; 2], share: f64| -> Vec<f64> {
+    let touched = |prepared: &dermis_live::prepare::Prepared, at: [f64; 2], share: f64| -> Vec<f64> {
         let signature = prepared.signatures(&[at]);
         prepared.voltages.iter().zip(signature).map(|(v, s)| v + share * s).collect()
     };
@@ -280,8 +280,8 @@ fn measured_files(desk: &Desk) {
     write_rows(desk, "press.csv", &presses);
     // The remains of a recorder that never finished.
     let layout = dermis_device::Layout::Channels { count: 1 };
-    let head = dermis::record::RecordingHead::new("name = \"a\"\n", layout, "test");
-    drop(dermis::record::Recorder::create(&desk.path("broken.mcap"), &head).expect("a recording"));
+    let head = dermis_record::RecordingHead::new("name = \"a\"\n", layout, "test");
+    drop(dermis_record::Recorder::create(&desk.path("broken.mcap"), &head).expect("a recording"));
     let gel = prepare("hydrogel-disc");
     let magnitudes = |frame: Vec<f64>| frame.iter().map(|v| v.abs()).collect::<Vec<_>>();
     let places: Vec<[f64; 2]> =
@@ -382,7 +382,7 @@ fn documented_commands(desk: &Desk) -> Vec<Vec<String>> {
 
 #[test]
 fn the_doctor_s_code_tells_whether_something_is_wrong() {
-    let sound = dermis::skin::builtin_text("healing-square").expect("a built-in skin");
+    let sound = dermis_skin::builtin_text("healing-square").expect("a built-in skin");
     let faults = "[twin]\nfaults = [{ stuck_channels = [{ channel = 30, value_mv = 4.0 }] }]\n";
     let desk = Desk::with(&[("broken.toml", &sound.replacen("[twin]\n", faults, 1))]);
     let output = desk.run(&["doctor", "--skin", "broken.toml", "--frames", "64", "--json"]);

@@ -157,11 +157,11 @@ fn on_a_small_disk(directory: &Path, kib: u32, arguments: &[&str]) -> Output {
 
 /// A recording of the skin at rest with an instrument's noise, `frames` frames that don't compress.
 fn resting(path: &Path, frames: u64) {
-    let skin = dermis::skin::Skin::open("healing-square").expect("a built-in skin");
-    let prepared = dermis::live::prepare::Prepared::new(skin).expect("a skin that meshes");
+    let skin = dermis_skin::Skin::open("healing-square").expect("a built-in skin");
+    let prepared = dermis_live::prepare::Prepared::new(skin).expect("a skin that meshes");
     let layout = dermis_device::Layout::Channels { count: prepared.channels() };
-    let head = dermis::record::RecordingHead::of(&prepared, layout, "test");
-    let mut recorder = dermis::record::Recorder::create(path, &head).expect("a recording");
+    let head = dermis_record::RecordingHead::of(&prepared, layout, "test");
+    let mut recorder = dermis_record::Recorder::create(path, &head).expect("a recording");
     let mut state = 1_u64;
     let mut noise = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

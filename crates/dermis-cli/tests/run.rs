@@ -11,8 +11,8 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-use dermis::record::{Recording, Replay};
 use dermis_device::{Frame, Pacing, Repeat, Source, SourceEvent};
+use dermis_record::{Recording, Replay};
 use serde_json::Value;
 
 fn run(directory: &Path, arguments: &[&str]) -> Output {
@@ -152,8 +152,8 @@ fn an_instrument_that_is_not_there_is_a_failure_with_its_reason() {
 #[test]
 fn every_kind_of_file_is_a_source() {
     let desk = tempfile::tempdir().expect("a directory");
-    let skin = dermis::skin::Skin::open("healing-square").expect("a built-in skin");
-    let mut twin = dermis::twin::TwinKit::of(&skin).expect("it has a twin").twin;
+    let skin = dermis_skin::Skin::open("healing-square").expect("a built-in skin");
+    let mut twin = dermis_twin::TwinKit::of(&skin).expect("it has a twin").twin;
     let (mut values, mut rows, mut flat) = (Vec::new(), String::new(), Vec::new());
     for n in 0..40 {
         twin.step(f64::from(n) * 0.02, &mut values).expect("it goes on");

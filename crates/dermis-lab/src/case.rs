@@ -116,8 +116,9 @@ impl Case {
     /// # Errors
     /// The file is not such a mesh, lacks these groups, or has a different number of electrodes from the protocol.
     pub fn of_mesh(file: &Path, skin: &Skin, prefix: &str, unit_m: Option<f64>) -> Result<Self, Error> {
-        let refuse =
-            |field: &str, reason: String| Error::Content { file: file.to_path_buf(), field: field.into(), reason };
+        let refuse = |field: &str, reason: String| {
+            Error::Live(dermis_live::Error::Content { file: file.to_path_buf(), field: field.into(), reason })
+        };
         let impedance = skin.frontend.contact_impedance_ohm_m2 / skin.frontend.layer.rim_height_m().unwrap_or(1.0);
         let groups = ElectrodeGroups::Prefix(prefix.to_string());
         let read = read_msh(&read_bytes(file)?, &groups, &[impedance]);
@@ -176,7 +177,11 @@ impl Case {
             let known: Vec<&str> = self.conductivities.keys().map(String::as_str).collect();
             let reason =
                 format!("is neither in the case (it has {}) nor is there a file of that name", known.join(", "));
-            return Err(Error::Content { file: self.file.clone(), field: format!("sigma_{name}"), reason });
+            return Err(Error::Live(dermis_live::Error::Content {
+                file: self.file.clone(),
+                field: format!("sigma_{name}"),
+                reason,
+            }));
         }
         conductivity_file(file, elements)
     }
@@ -194,7 +199,9 @@ fn conductivity_entry((key, value): (String, Value)) -> Option<(String, Value)> 
 
 fn conductivity_file(file: &Path, elements: usize) -> Result<Vec<f64>, Error> {
     let content = read_bytes(file)?;
-    let refuse = |field: String, reason: String| Error::Content { file: file.to_path_buf(), field, reason };
+    let refuse = |field: String, reason: String| {
+        Error::Live(dermis_live::Error::Content { file: file.to_path_buf(), field, reason })
+    };
     let (shape, values) = if content.starts_with(npy::MAGIC) {
         let array = npy::decode(&content, file)?;
         (array.shape, array.values)
@@ -353,7 +360,11 @@ fn check_count(root: &Field<'_>, key: &str, found: usize, list: &str) -> Result<
 }
 
 fn content_error(file: &Path, field: &str, reason: &dyn fmt::Display) -> Error {
-    Error::Content { file: file.to_path_buf(), field: field.to_string(), reason: reason.to_string() }
+    Error::Live(dermis_live::Error::Content {
+        file: file.to_path_buf(),
+        field: field.to_string(),
+        reason: reason.to_string(),
+    })
 }
 
 /// The message for text that isn't JSON, with a hint for the common causes: numbers that JSON cannot hold, or a
@@ -372,7 +383,7 @@ fn syntax_error(content: &[u8], file: &Path, error: &serde_json::Error) -> Error
             format!("expected JSON; {}", text.split(" at line").next().unwrap_or(&text))
         }
     };
-    Error::Content { file: file.to_path_buf(), field: place, reason }
+    Error::Live(dermis_live::Error::Content { file: file.to_path_buf(), field: place, reason })
 }
 
 #[cfg(test)]

@@ -178,7 +178,7 @@ pub fn find_order(baseline: &FrameTable, skin: Option<&Skin>) -> Result<FoundOrd
     let (measured, is_complex) = mean_of(baseline);
     let readings = measured.len();
     let refuse = |what: &str, expected: &str, got: String| {
-        Err(Error::Frames { what: what.into(), expected: expected.into(), got })
+        Err(Error::Live(dermis_live::Error::Frames { what: what.into(), expected: expected.into(), got }))
     };
     if readings > MOST_READINGS {
         return refuse("readings of a frame", &format!("at most {MOST_READINGS}"), readings.to_string());

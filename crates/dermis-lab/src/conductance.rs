@@ -82,7 +82,9 @@ pub struct Conductance {
 /// The skin has coils, a readout circuit or is read as differences; the frames don't belong to the skin, or their
 /// channels have another order or a reversed sign; the model cannot be solved.
 pub fn conductance(skin: &Skin, frames: &FrameTable) -> Result<Conductance, Error> {
-    let refuse = |what: String, expected: &str, got: String| Error::Frames { what, expected: expected.into(), got };
+    let refuse = |what: String, expected: &str, got: String| {
+        Error::Live(dermis_live::Error::Frames { what, expected: expected.into(), got })
+    };
     if skin.modality == Modality::Mit || skin.backend.circuit.is_some() || skin.backend.differences {
         let got = match skin.modality {
             Modality::Mit => "coils",
@@ -271,7 +273,7 @@ impl Posterior {
         let sheet_s = weighted_median(&conductances, mesh.measures());
         let total: f64 = mesh.measures().iter().sum();
         let share = Mat::from_fn(conductances.len(), 1, |k, _| mesh.measures()[k] / total);
-        let map_error = |source| Error::Mesh { skin: skin.name.clone(), source };
+        let map_error = |source| Error::Live(dermis_live::Error::Mesh { skin: skin.name.clone(), source });
         let map = PixelMap::new(skin.grid()?, mesh).map_err(map_error)?;
         let (image_s, sigma_s) =
             (map.to_pixels(&conductances).map_err(map_error)?, map.to_pixels(&sigmas).map_err(map_error)?);

@@ -59,7 +59,13 @@ pub fn press_twin(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Vec<ForceSample>, Error> {
     let positive = |field: &str, value: f64| {
-        let refused = || Error::Frames { what: field.into(), expected: "above 0".into(), got: value.to_string() };
+        let refused = || {
+            Error::Live(dermis_live::Error::Frames {
+                what: field.into(),
+                expected: "above 0".into(),
+                got: value.to_string(),
+            })
+        };
         if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refused()) }
     };
     positive("indenter diameter (m)", plan.indenter_m)?;
@@ -108,15 +114,15 @@ pub fn force_samples(
 ) -> Result<Vec<ForceSample>, Error> {
     check_frames("poke", frames, prepared.channels())?;
     let Some((LoadQuantity::ForceN, forces)) = &pokes.loads else {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: "loads of the pokes".into(),
             expected: "forces (a column force_n)".into(),
             got: if pokes.loads.is_some() { "depths".into() } else { "none".into() },
-        });
+        }));
     };
     if forces.len() != frames.len() {
         let (expected, got) = (format!("{}, one a frame", frames.len()), forces.len().to_string());
-        return Err(Error::Frames { what: "forces of pokes".into(), expected, got });
+        return Err(Error::Live(dermis_live::Error::Frames { what: "forces of pokes".into(), expected, got }));
     }
     let reference = Reference::of(prepared, baselines)?;
     let paired = are_pairs(baselines, frames);
@@ -141,11 +147,11 @@ pub fn force_samples(
 
 fn seen(samples: Vec<ForceSample>, presses: usize) -> Result<Vec<ForceSample>, Error> {
     if samples.is_empty() {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: format!("touches in the images of {presses} presses"),
             expected: "at least two".into(),
             got: "none: presses are too weak for the skin file's thresholds".into(),
-        });
+        }));
     }
     Ok(samples)
 }

@@ -18,11 +18,11 @@ use crate::Error;
 pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     let protocol = measured_list(&skin.protocol()?).map(Order::Protocol);
     if protocol.is_none() && skin.backend.channels.is_some() {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: format!("backend.channels of {}, which an instrument on the wire is told", skin.name),
             expected: "four electrodes for each channel, or --as-set for an instrument that is set already".into(),
             got: "readings against the mean of all electrodes".into(),
-        });
+        }));
     }
     let amplitude = Order::AmplitudeA((skin.backend.current_ma * 1e-3) as f32);
     let frequency = skin.backend.frequency_khz.map(|khz| Order::FrequencyHz((khz * 1e3) as f32));
@@ -40,11 +40,11 @@ pub fn sciospec_setup_of(skin: &Skin) -> Result<LiveSetup, Error> {
     for channel in 0..protocol.channel_count() {
         let pair = ends(protocol.stimulation_of(channel)).filter(|[_, sink]| *sink != NO_ELECTRODE);
         let Some([source, sink]) = pair else {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("protocol of {}, which a Sciospec instrument is told", skin.name),
                 expected: "a current between two electrodes".into(),
                 got: format!("another for channel {channel}"),
-            });
+            }));
         };
         let pair = (usize::from(source), usize::from(sink));
         if injections.last() != Some(&pair) && !injections.contains(&pair) {

@@ -294,7 +294,7 @@ fn reconstruct_to(
             columns: grid.columns,
             rows: grid.rows,
             touches: &touches,
-            events: reconstructor.touches.events(),
+            ended: reconstructor.touches.ended(),
             classes: None,
             health: Health {
                 frame: odd[index].map(|kind| FrameFault { kind, since_ns: time_ns, since_sequence: index as u64 }),

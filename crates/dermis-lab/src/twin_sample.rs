@@ -82,7 +82,9 @@ pub struct Sampled {
 /// The file is not such a table, or a value is missing or invalid; the message names the row.
 pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>>, Error> {
     let table = csv::read_numbers(path)?.in_millimetres();
-    let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
+    let content = |field: String, reason: String| {
+        Error::Live(dermis_live::Error::Content { file: path.to_path_buf(), field, reason })
+    };
     let expected =
         "expected a header with x_mm, y_mm, one of force_n and pressure_kpa, and optionally radius_mm and group";
     let Some(header) = &table.header else { return Err(content("columns".into(), expected.into())) };
@@ -187,11 +189,11 @@ pub fn random_presses(
         if missed == MOST_MISSED {
             (margin, missed) = (0.5 * margin, 0);
             if margin < LEAST_MARGIN * shorter_m {
-                return Err(Error::Frames {
+                return Err(Error::Live(dermis_live::Error::Frames {
                     what: "places to press".into(),
                     expected: format!("{count} inside the outline"),
                     got: presses.len().to_string(),
-                });
+                }));
             }
         }
     }
@@ -256,7 +258,9 @@ fn press(
     skin.twin.seed = seed.or(skin.twin.seed);
     let channels = skin.protocol()?.channel_count();
     let frames = presses.len().saturating_mul(repeats);
-    let refuse = |what: &str, expected: String, got: String| Err(Error::Frames { what: what.into(), expected, got });
+    let refuse = |what: &str, expected: String, got: String| {
+        Err(Error::Live(dermis_live::Error::Frames { what: what.into(), expected, got }))
+    };
     if repeats == 0 || frames == 0 || frames > MOST_FRAMES {
         return refuse("frames to make", format!("1 to {MOST_FRAMES}"), frames.to_string());
     }
@@ -274,10 +278,12 @@ fn press(
     };
     for (k, group) in presses.iter().enumerate() {
         for indenter in group {
-            let refused = |error: dermis_twin::TwinError| Error::Frames {
-                what: format!("press {}", k + 1),
-                expected: "one that the skin can bear".into(),
-                got: error.to_string(),
+            let refused = |error: dermis_twin::TwinError| {
+                Error::Live(dermis_live::Error::Frames {
+                    what: format!("press {}", k + 1),
+                    expected: "one that the skin can bear".into(),
+                    got: error.to_string(),
+                })
             };
             frontend.check_indenter(indenter).map_err(refused)?;
         }
@@ -352,11 +358,11 @@ impl Format {
         match (self, complex) {
             (Self::Npy, false) => npy::write_f64(path, &[rows.values.len() / channels, channels], &rows.values)?,
             (Self::Npy, true) => {
-                return Err(Error::Frames {
+                return Err(Error::Live(dermis_live::Error::Frames {
                     what: path.display().to_string(),
                     expected: "a name that ends in .csv: readings of this skin are complex".into(),
                     got: ".npy".into(),
-                });
+                }));
             }
             (Self::Csv, _) => dermis_device::write_atomic(path, |out| write_csv(out, channels, rows, complex))?,
         }
@@ -371,7 +377,11 @@ struct UnknownFormat(PathBuf);
 impl From<UnknownFormat> for Error {
     fn from(UnknownFormat(path): UnknownFormat) -> Self {
         let expected = "a name that ends in .csv or .npy".to_string();
-        Self::Frames { what: "file of frames".into(), expected, got: path.display().to_string() }
+        Error::Live(dermis_live::Error::Frames {
+            what: "file of frames".into(),
+            expected,
+            got: path.display().to_string(),
+        })
     }
 }
 

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
+use dermis_tomo::mesh::Outline;
 use dermis_twin::instrument::{Fault, FrameFate, TimedFault};
 use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, Preparation, Treatment, TwinError};
@@ -153,6 +154,11 @@ impl TwinSource {
         };
         let contact = |(e, ohm): (usize, &f64)| if open(e) { f32::NAN } else { *ohm as f32 };
         self.contacts_ohm.iter().enumerate().map(contact).collect()
+    }
+
+    /// Outline of the skin laid flat.
+    pub fn extent(&self) -> Outline {
+        self.twin.frontend().extent()
     }
 
     /// Range of pressures and radii for presses.

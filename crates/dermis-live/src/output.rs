@@ -1,8 +1,8 @@
 //! The pipeline's results for one frame.
 
+use dermis_touch::Touch;
 use dermis_touch::guard::GuardReport;
 use dermis_touch::health::Health;
-use dermis_touch::{Touch, TouchEvent};
 
 use crate::calibration::CircuitNews;
 use crate::clock::FrameAnomalies;
@@ -31,10 +31,10 @@ pub struct Output<'a> {
     pub columns: usize,
     /// Rows of the image.
     pub rows: usize,
-    /// Touches on the skin in this frame. Those that ended in it are only in `events`.
+    /// Touches on the skin in this frame, their phase begin or move.
     pub touches: &'a [Touch],
-    /// Event of each touch.
-    pub events: &'a [TouchEvent],
+    /// Touches that ended in this frame, with the last values measured.
+    pub ended: &'a [Touch],
     /// A network's classes for this frame or a slightly earlier one, if there is a network.
     pub classes: Option<SeenClasses<'a>>,
     /// Excluded channels, and faulty electrodes.

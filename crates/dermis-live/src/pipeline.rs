@@ -220,10 +220,8 @@ impl Pipeline {
         }
         let guard = self.judge(frame, anomalies, now_ns.saturating_add(nanoseconds(start.elapsed())));
         let grid = self.prepared.map.grid();
-        let (touches, events) = match &self.state {
-            State::Running(running) => {
-                (running.reconstructor.touches.touches(), running.reconstructor.touches.events())
-            }
+        let (touches, ended) = match &self.state {
+            State::Running(running) => (running.reconstructor.touches.touches(), running.reconstructor.touches.ended()),
             State::Starting(_) => (&[][..], &[][..]),
         };
         Ok(Output {
@@ -237,7 +235,7 @@ impl Pipeline {
             columns: grid.columns,
             rows: grid.rows,
             touches,
-            events,
+            ended,
             classes: self.classes.as_ref().and_then(ClassStage::seen),
             health: self.health(),
             damage: self.damage(),

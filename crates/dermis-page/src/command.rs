@@ -8,6 +8,7 @@ use crate::scene::Scene;
 
 /// A command from the page. Lengths are millimetres in the skin's frame.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
     /// Take a new baseline.
@@ -40,6 +41,7 @@ pub enum Command {
 
 /// A round indenter on the twin.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Press {
     /// Identifies the press: unique among all open pages, stable from press to release.

@@ -12,7 +12,7 @@ use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_touch::guard::{GuardReason, GuardReport};
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFault};
-use dermis_touch::{BaselineState, Touch, TouchEvent};
+use dermis_touch::{BaselineState, Touch};
 
 use crate::recent::Recent;
 use crate::update::{
@@ -107,8 +107,7 @@ impl PageFeed {
         update.channels.values.extend(output.raw.iter().map(|v| *v as f32));
         update.touches.clear();
         update.touches.extend(output.touches.iter().map(view));
-        let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_)));
-        update.touches.extend(ended.map(|event| TouchView { phase: TouchPhase::End, ..view(event.touch()) }));
+        update.touches.extend(output.ended.iter().map(view));
         update.fps = self.rate.count(now_ns);
         self.waiting_since_ns = None;
         if update.state.source != SourceState::Running {

@@ -26,8 +26,12 @@ pub mod message;
 pub mod protocol;
 mod recent;
 mod scene;
+#[cfg(test)]
+mod schema_text;
 mod skin_scene;
 mod update;
+#[cfg(test)]
+mod words;
 
 pub use announcer::Announcer;
 pub use body_command::{BodyCommand, PatchCommand};

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 /// An answer to one request.
 #[derive(Debug, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Answer {
     /// Number of the request.
     pub id: u64,
@@ -15,6 +16,7 @@ pub struct Answer {
 
 /// A notice to every page.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Notice {
     /// Severity.
     pub level: Level,
@@ -24,6 +26,7 @@ pub struct Notice {
 
 /// Severity of a notice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
     /// Normal operation.
@@ -36,6 +39,7 @@ pub enum Level {
 
 /// Statistics on how well the pages keep up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HubStats {
     /// Pages connected.
     pub clients: usize,

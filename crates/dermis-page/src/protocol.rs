@@ -1,5 +1,6 @@
 //! The messages on the wire, version 1: little-endian binary for images, channels and noise, JSON for the rest.
-//! `docs/src/page-protocol.md` describes them for other programs; keep the two in step.
+//! `docs/src/page-protocol.md` describes them for other programs. Its tables, and the types in `web/src/messages.ts`,
+//! are written from the types here by a test: `DERMIS_BLESS=1 cargo test -p dermis-page --lib blessed`.
 
 use bytes::Bytes;
 use serde::de::DeserializeOwned;
@@ -59,36 +60,61 @@ struct Envelope<'a, T> {
     body: T,
 }
 
+/// The page's content for one frame, except what is binary.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct State<'a> {
+    /// Number of the update, to be acknowledged.
     sequence: u64,
+    /// Frame number.
     frame: u64,
-    /// Text, since JSON readers round integers beyond 2^53.
+    /// Host monotonic time of the frame's first byte, nanoseconds. Text, like the other times, since JSON readers
+    /// round integers beyond 2^53.
     time_ns: String,
+    /// The same time on the system's monotonic clock, which all processes of a machine share.
     monotonic_ns: String,
+    /// The same time on the host's wall clock, since 1970-01-01 UTC.
     wall_ns: String,
+    /// The device's own clock, if it has one.
     device_time_ns: Option<String>,
+    /// Frames per second that leave the pipeline.
     fps: f32,
+    /// Touches on the skin, and those that ended in this frame.
     touches: &'a [TouchView],
+    /// Latency of every stage over the last ten seconds, in pipeline order.
     latency: &'a [StageLatency],
+    /// Counters, including losses.
     counters: &'a [Counter],
+    /// State of the pipeline.
     state: &'a PipelineState,
+    /// Faults.
     health: &'a HealthView,
+    /// Classification of the frame by a network, if there is one.
     classes: Option<ClassState>,
+    /// Damage and baselines, if the skin is watched for damage.
     damage: Option<&'a DamageView>,
+    /// The guard's verdict, if the skin has a guard.
     guard: Option<&'a GuardView>,
 }
 
+/// Classification of a frame by a network.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct ClassState {
+    /// Distance of the frame from the network's training data; above 1.5 the frame is unlike them. NaN if unknown.
+    #[cfg_attr(test, schemars(with = "Option<f32>"))]
     novelty: f32,
+    /// True if thresholds on the image replaced the network.
     falls_back: bool,
 }
 
+/// A sign of life, every second.
 #[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 struct Alive {
     /// Number of updates that this page missed.
     missed: u64,
+    /// Statistics of all pages.
     hub: HubStats,
 }
 
@@ -263,6 +289,7 @@ fn put_values(message: &mut Vec<u8>, values: &[f32]) {
 mod tests {
     use super::*;
     use crate::command::{Command, Press};
+    use crate::schema_text;
     use crate::update::Image;
     use crate::{BodyCommand, PatchCommand};
 
@@ -317,6 +344,34 @@ mod tests {
         assert_eq!(&message[..8], b"DRMS\x01\x00\x05\x00");
         assert_eq!(message[24..32], [3, 0, 0, 0, 2, 0, 0, 0]);
         assert_eq!(message[36..], 2.5f32.to_le_bytes());
+    }
+
+    #[test]
+    fn types_of_the_page_and_tables_of_the_book_are_blessed() {
+        use schemars::generate::SchemaSettings;
+        let mut sent = SchemaSettings::draft2020_12().for_serialize().into_generator();
+        sent.subschema_for::<Scene>();
+        sent.subschema_for::<State<'_>>();
+        sent.subschema_for::<Alive>();
+        sent.subschema_for::<Notice>();
+        sent.subschema_for::<Answer>();
+        let mut received = SchemaSettings::draft2020_12().for_deserialize().into_generator();
+        received.subschema_for::<Command>();
+        let (sent, received) = (sent.take_definitions(true), received.take_definitions(true));
+        let messages = ["Scene", "State", "Alive", "Notice", "Answer"];
+        dermis_testdata::blessed("web/src/messages.ts", |_| {
+            let text = [schema_text::typescript(&sent, &messages), schema_text::typescript(&received, &["Command"])];
+            format!(
+                "// Written by a test of crates/dermis-page from its types; protocol.rs says how.\n{}",
+                text.concat()
+            )
+        });
+        dermis_testdata::blessed("docs/src/page-protocol.md", |found| {
+            let (begin, end) = ("<!-- fields: begin -->\n", "<!-- fields: end -->");
+            let (before, rest) = found.split_once(begin).expect("the tables have a beginning");
+            let (_, after) = rest.split_once(end).expect("the tables have an end");
+            format!("{before}{begin}{}\n{end}{after}", schema_text::tables(&sent, &messages))
+        });
     }
 
     #[test]

@@ -6,6 +6,7 @@ use serde::Serialize;
 /// The skin as drawn by the page. Lengths are millimetres in the skin's frame (x right, y up, origin as in the
 /// skin file).
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Scene {
     /// True if the skin is watched for damage.
     pub watches_damage: bool,
@@ -46,6 +47,7 @@ pub struct Scene {
 
 /// One electrode or coil.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ElectrodeView {
     /// Number shown, from 1.
     pub number: u32,
@@ -57,6 +59,7 @@ pub struct ElectrodeView {
 
 /// Position of the image: the outer edges of its corner pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct GridView {
     /// Rows, the first at the top (largest y).
     pub rows: usize,
@@ -74,6 +77,7 @@ pub struct GridView {
 
 /// Ranges of the sliders for pressing a twin; requests outside them are refused.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PressLimits {
     /// Smallest and largest radius of the indenter.
     pub radius_mm: [f64; 2],

@@ -46,10 +46,12 @@ pub struct Update {
 
 /// Verdict of the guard.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct GuardView {
-    /// `ok`, `stale` or `stop`.
+    /// The verdict.
+    #[cfg_attr(test, schemars(schema_with = "crate::words::guard_verdicts"))]
     pub verdict: &'static str,
-    /// Why it is not `ok`.
+    /// Reasons, unless it is `ok`.
     pub reasons: Vec<&'static str>,
     /// Always false: no part of dermis is safety-rated.
     pub safety_rated: bool,
@@ -57,9 +59,9 @@ pub struct GuardView {
 
 /// Channels and electrodes that are left out; numbers count from 1.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct HealthView {
-    /// Fault of whole frames (`frozen`, `saturated`, `flipped`, `out-of-range`, `blank`), during which touches are
-    /// unknown.
+    /// Fault of whole frames, during which touches are unknown.
     pub frame: Option<FrameFaultView>,
     /// Number of channels left out, including those of faulty electrodes.
     pub left_out: u32,
@@ -71,8 +73,10 @@ pub struct HealthView {
 
 /// A fault of whole frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct FrameFaultView {
-    /// Kind of fault, one word.
+    /// Kind of fault.
+    #[cfg_attr(test, schemars(schema_with = "crate::words::frame_faults"))]
     pub kind: &'static str,
     /// Seconds since the first frame that showed it.
     pub for_s: f64,
@@ -80,6 +84,7 @@ pub struct FrameFaultView {
 
 /// Damage, and the baselines it is measured against.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct DamageView {
     /// All damages, including suspected and healed ones.
     pub list: Vec<DamageRow>,
@@ -93,10 +98,12 @@ pub struct DamageView {
 
 /// One damage. Lengths are millimetres in the skin's frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct DamageRow {
     /// Permanent number of the damage.
     pub id: u64,
-    /// `suspected`, `confirmed`, `covered`, `healing` or `healed`.
+    /// State of the damage.
+    #[cfg_attr(test, schemars(schema_with = "crate::words::damage_states"))]
     pub state: &'static str,
     /// Centre, to the right of the skin's origin.
     pub x_mm: f64,
@@ -118,6 +125,7 @@ pub struct DamageRow {
 
 /// One baseline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct BaselineRow {
     /// Origin.
     pub origin: &'static str,
@@ -129,8 +137,10 @@ pub struct BaselineRow {
 
 /// A proposal to take a new baseline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct ProposalView {
-    /// `offset`, `healed` or `touched`.
+    /// Reason for the proposal.
+    #[cfg_attr(test, schemars(schema_with = "crate::words::proposal_reasons"))]
     pub reason: &'static str,
     /// Seconds since the skin came to rest, or since the reason has been known.
     pub for_s: f64,
@@ -157,10 +167,12 @@ pub struct ClassImage {
 
 /// One fault.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct FaultView {
     /// Number of the electrode or channel.
     pub number: u32,
-    /// Kind of fault, one word.
+    /// Kind of fault.
+    #[cfg_attr(test, schemars(schema_with = "crate::words::faults"))]
     pub kind: &'static str,
     /// The other electrode of a short.
     pub with: Option<u32>,
@@ -190,6 +202,7 @@ pub struct ChannelValues {
 
 /// Phase of a touch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum TouchPhase {
     /// First frame of the touch.
@@ -203,6 +216,7 @@ pub enum TouchPhase {
 
 /// One touch. Positions are in the skin's frame: x right, y up, origin as in the skin file.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TouchView {
     /// Permanent number of the touch.
     pub id: u64,
@@ -217,13 +231,16 @@ pub struct TouchView {
     /// Area above half of the peak, square millimetres.
     pub area_mm2: f64,
     /// Standard deviation of `x_mm`; NaN if unknown.
+    #[cfg_attr(test, schemars(with = "Option<f64>"))]
     pub sigma_x_mm: f64,
     /// Standard deviation of `y_mm`; NaN if unknown.
+    #[cfg_attr(test, schemars(with = "Option<f64>"))]
     pub sigma_y_mm: f64,
     /// Normal force, newtons, if a calibration gives one.
     pub force_n: Option<f64>,
-    /// Position of `force_n` in its calibration: `within`; `below`, `above` or `saturated`, in which case it is the
-    /// end of the range.
+    /// Position of `force_n` in its calibration. If it is below, above or saturated, `force_n` is the end of the
+    /// range; with `law`, the force follows from the law in the skin file instead.
+    #[cfg_attr(test, schemars(schema_with = "crate::words::force_ranges"))]
     pub force_range: Option<&'static str>,
     /// An alternative position, if the calibration cannot decide.
     pub other: Option<OtherPlaceView>,
@@ -231,6 +248,7 @@ pub struct TouchView {
 
 /// An alternative position of a touch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct OtherPlaceView {
     /// Position to the right of the skin's origin, millimetres.
     pub x_mm: f64,
@@ -242,6 +260,7 @@ pub struct OtherPlaceView {
 
 /// Latency of one stage, microseconds.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct StageLatency {
     /// Name of the stage.
     pub stage: Cow<'static, str>,
@@ -253,6 +272,7 @@ pub struct StageLatency {
 
 /// One counter.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Counter {
     /// Name of the counter.
     pub name: Cow<'static, str>,
@@ -264,6 +284,7 @@ pub struct Counter {
 
 /// State of the pipeline's source.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum SourceState {
     /// Frames arrive.
@@ -285,6 +306,7 @@ pub enum SourceState {
 
 /// State of the baseline.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum TareState {
     /// No baseline yet.
@@ -301,12 +323,14 @@ pub enum TareState {
 
 /// State of the pipeline.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct PipelineState {
     /// The source.
     pub source: SourceState,
     /// The baseline.
     pub tare: TareState,
     /// Seconds since the baseline was taken; NaN without one.
+    #[cfg_attr(test, schemars(with = "Option<f64>"))]
     pub baseline_age_s: f64,
     /// File being recorded to, if any.
     pub recording: Option<String>,

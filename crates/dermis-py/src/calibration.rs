@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use dermis::live::calibrate::calibrate as fit_calibration;
-use dermis::live::calibration::{Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes};
-use dermis::live::prepare::Prepared;
+use dermis_live::calibrate::calibrate as fit_calibration;
+use dermis_live::calibration::{Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes};
+use dermis_live::prepare::Prepared;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use dermis::lab::design::{Maps, Noise, spread_width};
-use dermis::lab::tolerances::{Extent, run as run_tolerances};
+use dermis_lab::design::{Maps, Noise, spread_width};
+use dermis_lab::tolerances::{Extent, run as run_tolerances};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 
@@ -17,7 +17,7 @@ use crate::work::run_interruptibly;
 /// Maps over a skin.
 #[pyclass(frozen, module = "dermis", name = "Maps")]
 pub struct PyMaps {
-    skin: dermis::skin::Skin,
+    skin: dermis_skin::Skin,
     maps: Maps,
     spread_m: Vec<f64>,
 }

@@ -4,10 +4,10 @@
 
 use std::io;
 
-use dermis::lab::Error as LabError;
-use dermis::live::Error as LiveError;
-use dermis::record::Error as RecordError;
-use dermis::skin::Error as SkinError;
+use dermis_lab::Error as LabError;
+use dermis_live::Error as LiveError;
+use dermis_record::Error as RecordError;
+use dermis_skin::Error as SkinError;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
@@ -132,16 +132,16 @@ fn kind_of_io(error: &io::Error) -> Kind {
     }
 }
 
-fn kind_of_forward(error: &dermis::tomo::eit::EitError) -> Kind {
-    if matches!(error, dermis::tomo::eit::EitError::System(_)) { Kind::Solver } else { Kind::Input }
+fn kind_of_forward(error: &dermis_tomo::eit::EitError) -> Kind {
+    if matches!(error, dermis_tomo::eit::EitError::System(_)) { Kind::Solver } else { Kind::Input }
 }
 
-fn kind_of_inverse(error: &dermis::tomo::inverse::InverseError) -> Kind {
-    if matches!(error, dermis::tomo::inverse::InverseError::Singular { .. }) { Kind::Solver } else { Kind::Input }
+fn kind_of_inverse(error: &dermis_tomo::inverse::InverseError) -> Kind {
+    if matches!(error, dermis_tomo::inverse::InverseError::Singular { .. }) { Kind::Solver } else { Kind::Input }
 }
 
-fn kind_of_device(error: &dermis::device::DeviceError) -> Kind {
-    use dermis::device::DeviceError;
+fn kind_of_device(error: &dermis_device::DeviceError) -> Kind {
+    use dermis_device::DeviceError;
     match error {
         DeviceError::Io { source, .. } => kind_of_io(source),
         DeviceError::SourceFailed { .. } => Kind::Source,
@@ -149,7 +149,7 @@ fn kind_of_device(error: &dermis::device::DeviceError) -> Kind {
     }
 }
 
-fn kind_of_learn(_: &dermis::learn::LearnError) -> Kind {
+fn kind_of_learn(_: &dermis_learn::LearnError) -> Kind {
     Kind::File
 }
 
@@ -180,11 +180,6 @@ fn kind_of_live(error: &LiveError) -> Kind {
 fn kind_of_record(error: &RecordError) -> Kind {
     match error {
         RecordError::Live(error) => kind_of_live(error),
-        RecordError::Skin(error) => kind_of_skin(error),
-        RecordError::Io { source, .. } => kind_of_io(source),
-        RecordError::Device(error) => kind_of_device(error),
-        RecordError::Content { .. } => Kind::File,
-        RecordError::Frames { .. } | RecordError::Touch(_) => Kind::Input,
         _ => Kind::Other,
     }
 }
@@ -193,30 +188,41 @@ fn kind_of_lab(error: &LabError) -> Kind {
     match error {
         LabError::Live(error) => kind_of_live(error),
         LabError::Record(error) => kind_of_record(error),
-        LabError::Skin(error) => kind_of_skin(error),
-        LabError::Io { source, .. } => kind_of_io(source),
-        LabError::Content { .. } => Kind::File,
-        LabError::Frames { .. } | LabError::Touch(_) | LabError::Locator(_) | LabError::Quality(_) => Kind::Input,
-        LabError::Mesh { .. } | LabError::Protocol { .. } | LabError::Magnetic(_) => Kind::Skin,
-        LabError::Forward(error) => kind_of_forward(error),
-        LabError::Inverse(error) => kind_of_inverse(error),
-        LabError::Device(error) => kind_of_device(error),
-        LabError::Learn(error) => kind_of_learn(error),
         LabError::Twin(error) => kind_of_twin(error),
         _ => Kind::Other,
     }
 }
 
-fn kind_of_twin(error: &dermis::twin::TwinError) -> Kind {
+fn kind_of_facade(error: &dermis::Error) -> Kind {
+    use dermis::Error;
     match error {
-        dermis::twin::TwinError::Skin(error) => kind_of_skin(error),
+        Error::Skin(error) => kind_of_skin(error),
+        Error::Device(error) => kind_of_device(error),
+        Error::Live(error) => kind_of_live(error),
+        Error::Record(error) => kind_of_record(error),
+        Error::Lab(error) => kind_of_lab(error),
+        Error::Twin(error) => kind_of_twin(error),
+        Error::Learn(error) => kind_of_learn(error),
+        Error::Forward(error) => kind_of_forward(error),
+        Error::Inverse(error) => kind_of_inverse(error),
+        Error::Mesh(_) | Error::Protocol(_) | Error::Magnetic(_) => Kind::Skin,
+        Error::Touch(_) | Error::Locator(_) | Error::Quality(_) | Error::Value { .. } => Kind::Input,
+        Error::Io { source, .. } => kind_of_io(source),
+        _ => Kind::Other,
+    }
+}
+
+fn kind_of_twin(error: &dermis_twin::TwinError) -> Kind {
+    match error {
+        dermis_twin::TwinError::Skin(error) => kind_of_skin(error),
         _ => Kind::Input,
     }
 }
 
 /// The kind of an error by its type, or the kind of its first cause that has one.
 fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Kind> {
-    None.or_else(|| cause.downcast_ref().map(kind_of_lab))
+    None.or_else(|| cause.downcast_ref().map(kind_of_facade))
+        .or_else(|| cause.downcast_ref().map(kind_of_lab))
         .or_else(|| cause.downcast_ref().map(kind_of_live))
         .or_else(|| cause.downcast_ref().map(kind_of_record))
         .or_else(|| cause.downcast_ref().map(kind_of_skin))
@@ -225,10 +231,10 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Kind> {
         .or_else(|| cause.downcast_ref().map(kind_of_forward))
         .or_else(|| cause.downcast_ref().map(kind_of_inverse))
         .or_else(|| cause.downcast_ref().map(kind_of_learn))
-        .or_else(|| cause.downcast_ref::<dermis::tomo::mesh::MeshError>().map(|_| Kind::Input))
-        .or_else(|| cause.downcast_ref::<dermis::tomo::eit::ProtocolError>().map(|_| Kind::Input))
-        .or_else(|| cause.downcast_ref::<dermis::tomo::quality::QualityError>().map(|_| Kind::Input))
-        .or_else(|| cause.downcast_ref::<dermis::mit::MitError>().map(|_| Kind::Input))
+        .or_else(|| cause.downcast_ref::<dermis_tomo::mesh::MeshError>().map(|_| Kind::Input))
+        .or_else(|| cause.downcast_ref::<dermis_tomo::eit::ProtocolError>().map(|_| Kind::Input))
+        .or_else(|| cause.downcast_ref::<dermis_tomo::quality::QualityError>().map(|_| Kind::Input))
+        .or_else(|| cause.downcast_ref::<dermis_mit::MitError>().map(|_| Kind::Input))
         .or_else(|| cause.downcast_ref().map(kind_of_io))
 }
 
@@ -247,15 +253,15 @@ faults!(
     LiveError,
     RecordError,
     SkinError,
-    dermis::twin::TwinError,
-    dermis::device::DeviceError,
-    dermis::learn::LearnError,
-    dermis::tomo::eit::EitError,
-    dermis::tomo::eit::ProtocolError,
-    dermis::tomo::inverse::InverseError,
-    dermis::tomo::mesh::MeshError,
-    dermis::tomo::quality::QualityError,
-    dermis::mit::MitError,
+    dermis_twin::TwinError,
+    dermis_device::DeviceError,
+    dermis_learn::LearnError,
+    dermis_tomo::eit::EitError,
+    dermis_tomo::eit::ProtocolError,
+    dermis_tomo::inverse::InverseError,
+    dermis_tomo::mesh::MeshError,
+    dermis_tomo::quality::QualityError,
+    dermis_mit::MitError,
     io::Error,
 );
 

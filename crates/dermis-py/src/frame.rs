@@ -1,6 +1,6 @@
 //! [`PyFrame`]: one frame of readings with its time.
 
-use dermis::device::{Frame, HostStamp};
+use dermis_device::{Frame, HostStamp};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 

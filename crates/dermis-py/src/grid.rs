@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis::tomo::mesh::PixelMap;
+use dermis_tomo::mesh::PixelMap;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 

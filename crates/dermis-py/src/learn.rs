@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use dermis::lab::learning::train_set::{Simulator, TrainSetRequest};
-use dermis::learn::{Model, TrainingSet};
-use dermis::live::prepare::Prepared;
+use dermis_lab::learning::train_set::{Simulator, TrainSetRequest};
+use dermis_learn::{Model, TrainingSet};
+use dermis_live::prepare::Prepared;
 use numpy::{PyArray1, PyArray3};
 use pyo3::prelude::*;
 

@@ -1,6 +1,6 @@
 //! `dermis.mit`: coils, bodies, and the changes of mutual inductance caused by bodies.
 
-use dermis::mit::{CoilArray, CoilShape, CoilSpec, Complex, Polarizability, Sphere};
+use dermis_mit::{CoilArray, CoilShape, CoilSpec, Complex, Polarizability, Sphere};
 use numpy::{Complex64, PyArray1, PyArray2};
 use pyo3::prelude::*;
 
@@ -182,7 +182,7 @@ impl PyBody {
     /// Its response to the harmonics of a field, shape (h, h), complex.
     #[getter]
     fn tau<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<Complex64>>> {
-        let size = dermis::mit::HARMONICS;
+        let size = dermis_mit::HARMONICS;
         array2(py, plain(self.body.tau()), size, size)
     }
 

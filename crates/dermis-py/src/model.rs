@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, OnceLock};
 
-use dermis::live::imager::Imager;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::skin::{Imaging, Modality};
-use dermis::tomo::eit::{ForwardModel, Protocol};
-use dermis::tomo::mesh::PixelMap;
+use dermis_live::imager::Imager;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_skin::{Imaging, Modality};
+use dermis_tomo::eit::{ForwardModel, Protocol};
+use dermis_tomo::mesh::PixelMap;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};

@@ -1,8 +1,8 @@
 //! Functions on arrays: the search for a file's channel order, and the conductance of a sheet.
 
-use dermis::device::{FrameTable, Layout};
-use dermis::lab::channel_search::{self, LEAST, find_order};
-use dermis::lab::conductance::conductance;
+use dermis_device::{FrameTable, Layout};
+use dermis_lab::channel_search::{self, LEAST, find_order};
+use dermis_lab::conductance::conductance;
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-use dermis::device::{Frame, HostStamp, Layout};
-use dermis::live::calibration::Calibration;
-use dermis::live::forces::parse_forces;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
+use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::calibration::Calibration;
+use dermis_live::forces::parse_forces;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
 use pyo3::prelude::*;
 
 use crate::arrays::Doubles;
@@ -89,14 +89,14 @@ impl PyPipeline {
         let calibration = calibration_of(calibration)?;
         let forces = match &forces {
             Some(path) => {
-                let text = dermis::device::instruments::read_bytes(path).map_err(Fault::from)?;
+                let text = dermis_device::instruments::read_bytes(path).map_err(Fault::from)?;
                 Some(parse_forces(&text, path, &skin).map_err(Fault::from)?)
             }
             None => None,
         };
         if let Some(lambda) = hyperparameter {
             let mut imaging = skin.imaging.clone();
-            imaging.hyperparameter = dermis::skin::HyperparameterChoice::Number(lambda);
+            imaging.hyperparameter = dermis_skin::HyperparameterChoice::Number(lambda);
             Skin { imaging, ..skin.clone() }.checked().map_err(Fault::from)?;
         }
         let of = skin.clone();
@@ -107,7 +107,7 @@ impl PyPipeline {
             };
             if let Some(lambda) = hyperparameter {
                 let mut imaging = prepared.skin.imaging.clone();
-                imaging.hyperparameter = dermis::skin::HyperparameterChoice::Number(lambda);
+                imaging.hyperparameter = dermis_skin::HyperparameterChoice::Number(lambda);
                 prepared = prepared.with_imaging(imaging)?;
             }
             let layout = Layout::Channels { count: prepared.channels() };
@@ -240,7 +240,7 @@ impl PyPipeline {
 
     /// True for skins that take longer than 50 us per frame, because touches are fitted or elements solved for.
     fn is_slow(&self) -> bool {
-        self.skin.fits_touches() || self.skin.damage.watch || self.skin.imaging.solve != dermis::skin::Solve::Pixels
+        self.skin.fits_touches() || self.skin.damage.watch || self.skin.imaging.solve != dermis_skin::Solve::Pixels
     }
 
     fn result(&self, pipeline: &mut Pipeline, frame: &Frame, time_s: f64) -> Result<PyFrameResult, Fault> {

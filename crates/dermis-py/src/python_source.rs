@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use dermis::device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
+use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;

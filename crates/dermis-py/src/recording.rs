@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use dermis::device::{Frame, ReadOptions};
-use dermis::live::channels::ChannelReader;
-use dermis::record::{Entry, Recording};
-use dermis::skin::Skin;
+use dermis_device::{Frame, ReadOptions};
+use dermis_live::channels::ChannelReader;
+use dermis_record::{Entry, Recording};
+use dermis_skin::Skin;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -327,7 +327,7 @@ pub fn read_frames<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let skin = skin.map(crate::skin::skin_of).transpose()?;
     let found = run_interruptibly(py, "read", move || {
-        let spec: dermis::device::FileSpec = path.to_string_lossy().parse()?;
+        let spec: dermis_device::FileSpec = path.to_string_lossy().parse()?;
         let options = ReadOptions {
             format: format.map(|name| name.parse()).transpose()?,
             columns: columns.map(|text| text.parse()).transpose()?.unwrap_or_default(),
@@ -337,8 +337,8 @@ pub fn read_frames<'py>(
             ..ReadOptions::default()
         };
         let table = match &skin {
-            Some(skin) => dermis::record::read_frames_of(skin, &spec, options)?,
-            None => dermis::record::read_frames(&spec, options)?,
+            Some(skin) => dermis_record::read_frames_of(skin, &spec, options)?,
+            None => dermis_record::read_frames(&spec, options)?,
         };
         let rows = match &skin {
             Some(skin) => {

@@ -1,10 +1,10 @@
 //! [`PyFrameResult`]: the pipeline's results for one frame, as arrays made on demand.
 
-use dermis::device::HostStamp;
-use dermis::live::output::Output;
-use dermis::record::TouchEntry;
-use dermis::touch::guard::{GuardReason, GuardReport};
-use dermis::touch::{Touch, TouchEvent, TouchPhase};
+use dermis_device::HostStamp;
+use dermis_live::output::Output;
+use dermis_record::TouchEntry;
+use dermis_touch::guard::{GuardReason, GuardReport};
+use dermis_touch::{Touch, TouchPhase};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -123,8 +123,7 @@ struct Damage {
 impl PyFrameResult {
     /// Copies the results out of the pipeline's memory.
     pub fn of(output: &Output<'_>, time_s: f64, ready: bool, extent_mm: [f64; 4], quantity: &'static str) -> Self {
-        let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
-        let damage = |damage: &dermis::touch::damage::Damage| Damage {
+        let damage = |damage: &dermis_touch::damage::Damage| Damage {
             id: damage.id,
             state: damage.state.name(),
             centre_mm: damage.shape.centre_m.map(|metres| 1e3 * metres),
@@ -147,7 +146,7 @@ impl PyFrameResult {
             shape: [output.rows, output.columns],
             extent_mm,
             quantity,
-            touches: output.touches.iter().chain(ended).map(row_of).collect(),
+            touches: output.touches.iter().chain(output.ended).map(row_of).collect(),
             frame: output.health.frame.map(|fault| fault.kind.name()),
             channels: output.health.channels.iter().map(|fault| (fault.channel, fault.kind.name())).collect(),
             electrodes: output.health.electrodes.iter().map(|fault| fault.electrode).collect(),

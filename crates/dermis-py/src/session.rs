@@ -4,14 +4,14 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::Duration;
 
-use dermis::device::acquire::{Acquisition, Next};
-use dermis::lab::twin_source::TwinCommand;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::RecordingHead;
-use dermis::skin::Skin;
-use dermis::twin::mechanics::{Indenter, Shape};
 use dermis_cli::LivePage;
 use dermis_cli::sources::{Opened, SourceOptions, TwinControl, open_of};
+use dermis_device::acquire::{Acquisition, Next};
+use dermis_lab::twin_source::TwinCommand;
+use dermis_live::pipeline::Pipeline;
+use dermis_record::RecordingHead;
+use dermis_skin::Skin;
+use dermis_twin::mechanics::{Indenter, Shape};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -138,7 +138,7 @@ pub fn open(
     };
     let selector = match (&path, &own) {
         (Some(path), _) => path.to_string_lossy().into_owned(),
-        (None, Some((_, own))) => dermis::device::Source::name(own).to_owned(),
+        (None, Some((_, own))) => dermis_device::Source::name(own).to_owned(),
         (None, None) => String::new(),
     };
     let named = selector.clone();
@@ -152,7 +152,7 @@ pub fn open(
             match (name, &given) {
                 (Some(name), _) => Ok(Skin::open(name)?),
                 (None, Some(skin)) => Ok(skin.clone()),
-                (None, None) => Ok(Skin::open(dermis::skin::DEFAULT_NAME)?),
+                (None, None) => Ok(Skin::open(dermis_skin::DEFAULT_NAME)?),
             }
         };
         let options = SourceOptions { speed, as_set, as_skin, ..SourceOptions::default() };
@@ -220,7 +220,7 @@ impl PySession {
             let time_s = 1e-9 * clock_ns.saturating_sub(origin_ns) as f64;
             let ready = running.pipeline.reference().is_some();
             let baselines = running.pipeline.baseline_records().len();
-            let now_ns = dermis::device::HostStamp::now().monotonic_ns;
+            let now_ns = dermis_device::HostStamp::now().monotonic_ns;
             let output = running.pipeline.process(&frame, now_ns)?;
             let quantity = self.skin.modality.image_quantity();
             let result = PyFrameResult::of(&output, time_s, ready, self.extent_mm, quantity);

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use dermis::live::prepare::Prepared;
-use dermis::skin::{BUILTIN_NAMES, Modality, Skin};
-use dermis::tomo::mesh::{Outline, Surface};
+use dermis_live::prepare::Prepared;
+use dermis_skin::{BUILTIN_NAMES, Modality, Skin};
+use dermis_tomo::mesh::{Outline, Surface};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use dermis::skin::Skin;
+use dermis_skin::Skin;
 use pyo3::prelude::*;
 
 use crate::errors::Fault;

@@ -2,11 +2,11 @@
 
 use std::sync::Mutex;
 
-use dermis::skin::Skin;
-use dermis::twin::instrument::FrameFate;
-use dermis::twin::mechanics::{Indenter, Load, Shape};
-use dermis::twin::scene::{Scene, SceneOptions};
-use dermis::twin::{AnyTwin, Frontend as _, TouchTruth, TwinKit};
+use dermis_skin::Skin;
+use dermis_twin::instrument::FrameFate;
+use dermis_twin::mechanics::{Indenter, Load, Shape};
+use dermis_twin::scene::{Scene, SceneOptions};
+use dermis_twin::{AnyTwin, Frontend as _, TouchTruth, TwinKit};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
@@ -44,7 +44,7 @@ struct Running {
 pub struct PyTwin {
     skin: Skin,
     period_s: f64,
-    press: dermis::twin::PressRange,
+    press: dermis_twin::PressRange,
     running: Mutex<Running>,
 }
 

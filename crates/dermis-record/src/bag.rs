@@ -69,7 +69,11 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<FrameTable, Err
     if 2 * counts.get(&count).copied().unwrap_or(0) < frames.len() {
         let found: Vec<String> = counts.keys().take(6).map(usize::to_string).collect();
         let reason = format!("expected messages of equally many numbers, found {} numbers", found.join(", "));
-        return Err(Error::Content { file: path.to_owned(), field: format!("topic {topic}"), reason });
+        return Err(Error::Live(dermis_live::Error::Content {
+            file: path.to_owned(),
+            field: format!("topic {topic}"),
+            reason,
+        }));
     }
     notes.insert(0, format!("topic `{topic}` ({})", collector.topics[&topic].kind));
     if files.len() > 1 {
@@ -106,7 +110,9 @@ fn chosen(collector: &Collector, path: &Path) -> Result<String, Error> {
             shown.map(|(name, topic)| format!("{name} ({}, {} messages)", topic.kind, topic.messages)).collect();
         if shown.is_empty() { "no topics".to_owned() } else { shown.join(", ") }
     };
-    let refuse = |reason: String| Err(Error::Content { file: path.to_owned(), field: "--topic".to_owned(), reason });
+    let refuse = |reason: String| {
+        Err(Error::Live(dermis_live::Error::Content { file: path.to_owned(), field: "--topic".to_owned(), reason }))
+    };
     if let Some(wanted) = &collector.wanted {
         return match collector.topics.get(wanted) {
             None => refuse(format!("expected a topic of the file, got {wanted}; it has {}", all())),
@@ -145,13 +151,17 @@ fn bag_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     }
     if files.len() > MOST_FILES {
         let reason = format!("expected at most {MOST_FILES} files of a bag, found {}", files.len());
-        return Err(Error::Content { file: folder.to_owned(), field: "files".to_owned(), reason });
+        return Err(Error::Live(dermis_live::Error::Content {
+            file: folder.to_owned(),
+            field: "files".to_owned(),
+            reason,
+        }));
     }
     if let Some(packed) =
         files.iter().find(|file| file.extension().is_some_and(|extension| extension == "zstd" || extension == "zst"))
     {
         let reason = "is compressed as a whole; unpack it first (zstd -d), or use ros2 bag convert".to_owned();
-        return Err(Error::Content { file: packed.clone(), field: "bag".to_owned(), reason });
+        return Err(Error::Live(dermis_live::Error::Content { file: packed.clone(), field: "bag".to_owned(), reason }));
     }
     Ok(files)
 }
@@ -181,7 +191,7 @@ fn read_sqlite(file: &Path, _collector: &mut Collector) -> Result<(), Error> {
         "an SQLite bag, which this dermis was built without (feature sqlite); `ros2 bag convert` makes MCAP of \
                   it"
         .to_owned();
-    Err(Error::Content { file: file.to_owned(), field: "bag".to_owned(), reason })
+    Err(Error::Live(dermis_live::Error::Content { file: file.to_owned(), field: "bag".to_owned(), reason }))
 }
 
 #[cfg(test)]

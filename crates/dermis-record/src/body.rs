@@ -59,14 +59,14 @@ impl BodyRecording {
     /// Makes a recorder for one patch.
     ///
     /// # Errors
-    /// [`Error::Frames`] for a name that is taken or contains a slash; otherwise as for [`Recorder::create`].
+    /// A name that is taken or contains a slash; otherwise as for [`Recorder::create`].
     pub fn patch(&mut self, name: &str, head: &RecordingHead) -> Result<Recorder, Error> {
         if name.is_empty() || name.contains('/') || !self.patches.insert(name.to_owned()) {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: "patch to record".to_owned(),
                 expected: "a name without a slash that no other patch has".to_owned(),
                 got: format!("{name:?}"),
-            });
+            }));
         }
         Recorder::of_patch(self.file.clone(), name, head)
     }
@@ -74,7 +74,7 @@ impl BodyRecording {
     /// Writes joint values, radians or metres, as a `sensor_msgs/JointState`.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn write_joints<'a>(
         &mut self,
         wall_ns: u64,
@@ -87,7 +87,7 @@ impl BodyRecording {
     /// Ends the recording of the body itself.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn finish(self) -> Result<(), Error> {
         let mut file = lock(&self.file);
         let finished = file.finish(&record(BODY_FINISHED, [("patches", self.patches.len().to_string())]))?;

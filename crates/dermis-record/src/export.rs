@@ -53,7 +53,7 @@ impl FromStr for Table {
 /// Writes a table of `recording`, starting from its beginning, to `path`. The file appears only when it is complete.
 ///
 /// # Errors
-/// [`Error::Frames`] if anything but frames is requested as NPY, or if only some frames are complex; [`Error::Io`].
+/// An error if anything but frames is requested as NPY, or if only some frames are complex; an I/O error.
 pub fn export<R: Read + Seek>(
     recording: &mut Recording<R>,
     table: Table,
@@ -106,11 +106,11 @@ fn export_array<R: Read + Seek>(
     path: &Path,
 ) -> Result<Exported, Error> {
     if table != Table::Frames {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: "table to export as npy".to_owned(),
             expected: "frames".to_owned(),
             got: format!("{table:?}").to_lowercase(),
-        });
+        }));
     }
     let channels = recording.head().layout.channels();
     let mut frame = Frame::default();
@@ -140,7 +140,7 @@ fn check_parts(frame: &Frame, complex: bool) -> Result<(), Error> {
     let (real, both) = ("real readings, as in the first frame", "complex readings, as in the first frame");
     let (expected, got) = if complex { (both, "real ones") } else { (real, "complex ones") };
     let what = format!("frame {} to export", frame.sequence);
-    Err(Error::Frames { what, expected: expected.to_owned(), got: got.to_owned() })
+    Err(Error::Live(dermis_live::Error::Frames { what, expected: expected.to_owned(), got: got.to_owned() }))
 }
 
 fn columns<R: Read + Seek>(recording: &Recording<R>, table: Table, complex: bool) -> Vec<Column> {

@@ -44,17 +44,17 @@ impl RecordingHead {
     }
 
     /// # Errors
-    /// [`Error::Frames`] unless there are no labels or one per channel.
+    /// An error unless there are no labels or one per channel.
     pub(super) fn validate(&self) -> Result<(), Error> {
         let channels = self.layout.channels();
         if self.labels.is_empty() || self.labels.len() == channels {
             return Ok(());
         }
-        Err(Error::Frames {
+        Err(Error::Live(dermis_live::Error::Frames {
             what: "channel labels of a recording".to_owned(),
             expected: format!("none or {channels}"),
             got: self.labels.len().to_string(),
-        })
+        }))
     }
 
     pub(super) fn metadata(&self) -> Vec<Metadata> {

@@ -47,7 +47,7 @@ impl LiveRecording {
     /// Like [`LiveRecording::start`], with an existing recorder, such as a body patch's.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn start_with(mut recorder: Recorder, pipeline: &Pipeline, images_per_s: f64) -> Result<Self, Error> {
         let path = recorder.path().to_owned();
         if images_per_s > 0.0 {

@@ -30,7 +30,7 @@ impl LiveFeed {
     /// baseline, the feed starts with it.
     ///
     /// # Errors
-    /// [`Error::Io`] if the operating system refuses a thread.
+    /// An I/O error if the operating system refuses a thread.
     pub(super) fn start(
         writer: impl LiveWriter,
         name: &str,

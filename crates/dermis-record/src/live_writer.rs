@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicU64;
 
 use dermis_device::Frame;
 use dermis_live::output::Output;
-use dermis_touch::{ReferenceRecord, Touch, TouchEvent};
+use dermis_touch::{ReferenceRecord, Touch};
 
 use super::view::SkinView;
 use super::writer::{Recorder, RecordingSummary};
@@ -19,13 +19,13 @@ pub(super) struct TouchBatch {
     pub(super) sequence: u64,
     pub(super) time_ns: u64,
     pub(super) touches: Vec<Touch>,
-    pub(super) events: Vec<TouchEvent>,
+    pub(super) ended: Vec<Touch>,
 }
 
 impl TouchBatch {
     /// True if the frame has touches or one ended in it.
     pub(super) fn is_due(output: &Output<'_>) -> bool {
-        !output.touches.is_empty() || output.events.iter().any(|event| matches!(event, TouchEvent::End(_)))
+        !output.touches.is_empty() || !output.ended.is_empty()
     }
 
     /// Replaces the content with the touches of a frame.
@@ -33,8 +33,8 @@ impl TouchBatch {
         (self.wall_ns, self.sequence, self.time_ns) = (output.wall_ns, output.sequence, output.time_ns);
         self.touches.clear();
         self.touches.extend_from_slice(output.touches);
-        self.events.clear();
-        self.events.extend_from_slice(output.events);
+        self.ended.clear();
+        self.ended.extend_from_slice(output.ended);
     }
 }
 
@@ -93,8 +93,8 @@ impl LiveWriter for Recorder {
     }
 
     fn touches(&mut self, batch: &TouchBatch) -> Result<(), Error> {
-        let TouchBatch { wall_ns, sequence, time_ns, touches, events } = batch;
-        self.write_touches(*wall_ns, *sequence, *time_ns, touches, events)?;
+        let TouchBatch { wall_ns, sequence, time_ns, touches, ended } = batch;
+        self.write_touches(*wall_ns, *sequence, *time_ns, touches, ended)?;
         self.write_touch_points(*wall_ns, touches)
     }
 

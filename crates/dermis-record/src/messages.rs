@@ -2,7 +2,7 @@
 //! has their definitions).
 
 use dermis_device::{Frame, Status};
-use dermis_touch::{ReferenceOrigin, ReferenceRecord, Touch, TouchEvent, TouchPhase};
+use dermis_touch::{ReferenceOrigin, ReferenceRecord, Touch, TouchPhase};
 
 use super::cdr::{CdrReader, CdrWriter};
 
@@ -143,17 +143,16 @@ pub(super) struct Stamp<'a> {
     pub frame_id: &'a str,
 }
 
-/// Writes the touches of frame `sequence`; those that ended in it are in `events`.
+/// Writes the touches of frame `sequence`; those that ended in it are in `ended`.
 pub(super) fn write_touches(
     out: &mut Vec<u8>,
     stamp: Stamp<'_>,
     sequence: u64,
     time_ns: u64,
     touches: &[Touch],
-    events: &[TouchEvent],
+    ended: &[Touch],
 ) {
-    let ended = || events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
-    let all = || touches.iter().chain(ended());
+    let all = || touches.iter().chain(ended);
     let mut cdr = CdrWriter::new(out);
     cdr.u64(sequence);
     cdr.u64(time_ns);
@@ -334,10 +333,10 @@ mod tests {
         let mut touches = [touch(1, TouchPhase::Begin, 3.0, -4.0)];
         let covariance_m2 = [[4e-6, 0.0], [0.0, 9e-6]];
         touches[0].other_place = Some(PlaceHypothesis { position_m: [-3e-3, 4e-3], covariance_m2, probability: 0.25 });
-        let events = [TouchEvent::End(touch(2, TouchPhase::End, 5.0, 6.0)), TouchEvent::Begin(touches[0])];
+        let ended = [touch(2, TouchPhase::End, 5.0, 6.0)];
         let mut bytes = Vec::new();
         let stamp = Stamp { wall_ns: 5, frame_id: "skin" };
-        write_touches(&mut bytes, stamp, 7, 9, &touches, &events);
+        write_touches(&mut bytes, stamp, 7, 9, &touches, &ended);
         let found = read_touches(&bytes).unwrap();
         assert_eq!((found.sequence, found.time_ns, found.touches.len()), (7, 9, 2));
         let [first, second] = &found.touches[..] else { panic!("{found:?}") };

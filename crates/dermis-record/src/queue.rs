@@ -109,7 +109,7 @@ impl RecorderHandle {
     /// Starts the thread. `capacity` frames, at least 1, can wait: a second's worth bridges a disk's usual pauses.
     ///
     /// # Errors
-    /// [`Error::Io`] if the operating system refuses a thread.
+    /// An I/O error if the operating system refuses a thread.
     pub fn spawn(recorder: Recorder, capacity: usize) -> Result<Self, Error> {
         let name = recorder.path().display().to_string();
         Self::spawn_writer(recorder, &name, capacity)
@@ -317,7 +317,7 @@ impl<W: LiveWriter> WriterThread<W> {
         shared.safe.store(safe, Ordering::Relaxed);
         let result = drained.and_then(|()| self.recorder.finish(shared.dropped(false)));
         // A file whose name was taken meanwhile is complete under its partial name.
-        if let Err(Error::Io { source, .. }) = &result
+        if let Err(Error::Live(dermis_live::Error::Io { source, .. })) = &result
             && source.kind() == std::io::ErrorKind::AlreadyExists
         {
             shared.safe.store(frames, Ordering::Relaxed);

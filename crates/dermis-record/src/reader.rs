@@ -181,8 +181,7 @@ impl Recording {
     /// Opens a recording, finished or not. Chunks are read only when entries are requested.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Content`] if the file is not MCAP, was not written by dermis, or was cut off before
-    /// its skin.
+    /// An I/O error; a file that is not MCAP, was not written by dermis, or was cut off before its skin.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let (place, patch) = of_body(path).map_or((path, None), |(place, patch)| (place, Some(patch)));
         let file = open_regular(place).map_err(Error::io(path))?;
@@ -200,7 +199,9 @@ impl<R: Read + Seek> Recording<R> {
     }
 
     fn read_head(mut input: R, path: PathBuf, patch: Option<String>) -> Result<Self, Error> {
-        let content = |field: String, reason: String| Error::Content { file: path.clone(), field, reason };
+        let content = |field: String, reason: String| {
+            Error::Live(dermis_live::Error::Content { file: path.clone(), field, reason })
+        };
         let outline = Outline::read(&mut input).map_err(Error::io(&path))?;
         let outline = outline.ok_or_else(|| {
             content("byte 0".to_owned(), "expected an MCAP recording, found another beginning".to_owned())
@@ -304,7 +305,7 @@ impl<R: Read + Seek> Recording<R> {
     /// The next entry, or `None` after the last readable one.
     ///
     /// # Errors
-    /// [`Error::Io`] if reading fails. Damage is not an error; it is counted in [`Recording::damage`].
+    /// An I/O error if reading fails. Damage is not an error; it is counted in [`Recording::damage`].
     pub fn next_entry(&mut self) -> Result<Option<Entry<'_>>, Error> {
         let kind = self.advance().map_err(|error| Error::io(&self.path)(error))?;
         Ok(kind.map(|(kind, wall_ns)| match kind {

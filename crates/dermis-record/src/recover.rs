@@ -37,7 +37,7 @@ pub struct Recovered {
 /// Writes a complete recording to `to` from the readable parts of `from`, which is not changed.
 ///
 /// # Errors
-/// As for [`Recording::open`], and [`Error::Io`] if `to` exists or cannot be written.
+/// As for [`Recording::open`], and an I/O error if `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
     let mut recording = Recording::open(from)?;
     let mut frames = 0;

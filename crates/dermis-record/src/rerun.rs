@@ -93,7 +93,7 @@ impl RecordingHead {
 /// is set or the recording ends. A recording started in the middle of a run begins with the baseline then in use.
 ///
 /// # Errors
-/// Frames don't fit the pipeline, [`Error::Io`], or an error of `each`.
+/// Frames don't fit the pipeline, an I/O error, or an error of `each`.
 pub fn rerun<R: Read + Seek>(
     recording: &mut Recording<R>,
     pipeline: &mut Pipeline,

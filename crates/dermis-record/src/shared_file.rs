@@ -63,7 +63,7 @@ impl SharedFile {
     /// Writes a message; returns true if everything was handed out after it.
     ///
     /// # Errors
-    /// [`Error::Io`]; nothing can be written after it.
+    /// An I/O error; nothing can be written after it.
     pub fn write(&mut self, channel_id: u16, wall_ns: u64, message: &[u8]) -> Result<bool, Error> {
         let header = MessageHeader { channel_id, sequence: self.message, log_time: wall_ns, publish_time: wall_ns };
         self.message = self.message.wrapping_add(1);

@@ -19,7 +19,7 @@ pub(crate) mod testing {
     use dermis_live::output::Output;
     use dermis_live::stages::damage::DamageView;
     use dermis_touch::health::Health;
-    use dermis_touch::{ContactSign, Observation, Touch, TouchEvent, TouchPhase};
+    use dermis_touch::{ContactSign, Observation, Touch, TouchPhase};
 
     /// A touch at (x, y) in millimetres with standard deviations of 0.5 and 0.25 mm and an area of 100 mm^2.
     pub(crate) fn touch(id: u64, phase: TouchPhase, x_mm: f64, y_mm: f64) -> Touch {
@@ -45,12 +45,7 @@ pub(crate) mod testing {
     }
 
     /// A frame with two channels and an image of 2 rows and 3 columns.
-    pub(crate) fn output<'a>(
-        sequence: u64,
-        image: &'a [f32],
-        touches: &'a [Touch],
-        events: &'a [TouchEvent],
-    ) -> Output<'a> {
+    pub(crate) fn output<'a>(sequence: u64, image: &'a [f32], touches: &'a [Touch], ended: &'a [Touch]) -> Output<'a> {
         let (time_ns, wall_ns) = (12_000_000_345 + sequence, 1_700_000_000_000_000_000 + sequence);
         let (raw, compensated) = (&[1.0, 2.0], &[0.0, 0.5]);
         let (health, damage, anomalies) = (Health::default(), DamageView::default(), FrameAnomalies::default());
@@ -65,7 +60,7 @@ pub(crate) mod testing {
             columns: 3,
             rows: 2,
             touches,
-            events,
+            ended,
             classes: None,
             health,
             damage,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use dermis_device::{Frame, HostStamp};
-use dermis_touch::{ReferenceRecord, Touch, TouchEvent};
+use dermis_touch::{ReferenceRecord, Touch};
 use mcap::{Attachment, McapError};
 
 use super::file::{Destination, destination};
@@ -81,8 +81,8 @@ impl Recorder {
     /// A device at `path` (a pipe, a terminal) is written to directly.
     ///
     /// # Errors
-    /// [`Error::Io`] if either file exists (recordings are never overwritten) or cannot be created, [`Error::Frames`]
-    /// for a wrong number of labels.
+    /// An I/O error if either file exists (recordings are never overwritten) or cannot be created; a wrong number of
+    /// labels.
     pub fn create(path: &Path, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
         Self::new(destination(path)?, path.to_owned(), head)
@@ -112,7 +112,7 @@ impl Recorder {
     /// Also records images, point clouds and touches for viewers.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn with_view(mut self, view: SkinView) -> Result<Self, Error> {
         let mut channels = [0; 3];
         let patch = self.patch.as_deref();
@@ -158,16 +158,16 @@ impl Recorder {
     /// Writes a raw frame.
     ///
     /// # Errors
-    /// [`Error::Frames`] if the number of readings differs from the layout's; [`Error::Io`], after which nothing can
+    /// An error if the number of readings differs from the layout's; an I/O error, after which nothing can
     /// be written.
     pub fn write_frame(&mut self, frame: &Frame) -> Result<(), Error> {
         let (real, imaginary) = (frame.values.len(), frame.imaginary.len());
         if real != self.readings || (imaginary != 0 && imaginary != real) {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("frame {} to record", frame.sequence),
                 expected: format!("{} readings", self.readings),
                 got: format!("{real} real and {imaginary} imaginary parts"),
-            });
+            }));
         }
         messages::write_frame(&mut self.bytes, frame);
         self.count_safe();
@@ -179,7 +179,7 @@ impl Recorder {
     /// Writes a baseline that came into use at `wall_ns`, with its reason.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn write_baseline(
         &mut self,
         wall_ns: u64,
@@ -191,20 +191,20 @@ impl Recorder {
         self.write(self.channels.baselines, wall_ns)
     }
 
-    /// Writes the touches of frame `sequence`; those that ended in it are in `events`.
+    /// Writes the touches of frame `sequence`; those that ended in it are in `ended`.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn write_touches(
         &mut self,
         wall_ns: u64,
         sequence: u64,
         time_ns: u64,
         touches: &[Touch],
-        events: &[TouchEvent],
+        ended: &[Touch],
     ) -> Result<(), Error> {
         let stamp = Stamp { wall_ns, frame_id: frame_of(&self.drawn, &self.patch) };
-        messages::write_touches(&mut self.bytes, stamp, sequence, time_ns, touches, events);
+        messages::write_touches(&mut self.bytes, stamp, sequence, time_ns, touches, ended);
         self.write(self.channels.touches, wall_ns)
     }
 
@@ -212,15 +212,15 @@ impl Recorder {
     /// view this does nothing.
     ///
     /// # Errors
-    /// [`Error::Frames`] if the number of pixels differs from the view's; [`Error::Io`].
+    /// An error if the number of pixels differs from the view's; an I/O error.
     pub fn write_image(&mut self, wall_ns: u64, image: &[f32]) -> Result<(), Error> {
         let Some(drawn) = &self.drawn else { return Ok(()) };
         if image.len() != drawn.view.pixels() {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: "image to record".to_owned(),
                 expected: format!("{} pixels", drawn.view.pixels()),
                 got: image.len().to_string(),
-            });
+            }));
         }
         drawn.view.write_image(&mut self.bytes, wall_ns, image);
         self.write(drawn.image, wall_ns)?;
@@ -232,7 +232,7 @@ impl Recorder {
     /// Writes touches as points in space. Without a view this does nothing.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn write_touch_points(&mut self, wall_ns: u64, touches: &[Touch]) -> Result<(), Error> {
         let Some(drawn) = &self.drawn else { return Ok(()) };
         drawn.view.write_touch_points(&mut self.bytes, wall_ns, touches);
@@ -242,7 +242,7 @@ impl Recorder {
     /// Writes an event that happened before the next frame: its name, a description and its numbers.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn write_event(&mut self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> Result<(), Error> {
         let stamp = Stamp { wall_ns, frame_id: frame_of(&self.drawn, &self.patch) };
         messages::write_event(&mut self.bytes, stamp, event, detail, values);
@@ -253,7 +253,7 @@ impl Recorder {
     /// does this by itself; call it when nothing is written for longer.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// An I/O error.
     pub fn flush_if_due(&mut self) -> Result<(), Error> {
         if lock(&self.file).flush_if_due()? {
             self.all_safe();
@@ -276,7 +276,7 @@ impl Recorder {
     /// Ends the recording and gives it its final name. `dropped` frames are recorded as missing.
     ///
     /// # Errors
-    /// [`Error::Io`]; data already written stay under the partial name.
+    /// An I/O error; data already written stay under the partial name.
     pub fn finish(mut self, dropped: u64) -> Result<RecordingSummary, Error> {
         let summary = RecordingSummary { frames: self.frames, dropped };
         let entries = [("frames", self.frames.to_string()), ("dropped", dropped.to_string())];

@@ -30,12 +30,12 @@ fn touch(c: &mut Criterion) {
         let params = ContactParams { correlation_length_m, ..Default::default() };
         let Ok(mut finder) = ContactFinder::new(geometry, params) else { return };
         let Ok(mut tracker) = Tracker::new(TrackerParams::default()) else { return };
-        let (mut contacts, mut events, mut time_ns) = (Vec::<Contact>::new(), Vec::new(), 0u64);
+        let (mut contacts, mut ended, mut time_ns) = (Vec::<Contact>::new(), Vec::new(), 0u64);
         c.bench_function(&format!("64x64 image to touches, {name}"), |b| {
             b.iter(|| {
                 time_ns += 1_000_000;
                 let found = finder.find(black_box(&image), PixelNoise::Uniform(0.02), &mut contacts);
-                (found, tracker.update(time_ns, &contacts, &mut events)).1
+                (found, tracker.update(time_ns, &contacts, &mut ended)).1
             });
         });
     }
@@ -52,10 +52,10 @@ fn tracking(c: &mut Criterion) {
     c.bench_function("tracker, five touches, 100 frames", |b| {
         b.iter_batched(
             || (Tracker::new(TrackerParams::default()), Vec::with_capacity(8)),
-            |(tracker, mut events)| {
+            |(tracker, mut ended)| {
                 let mut tracker = tracker?;
                 for frame in 0..100 {
-                    tracker.update(frame * 1_000_000, black_box(&contacts), &mut events)?;
+                    tracker.update(frame * 1_000_000, black_box(&contacts), &mut ended)?;
                 }
                 Ok::<_, dermis_touch::TouchError>(tracker)
             },

@@ -14,7 +14,7 @@
 //! let grid = GridGeometry { columns: 40, rows: 40, pixel_m: 2e-3, left_m: -0.04, top_m: 0.04 };
 //! let mut finder = ContactFinder::new(grid, ContactParams::default())?;
 //! let mut tracker = Tracker::new(TrackerParams::default())?;
-//! let (mut contacts, mut events) = (Vec::new(), Vec::new());
+//! let (mut contacts, mut ended) = (Vec::new(), Vec::new());
 //! for frame in 0..10_u64 {
 //!     let spot = |k: usize| {
 //!         let (x, y) = ((k % 40) as f32 - 10.0 - frame as f32, (k / 40) as f32 - 20.0);
@@ -22,7 +22,7 @@
 //!     };
 //!     let image: Vec<f32> = (0..1600).map(spot).collect();
 //!     finder.find(&image, PixelNoise::Uniform(0.01), &mut contacts)?;
-//!     tracker.update(20_000_000 * frame, &contacts, &mut events)?;
+//!     tracker.update(20_000_000 * frame, &contacts, &mut ended)?;
 //! }
 //! let [touch] = tracker.touches() else { panic!("one touch") };
 //! assert!(touch.id == 1 && touch.velocity_m_per_s[0] > 0.05, "{touch:?}");
@@ -80,7 +80,7 @@ pub use finder::ContactFinder;
 pub use hypotheses::{PlaceHypotheses, PlaceHypothesis, PlaceModes, PlacesTold};
 pub use locator::{Located, Locator, LocatorError, LocatorOptions, LocatorScratch};
 pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
-pub use touch::{Observation, Touch, TouchEvent, TouchPhase};
+pub use touch::{Observation, Touch, TouchPhase};
 pub use touch_load::{LoadQuantity, TouchLoad};
 pub use track::Tracker;
 pub use tracker_params::{PositionSource, TrackerParams};

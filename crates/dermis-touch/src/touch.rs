@@ -1,4 +1,4 @@
-//! A touch in one frame, and its events.
+//! A touch in one frame.
 
 use serde::{Deserialize, Serialize};
 
@@ -82,27 +82,5 @@ impl Touch {
     pub fn footprint_radius_m(&self) -> Option<f64> {
         let radius_m = self.radius_m.unwrap_or((self.area_m2 / std::f64::consts::PI).sqrt());
         (radius_m.is_finite() && radius_m > 0.0).then_some(radius_m)
-    }
-}
-
-/// An event in the life of a touch.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TouchEvent {
-    /// It begins.
-    Begin(Touch),
-    /// It is still there, whether it moved or not.
-    Move(Touch),
-    /// It has ended; its position is the last one seen.
-    End(Touch),
-}
-
-impl TouchEvent {
-    /// The touch concerned.
-    #[must_use]
-    pub fn touch(&self) -> &Touch {
-        match self {
-            Self::Begin(touch) | Self::Move(touch) | Self::End(touch) => touch,
-        }
     }
 }

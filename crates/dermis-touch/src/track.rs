@@ -9,7 +9,7 @@ use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settl
 use crate::contact::{Contact, ContactStrength};
 use crate::error::TouchError;
 use crate::kalman::{Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
-use crate::touch::{Observation, Touch, TouchEvent, TouchPhase};
+use crate::touch::{Observation, Touch, TouchPhase};
 use crate::tracker_params::TrackerParams;
 
 /// Maximum detour via a merged contact: the path from one touch's expected position over the contact to the other's
@@ -84,21 +84,17 @@ impl Tracker {
         !self.blobs.is_empty()
     }
 
-    /// Takes one frame's contacts and replaces `events` by one event for every touch, by id.
+    /// Takes one frame's contacts, and replaces `ended` by the touches that end with this frame, by id. The others
+    /// are in [`Tracker::touches`].
     ///
     /// `time_ns` is on any axis that does not run backwards. Without times, use frame number times frame period.
     /// Memory is allocated only when there are more contacts than ever before.
     ///
     /// # Errors
     /// [`TouchError::TimeReversed`]; [`TouchError::NonFinite`] for a contact whose tracked position, covariance or
-    /// area is not finite. The tracker is then unchanged and `events` empty.
-    pub fn update(
-        &mut self,
-        time_ns: u64,
-        contacts: &[Contact],
-        events: &mut Vec<TouchEvent>,
-    ) -> Result<(), TouchError> {
-        events.clear();
+    /// area is not finite. The tracker is then unchanged and `ended` empty.
+    pub fn update(&mut self, time_ns: u64, contacts: &[Contact], ended: &mut Vec<Touch>) -> Result<(), TouchError> {
+        ended.clear();
         let dt = self.elapsed(time_ns)?;
         self.check(contacts)?;
         self.last_time_ns = Some(time_ns);
@@ -114,19 +110,19 @@ impl Tracker {
         self.begin_tentative(contacts, time_ns);
         self.drop_unseen_tentative();
         self.confirm(time_ns);
-        self.publish(time_ns, events);
+        self.publish(time_ns, ended);
         Ok(())
     }
 
-    /// Ends every touch now, as when a source stops, and replaces `events` by these endings. Identities keep
+    /// Ends every touch now, as when a source stops, and replaces `ended` by them. Identities keep
     /// counting.
-    pub fn end_all(&mut self, time_ns: u64, events: &mut Vec<TouchEvent>) {
-        events.clear();
+    pub fn end_all(&mut self, time_ns: u64, ended: &mut Vec<Touch>) {
+        ended.clear();
         for rider in &mut self.riders {
             rider.touch.phase = TouchPhase::End;
             rider.touch.observation = Observation::Missed;
             rider.touch.time_ns = time_ns;
-            events.push(TouchEvent::End(rider.touch));
+            ended.push(rider.touch);
         }
         self.riders.clear();
         self.blobs.clear();
@@ -385,17 +381,15 @@ impl Tracker {
         }
     }
 
-    /// Writes the touches and events of this frame and removes the touches that ended.
-    fn publish(&mut self, time_ns: u64, events: &mut Vec<TouchEvent>) {
+    /// Writes the touches of this frame and removes those that ended.
+    fn publish(&mut self, time_ns: u64, ended: &mut Vec<Touch>) {
         self.expire_merges();
         for rider in &mut self.riders {
             let blob = self.blobs.iter().find(|blob| blob.key == rider.blob);
             refresh(rider, blob, time_ns, &self.params);
-            events.push(match rider.touch.phase {
-                TouchPhase::Begin => TouchEvent::Begin(rider.touch),
-                TouchPhase::Move => TouchEvent::Move(rider.touch),
-                TouchPhase::End => TouchEvent::End(rider.touch),
-            });
+            if rider.touch.phase == TouchPhase::End {
+                ended.push(rider.touch);
+            }
         }
         self.riders.retain(|rider| rider.touch.phase != TouchPhase::End);
         let riders = &self.riders;

@@ -5,7 +5,7 @@ mod common;
 use common::{Noise, bell, contact, distance_mm, paint, square};
 use dermis_touch::{
     Contact, ContactFinder, ContactParams, ContactSign, ContactStrength, Observation, PixelNoise, Touch, TouchError,
-    TouchEvent, Tracker, TrackerParams,
+    TouchPhase, Tracker, TrackerParams,
 };
 use proptest::prelude::*;
 
@@ -15,25 +15,25 @@ fn tracker() -> Tracker {
     Tracker::new(TrackerParams::default()).unwrap()
 }
 
-/// Feeds one frame a list of (x, y) in mm and returns the events.
-fn step(tracker: &mut Tracker, frame: u64, places: &[(f64, f64)]) -> Vec<TouchEvent> {
+/// Feeds one frame a list of (x, y) in mm and returns its touches by id, with those that ended.
+fn step(tracker: &mut Tracker, frame: u64, places: &[(f64, f64)]) -> Vec<Touch> {
     let contacts: Vec<_> = places.iter().map(|&(x, y)| contact(x, y, ContactStrength::Strong)).collect();
     feed(tracker, frame, &contacts)
 }
 
-fn feed(tracker: &mut Tracker, frame: u64, contacts: &[Contact]) -> Vec<TouchEvent> {
-    let mut events = Vec::new();
-    tracker.update(frame * FRAME_NS, contacts, &mut events).unwrap();
-    events
+fn feed(tracker: &mut Tracker, frame: u64, contacts: &[Contact]) -> Vec<Touch> {
+    let mut touches = Vec::new();
+    tracker.update(frame * FRAME_NS, contacts, &mut touches).unwrap();
+    assert!(touches.iter().all(|touch| touch.phase == TouchPhase::End), "{touches:?}");
+    touches.extend(tracker.touches());
+    touches.sort_by_key(|touch| touch.id);
+    touches
 }
 
-fn count(events: &[TouchEvent]) -> (usize, usize, usize) {
-    let of = |test: fn(&TouchEvent) -> bool| events.iter().filter(|event| test(event)).count();
-    (
-        of(|e| matches!(e, TouchEvent::Begin(_))),
-        of(|e| matches!(e, TouchEvent::Move(_))),
-        of(|e| matches!(e, TouchEvent::End(_))),
-    )
+/// Numbers of touches that begin, go on and end.
+fn count(touches: &[Touch]) -> (usize, usize, usize) {
+    let of = |phase| touches.iter().filter(|touch| touch.phase == phase).count();
+    (of(TouchPhase::Begin), of(TouchPhase::Move), of(TouchPhase::End))
 }
 
 fn near(touches: &[Touch], x_mm: f64, y_mm: f64) -> u64 {
@@ -48,28 +48,28 @@ fn a_touch_begins_moves_and_ends() {
     assert!(tracker.is_following());
     let begin = step(&mut tracker, 1, &[(1.0, 0.0)]);
     assert_eq!(count(&begin), (1, 0, 0));
-    let touch = *begin[0].touch();
+    let touch = begin[0];
     assert_eq!((touch.id, touch.age_frames, touch.begin_time_ns, touch.time_ns), (1, 2, 0, FRAME_NS));
     assert_eq!(count(&step(&mut tracker, 2, &[(2.0, 0.0)])), (0, 1, 0));
     for frame in 3..6 {
-        let events = step(&mut tracker, frame, &[]);
-        assert_eq!(count(&events), (0, 1, 0));
-        assert_eq!(events[0].touch().observation, Observation::Missed);
-        assert_eq!(events[0].touch().position_m, [0.002, 0.0]);
+        let touches = step(&mut tracker, frame, &[]);
+        assert_eq!(count(&touches), (0, 1, 0));
+        assert_eq!(touches[0].observation, Observation::Missed);
+        assert_eq!(touches[0].position_m, [0.002, 0.0]);
     }
     assert_eq!(count(&step(&mut tracker, 6, &[])), (0, 0, 1));
     assert!(tracker.touches().is_empty() && !tracker.is_following());
     // A later touch in the same place is a new one.
     step(&mut tracker, 7, &[(2.0, 0.0)]);
-    assert_eq!(step(&mut tracker, 8, &[(2.0, 0.0)])[0].touch().id, 2);
+    assert_eq!(step(&mut tracker, 8, &[(2.0, 0.0)])[0].id, 2);
 }
 
 #[test]
 fn one_frame_is_enough_when_allowed() {
     let mut tracker = Tracker::new(TrackerParams { min_age_frames: 1, ..Default::default() }).unwrap();
-    let events = step(&mut tracker, 0, &[(0.0, 0.0)]);
-    assert_eq!(count(&events), (1, 0, 0));
-    assert_eq!(events[0].touch().age_frames, 1);
+    let touches = step(&mut tracker, 0, &[(0.0, 0.0)]);
+    assert_eq!(count(&touches), (1, 0, 0));
+    assert_eq!(touches[0].age_frames, 1);
     // The same time again is another frame of the same touch.
     assert_eq!(count(&step(&mut tracker, 0, &[(0.0, 0.0)])), (0, 1, 0));
 }
@@ -211,8 +211,8 @@ fn a_merge_that_never_parts_ends_the_younger_touch() {
     }
     let mut ends = Vec::new();
     for frame in 10..80 {
-        let events = step(&mut tracker, frame, &[(0.0, 0.0)]);
-        ends.extend(events.iter().filter(|e| matches!(e, TouchEvent::End(_))).map(|e| (frame, e.touch().id)));
+        let touches = step(&mut tracker, frame, &[(0.0, 0.0)]);
+        ends.extend(touches.iter().filter(|touch| touch.phase == TouchPhase::End).map(|touch| (frame, touch.id)));
     }
     assert_eq!(ends.len(), 1);
     assert_eq!(ends[0].1, 2);
@@ -287,12 +287,12 @@ fn a_lost_frame_costs_nothing() {
     for frame in 0..60u64 {
         // 2 mm per frame; frame 20 is missing, frame 40 is empty.
         let places = [(-55.0 + 2.0 * frame as f64, 0.0)];
-        let events = match frame {
+        let touches = match frame {
             20 => continue,
             40 => step(&mut tracker, frame, &[]),
             _ => step(&mut tracker, frame, &places),
         };
-        begins += count(&events).0;
+        begins += count(&touches).0;
     }
     assert_eq!(begins, 1);
     assert_eq!(tracker.touches().len(), 1);
@@ -305,8 +305,8 @@ fn signs_are_not_mixed_up() {
     step(&mut tracker, 1, &[(0.0, 0.0)]);
     let mut negative = contact(0.0, 0.0, ContactStrength::Strong);
     negative.sign = ContactSign::Negative;
-    let events = feed(&mut tracker, 2, &[negative]);
-    assert_eq!(events[0].touch().observation, Observation::Missed);
+    let touches = feed(&mut tracker, 2, &[negative]);
+    assert_eq!(touches[0].observation, Observation::Missed);
 }
 
 #[test]
@@ -329,27 +329,24 @@ fn ending_all_ends_all() {
     let mut tracker = tracker();
     step(&mut tracker, 0, &[(0.0, 0.0), (40.0, 0.0)]);
     step(&mut tracker, 1, &[(0.0, 0.0), (40.0, 0.0)]);
-    let mut events = Vec::new();
-    tracker.end_all(2 * FRAME_NS, &mut events);
-    assert_eq!(count(&events), (0, 0, 2));
+    let mut ended = Vec::new();
+    tracker.end_all(2 * FRAME_NS, &mut ended);
+    assert_eq!(count(&ended), (0, 0, 2));
     assert!(tracker.touches().is_empty());
     // A new recording may start at time 0; identities continue.
     step(&mut tracker, 0, &[(0.0, 0.0)]);
-    assert_eq!(step(&mut tracker, 1, &[(0.0, 0.0)])[0].touch().id, 3);
+    assert_eq!(step(&mut tracker, 1, &[(0.0, 0.0)])[0].id, 3);
 }
 
 #[test]
 fn bad_input_changes_nothing() {
     let mut tracker = tracker();
     step(&mut tracker, 5, &[(0.0, 0.0)]);
-    let mut events = Vec::new();
-    let error = tracker.update(0, &[], &mut events).unwrap_err();
+    let mut ended = Vec::new();
+    let error = tracker.update(0, &[], &mut ended).unwrap_err();
     assert_eq!(error, TouchError::TimeReversed { time_ns: 0, previous_ns: 5 * FRAME_NS });
     let broken = contact(f64::NAN, 0.0, ContactStrength::Strong);
-    assert!(matches!(
-        tracker.update(6 * FRAME_NS, &[broken], &mut events),
-        Err(TouchError::NonFinite { index: 0, .. })
-    ));
+    assert!(matches!(tracker.update(6 * FRAME_NS, &[broken], &mut ended), Err(TouchError::NonFinite { index: 0, .. })));
     assert_eq!(count(&step(&mut tracker, 6, &[(0.0, 0.0)])), (1, 0, 0));
     assert!(Tracker::new(TrackerParams { gate_sigma: 0.0, ..Default::default() }).is_err());
 }
@@ -377,17 +374,16 @@ proptest! {
                     contact(x * pull, y * pull, strength)
                 })
                 .collect();
-            for event in feed(&mut tracker, frame as u64, &contacts) {
-                let id = event.touch().id;
-                match event {
-                    TouchEvent::Begin(_) => {
+            for Touch { id, phase, .. } in feed(&mut tracker, frame as u64, &contacts) {
+                match phase {
+                    TouchPhase::Begin => {
                         prop_assert!(id > last_id, "ids count up");
                         last_id = id;
                         begins += 1;
                         prop_assert!(alive.insert(id));
                     }
-                    TouchEvent::Move(_) => prop_assert!(alive.contains(&id)),
-                    TouchEvent::End(_) => {
+                    TouchPhase::Move => prop_assert!(alive.contains(&id)),
+                    TouchPhase::End => {
                         ends += 1;
                         prop_assert!(alive.remove(&id), "ended once, after beginning");
                     }

@@ -2,13 +2,13 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dermis::Error;
-use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
-use dermis::live::prepare::Prepared;
-use dermis::live::stages::damage::{Crack, CrackModel, CrackScratch, estimate_cut};
-use dermis::skin::{Skin, Solve};
-use dermis::touch::damage::DamageShape;
-use dermis::twin::TwinKit;
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::{Pipeline, TARE_FRAMES};
+use dermis_live::prepare::Prepared;
+use dermis_live::stages::damage::{Crack, CrackModel, CrackScratch, estimate_cut};
+use dermis_skin::{Skin, Solve};
+use dermis_touch::damage::DamageShape;
+use dermis_twin::TwinKit;
 
 /// Time between frames, nanoseconds.
 const STEP_NS: u64 = 50_000_000;

@@ -3,8 +3,8 @@
 
 use std::time::Instant;
 
-use dermis::mit::catalogue::SWEEP_HZ;
-use dermis::skin::Skin;
+use dermis_mit::catalogue::SWEEP_HZ;
+use dermis_skin::Skin;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("[");
@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let element = Skin::open(name)?.element().ok_or("a skin without elements")?;
         for (k, frequency_hz) in SWEEP_HZ.into_iter().enumerate() {
             let start = Instant::now();
-            let record = dermis::mit::catalogue::compute(&element, frequency_hz)?;
+            let record = dermis_mit::catalogue::compute(&element, frequency_hz)?;
             let comma = if k == last { end } else { "," };
             println!("{}{comma}", serde_json::to_string(&record)?);
             eprintln!("{name} {frequency_hz} Hz: {:.2} s", start.elapsed().as_secs_f64());

@@ -4,23 +4,23 @@
 //!
 //! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [twins] [frames]`
 
-use dermis::live::stages::health::wiring;
-use dermis::live::stages::spot_model::spot_model;
+use dermis_live::stages::health::wiring;
+use dermis_live::stages::spot_model::spot_model;
 use std::time::Instant;
 
-use dermis::lab::twin_bench::Rig;
-use dermis::live::imager::Imager;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::reconstructor::Reconstructor;
-use dermis::live::stages::refinement::Refinement;
-use dermis::skin::{DrivePattern, MeasurePattern, Skin, builtin_text};
-use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_lab::twin_bench::Rig;
+use dermis_live::imager::Imager;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::reconstructor::Reconstructor;
+use dermis_live::stages::refinement::Refinement;
+use dermis_skin::{DrivePattern, MeasurePattern, Skin, builtin_text};
 use dermis_tomo::inverse::{Spot, SpotModel};
 use dermis_touch::health::Health;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
+use dermis_twin::{AnyTwin, TwinKit};
 
 /// Skins whose false alarms are counted.
 const SKINS: [&str; 9] = [

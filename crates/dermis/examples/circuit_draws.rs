@@ -10,12 +10,12 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use dermis::live::calibration::{CalibratedImager, circuit_words, find_circuit, read_pokes, relative_changes};
-use dermis::live::channels::ChannelReader;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::skin::{CircuitChoice, Skin};
 use dermis_device::FileSpec;
+use dermis_live::calibration::{CalibratedImager, circuit_words, find_circuit, read_pokes, relative_changes};
+use dermis_live::channels::ChannelReader;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_skin::{CircuitChoice, Skin};
 
 type Failure = Box<dyn std::error::Error>;
 

@@ -6,13 +6,13 @@
 use std::fmt::Write as _;
 
 use dermis::Error;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::stages::damage::describe;
-use dermis::skin::Skin;
-use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::stages::damage::describe;
+use dermis_skin::Skin;
 use dermis_twin::physics::Cut;
+use dermis_twin::{AnyTwin, TwinKit};
 use dermis_twin::{Frontend, Heating, Treatment};
 
 /// Side of a panel and the space around it, pixels.

@@ -1,7 +1,6 @@
 //! A first touch: reads a skin's twin and prints the touches. `cargo run --release -p dermis --example first_touch`
 
-use dermis::touch::TouchEvent;
-use dermis::{Error, Session, Skin};
+use dermis::{Error, Session, Skin, TouchPhase};
 
 /// Prints the touches of a skin's twin.
 pub fn main() -> Result<(), Error> {
@@ -13,16 +12,15 @@ pub fn main() -> Result<(), Error> {
     // The first 32 frames make the baseline. Don't touch a real skin during that time.
     for frame in Session::open(source, skin)?.take(200) {
         let frame = frame?;
-        for event in &frame.events {
-            let touch = event.touch();
+        for touch in frame.touches.iter().chain(&frame.ended) {
             let [x, y] = touch.position_m.map(|m| 1e3 * m);
-            match event {
-                TouchEvent::Begin(_) => {
+            match touch.phase {
+                TouchPhase::Begin => {
                     begun += 1;
                     println!("{:.2} s: touch {} begins at ({x:.1}, {y:.1}) mm", frame.time_s, touch.id);
                 }
-                TouchEvent::End(_) => println!("{:.2} s: touch {} ends", frame.time_s, touch.id),
-                TouchEvent::Move(_) => {}
+                TouchPhase::End => println!("{:.2} s: touch {} ends", frame.time_s, touch.id),
+                TouchPhase::Move => {}
             }
         }
     }

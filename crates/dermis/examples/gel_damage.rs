@@ -6,11 +6,11 @@
 use std::fmt::Write as _;
 
 use dermis::Error;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::stages::damage::describe;
-use dermis::skin::Skin;
 use dermis_device::{FileSpec, Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::stages::damage::describe;
+use dermis_skin::Skin;
 
 /// Seconds between frames.
 const PERIOD_S: f64 = 8.0;

@@ -1,12 +1,10 @@
 //! Images and touches of frames in files. Here a twin makes the files; yours come from your instrument: CSV or NumPy,
 //! one frame per row. `cargo run --release -p dermis --example offline_images`
 
-use dermis::device::FileSpec;
-use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
-use dermis::live::imager::Imager;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::twin::from_skin::press_range;
+use dermis::offline::{Imager, Reference};
+use dermis::pipeline::Prepared;
+use dermis::source::{FileSpec, read};
+use dermis::twin::{SampleRequest, press_range, random_presses, sample};
 use dermis::{Error, Skin};
 
 /// Makes images from files of frames.
@@ -30,8 +28,7 @@ pub fn main() -> Result<(), Error> {
     sample(&request, |_, _| {})?;
 
     // From here on the same as with measured files.
-    let read = |path: &std::path::Path| dermis::device::read(&FileSpec::all(path), None);
-    let (rest, pressed) = (read(&baseline)?, read(&frames)?);
+    let (rest, pressed) = (read(&FileSpec::all(&baseline), None)?, read(&FileSpec::all(&frames), None)?);
     let prepared = Prepared::new(skin)?; // Mesh, forward model, Jacobian.
     let rest: Vec<Vec<f64>> = rest.rows().map(<[f64]>::to_vec).collect();
     let reference = Reference::of(&prepared, &rest)?; // Gains, noise, and a check of the channel order.

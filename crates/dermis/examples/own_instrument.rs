@@ -4,8 +4,8 @@
 
 use std::time::Duration;
 
-use dermis::device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
-use dermis::live::prepare::Prepared;
+use dermis::pipeline::Prepared;
+use dermis::source::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
 use dermis::{Error, Pipeline, Session, Skin, Twin};
 
 struct MyBoard {

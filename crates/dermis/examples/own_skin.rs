@@ -2,6 +2,7 @@
 //! twin are found. `cargo run --release -p dermis --example own_skin`
 
 use dermis::skin::{Layer, SheetLayer};
+use dermis::twin::press_range;
 use dermis::{Error, Session, Skin};
 
 /// Makes a skin in code and presses its twin.
@@ -10,7 +11,7 @@ pub fn main() -> Result<(), Error> {
     let skin = Skin::rectangle("my-gel", 150.0, 60.0, gel).with_rim_electrodes(20, 5.0).checked()?;
     println!("{}", skin.to_toml());
 
-    let usual = dermis::twin::from_skin::press_range(&skin);
+    let usual = press_range(&skin);
     let mut session = Session::open("twin", skin)?;
     // The baseline: frames of the untouched skin.
     while session.pipeline().reference().is_none() {
@@ -18,9 +19,9 @@ pub fn main() -> Result<(), Error> {
     }
     let mut worst_mm: f64 = 0.0;
     for place in [[0.0, 0.0], [0.05, 0.01], [-0.03, -0.015]] {
-        session.press(place, usual.initial_radius_m, usual.initial_pressure_pa);
+        session.press(place, usual.initial_radius_m, usual.initial_pressure_pa)?;
         let held = session.by_ref().take(60).collect::<Result<Vec<_>, _>>()?;
-        session.release();
+        session.release()?;
         session.by_ref().take(60).try_for_each(|frame| frame.map(|_| ()))?;
         let touches = held.last().map_or(&[][..], |frame| &frame.touches[..]);
         let distance = |p: [f64; 2]| 1e3 * (p[0] - place[0]).hypot(p[1] - place[1]);

@@ -2,12 +2,9 @@
 //! little; a network for real use takes thousands of samples and some hours, see the book's chapter on learning.
 //! `cargo run --release -p dermis --example train_and_use`
 
-use dermis::lab::learning::segment::Segmenter;
-use dermis::lab::learning::train_set::{SimulatedFrames, TrainSetRequest, simulate};
-use dermis::learn::Model;
-use dermis::learn::train::{TrainOptions, Training, train};
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
+use dermis::learn::{Model, Segmenter, SimulatedFrames, TrainOptions, TrainSetRequest, Training, simulate, train};
+use dermis::offline::Reference;
+use dermis::pipeline::Prepared;
 use dermis::skin::{Layer, SheetLayer};
 use dermis::{Error, Skin};
 

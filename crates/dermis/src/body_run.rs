@@ -1,7 +1,6 @@
 //! Runs a body: every patch has a thread that takes its frames and one that turns them into touches, and none waits
 //! for another. A patch that fails, stalls or is unplugged is reported in the table of health; the rest go on.
 
-mod error;
 #[cfg(feature = "foxglove")]
 mod foxglove;
 mod joints;
@@ -14,7 +13,6 @@ mod ros2;
 mod run;
 mod watch;
 
-pub use error::BodyRunError;
 #[cfg(feature = "foxglove")]
 pub use foxglove::mount_pose;
 pub use joints::{JointSnapshot, JointsState};

@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use dermis_device::{
     Counters, DeviceError, FileSpec, Frame, HostStamp, Source, SourceEvent, SourceSelector, instruments,
 };
-use dermis_lab::Error;
 use dermis_lab::twin_source::TwinCommand;
 use dermis_live::calibration::Calibration;
 use dermis_live::forces::load_forces;
@@ -15,8 +14,10 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_record::read_frames_of;
 use dermis_skin::Skin;
-use dermis_touch::{Touch, TouchEvent};
+use dermis_touch::Touch;
+use dermis_twin::mechanics::{Indenter, check_on_skin};
 
+use crate::error::Error;
 use crate::source::{OpenedSource, SourceOptions, TwinControl, open_source};
 
 /// Wait for a frame between checks.
@@ -25,6 +26,17 @@ const NAP: Duration = Duration::from_millis(100);
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Options of a [`Session`] in addition to its source and skin.
+///
+/// ```
+/// use std::time::Duration;
+///
+/// use dermis::{Session, SessionOptions, Skin};
+///
+/// let options = SessionOptions { patience: Duration::from_secs(2), ..SessionOptions::default() };
+/// let session = Session::open_with("twin", Skin::open("healing-square")?, &options)?;
+/// assert_eq!(session.skin().name, "healing-square");
+/// # Ok::<(), dermis::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct SessionOptions {
     /// Speed of files and twins, settings of instruments, format of files.
@@ -47,7 +59,23 @@ impl Default for SessionOptions {
     }
 }
 
-/// A skin being read: an iterator over frames with touches. See the [crate's first example](crate).
+/// A skin being read: an iterator over frames with touches.
+///
+/// ```
+/// use dermis::{Error, Session, Skin};
+///
+/// let mut session = Session::open("twin", Skin::open("healing-square")?)?;
+/// // The first frames make the baseline.
+/// session.by_ref().find(|frame| frame.as_ref().is_ok_and(|frame| frame.is_ready));
+/// session.press([0.01, -0.02], 0.008, 80e3)?;
+/// let frame = session.by_ref().take(40).last().transpose()?.expect("a twin has no end");
+/// let [x, y] = frame.touches[0].position_m;
+/// assert!((x - 0.01).hypot(y + 0.02) < 0.005, "within 5 mm");
+///
+/// let off = session.press([1.0, 0.0], 0.008, 80e3).unwrap_err();
+/// assert!(off.to_string().contains("no farther out than the skin's rim"), "{off}");
+/// # Ok::<(), Error>(())
+/// ```
 pub struct Session {
     source: Box<dyn Source>,
     pipeline: Pipeline,
@@ -60,6 +88,16 @@ pub struct Session {
 }
 
 /// The results of one frame of a [`Session`].
+///
+/// ```
+/// use dermis::{Session, SkinFrame, Skin};
+///
+/// let mut session = Session::open("twin", Skin::open("healing-square")?)?;
+/// let Some(first) = session.next().transpose()? else { panic!("a twin has no end") };
+/// let SkinFrame { sequence, image, rows, columns, .. } = first;
+/// assert_eq!((sequence, image.len()), (0, rows * columns));
+/// # Ok::<(), dermis::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct SkinFrame {
     /// The device's frame number. Gaps are lost frames.
@@ -70,8 +108,8 @@ pub struct SkinFrame {
     pub is_ready: bool,
     /// Touches on the skin in this frame: positions in metres from the skin's centre, x right, y up.
     pub touches: Vec<Touch>,
-    /// Event of each touch in this frame: begin, move, end.
-    pub events: Vec<TouchEvent>,
+    /// Touches that ended in this frame, where they were seen last.
+    pub ended: Vec<Touch>,
     /// The image, row-major, row 0 at the top (+y), `NaN` outside the skin.
     pub image: Vec<f32>,
     /// Rows of the image.
@@ -145,19 +183,29 @@ impl Session {
         self.source.counters()
     }
 
-    /// Presses the session's twin from its next frame on: position and radius in metres, pressure in pascals. False
-    /// if there is no twin, or if too many commands are queued.
-    pub fn press(&self, position_m: [f64; 2], radius_m: f64, pressure_pa: f64) -> bool {
-        self.command(TwinCommand::Press { pointer: POINTER, position_m, radius_m, pressure_pa })
+    /// Presses the session's twin from its next frame on, or moves and changes its press: position and radius in
+    /// metres, pressure in pascals.
+    ///
+    /// # Errors
+    /// The source is no twin, its skin can't carry such a press (which then has no effect), or too many commands are
+    /// queued.
+    pub fn press(&self, position_m: [f64; 2], radius_m: f64, pressure_pa: f64) -> Result<(), Error> {
+        let twin = self.twin()?;
+        check_on_skin(&twin.outline, &Indenter::disc(position_m, radius_m, pressure_pa))?;
+        Ok(twin.commands.send(TwinCommand::Press { pointer: POINTER, position_m, radius_m, pressure_pa })?)
     }
 
-    /// Releases the press on the session's twin. False as for [`Session::press`].
-    pub fn release(&self) -> bool {
-        self.command(TwinCommand::Release { pointer: POINTER })
+    /// Releases the press on the session's twin.
+    ///
+    /// # Errors
+    /// The source is no twin.
+    pub fn release(&self) -> Result<(), Error> {
+        Ok(self.twin()?.commands.send(TwinCommand::Release { pointer: POINTER })?)
     }
 
-    fn command(&self, command: TwinCommand) -> bool {
-        self.twin.as_ref().is_some_and(|twin| twin.commands.send(command).is_ok())
+    fn twin(&self) -> Result<&TwinControl, Error> {
+        let none = || Error::NotATwin { name: self.source.name().to_owned() };
+        self.twin.as_ref().ok_or_else(none)
     }
 
     /// Waits for the next frame and runs it through the pipeline. The result is borrowed; nothing is copied. `None`
@@ -197,13 +245,13 @@ impl Session {
 
     fn next_frame(&mut self) -> Result<Option<SkinFrame>, Error> {
         let Some(output) = self.next_output()? else { return Ok(None) };
-        let Output { sequence, time_ns, touches, events, image, rows, columns, .. } = output;
-        let (touches, events, image) = (touches.to_vec(), events.to_vec(), image.to_vec());
+        let Output { sequence, time_ns, touches, ended, image, rows, columns, .. } = output;
+        let (touches, ended, image) = (touches.to_vec(), ended.to_vec(), image.to_vec());
         let time_ns = self.frame.device_time_ns.unwrap_or(time_ns);
         let first_ns = *self.first_ns.get_or_insert(time_ns);
         let time_s = time_ns.saturating_sub(first_ns) as f64 * 1e-9;
         let is_ready = self.pipeline.reference().is_some();
-        Ok(Some(SkinFrame { sequence, time_s, is_ready, touches, events, image, rows, columns }))
+        Ok(Some(SkinFrame { sequence, time_s, is_ready, touches, ended, image, rows, columns }))
     }
 }
 

@@ -5,7 +5,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use dermis::lab::evidence::team7::{X_MM, flux_density, mesh};
+use dermis_lab::evidence::team7::{X_MM, flux_density, mesh};
 
 #[derive(Parser)]
 struct Arguments {

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use dermis::device::acquire::{Acquisition, Next as Acquired};
-use dermis::live::driver::{Feed, Next};
 use dermis_device::Frame;
+use dermis_device::acquire::{Acquisition, Next as Acquired};
+use dermis_live::driver::{Feed, Next};
 
 /// The frames of an acquisition. A frame's memory is returned when the next one is requested.
 pub struct AcquiredFrames<'a> {
@@ -33,7 +33,7 @@ impl Feed for AcquiredFrames<'_> {
         if let Some(frame) = self.current.take() {
             self.acquisition.recycle(frame);
         }
-        Ok(match self.acquisition.next(self.patience).map_err(dermis::Error::from)? {
+        Ok(match self.acquisition.next(self.patience).map_err(dermis_lab::Error::from)? {
             Acquired::Frame(frame) => Next::Frame(self.current.insert(frame), None),
             Acquired::Idle => Next::Idle,
             Acquired::End => Next::End,

@@ -1,15 +1,15 @@
 //! `dermis bench`: times the numerical work on one core of this machine. Criterion's benches in the repository
 //! measure the same with statistics, and against other packages.
 
-use dermis::live::imager::Imager;
-use dermis::live::reference::Reference;
+use dermis_live::imager::Imager;
+use dermis_live::reference::Reference;
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use dermis::live::prepare::Prepared;
-use dermis::live::reconstructor::Reconstructor;
-use dermis::live::stages::refinement::Refinement;
-use dermis::skin::Skin;
+use dermis_live::prepare::Prepared;
+use dermis_live::reconstructor::Reconstructor;
+use dermis_live::stages::refinement::Refinement;
+use dermis_skin::Skin;
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior, QuantisedOperator, Weighting};
 use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec};

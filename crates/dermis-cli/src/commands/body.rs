@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis::body::{Assigned, Body, DEMO_FILES, JointValues, Problem};
+use dermis_body::{Assigned, Body, DEMO_FILES, JointValues, Problem};
 use dermis_device::write_atomic;
 
 use super::skins::encoder;
@@ -164,7 +164,7 @@ fn posture(body: &Body, asked: &[(String, f64)]) -> anyhow::Result<JointValues> 
 }
 
 fn demo(folder: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-    std::fs::create_dir_all(folder).map_err(|source| dermis::Error::Io { file: folder.to_path_buf(), source })?;
+    std::fs::create_dir_all(folder).map_err(|source| dermis_live::Error::Io { file: folder.to_path_buf(), source })?;
     for (name, _) in DEMO_FILES {
         let path = folder.join(name);
         if path.exists() {

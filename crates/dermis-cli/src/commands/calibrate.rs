@@ -8,20 +8,20 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use dermis::lab::forces::{PressPlan, fit_forces, force_samples, press_twin};
-use dermis::lab::twin_sample::{random_presses, sample_tables};
-use dermis::live::calibrate::calibrate;
-use dermis::live::calibration::{
+use dermis_device::{FileSpec, FrameTable, ReadOptions};
+use dermis_lab::forces::{PressPlan, fit_forces, force_samples, press_twin};
+use dermis_lab::twin_sample::{random_presses, sample_tables};
+use dermis_live::calibrate::calibrate;
+use dermis_live::calibration::{
     Calibration, CalibrationOptions, PokeFrames, Pokes, find_circuit, read_pokes, relative_changes,
 };
-use dermis::live::channels::ChannelReader;
-use dermis::live::forces::save_forces;
-use dermis::live::label_checks::check_labels;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{CircuitChoice, Skin, Wiring};
-use dermis::twin::from_skin::press_range;
-use dermis_device::{FileSpec, FrameTable, ReadOptions};
+use dermis_live::channels::ChannelReader;
+use dermis_live::forces::save_forces;
+use dermis_live::label_checks::check_labels;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{CircuitChoice, Skin, Wiring};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceSample};
+use dermis_twin::from_skin::press_range;
 use report::{print_experts, print_forces, print_pokes};
 
 use super::calendar::date_of;
@@ -151,9 +151,9 @@ impl Measured {
         };
         let table = |file: &FileSpec| {
             if options.format.is_none() {
-                dermis::record::check_skin(file, &prepared.skin)?;
+                dermis_record::check_skin(file, &prepared.skin)?;
             }
-            dermis::record::read_frames_of(&prepared.skin, file, options.clone())
+            dermis_record::read_frames_of(&prepared.skin, file, options.clone())
         };
         let frames = table(frames)?;
         let mut frame_reader = reader(&frames)?;
@@ -402,7 +402,7 @@ fn write_skin(head: &str, skin: &Skin, file: &Path) -> anyhow::Result<()> {
         out.write_all(skin.to_toml().as_bytes())?;
         Ok(())
     })
-    .map_err(dermis::Error::from)?;
+    .map_err(dermis_lab::Error::from)?;
     Ok(())
 }
 

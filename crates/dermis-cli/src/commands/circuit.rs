@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use dermis::live::calibration::{CircuitFit, circuit_words};
+use dermis_live::calibration::{CircuitFit, circuit_words};
 
 /// Prints the circuit found, and whether to trust it.
 pub(super) fn print_circuit(fit: &CircuitFit, out: &mut dyn Write) -> std::io::Result<()> {

@@ -3,10 +3,10 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::lab::conductance::{Conductance, conductance};
-use dermis::record::read_frames;
 use dermis_device::instruments::npy;
 use dermis_device::{FileSpec, Format};
+use dermis_lab::conductance::{Conductance, conductance};
+use dermis_record::read_frames;
 
 use super::skin_word::SkinWord;
 use super::{print_json, spinner};

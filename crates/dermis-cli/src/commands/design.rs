@@ -5,14 +5,14 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis::lab::design::{
-    ForceMap, Freedom, Maps, Noise, Search, SharedInstrument, Summary, improve, smallest_force, spread_width, verdict,
-};
-use dermis::lab::tolerances::{Extent, Tolerances, run};
-use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
 use dermis_device::instruments::npy;
 use dermis_device::write_atomic;
+use dermis_lab::design::{
+    ForceMap, Freedom, Maps, Noise, Search, SharedInstrument, Summary, improve, smallest_force, spread_width, verdict,
+};
+use dermis_lab::tolerances::{Extent, Tolerances, run};
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
 
 use super::tolerance_page;
 use crate::draw::{self, Heatmap, Panel};
@@ -245,7 +245,7 @@ impl Arguments {
 
 /// A value in the syntax of skin files.
 fn inline(pattern: &impl serde::Serialize) -> anyhow::Result<String> {
-    Ok(dermis::lab::channel_search::toml_of(&serde_json::to_value(pattern)?))
+    Ok(dermis_lab::channel_search::toml_of(&serde_json::to_value(pattern)?))
 }
 
 fn in_words(noise: Noise) -> String {

@@ -4,12 +4,12 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use dermis::lab::measured_list::setup_of;
-use dermis::lab::serve::Background;
-use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis_device::instruments::wire::{Description, Order, WireControl};
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{Frame, Source, SourceEvent, SourceSelector, open_wire};
+use dermis_lab::measured_list::setup_of;
+use dermis_lab::serve::Background;
+use dermis_skin::{DEFAULT_NAME, Skin};
 use serde_json::{Value, json};
 
 use crate::exit::{Outcome, UsageError};
@@ -94,7 +94,7 @@ impl Arguments {
         let (lists, settings): (Vec<Order>, Vec<Order>) =
             orders.into_iter().partition(|order| matches!(order, Order::Protocol(_) | Order::ProtocolName(_)));
         let wanted = lists.clone();
-        let (mut source, control) = open_wire(&selector, options, lists, false).map_err(dermis::Error::from)?;
+        let (mut source, control) = open_wire(&selector, options, lists, false).map_err(dermis_lab::Error::from)?;
         let description = control.description();
         for order in wanted {
             if description.as_ref().is_some_and(|known| !known.obeys(&order)) {
@@ -103,7 +103,7 @@ impl Arguments {
         }
         for order in settings {
             let text = order.to_string();
-            let set = control.call(order).map_err(dermis::Error::from)?;
+            let set = control.call(order).map_err(dermis_lab::Error::from)?;
             tracing::info!("{text}: set to {set:?}");
         }
         let answer = self.act(&mut source, &control)?;
@@ -127,7 +127,7 @@ impl Arguments {
 
     /// The instrument's selector. A twin is served for as long as the second value lives.
     fn instrument(&self) -> anyhow::Result<(SourceSelector, Option<Background>)> {
-        match self.selector.parse::<SourceSelector>().map_err(dermis::Error::from)? {
+        match self.selector.parse::<SourceSelector>().map_err(dermis_lab::Error::from)? {
             SourceSelector::Twin { name } => {
                 let name = name.as_deref().or(self.skin.as_deref()).unwrap_or(DEFAULT_NAME);
                 let twin = Background::start(&Skin::open(name)?)?;
@@ -142,7 +142,7 @@ impl Arguments {
     }
 
     fn act(&self, source: &mut StreamSource, control: &WireControl) -> anyhow::Result<Value> {
-        let call = |order: Order| control.call(order).map_err(dermis::Error::from);
+        let call = |order: Order| control.call(order).map_err(dermis_lab::Error::from);
         Ok(match self.action {
             Action::Describe => description(control.description().as_ref()),
             Action::SelfTest => json!({ "self_test": call(Order::SelfTest)? }),
@@ -207,11 +207,12 @@ fn shot(frame: &Frame) -> Value {
 fn next_frame(source: &mut StreamSource) -> anyhow::Result<Frame> {
     let (began, mut frame) = (Instant::now(), Frame::default());
     while began.elapsed() < FRAME {
-        let event = source.next_frame(&mut frame, Duration::from_millis(100)).map_err(dermis::Error::from)?;
+        let event = source.next_frame(&mut frame, Duration::from_millis(100)).map_err(dermis_lab::Error::from)?;
         if event == SourceEvent::Frame {
             return Ok(frame);
         }
     }
     let reason = source.problem().unwrap_or_else(|| format!("no frame in {} s", FRAME.as_secs()));
-    Err(dermis::Error::from(dermis_device::DeviceError::SourceFailed { name: source.name().to_owned(), reason }).into())
+    Err(dermis_lab::Error::from(dermis_device::DeviceError::SourceFailed { name: source.name().to_owned(), reason })
+        .into())
 }

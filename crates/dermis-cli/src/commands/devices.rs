@@ -50,7 +50,7 @@ struct Found {
 impl Arguments {
     /// Lists the ports.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let ports = ports().map_err(|source| dermis::Error::Io { file: "serial ports".into(), source })?;
+        let ports = ports().map_err(|source| dermis_live::Error::Io { file: "serial ports".into(), source })?;
         let found: Vec<Found> = ports.into_iter().map(|port| self.ask(port)).collect();
         if self.json {
             serde_json::to_writer_pretty(&mut *out, &found).map_err(std::io::Error::from)?;

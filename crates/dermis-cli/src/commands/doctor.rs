@@ -3,16 +3,16 @@
 use std::io::Write;
 use std::time::Duration;
 
-use dermis::lab::doctor::{Answer, Check, FEWEST_FRAMES, examine};
-use dermis::lab::measured_list::sciospec_setup_of;
-use dermis::lab::twin_source::TwinSource;
-use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis_device::instruments::wire::Order;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
     DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_sciospec, open_stream_greeted,
     open_wire,
 };
+use dermis_lab::doctor::{Answer, Check, FEWEST_FRAMES, examine};
+use dermis_lab::measured_list::sciospec_setup_of;
+use dermis_lab::twin_source::TwinSource;
+use dermis_skin::{DEFAULT_NAME, Skin};
 
 use super::reading::ReadArguments;
 use super::skin_word::{SkinWord, skin};
@@ -74,13 +74,14 @@ impl Arguments {
             checks.push(Check::good("connection", source.name()));
             return Ok(Some((Box::new(source.unpaced()), None)));
         }
-        match self.source.parse::<SourceSelector>().map_err(dermis::Error::from)? {
+        match self.source.parse::<SourceSelector>().map_err(dermis_lab::Error::from)? {
             SourceSelector::Twin { .. } => {
                 Err(UsageError(format!("--source {}: name the twin by SKIN, the first word", self.source)).into())
             }
             SourceSelector::File(spec) => {
-                let table = dermis::record::read_frames_of(skin, &spec, self.read.options())?;
-                let playback = Playback::new(table, Pacing::Immediate, Repeat::Once).map_err(dermis::Error::from)?;
+                let table = dermis_record::read_frames_of(skin, &spec, self.read.options())?;
+                let playback =
+                    Playback::new(table, Pacing::Immediate, Repeat::Once).map_err(dermis_lab::Error::from)?;
                 checks.push(Check::good("connection", playback.name()));
                 Ok(Some((Box::new(playback), None)))
             }
@@ -97,7 +98,7 @@ impl Arguments {
                         checks.push(Check::bad("connection", reason.as_str(), advice_on(&reason)));
                         Ok(None)
                     }
-                    Err(error) => Err(dermis::Error::from(error).into()),
+                    Err(error) => Err(dermis_lab::Error::from(error).into()),
                 }
             }
         }
@@ -137,7 +138,7 @@ fn open_live(
     selector: &SourceSelector,
     options: StreamOptions,
     skin: &Skin,
-) -> Result<Result<OpenedLive, DeviceError>, dermis::Error> {
+) -> Result<Result<OpenedLive, DeviceError>, dermis_lab::Error> {
     let instrument = match selector {
         SourceSelector::Tcp { instrument, .. } | SourceSelector::Serial { instrument, .. } => *instrument,
         _ => Instrument::Wire,

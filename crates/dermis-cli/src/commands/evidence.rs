@@ -7,7 +7,7 @@ mod tables;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
-use dermis::lab::evidence::{Extent, SETS, Set, SetReport};
+use dermis_lab::evidence::{Extent, SETS, Set, SetReport};
 
 use crate::exit::{Outcome, UsageError, report};
 use page::OutFile;

@@ -4,8 +4,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::record::{Exported, Recording, Table, TableFormat, export, export_frames, is_recording, read_frames};
 use dermis_device::{FileSpec, FrameSelect};
+use dermis_record::{Exported, Recording, Table, TableFormat, export, export_frames, is_recording, read_frames};
 
 use super::reading::TableArguments;
 use crate::exit::{Outcome, UsageError};

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use dermis::skin::Shape;
+use dermis_skin::Shape;
 
 /// A rectangle or a disc, millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]

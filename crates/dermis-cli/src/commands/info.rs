@@ -5,9 +5,9 @@ mod frames;
 use std::collections::BTreeMap;
 use std::io::Write;
 
-use dermis::record::{Damage, Entry, LostFrames, Recording, is_recording, read_frames};
-use dermis::skin::Skin;
 use dermis_device::FileSpec;
+use dermis_record::{Damage, Entry, LostFrames, Recording, is_recording, read_frames};
+use dermis_skin::Skin;
 use serde_json::json;
 
 use super::reading::ReadArguments;

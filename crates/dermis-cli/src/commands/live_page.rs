@@ -3,12 +3,12 @@
 use std::net::{Ipv4Addr, SocketAddr};
 
 use crossbeam_channel::Receiver;
-use dermis::device::acquire::Acquisition;
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::RecordingHead;
 use dermis::source::TwinControl;
 use dermis_device::Frame;
+use dermis_device::acquire::Acquisition;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_record::RecordingHead;
 
 use super::run::{Running, source};
 use crate::page::{PageOptions, Request, ServerHandle};

@@ -5,9 +5,9 @@ use std::fs::OpenOptions;
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
-use dermis::skin::Skin;
 use dermis_device::SourceSelector;
 use dermis_device::instruments::csv::read_numbers;
+use dermis_skin::Skin;
 
 use crate::draw::{self, SkinDrawing};
 use crate::exit::{Outcome, UsageError};
@@ -119,8 +119,8 @@ impl Arguments {
 }
 
 /// Writes a file that must not exist yet.
-fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis::Error> {
-    let failed = |source| dermis::Error::Io { file: path.to_path_buf(), source };
+fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis_live::Error> {
+    let failed = |source| dermis_live::Error::Io { file: path.to_path_buf(), source };
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(content).and_then(|()| file.sync_all()).map_err(failed)
 }

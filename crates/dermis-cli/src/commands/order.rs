@@ -2,11 +2,11 @@
 
 use std::io::Write;
 
-use dermis::lab::channel_search::{FoundOrder, OrderCandidate, find_order};
-use dermis::live::channels::readings_of;
-use dermis::record::read_frames;
-use dermis::skin::Skin;
 use dermis_device::FileSpec;
+use dermis_lab::channel_search::{FoundOrder, OrderCandidate, find_order};
+use dermis_live::channels::readings_of;
+use dermis_record::read_frames;
+use dermis_skin::Skin;
 
 use super::reading::ReadArguments;
 use super::skin_word::SkinWord;

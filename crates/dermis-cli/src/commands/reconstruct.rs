@@ -4,11 +4,11 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use dermis::lab::channel_search::{FoundOrder, find_order};
-use dermis::lab::reconstruct::{Report, Request, reconstruct};
-use dermis::live::reference::NoiseSource;
-use dermis::record::read_frames;
 use dermis_device::FileSpec;
+use dermis_lab::channel_search::{FoundOrder, find_order};
+use dermis_lab::reconstruct::{Report, Request, reconstruct};
+use dermis_live::reference::NoiseSource;
+use dermis_record::read_frames;
 
 use super::circuit::print_circuit;
 use super::order::print_order;

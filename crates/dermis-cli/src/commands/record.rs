@@ -7,12 +7,12 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use dermis::device::acquire::Acquisition;
-use dermis::live::driver::{Driver, Observer};
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::{LiveRecording, SkinView};
 use dermis_device::Frame;
+use dermis_device::acquire::Acquisition;
+use dermis_live::driver::{Driver, Observer};
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_record::{LiveRecording, SkinView};
 
 use super::acquired::AcquiredFrames;
 use super::run::source;

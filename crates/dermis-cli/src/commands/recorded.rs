@@ -1,7 +1,7 @@
 //! Options shared by commands that work on frames from files: the skin, the frames and their format.
 
-use dermis::skin::Skin;
 use dermis_device::FileSpec;
+use dermis_skin::Skin;
 
 use super::reading::ReadArguments;
 use super::skin_word::SkinWord;

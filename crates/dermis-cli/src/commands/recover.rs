@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::record::{LostFrames, recover};
+use dermis_record::{LostFrames, recover};
 
 use crate::exit::Outcome;
 

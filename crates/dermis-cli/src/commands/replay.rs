@@ -5,11 +5,11 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use dermis::live::output::Output;
-use dermis::live::stages::health::HealthWatch;
-use dermis::record::sink::{ImageStack, JsonLines, LinesFor, Sink, TouchColumns, TouchTable};
-use dermis::record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
-use dermis::skin::{HyperparameterChoice, PriorChoice, Skin};
+use dermis_live::output::Output;
+use dermis_live::stages::health::HealthWatch;
+use dermis_record::sink::{ImageStack, JsonLines, LinesFor, Sink, TouchColumns, TouchTable};
+use dermis_record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
+use dermis_skin::{HyperparameterChoice, PriorChoice, Skin};
 
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;

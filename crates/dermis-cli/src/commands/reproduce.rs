@@ -9,7 +9,7 @@ mod report;
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::lab::experiments::{Experiment, PAPERS, Report};
+use dermis_lab::experiments::{Experiment, PAPERS, Report};
 
 use crate::exit::{Outcome, UsageError};
 

@@ -19,18 +19,18 @@ use std::time::Duration;
 
 use crate::page::{Binding, PageOptions, Request, Token};
 use crossbeam_channel::Receiver;
-use dermis::body_run::BodyRunOptions;
-use dermis::device::acquire::Acquisition;
-use dermis::live::driver::{Driver, Observer};
-use dermis::live::network::built_in;
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::stages::classes::ClassPace;
-use dermis::record::guard_socket::{GuardAddress, GuardPublisher, GuardSocket};
-use dermis::record::sink::{JsonLines, LinesFor, Sink};
-use dermis::skin::GuardSettings;
+use dermis::body::BodyRunOptions;
+use dermis_device::acquire::Acquisition;
 use dermis_device::{Frame, HostStamp};
 use dermis_learn::Model;
+use dermis_live::driver::{Driver, Observer};
+use dermis_live::network::built_in;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::stages::classes::ClassPace;
+use dermis_record::guard_socket::{GuardAddress, GuardPublisher, GuardSocket};
+use dermis_record::sink::{JsonLines, LinesFor, Sink};
+use dermis_skin::GuardSettings;
 
 use super::acquired::AcquiredFrames;
 use crate::exit::{Outcome, UsageError};
@@ -212,11 +212,11 @@ impl Arguments {
     /// Loads the requested network, or the one shipped with the skin if the skin is unchanged since its training.
     fn classify_by_network(&self, pipeline: &mut Pipeline) -> anyhow::Result<()> {
         if let Some(path) = &self.model {
-            let model = Model::load(path).map_err(dermis::Error::from)?;
+            let model = Model::load(path).map_err(dermis_lab::Error::from)?;
             return Ok(pipeline.set_classifier(Some(&model), ClassPace::Background)?);
         }
         let name = pipeline.prepared().skin.name.clone();
-        let built_in = if self.no_model { None } else { built_in(&name).map_err(dermis::Error::from)? };
+        let built_in = if self.no_model { None } else { built_in(&name).map_err(dermis_lab::Error::from)? };
         if let Some(model) = built_in
             && let Err(error) = pipeline.set_classifier(Some(&model), ClassPace::Background)
         {

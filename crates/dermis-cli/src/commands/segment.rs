@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::lab::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
-use dermis::live::network::CLASSES;
 use dermis_device::FileSpec;
+use dermis_lab::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
+use dermis_live::network::CLASSES;
 
 use super::recorded::RecordedFrames;
 use super::{print_json, with_progress};
@@ -61,7 +61,7 @@ impl Arguments {
         if !self.recorded.as_skin && self.recorded.read.options().format.is_none() {
             [&self.baseline, &self.recorded.frames]
                 .into_iter()
-                .try_for_each(|file| dermis::record::check_skin(file, &skin))?;
+                .try_for_each(|file| dermis_record::check_skin(file, &skin))?;
         }
         let request = SegmentRequest {
             skin,

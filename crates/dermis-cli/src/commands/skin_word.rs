@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-use dermis::record::is_recording;
-use dermis::skin::Skin;
+use dermis_record::is_recording;
+use dermis_skin::Skin;
 
 use super::hint;
 use crate::exit::UsageError;

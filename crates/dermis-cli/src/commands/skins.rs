@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis::skin::budget::Budget;
-use dermis::skin::{BUILTIN_NAMES, Skin, SkinBody};
 use dermis_device::write_atomic;
+use dermis_skin::budget::Budget;
+use dermis_skin::{BUILTIN_NAMES, Skin, SkinBody};
 
 use crate::draw::{self, Picture, SkinDrawing};
 use crate::exit::{Outcome, UsageError};
@@ -79,7 +79,7 @@ impl Arguments {
             Action::List { json } => list(*json, out),
             Action::Show { skin } => show(skin, out),
             Action::Schema => {
-                writeln!(out, "{}", serde_json::to_string_pretty(&dermis::skin::json_schema())?)?;
+                writeln!(out, "{}", serde_json::to_string_pretty(&dermis_skin::json_schema())?)?;
                 Ok(Outcome::Done)
             }
             Action::Draw { skin, out: path, width_px, no_mesh } => draw_skin(skin, path, *width_px, !*no_mesh, out),

@@ -69,7 +69,7 @@ struct Channel {
 impl Arguments {
     /// Reads the frames and prints the ratios.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let table = dermis::record::read_frames(&self.frames, self.read.options())?;
+        let table = dermis_record::read_frames(&self.frames, self.read.options())?;
         let report = Report::of(&table)?;
         if self.json {
             serde_json::to_writer_pretty(&mut *out, &report).map_err(io::Error::from)?;
@@ -82,9 +82,9 @@ impl Arguments {
 }
 
 impl Report {
-    fn of(table: &FrameTable) -> Result<Self, dermis::Error> {
+    fn of(table: &FrameTable) -> Result<Self, dermis_live::Error> {
         if table.frames() < 2 {
-            return Err(dermis::Error::Frames {
+            return Err(dermis_live::Error::Frames {
                 what: format!("{}: frames to take noise from", table.source().display()),
                 expected: "at least 2".to_string(),
                 got: table.frames().to_string(),

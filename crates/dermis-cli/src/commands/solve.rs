@@ -4,9 +4,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use dermis::lab::case::{Case, ConductivityChoice};
-use dermis::lab::solve::{DifferencePrior, DifferenceSpec, difference_image};
 use dermis_device::instruments::npy;
+use dermis_lab::case::{Case, ConductivityChoice};
+use dermis_lab::solve::{DifferencePrior, DifferenceSpec, difference_image};
 use dermis_tomo::eit::ForwardModel;
 
 use super::skin_word;
@@ -170,7 +170,7 @@ impl Arguments {
 
     fn forward<'a>(&'a self, case: &Case, model: &ForwardModel) -> anyhow::Result<Vec<Output<'a>>> {
         let Some(sigma) = &self.sigma else { return Ok(Vec::new()) };
-        let solution = model.solve(&case.conductivity(sigma)?).map_err(dermis::Error::from)?;
+        let solution = model.solve(&case.conductivity(sigma)?).map_err(dermis_lab::Error::from)?;
         let mut outputs = Vec::new();
         if let Some(path) = &self.voltages {
             let values = solution.voltages();

@@ -6,8 +6,8 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
-use dermis::lab::tolerances::{ToleranceReport, ToleranceRow, Tolerances};
 use dermis_device::write_atomic;
+use dermis_lab::tolerances::{ToleranceReport, ToleranceRow, Tolerances};
 
 use crate::commands::escaped;
 use crate::draw::{self, Heatmap, Panel, Picture};

@@ -86,8 +86,8 @@ impl Arguments {
         let stood = files.each_ref().map(|file| file.exists());
         let options = self.options();
         let (rows, columns) = (set.manifest().rows, set.manifest().columns);
-        dermis::skin::budget::memory_limit();
-        dermis::tomo::memory::check(options.bytes(set.manifest().inputs.len(), rows, columns), || {
+        dermis_skin::budget::memory_limit();
+        dermis_tomo::memory::check(options.bytes(set.manifest().inputs.len(), rows, columns), || {
             format!(
                 "a training of width {}, {} levels and batches of {} images of {rows} x {columns} pixels",
                 options.width, options.levels, options.batch
@@ -215,7 +215,7 @@ fn check_first(set: &TrainingSet, first: Option<&Model>) -> anyhow::Result<()> {
 
 /// Reads weights from a separate file.
 fn weights_of(file: &Path) -> anyhow::Result<Tensors> {
-    let bytes = dermis_device::instruments::read_bytes(file).map_err(dermis::Error::from)?;
+    let bytes = dermis_device::instruments::read_bytes(file).map_err(dermis_lab::Error::from)?;
     Ok(Tensors::from_bytes(&bytes, file)?)
 }
 

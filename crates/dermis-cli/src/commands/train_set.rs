@@ -4,10 +4,10 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use dermis::lab::learning::train_set::{LostElectrodes, TrainSetRequest, simulate};
-use dermis::live::network::InputImage;
+use dermis_lab::learning::train_set::{LostElectrodes, TrainSetRequest, simulate};
 use dermis_learn::Model;
 use dermis_learn::scene::SceneKind;
+use dermis_live::network::InputImage;
 
 use super::skin_word::SkinWord;
 use super::with_progress;

@@ -5,12 +5,12 @@ use std::io::{BufRead, Read, Write};
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 
-use dermis::lab::serve::{Door, WORDS, command_of, device_info, serve};
-use dermis::lab::twin_commands::CommandRefused;
-use dermis::lab::twin_sample::{SampleRequest, random_presses, read_presses, sample};
-use dermis::lab::twin_source::{TwinCommands, TwinSource};
-use dermis::skin::{DEFAULT_NAME, Skin};
-use dermis::twin::PressRange;
+use dermis_lab::serve::{Door, WORDS, command_of, device_info, serve};
+use dermis_lab::twin_commands::CommandRefused;
+use dermis_lab::twin_sample::{SampleRequest, random_presses, read_presses, sample};
+use dermis_lab::twin_source::{TwinCommands, TwinSource};
+use dermis_skin::{DEFAULT_NAME, Skin};
+use dermis_twin::PressRange;
 
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
@@ -85,7 +85,7 @@ struct Sample {
 impl Sample {
     fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let skin = Skin::open(&self.skin)?;
-        let usual = dermis::twin::from_skin::press_range(&skin);
+        let usual = dermis_twin::from_skin::press_range(&skin);
         let presses = match self.presses.strip_prefix("random:") {
             Some(count) => {
                 let count: usize =
@@ -182,7 +182,7 @@ impl Serve {
         if self.pty {
             return pty();
         }
-        let failed = |source| dermis::Error::Io { file: self.tcp.to_string().into(), source };
+        let failed = |source| dermis_live::Error::Io { file: self.tcp.to_string().into(), source };
         let listener = TcpListener::bind(self.tcp).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok((Door::tcp(listener).map_err(failed)?, format!("tcp:{address}")))
@@ -191,7 +191,7 @@ impl Serve {
 
 #[cfg(unix)]
 fn pty() -> anyhow::Result<(Door, String)> {
-    let failed = |source| dermis::Error::Io { file: "pseudo-terminal".into(), source };
+    let failed = |source| dermis_live::Error::Io { file: "pseudo-terminal".into(), source };
     let pty = dermis_device::stream::Pty::open().map_err(failed)?;
     let selector = format!("serial:{}", pty.path());
     Ok((Door::Pty(pty), selector))

@@ -1,8 +1,8 @@
 //! Draws a robot and the skins on it from the front, from its left side and from above: links as boxes and cylinders,
 //! a line from every link to its parent, and each patch's outline with its normal.
 
-use dermis::body::urdf::{Geometry, Shape as UrdfShape};
-use dermis::body::{Body, JointValues, Transform, Vector};
+use dermis_body::urdf::{Geometry, Shape as UrdfShape};
+use dermis_body::{Body, JointValues, Transform, Vector};
 
 use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Text};
 
@@ -142,8 +142,8 @@ fn in_frame(place: &Transform, line: &[Vector]) -> Vec<Vector> {
 }
 
 /// The closed rim of a patch's sheet, with points close enough for it to be bent.
-fn rim_of(patch: &dermis::body::Patch) -> Vec<[f64; 2]> {
-    use dermis::tomo::mesh::Outline;
+fn rim_of(patch: &dermis_body::Patch) -> Vec<[f64; 2]> {
+    use dermis_tomo::mesh::Outline;
     let corners: Vec<[f64; 2]> = match patch.skin.outline() {
         Outline::Disc { radius_m } => circle(radius_m).collect(),
         Outline::Rectangle { width_m, height_m } => {

@@ -286,7 +286,7 @@ fn nearest_distance(points: &[Point]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis::skin::{BUILTIN_NAMES, Skin};
+    use dermis_skin::{BUILTIN_NAMES, Skin};
 
     #[test]
     fn every_electrode_of_every_skin_has_a_number_inside_the_picture() {

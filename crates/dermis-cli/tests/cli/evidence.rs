@@ -10,8 +10,8 @@ use super::{Desk, text};
 /// Writes `data/golfball` and `data/five-skins/plain` in the layout of the measured sets, made by models.
 pub(crate) fn synthetic_sets(desk: &Desk) {
     let prepare = |name: &str| {
-        let skin = dermis::skin::Skin::open(name).expect("a built-in skin");
-        dermis::live::prepare::Prepared::new(skin).expect("a skin that meshes")
+        let skin = dermis_skin::Skin::open(name).expect("a built-in skin");
+        dermis_live::prepare::Prepared::new(skin).expect("a skin that meshes")
     };
     let tank = prepare("golfball-tank");
     let with_balls = |balls: &[[f64; 2]]| -> Vec<f64> {

@@ -42,7 +42,7 @@ fn a_file_of_touched_frames_runs_with_a_baseline_of_its_own_and_says_that_it_end
 
 #[test]
 fn an_order_found_wrong_is_no_success_and_comes_with_the_line_to_write() {
-    let text_of = dermis::skin::builtin_text("healing-square").expect("a built-in skin");
+    let text_of = dermis_skin::builtin_text("healing-square").expect("a built-in skin");
     let rotating =
         text_of.replacen("measure = \"pseudo-polar\"\n", "measure = \"pseudo-polar\"\norder = \"rotating\"\n", 1);
     assert_ne!(rotating, text_of);

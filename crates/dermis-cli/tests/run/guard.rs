@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use dermis::record::{Entry, Recording};
+use dermis_record::{Entry, Recording};
 use serde_json::Value;
 
 use super::{Served, lines, message, run};

@@ -109,7 +109,11 @@ impl<'a> Field<'a> {
 
     /// An error at this place.
     pub(super) fn error(&self, reason: impl Into<String>) -> Error {
-        Error::Content { file: self.file.to_path_buf(), field: self.to_string(), reason: reason.into() }
+        Error::Live(dermis_live::Error::Content {
+            file: self.file.to_path_buf(),
+            field: self.to_string(),
+            reason: reason.into(),
+        })
     }
 }
 

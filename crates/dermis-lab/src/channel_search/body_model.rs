@@ -117,26 +117,26 @@ pub(super) struct BodyModel {
 impl BodyModel {
     pub(super) fn of(skin: &Skin) -> Result<Self, Error> {
         if skin.modality == Modality::Mit {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("order of the channels of {}", skin.name),
                 expected: "a skin with electrodes".into(),
                 got: "coils, whose pairs are all read in one order".into(),
-            });
+            }));
         }
         if skin.backend.circuit.is_some() {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("order of the channels of {}, backend.circuit", skin.name),
                 expected: "none: ideal voltmeters are what the search knows".into(),
                 got: "a circuit".into(),
-            });
+            }));
         }
         let count = skin.electrode_shapes().len();
         if !ELECTRODES.contains(&count) {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("electrodes of {}, whose order is looked for", skin.name),
                 expected: format!("{} to {}", ELECTRODES.start(), ELECTRODES.end()),
                 got: count.to_string(),
-            });
+            }));
         }
         let body = skin.body()?;
         let sigma = vec![skin.sheet_conductance_s(); body.mesh.mesh.element_count()];

@@ -82,7 +82,11 @@ impl Maps {
             if value > 0.0 && value.is_finite() {
                 return Ok(());
             }
-            Err(Error::Frames { what: what.into(), expected: "a positive number".into(), got: value.to_string() })
+            Err(Error::Live(dermis_live::Error::Frames {
+                what: what.into(),
+                expected: "a positive number".into(),
+                got: value.to_string(),
+            }))
         };
         positive("amplitude", amplitude)?;
         match noise {
@@ -119,7 +123,7 @@ impl Maps {
 /// The grid of a map with at most `along` places per side, and the skin's pixels on it.
 pub(super) fn places(prepared: &Prepared, along: usize) -> Result<(PixelGrid, PixelMap), Error> {
     let (low, high) = prepared.body.outline.bounds_m();
-    let mesh_error = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
+    let mesh_error = |source| Error::Live(dermis_live::Error::Mesh { skin: prepared.skin.name.clone(), source });
     let grid = PixelGrid::covering(low, high, along).map_err(mesh_error)?;
     let map = PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(mesh_error)?;
     Ok((grid, map))

@@ -65,18 +65,18 @@ const PER_SIDE: std::ops::RangeInclusive<usize> = 2..=8;
 /// or leave the skin, pairs of one electrode) are skipped.
 pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize)) -> Result<[Candidate; 2], Error> {
     if skin.modality == Modality::Mit {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: format!("protocol of {}, which is to be improved", skin.name),
             expected: "electrodes".into(),
             got: "coils, whose pairs are all read".into(),
-        });
+        }));
     }
     if skin.backend.channels.is_some() && search.freed.contains(&Freedom::Drive) {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: format!("drives of {}, to be varied while the measuring pattern stays", skin.name),
             expected: "a measuring pattern".into(),
             got: "a list of channels; let the whole protocol vary (--improve protocol)".into(),
-        });
+        }));
     }
     let prepared = Prepared::new(skin.clone())?;
     let instrument = SharedInstrument::of(&prepared, search.noise)?;
@@ -223,11 +223,11 @@ fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
             .map(|per_side| Electrodes::PadGrid { per_side: Pair::One(per_side), diameter_mm: *diameter_mm })
             .collect(),
         Electrodes::RimList(_) | Electrodes::RimPlaces { .. } | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("frontend.electrodes of {}, whose number is to be varied", skin.name),
                 expected: "rim, rim-pads or pad-grid, which say where any number of them goes".into(),
                 got: "a list".into(),
-            });
+            }));
         }
     };
     Ok(others.into_iter().filter(|other| other != same).collect())
@@ -260,10 +260,12 @@ fn listed(skin: &Skin) -> Result<Electrodes, Error> {
     };
     let on_rim: Option<Vec<RimElectrode>> = shapes.iter().map(rim).collect();
     let under: Option<Vec<Pad>> = shapes.iter().map(pad).collect();
-    on_rim.map(Electrodes::RimList).or(under.map(Electrodes::Pads)).ok_or_else(|| Error::Frames {
-        what: format!("frontend.electrodes of {}, which are to be moved", skin.name),
-        expected: "stretches of the rim, or pads that lie along the axes".into(),
-        got: "something else".into(),
+    on_rim.map(Electrodes::RimList).or(under.map(Electrodes::Pads)).ok_or_else(|| {
+        Error::Live(dermis_live::Error::Frames {
+            what: format!("frontend.electrodes of {}, which are to be moved", skin.name),
+            expected: "stretches of the rim, or pads that lie along the axes".into(),
+            got: "something else".into(),
+        })
     })
 }
 

@@ -34,7 +34,9 @@ pub fn truth(folder: &Path, phantom: usize) -> Result<Vec<u8>, Error> {
     let file = folder.join(TRUTHS[(phantom - 1).min(PHANTOMS - 1)]);
     let table = dermis_device::instruments::csv::read_numbers(&file)?;
     let values: Vec<f64> = (0..table.rows()).filter_map(|row| table.row(row)).flatten().copied().collect();
-    let refuse = |field: &str, reason: String| Error::Content { file: file.clone(), field: field.into(), reason };
+    let refuse = |field: &str, reason: String| {
+        Error::Live(dermis_live::Error::Content { file: file.clone(), field: field.into(), reason })
+    };
     if values.len() != SIDE * SIDE {
         return Err(refuse("size", format!("{} labels, expected {SIDE} x {SIDE}", values.len())));
     }
@@ -96,7 +98,7 @@ pub fn scores(folder: &Path, level: u32, model: Option<&Model>, is_refined: bool
         .collect();
     if frames.iter().any(|frame| frame.len() != prepared.channels()) {
         let (what, expected) = (format!("frames of {}", file.display()), format!("{} channels", prepared.channels()));
-        return Err(Error::Frames { what, expected, got: frames[0].len().to_string() });
+        return Err(Error::Live(dermis_live::Error::Frames { what, expected, got: frames[0].len().to_string() }));
     }
     let reference = Reference::of(&prepared, &frames[..1])?;
     let differences: Vec<Vec<f64>> = frames[1..].iter().map(|frame| reference.difference(frame, None)).collect();
@@ -105,10 +107,12 @@ pub fn scores(folder: &Path, level: u32, model: Option<&Model>, is_refined: bool
         .zip(&labelled)
         .map(|(phantom, frame)| {
             let truth = truth(folder, phantom)?;
-            challenge_score(&truth, &frame.labels, SIDE).ok_or_else(|| Error::Frames {
-                what: "labels of the tank".into(),
-                expected: format!("{SIDE} x {SIDE} pixels"),
-                got: frame.labels.len().to_string(),
+            challenge_score(&truth, &frame.labels, SIDE).ok_or_else(|| {
+                Error::Live(dermis_live::Error::Frames {
+                    what: "labels of the tank".into(),
+                    expected: format!("{SIDE} x {SIDE} pixels"),
+                    got: frame.labels.len().to_string(),
+                })
             })
         })
         .collect()

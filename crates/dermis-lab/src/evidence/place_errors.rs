@@ -107,7 +107,11 @@ impl Presses {
                 return Ok(rows);
             }
             let expected = format!("{} as in {}", pokes.positions_m.len(), places.display());
-            Err(Error::Frames { what: format!("frames of {source}"), expected, got: rows.len().to_string() })
+            Err(Error::Live(dermis_live::Error::Frames {
+                what: format!("frames of {source}"),
+                expected,
+                got: rows.len().to_string(),
+            }))
         };
         let (before_rows, pressed_rows) = (before.map(rows).transpose()?, rows(pressed)?);
         let (baseline, frames) = (before.map(FileSpec::all), FileSpec::all(pressed));

@@ -45,10 +45,12 @@ pub fn objects(folder: &Path) -> Result<Vec<Object>, Error> {
         };
         (1.0..=16.0).contains(&electrode).then_some(Object { electrode, sign })
     };
-    words.chunks(2).map(object).collect::<Option<_>>().ok_or_else(|| Error::Content {
-        file: folder.into(),
-        field: "name".into(),
-        reason: "expected electrodeNN_metal or electrodeNN_plastic, joined by underscores".into(),
+    words.chunks(2).map(object).collect::<Option<_>>().ok_or_else(|| {
+        Error::Live(dermis_live::Error::Content {
+            file: folder.into(),
+            field: "name".into(),
+            reason: "expected electrodeNN_metal or electrodeNN_plastic, joined by underscores".into(),
+        })
     })
 }
 
@@ -76,7 +78,7 @@ pub fn found(target: &Imaged) -> Vec<Object> {
 /// A folder cannot be read.
 pub fn files(root: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Error> {
     let listed = |folder: &Path| -> Result<Vec<PathBuf>, Error> {
-        let failed = |source| Error::Io { file: folder.into(), source };
+        let failed = |source| Error::Live(dermis_live::Error::Io { file: folder.into(), source });
         let mut paths = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(failed)? {
             paths.push(entry.map_err(failed)?.path());

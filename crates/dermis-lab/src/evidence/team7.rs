@@ -25,7 +25,7 @@ pub fn measured(file: &Path) -> Result<Vec<[f64; 4]>, Error> {
         && rows.iter().zip(&X_MM).all(|(row, x)| row.len() == 5 && row[0] == *x && row.iter().all(|v| v.is_finite()));
     if !fits {
         let reason = format!("expected x_mm and four numbers in {} rows, x_mm as on the problem sheet", X_MM.len());
-        return Err(Error::Content { file: file.into(), field: "rows".into(), reason });
+        return Err(Error::Live(dermis_live::Error::Content { file: file.into(), field: "rows".into(), reason }));
     }
     Ok(rows.iter().map(|row| [row[1], row[2], row[3], row[4]]).collect())
 }

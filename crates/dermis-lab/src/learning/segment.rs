@@ -102,7 +102,7 @@ const MOST_PIXELS: usize = 4096;
 /// be written.
 pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> Result<Vec<Segmented>, Error> {
     let refuse = |what: &str, expected: &str, got: String| {
-        Err(Error::Frames { what: what.into(), expected: expected.into(), got })
+        Err(Error::Live(dermis_live::Error::Frames { what: what.into(), expected: expected.into(), got }))
     };
     if !(8..=MOST_PIXELS).contains(&request.size) {
         return refuse("size of the labels", "8 to 4096 pixels", request.size.to_string());
@@ -173,7 +173,7 @@ impl<'a> Segmenter<'a> {
     ) -> Result<Self, Error> {
         let network = model.map(|model| Classifier::with_reference(prepared, reference, model)).transpose()?;
         let (low, high) = prepared.body.outline.bounds_m();
-        let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
+        let named = |source| Error::Live(dermis_live::Error::Mesh { skin: prepared.skin.name.clone(), source });
         let grid = PixelGrid::covering(low, high, size).map_err(named)?;
         let label_size = [grid.rows, grid.columns];
         let map = PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(named)?;

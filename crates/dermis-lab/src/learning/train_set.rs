@@ -94,7 +94,7 @@ impl TrainSetRequest {
 
     fn check(&self) -> Result<(), Error> {
         let refuse = |what: &str, expected: &str, got: String| {
-            Err(Error::Frames { what: what.into(), expected: expected.into(), got })
+            Err(Error::Live(dermis_live::Error::Frames { what: what.into(), expected: expected.into(), got }))
         };
         if self.skin.modality != Modality::Eit || self.skin.backend.circuit.is_some() {
             return refuse("skin of a training set", "an EIT skin without readout circuit", self.skin.name.clone());

@@ -27,7 +27,7 @@ impl Background {
     /// # Errors
     /// The skin has no twin, or the operating system refuses a socket.
     pub fn start(skin: &Skin) -> Result<Self, Error> {
-        let failed = |source| Error::Io { file: "loopback socket".into(), source };
+        let failed = |source| Error::Live(dermis_live::Error::Io { file: "loopback socket".into(), source });
         let (twin, _) = TwinSource::new(skin)?;
         let info = device_info(skin)?;
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed)?;

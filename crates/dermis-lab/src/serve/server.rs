@@ -38,10 +38,12 @@ pub struct Served {
 pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
     let protocol = skin.protocol()?;
     let count = |what: &str, count: usize| {
-        u16::try_from(count).map_err(|_| Error::Frames {
-            what: what.to_string(),
-            expected: "at most 65535".to_string(),
-            got: count.to_string(),
+        u16::try_from(count).map_err(|_| {
+            Error::Live(dermis_live::Error::Frames {
+                what: what.to_string(),
+                expected: "at most 65535".to_string(),
+                got: count.to_string(),
+            })
         })
     };
     let short = |text: &str| text.chars().take(60).collect::<String>();
@@ -85,7 +87,7 @@ pub fn serve(
     most: Option<u64>,
     stop: &AtomicBool,
 ) -> Result<Served, Error> {
-    let failed = |source| Error::Io { file: "port of the served twin".into(), source };
+    let failed = |source| Error::Live(dermis_live::Error::Io { file: "port of the served twin".into(), source });
     let mut faults: Option<Vec<Fault>> = None;
     let mut measured = (Vec::new(), Vec::new());
     let mut guests: Vec<Guest> = Vec::new();

@@ -23,11 +23,11 @@ pub(super) fn pressed(outline: &Outline, count: usize, from: usize) -> Result<Ve
     let inside = |place: &[f64; 2]| outline.inside_by_m(*place) >= MARGIN * deepest;
     let places: Vec<[f64; 2]> = (from..from + LOOKED_AT * count).map(at).filter(inside).take(count).collect();
     if places.len() < count {
-        return Err(Error::Frames {
+        return Err(Error::Live(dermis_live::Error::Frames {
             what: "places to press".into(),
             expected: format!("{count} inside 85 % of the outline"),
             got: places.len().to_string(),
-        });
+        }));
     }
     Ok(places)
 }

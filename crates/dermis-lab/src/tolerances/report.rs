@@ -50,7 +50,7 @@ impl Extent {
             if (least..=most).contains(&value) {
                 return Ok(());
             }
-            Err(Error::Frames { what: what.into(), expected, got: value.to_string() })
+            Err(Error::Live(dermis_live::Error::Frames { what: what.into(), expected, got: value.to_string() }))
         };
         within("samples", self.samples, [1, 10_000])?;
         within("presses of a sample", self.presses, [1, PLACES])?;
@@ -221,7 +221,11 @@ pub fn run(
     let nominal_row = rows.next();
     let mut causes_alone: Vec<ToleranceRow> = rows.by_ref().take(causes.len() + 1).collect();
     let (Some(nominal), Some(together)) = (nominal_row, causes_alone.pop()) else {
-        return Err(Error::Frames { what: "rows".into(), expected: "at least two".into(), got: "fewer".into() });
+        return Err(Error::Live(dermis_live::Error::Frames {
+            what: "rows".into(),
+            expected: "at least two".into(),
+            got: "fewer".into(),
+        }));
     };
     let calibrated: Vec<ToleranceRow> = rows.collect();
     let together_presses = presses_of(causes.len() + 1, 0);
@@ -320,8 +324,8 @@ fn by_place(bench: &Bench, presses: &[Press]) -> Vec<PlaceError> {
 fn map(bench: &Bench, places: &[PlaceError]) -> Result<(PixelGrid, Vec<f32>), Error> {
     let outline = bench.skin.outline();
     let (low, high) = outline.bounds_m();
-    let grid =
-        PixelGrid::covering(low, high, MAP).map_err(|source| Error::Mesh { skin: bench.skin.name.clone(), source })?;
+    let grid = PixelGrid::covering(low, high, MAP)
+        .map_err(|source| Error::Live(dermis_live::Error::Mesh { skin: bench.skin.name.clone(), source }))?;
     let width_m = 0.6 * (outline.area_m2() / PLACES as f64).sqrt();
     let seen: Vec<&PlaceError> = places.iter().filter(|place| place.median_mm.is_finite()).collect();
     let at = |pixel: usize| {

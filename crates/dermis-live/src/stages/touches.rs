@@ -3,8 +3,8 @@
 use dermis_touch::force::{ForceCalibration, ForceReading};
 use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{
-    Contact, ContactFinder, ContactParams, ContactSigns, ContactStrength, PixelNoise, Touch, TouchEvent, TouchLoad,
-    Tracker, TrackerParams,
+    Contact, ContactFinder, ContactParams, ContactSigns, ContactStrength, PixelNoise, Touch, TouchLoad, Tracker,
+    TrackerParams,
 };
 
 use crate::Error;
@@ -27,9 +27,9 @@ pub struct TouchStage {
     finder: ContactFinder,
     tracker: Tracker,
     contacts: Vec<Contact>,
-    events: Vec<TouchEvent>,
-    /// End events of touches ended by an interruption of the stream, held until the next frame.
-    ended: Vec<TouchEvent>,
+    ended: Vec<Touch>,
+    /// Touches ended by an interruption of the stream, held until the next frame.
+    interrupted: Vec<Touch>,
     noise: Vec<f32>,
     forces: Option<ForceCalibration>,
     /// Contacts of a smaller amplitude in the next image are ignored.
@@ -78,8 +78,8 @@ impl TouchStage {
             finder: ContactFinder::new(cells, contact)?,
             tracker: Tracker::new(tracking)?,
             contacts: Vec::new(),
-            events: Vec::new(),
             ended: Vec::new(),
+            interrupted: Vec::new(),
             noise,
             forces: None,
             floor: 0.0,
@@ -240,10 +240,10 @@ impl TouchStage {
         self.track(time_ns)
     }
 
-    /// Tracks the contacts as they are. The events start with the ends caused by an interruption.
+    /// Tracks the contacts as they are. Those ended by an interruption come first among the ended.
     fn track(&mut self, time_ns: u64) -> Result<(), Error> {
-        self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
-        self.events.splice(0..0, self.ended.drain(..));
+        self.tracker.update(time_ns, &self.contacts, &mut self.ended)?;
+        self.ended.splice(0..0, self.interrupted.drain(..));
         Ok(())
     }
 
@@ -270,9 +270,9 @@ impl TouchStage {
         self.tracker.touches()
     }
 
-    /// Events of the last frame.
-    pub fn events(&self) -> &[TouchEvent] {
-        &self.events
+    /// Touches that ended in the last frame.
+    pub fn ended(&self) -> &[Touch] {
+        &self.ended
     }
 
     /// True while anything lies on the skin, including unconfirmed contacts.
@@ -281,11 +281,11 @@ impl TouchStage {
     }
 
     /// Reports that the stream was interrupted before the next frame, too long to know what happened. All touches
-    /// end, and the touches in that frame are new. The end events are among its events.
+    /// end, and the touches in that frame are new. Its ended touches include them.
     pub fn interrupt(&mut self, time_ns: u64) {
         // A second interruption before the next frame finds nothing left to end.
-        if self.ended.is_empty() {
-            self.tracker.end_all(time_ns, &mut self.ended);
+        if self.interrupted.is_empty() {
+            self.tracker.end_all(time_ns, &mut self.interrupted);
         }
         self.contacts.clear();
     }
@@ -298,8 +298,8 @@ impl TouchStage {
 
     /// Ends all touches: the next frame is unrelated.
     pub fn forget(&mut self, time_ns: u64) {
-        self.tracker.end_all(time_ns, &mut self.events);
-        self.events.splice(0..0, self.ended.drain(..));
+        self.tracker.end_all(time_ns, &mut self.ended);
+        self.ended.splice(0..0, self.interrupted.drain(..));
         self.contacts.clear();
     }
 }
@@ -347,7 +347,7 @@ mod tests {
     }
 
     fn ends(stage: &TouchStage) -> usize {
-        stage.events().iter().filter(|event| matches!(event, TouchEvent::End(_))).count()
+        stage.ended().len()
     }
 
     #[test]
@@ -356,11 +356,11 @@ mod tests {
         time_ns += 30 * FRAME_NS;
         stage.interrupt(time_ns);
         stage.repeat(time_ns).unwrap();
-        assert_eq!((ends(&stage), stage.touches().len()), (1, 0), "{:?}", stage.events());
+        assert_eq!((ends(&stage), stage.touches().len()), (1, 0), "{:?}", stage.ended());
         for _ in 0..10 {
             time_ns += FRAME_NS;
             stage.repeat(time_ns).unwrap();
-            assert!(stage.events().is_empty() && !stage.is_loaded(), "a touch that nobody sees: {:?}", stage.events());
+            assert!(stage.ended().is_empty() && !stage.is_loaded(), "a touch that nobody sees: {:?}", stage.ended());
         }
     }
 
@@ -373,7 +373,7 @@ mod tests {
         for _ in 0..10 {
             time_ns += FRAME_NS;
             stage.repeat(time_ns).unwrap();
-            assert!(stage.events().is_empty() && !stage.is_loaded(), "{:?}", stage.events());
+            assert!(stage.ended().is_empty() && !stage.is_loaded(), "{:?}", stage.ended());
         }
     }
 }

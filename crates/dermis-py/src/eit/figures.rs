@@ -1,6 +1,6 @@
 //! Figures of merit of images.
 
-use dermis::tomo::quality::{GreitFigures, Target};
+use dermis_tomo::quality::{GreitFigures, Target};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

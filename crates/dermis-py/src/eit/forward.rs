@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use dermis::tomo::eit::{ForwardModel, Solution};
-use dermis::tomo::mesh::{ElectrodedMesh, Mesh};
+use dermis_tomo::eit::{ForwardModel, Solution};
+use dermis_tomo::mesh::{ElectrodedMesh, Mesh};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis::tomo::mesh::{CellKind, Contact, Electrode, Mesh, PixelGrid, PixelMap};
+use dermis_tomo::mesh::{CellKind, Contact, Electrode, Mesh, PixelGrid, PixelMap};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
@@ -215,7 +215,7 @@ impl PyMesh {
         let mesh = Arc::clone(&self.mesh);
         let size = (pixels * pixels + mesh.element_count()) as f64;
         let map = run_sized(py, "grid", PER_PIXEL * size, move || {
-            dermis::tomo::memory::check(PIXEL_BYTES * size, || format!("a grid of {pixels} x {pixels} pixels"))
+            dermis_tomo::memory::check(PIXEL_BYTES * size, || format!("a grid of {pixels} x {pixels} pixels"))
                 .map_err(|error| Fault::new(Kind::Input, error.to_string()))?;
             Ok(PixelMap::new(PixelGrid::over_mesh(&mesh, pixels)?, &mesh)?)
         })?;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis::tomo::inverse::{Hyperparameter, ImageBasis, LinearProblem, MOST_NESTED, Operator, Prior, Weighting};
+use dermis_tomo::inverse::{Hyperparameter, ImageBasis, LinearProblem, MOST_NESTED, Operator, Prior, Weighting};
 use faer::{Mat, MatRef};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -239,7 +239,7 @@ impl PyOperator {
         let (problem, operator) = run_sized(py, "operator", operations, move || {
             let bytes =
                 8.0 * (MATRICES * rows * columns + SYSTEMS * smaller * smaller + prior_numbers(&prior, columns));
-            dermis::tomo::memory::check(bytes, || format!("an operator of {channels} channels x {unknowns} unknowns"))
+            dermis_tomo::memory::check(bytes, || format!("an operator of {channels} channels x {unknowns} unknowns"))
                 .map_err(|error| Fault::new(Kind::Input, error.to_string()))?;
             let weighting = match noise {
                 Noise::None => Weighting::Identity,

@@ -1,6 +1,6 @@
 //! Stimulation and measurement patterns.
 
-use dermis::tomo::eit::{Drive, Driven, Measure, Order, Pattern, Protocol, ProtocolSpec, Reference};
+use dermis_tomo::eit::{Drive, Driven, Measure, Order, Pattern, Protocol, ProtocolSpec, Reference};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 

@@ -31,7 +31,11 @@ pub(super) fn read(file: &Path, collector: &mut Collector, notes: &mut Vec<Strin
             Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
             Err(error) if messages == 0 => {
                 let reason = format!("expected an MCAP file: {error}");
-                return Err(Error::Content { file: file.to_owned(), field: "records".to_owned(), reason });
+                return Err(Error::Live(dermis_live::Error::Content {
+                    file: file.to_owned(),
+                    field: "records".to_owned(),
+                    reason,
+                }));
             }
             Err(error) => {
                 notes.push(format!("{} is damaged behind its message {messages}: {error}", name()));

@@ -9,10 +9,12 @@ use crate::Error;
 
 /// Hands every message to the collector, ordered by time.
 pub(super) fn read(file: &Path, collector: &mut Collector) -> Result<(), Error> {
-    let failed = |error: rusqlite::Error| Error::Content {
-        file: file.to_owned(),
-        field: "bag".to_owned(),
-        reason: format!("expected the tables topics and messages of a ROS 2 bag: {error}"),
+    let failed = |error: rusqlite::Error| {
+        Error::Live(dermis_live::Error::Content {
+            file: file.to_owned(),
+            field: "bag".to_owned(),
+            reason: format!("expected the tables topics and messages of a ROS 2 bag: {error}"),
+        })
     };
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let database = Connection::open_with_flags(file, flags).map_err(failed)?;

@@ -19,7 +19,7 @@ use crate::{Damage, Error};
 /// with real parts first.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// An I/O error.
 pub fn export_frames(table: &FrameTable, format: TableFormat, path: &Path) -> Result<Exported, Error> {
     let mut file = StagedFile::create(path)?;
     let columns = if format == TableFormat::Npy {

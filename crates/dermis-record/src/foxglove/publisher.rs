@@ -9,7 +9,7 @@ use ::foxglove::messages::Log;
 use ::foxglove::messages::log::Level;
 use ::foxglove::websocket::Parameter;
 use dermis_device::{Frame, HostStamp};
-use dermis_touch::TouchEvent;
+use dermis_touch::TouchPhase;
 
 use super::channels::{Kept, PatchChannels, encoded, log};
 use super::parameters::{HYPERPARAMETER, Parameters, Running};
@@ -150,17 +150,17 @@ impl LiveWriter for Publisher {
     }
 
     fn touches(&mut self, batch: &TouchBatch) -> Result<(), Error> {
-        let TouchBatch { wall_ns, sequence, time_ns, touches, events } = batch;
+        let TouchBatch { wall_ns, sequence, time_ns, touches, ended } = batch;
         if self.channels.touches.has_sinks() {
             let stamp = Stamp { wall_ns: *wall_ns, frame_id: self.view.frame_id() };
-            messages::write_touches(&mut self.bytes, stamp, *sequence, *time_ns, touches, events);
+            messages::write_touches(&mut self.bytes, stamp, *sequence, *time_ns, touches, ended);
             self.send(&self.channels.touches, *wall_ns);
         }
         if self.channels.touch_points.has_sinks() {
             self.view.write_touch_points(&mut self.bytes, *wall_ns, touches);
             self.send(&self.channels.touch_points, *wall_ns);
         }
-        let has_news = events.iter().any(|event| !matches!(event, TouchEvent::Move(_)));
+        let has_news = !ended.is_empty() || touches.iter().any(|touch| touch.phase == TouchPhase::Begin);
         // A clock that is set back must not stop the scene.
         if has_news || wall_ns.abs_diff(self.scene_ns) >= SCENE_EVERY_NS {
             self.scene_ns = *wall_ns;

@@ -10,7 +10,7 @@ use ::foxglove::messages::{
 };
 use dermis_skin::Skin;
 use dermis_touch::force::ForceReading;
-use dermis_touch::{LoadQuantity, PlaceHypothesis, Touch, TouchEvent};
+use dermis_touch::{LoadQuantity, PlaceHypothesis, Touch};
 
 use super::transforms::{quaternion, time, vector};
 use crate::live_writer::TouchBatch;
@@ -62,8 +62,7 @@ impl Scene {
     /// The update for the touches of a frame. Touches that have ended, or are missing, are removed.
     pub(super) fn update(&mut self, batch: &TouchBatch) -> SceneUpdate {
         let now: BTreeSet<u64> = batch.touches.iter().map(|touch| touch.id).collect();
-        let ended = batch.events.iter().filter(|event| matches!(event, TouchEvent::End(_)));
-        let ended: BTreeSet<u64> = ended.map(|event| event.touch().id).collect();
+        let ended: BTreeSet<u64> = batch.ended.iter().map(|touch| touch.id).collect();
         let gone = self.shown.union(&ended).filter(|id| !now.contains(id));
         let timestamp = Some(time(batch.wall_ns));
         let deletion =

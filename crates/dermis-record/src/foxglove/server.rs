@@ -100,7 +100,7 @@ impl FoxgloveServer {
     /// Adds a patch. Its pipeline feeds the [`LiveFeed`], and carries out the requests between frames.
     ///
     /// # Errors
-    /// [`Error::Listen`] for a second patch of the same name, [`Error::Io`] if the operating system refuses a thread.
+    /// [`Error::Listen`] for a second patch of the same name, an I/O error if the operating system refuses a thread.
     pub fn patch(&self, patch: FoxglovePatch, pipeline: &Pipeline) -> Result<(LiveFeed, Receiver<LiveRequest>), Error> {
         let FoxglovePatch { name, frame_id, mount, guard } = patch;
         let refused = |error| refused(&self.address, error);

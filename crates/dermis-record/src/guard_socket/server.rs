@@ -51,7 +51,7 @@ impl GuardSocket {
     /// # Errors
     /// The address is in use or not available, or a thread cannot be started.
     pub fn open(address: &GuardAddress, patches: &[(String, GuardReport)]) -> Result<Self, Error> {
-        let failed = |source| Error::Io { file: PathBuf::from(address.to_string()), source };
+        let failed = |source| Error::Live(dermis_live::Error::Io { file: PathBuf::from(address.to_string()), source });
         let (listener, address) = Listener::open(address).map_err(failed)?;
         let board = Arc::new(Mutex::new(Board::new(patches, now_ns())));
         let stop = Arc::new((Mutex::new(false), Condvar::new()));

@@ -10,7 +10,7 @@ use dermis_device::{Frame, HostStamp};
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_skin::Skin;
-use dermis_touch::{Touch, TouchEvent};
+use dermis_touch::Touch;
 
 use super::messages::{self, NamedTransform};
 use super::shape::{PatchLimits, PatchShape};
@@ -239,12 +239,12 @@ impl PatchPublisher {
     /// Sends the touches and their wrenches. While a fault leaves the touches unknown nothing is sent, except that a
     /// touch has ended.
     fn touches(&self, output: &Output<'_>) {
-        let has_ended = output.events.iter().any(|event| matches!(event, TouchEvent::End(_)));
+        let has_ended = !output.ended.is_empty();
         let is_known = self.state.baselines > 0 && output.health.frame.is_none();
         if is_known || has_ended {
             let mut message = Vec::new();
-            let Output { sequence, time_ns, touches, events, .. } = *output;
-            write_touches(&mut message, self.stamp(), sequence, time_ns, touches, events);
+            let Output { sequence, time_ns, touches, ended, .. } = *output;
+            write_touches(&mut message, self.stamp(), sequence, time_ns, touches, ended);
             self.send(OfPatch::Touches, message);
         }
         if !is_known || self.head.limits.force_from.is_none() {

@@ -31,7 +31,7 @@ impl ImageStack {
     /// Starts a stack of images of `rows` x `columns`, which appears at `path` once finished.
     ///
     /// # Errors
-    /// [`Error::Io`] if no file can be created next to `path`, or if it isn't seekable.
+    /// An I/O error if no file can be created next to `path`, or if it isn't seekable.
     pub fn create(path: &Path, rows: usize, columns: usize) -> Result<Self, Error> {
         let mut file = StagedFile::create(path)?;
         npy::write_header::<f32>(&mut file, &[0, rows, columns]).map_err(Error::io(path))?;
@@ -47,11 +47,11 @@ impl Sink for ImageStack {
         let file = self.file.as_mut().ok_or_else(|| finished(&self.path))?;
         let count = self.rows.saturating_mul(self.columns);
         if (output.rows, output.columns, output.image.len()) != (self.rows, self.columns, count) {
-            return Err(Error::Frames {
+            return Err(Error::Live(dermis_live::Error::Frames {
                 what: format!("image of frame {}", output.sequence),
                 expected: format!("{} x {} = {count} pixels", self.rows, self.columns),
                 got: format!("{} x {}, {} pixels", output.rows, output.columns, output.image.len()),
-            });
+            }));
         }
         self.bytes.clear();
         self.bytes.extend(output.image.iter().flat_map(|value| value.to_le_bytes()));
@@ -67,11 +67,11 @@ impl Sink for ImageStack {
         let mut header = Vec::new();
         npy::write_header::<f32>(&mut header, &[frames, self.rows, self.columns]).map_err(Error::io(&self.path))?;
         if header.len() as u64 != self.header_bytes {
-            return Err(Error::Content {
+            return Err(Error::Live(dermis_live::Error::Content {
                 file: self.path.clone(),
                 field: "header".to_owned(),
                 reason: format!("{frames} frames need {} bytes, {} are reserved", header.len(), self.header_bytes),
-            });
+            }));
         }
         file.seek(SeekFrom::Start(0)).and_then(|_| file.write_all(&header)).map_err(Error::io(&self.path))?;
         file.finish()?;

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use dermis_device::HostStamp;
 use dermis_touch::guard::GuardReport;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
-use dermis_touch::{Touch, TouchEvent, TouchPhase};
+use dermis_touch::{Touch, TouchPhase};
 
 use super::interface::{OTHER_NAMES, Sink, Summary, TouchRow, load_names, load_numbers, other_numbers};
 use crate::Error;
@@ -116,7 +116,7 @@ impl<W: Write + Send> JsonLines<W> {
     pub fn accept_with(&mut self, output: &Output<'_>, extras: &dyn LineExtras) -> Result<(), Error> {
         self.summary.frames += 1;
         let quiet = output.damage.events.is_empty();
-        let silent = output.touches.is_empty() && ended(output.events).next().is_none() && quiet;
+        let silent = output.touches.is_empty() && output.ended.is_empty() && quiet;
         if silent && self.lines_for == LinesFor::Touches {
             return Ok(());
         }
@@ -148,18 +148,14 @@ impl<W: Write + Send> Sink for JsonLines<W> {
 }
 
 /// Touches that ended in this frame.
-fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
-    events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch)
-}
-
 /// Appends the object for one frame, without its closing brace: its touches, then those that ended in it.
 fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
-    let Output { sequence, time_ns, touches, events, .. } = *output;
+    let Output { sequence, time_ns, touches, ended, .. } = *output;
     let is_known = output.health.frame.is_none();
     let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
     // Writing to a String cannot fail.
     let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
-    for (index, touch) in touches.iter().chain(ended(events)).enumerate() {
+    for (index, touch) in touches.iter().chain(ended).enumerate() {
         if index > 0 {
             text.push(',');
         }
@@ -313,8 +309,8 @@ mod tests {
         let mut sink = JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame);
         let mut odd = touch(2, TouchPhase::Move, 0.5, 0.25);
         odd.amplitude = f64::NAN;
-        let events = [TouchEvent::End(touch(3, TouchPhase::End, 1.0, 2.0)), TouchEvent::Move(odd)];
-        sink.accept(&output(7, &[0.0; 6], &[odd], &events)).unwrap();
+        let ended = [touch(3, TouchPhase::End, 1.0, 2.0)];
+        sink.accept(&output(7, &[0.0; 6], &[odd], &ended)).unwrap();
         sink.accept(&output(8, &[0.0; 6], &[], &[])).unwrap();
         assert_eq!(sink.finish().unwrap(), Summary { frames: 2, written: 2 });
         let found = lines(&bytes);
@@ -378,10 +374,10 @@ mod tests {
     fn touches_that_end_because_nobody_can_see_are_unknown() {
         use dermis_touch::health::{FrameFault, FrameFaultKind};
         let frame = Some(FrameFault { kind: FrameFaultKind::Flipped, since_ns: 2_500_000_000, since_sequence: 7 });
-        let events = [TouchEvent::End(touch(3, TouchPhase::End, 1.0, 2.0))];
+        let ended = [touch(3, TouchPhase::End, 1.0, 2.0)];
         let health = Health { frame, ..Health::default() };
         let mut bytes = Vec::new();
-        let output = Output { health, ..output(1, &[0.0; 6], &[], &events) };
+        let output = Output { health, ..output(1, &[0.0; 6], &[], &ended) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         let line = &lines(&bytes)[0];
         assert_eq!((&line["touches"][0]["known"], &line["touches_known"]), (&json!(false), &json!(false)));
@@ -416,7 +412,7 @@ mod tests {
         let mut bytes = Vec::new();
         let mut sink = JsonLines::new(&mut bytes, "test", LinesFor::Touches);
         let touches = [touch(1, TouchPhase::Begin, 0.0, 0.0)];
-        let end = [TouchEvent::End(touch(1, TouchPhase::End, 0.0, 0.0))];
+        let end = [touch(1, TouchPhase::End, 0.0, 0.0)];
         sink.accept(&output(1, &[0.0; 6], &[], &[])).unwrap();
         sink.accept(&output(2, &[0.0; 6], &touches, &[])).unwrap();
         sink.accept(&output(3, &[0.0; 6], &[], &end)).unwrap();

@@ -77,7 +77,7 @@ impl TouchTable {
     /// Starts a table, which appears at `path` once finished.
     ///
     /// # Errors
-    /// [`Error::Io`] if no file can be created next to `path`.
+    /// An I/O error if no file can be created next to `path`.
     pub fn create(path: &Path, columns: TouchColumns) -> Result<Self, Error> {
         let mut file = StagedFile::create(path)?;
         writeln!(file, "{}", columns.head()).map_err(Error::io(path))?;
@@ -109,7 +109,7 @@ impl Sink for TouchTable {
 /// The error for a frame that comes after the end.
 pub(super) fn finished(path: &Path) -> Error {
     let reason = "came after the file was finished".to_owned();
-    Error::Content { file: path.to_owned(), field: "frame".to_owned(), reason }
+    Error::Live(dermis_live::Error::Content { file: path.to_owned(), field: "frame".to_owned(), reason })
 }
 
 #[cfg(test)]

@@ -12,9 +12,9 @@ use dermis_live::pipeline::Pipeline;
 use dermis_record::foxglove::{FoxgloveAddress, FoxglovePatch, FoxgloveServer, FramePose};
 use dermis_skin::{GuardSettings, Skin};
 
-use super::error::BodyRunError;
 use super::joints::{JointFeed, JointsState};
 use super::patch::Viewer;
+use crate::error::Error;
 
 /// Minimum interval between poses: as often as a screen shows one.
 const POSES_EVERY: Duration = Duration::from_millis(33);
@@ -48,9 +48,9 @@ pub(super) fn open<'a>(
     joints: &JointFeed,
     stop: &Arc<AtomicBool>,
     ready: impl Iterator<Item = (usize, &'a Pipeline, Option<GuardSettings>)>,
-) -> Result<(Option<BodyServer>, Vec<Viewer>), BodyRunError> {
+) -> Result<(Option<BodyServer>, Vec<Viewer>), Error> {
     let Some(address) = address else { return Ok((None, Vec::new())) };
-    let failed = |source| BodyRunError::Foxglove { source };
+    let failed = |source| Error::Foxglove { source };
     let server = Arc::new(FoxgloveServer::open(address, &body.name, true).map_err(failed)?);
     let mut viewers = Vec::new();
     for (number, pipeline, guard) in ready {
@@ -62,7 +62,7 @@ pub(super) fn open<'a>(
     let thread = std::thread::Builder::new().name("dermis-foxglove-poses".to_owned());
     let (there, body, joints, stop) = (server.clone(), body.clone(), joints.clone(), stop.clone());
     let thread = thread.spawn(move || publish_poses(&there, &body, &joints, &stop));
-    let poses = thread.map_err(|source| BodyRunError::Thread { patch: "poses".to_owned(), source })?;
+    let poses = thread.map_err(|source| Error::Thread { what: "poses".to_owned(), source })?;
     Ok((Some(BodyServer { server, poses: Some(poses) }), viewers))
 }
 
@@ -115,6 +115,8 @@ fn frame_beside(name: &str, is_taken: bool) -> String {
 
 /// Pose of a single skin on its link, if its file gives one. The skin's frame has the skin's name, unless the link has
 /// that.
+///
+/// No example: for the server of the feature `foxglove` alone.
 pub fn mount_pose(skin: &Skin) -> Option<FramePose> {
     let mount = skin.mount.as_ref()?;
     let xyz_mm_rpy_deg = mount_transform(mount.xyz_mm, mount.rpy_deg);

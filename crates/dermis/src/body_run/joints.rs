@@ -13,7 +13,7 @@ use dermis_body::joint_lines::{MOST_LINE_BYTES, take_line};
 use dermis_body::{Assigned, Body, JointValues};
 use dermis_device::HostStamp;
 
-use super::error::BodyRunError;
+use crate::error::Error;
 
 /// Period of the demonstration's slowest joint, seconds.
 const SWEEP_S: f64 = 12.0;
@@ -31,6 +31,8 @@ const RETRY: Duration = Duration::from_millis(500);
 const ROS2: &str = "ros2:";
 
 /// The newest joint values.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug)]
 pub struct JointSnapshot {
     /// The values.
@@ -42,6 +44,8 @@ pub struct JointSnapshot {
 }
 
 /// State of joint values.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointsState {
     /// Fixed values from the body file; there is no source.
@@ -102,7 +106,7 @@ impl JointFeed {
     ///
     /// # Errors
     /// The file or topic cannot be opened.
-    pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, BodyRunError> {
+    pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, Error> {
         let (kind, values) = match source {
             None => (Kind::Fixed, rest_where_unknown(body, &body.first_joints)),
             Some("sweep") => (Kind::Sweep, rest_where_unknown(body, &body.first_joints)),
@@ -126,13 +130,13 @@ impl JointFeed {
             None if source == "-" => Box::new(move || reader.follow(BufReader::new(io::stdin()), false, &name, &stop)),
             None => {
                 let file = File::open(source);
-                let file = file.map_err(|error| BodyRunError::Joints { name: name.clone(), source: error })?;
+                let file = file.map_err(|error| Error::Joints { name: name.clone(), source: error })?;
                 Box::new(move || reader.follow(BufReader::new(file), true, &name, &stop))
             }
         };
         let thread = std::thread::Builder::new().name("dermis-joints".to_owned()).spawn(work);
         // The thread ends with the process or its source, since standard input cannot be interrupted.
-        thread.map_err(|error| BodyRunError::Joints { name: source.to_owned(), source: error })?;
+        thread.map_err(|error| Error::Joints { name: source.to_owned(), source: error })?;
         Ok(feed)
     }
 
@@ -201,11 +205,10 @@ impl JointFeed {
 
     /// Follows a topic of ROS 2.
     #[cfg(feature = "ros2")]
-    fn subscribe(self, topic: &str, stop: Arc<AtomicBool>) -> Result<(), BodyRunError> {
+    fn subscribe(self, topic: &str, stop: Arc<AtomicBool>) -> Result<(), Error> {
         let name = format!("{ROS2}{topic}");
-        let mut reader =
-            dermis_record::ros2::JointReader::open(topic).map_err(|source| BodyRunError::Ros2 { source })?;
-        let failed = |source| BodyRunError::Joints { name: name.clone(), source };
+        let mut reader = dermis_record::ros2::JointReader::open(topic)?;
+        let failed = |source| Error::Joints { name: name.clone(), source };
         let (there, thread) = (name.clone(), std::thread::Builder::new().name("dermis-joints".to_owned()));
         let work = move || {
             while !stop.load(Ordering::Relaxed) {
@@ -221,9 +224,9 @@ impl JointFeed {
 
     /// Without ROS 2 there is no such topic.
     #[cfg(not(feature = "ros2"))]
-    fn subscribe(self, topic: &str, _stop: Arc<AtomicBool>) -> Result<(), BodyRunError> {
+    fn subscribe(self, topic: &str, _stop: Arc<AtomicBool>) -> Result<(), Error> {
         let source = io::Error::other("this dermis was built without the feature ros2");
-        Err(BodyRunError::Joints { name: format!("{ROS2}{topic}"), source })
+        Err(Error::Joints { name: format!("{ROS2}{topic}"), source })
     }
 
     /// Takes values of joints, radians or metres.

@@ -20,6 +20,8 @@ struct PatchLoad {
 pub(super) struct Loads(Mutex<Vec<PatchLoad>>);
 
 /// A net wrench, or the reasons why it is unknown.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetWrench {
     /// `None` if a touch's force is unknown or a patch is silent, because a partial sum would be misleading.

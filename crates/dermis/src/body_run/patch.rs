@@ -4,11 +4,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use crate::error::Error;
 use crossbeam_channel::{Receiver, SendTimeoutError, Sender};
 use dermis_body::{Body, SpatialTouch, Wrench, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
 use dermis_device::{Frame, HostStamp};
-use dermis_lab::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_record::guard_socket::GuardPublisher;

@@ -7,6 +7,8 @@ use super::joints::JointSnapshot;
 use super::loads::NetWrench;
 
 /// One frame of one patch.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug)]
 pub struct PatchReport {
     /// Number of the patch.
@@ -30,6 +32,8 @@ pub struct PatchReport {
 }
 
 /// A touch, in every frame.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Copy, Debug)]
 pub struct TouchInFrames {
     /// The touch on its flattened skin.
@@ -43,6 +47,8 @@ pub struct TouchInFrames {
 }
 
 /// State of a patch.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PatchState {
     /// No baseline yet.
@@ -71,6 +77,8 @@ impl PatchState {
 }
 
 /// One row of the table of health.
+///
+/// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatchHealth {
     /// Name of the patch.

@@ -11,8 +11,8 @@ use dermis_device::HostStamp;
 use dermis_live::pipeline::Pipeline;
 use dermis_record::ros2::{NamedTransform, NodeHead, PatchHead, Ros2Node, Ros2Options, TransformPublisher};
 
-use super::error::BodyRunError;
 use super::joints::{JointFeed, JointsState};
+use crate::error::Error;
 
 /// Interval between transforms of moving joints: as robot_state_publisher sends them.
 const TRANSFORMS_EVERY: Duration = Duration::from_millis(20);
@@ -26,7 +26,7 @@ pub(super) fn open(
     body: &Body,
     joints: &JointFeed,
     ready: &[ReadyPatch<'_>],
-) -> Result<Ros2Node, BodyRunError> {
+) -> Result<Ros2Node, Error> {
     let head = |(number, pipeline, source): &ReadyPatch<'_>| {
         let patch = &body.patches[*number];
         let link = body.kinematics.link_name(patch.link);
@@ -42,7 +42,7 @@ pub(super) fn open(
     let fixed = if joints.is_of_ros() { Vec::new() } else { transforms(body, &never_move) };
     let patches = ready.iter().map(head).collect();
     let head = NodeHead { patches, root: Some(body.root().to_owned()), fixed };
-    Ros2Node::open(options, head).map_err(|source| BodyRunError::Ros2 { source })
+    Ok(Ros2Node::open(options, head)?)
 }
 
 /// Frame of reference of a patch: its name, with `_skin` after it if a link has that name too.
@@ -82,7 +82,7 @@ pub(super) fn follow_joints(
     body: &Arc<Body>,
     joints: &JointFeed,
     stop: &Arc<AtomicBool>,
-) -> Result<Option<JoinHandle<()>>, BodyRunError> {
+) -> Result<Option<JoinHandle<()>>, Error> {
     if joints.is_fixed() || joints.is_of_ros() {
         return Ok(None);
     }
@@ -104,5 +104,5 @@ pub(super) fn follow_joints(
             std::thread::sleep(TRANSFORMS_EVERY);
         }
     });
-    thread.map(Some).map_err(|source| BodyRunError::Thread { patch: "tf".to_owned(), source })
+    thread.map(Some).map_err(|source| Error::Thread { what: "tf".to_owned(), source })
 }

@@ -11,7 +11,6 @@ use crossbeam_channel::{Receiver, bounded};
 use dermis_body::{Body, Patch};
 use dermis_device::acquire::Acquisition;
 use dermis_device::{FileSpec, HostStamp, SourceSelector};
-use dermis_lab::Error;
 use dermis_live::calibration::Calibration;
 use dermis_live::forces::parse_forces;
 use dermis_live::pipeline::Pipeline;
@@ -23,7 +22,6 @@ use dermis_record::{BodyHead, BodyRecording, LiveRecording, Publisher, Recording
 use dermis_skin::{GuardSettings, Skin};
 use dermis_touch::guard::GuardReport;
 
-use super::error::BodyRunError;
 use super::joints::JointFeed;
 use super::loads::Loads;
 use super::patch::{PatchThread, SharedHealth};
@@ -31,6 +29,7 @@ use super::report::{PatchHealth, PatchReport};
 #[cfg(feature = "ros2")]
 use super::ros2;
 use super::watch::{BodyWatch, OpenPublisher, StartingPatch};
+use crate::error::Error;
 use crate::source::{SourceOptions, TwinControl, open_source};
 
 /// Frames that may queue between a source and its pipeline.
@@ -45,6 +44,8 @@ const UNSTARTED_STALE_NS: u64 = 1_000_000_000;
 const JOINTS_EVERY: Duration = Duration::from_millis(10);
 
 /// Options for running a body.
+///
+/// No example here: [`BodyRun`] has one.
 #[derive(Clone, Debug, Default)]
 pub struct BodyRunOptions {
     /// Speed of files and twins, settings of instruments.
@@ -70,6 +71,30 @@ pub struct BodyRunOptions {
 }
 
 /// A running body.
+///
+/// ```
+/// use std::time::Duration;
+///
+/// use dermis::body::{BodyRunOptions, PatchReport, PatchState};
+/// use dermis::{Body, BodyRun};
+///
+/// let folder = std::env::temp_dir().join(format!("dermis-run-{}", std::process::id()));
+/// # let failed = |source| dermis::Error::Io { file: folder.clone(), source };
+/// # std::fs::create_dir_all(&folder).map_err(failed)?;
+/// // A body without a robot: one skin, played by its twin.
+/// let file = folder.join("pad.toml");
+/// std::fs::write(&file, "[[patch]]\nname = \"pad\"\nskin = \"healing-square\"\nsource = \"twin\"\n").map_err(failed)?;
+/// let options = BodyRunOptions { most_frames: Some(40), ..BodyRunOptions::default() };
+/// let run = BodyRun::start(Body::open(&file)?, &options)?;
+/// while !run.has_ended() {
+///     let Some(PatchReport { sequence, touches, .. }) = run.next(Duration::from_millis(100)) else { continue };
+///     println!("frame {sequence}: {} touches", touches.len());
+/// }
+/// let health = run.finish();
+/// assert_eq!((&health[0].state, health[0].frames), (&PatchState::Ended, 40));
+/// # std::fs::remove_dir_all(&folder).map_err(failed)?;
+/// # Ok::<(), dermis::Error>(())
+/// ```
 pub struct BodyRun {
     body: Arc<Body>,
     joints: JointFeed,
@@ -105,7 +130,7 @@ impl BodyRun {
     /// # Errors
     /// A patch cannot be started and the options don't say to keep going, or a source of joint values cannot be
     /// opened.
-    pub fn start(body: Body, options: &BodyRunOptions) -> Result<Self, BodyRunError> {
+    pub fn start(body: Body, options: &BodyRunOptions) -> Result<Self, Error> {
         Self::start_with(body, options, &mut |_, _| None)
     }
 
@@ -113,11 +138,7 @@ impl BodyRun {
     ///
     /// # Errors
     /// As [`BodyRun::start`].
-    pub fn start_with(
-        body: Body,
-        options: &BodyRunOptions,
-        open: &mut OpenPublisher<'_>,
-    ) -> Result<Self, BodyRunError> {
+    pub fn start_with(body: Body, options: &BodyRunOptions, open: &mut OpenPublisher<'_>) -> Result<Self, Error> {
         let body = Arc::new(body);
         let stop = Arc::new(AtomicBool::new(false));
         let joint_source = options.joints.as_deref().or(body.joint_source.as_deref());
@@ -140,11 +161,14 @@ impl BodyRun {
                     health[number].fail(reason);
                     twins.push(None);
                 }
-                Err(source) => return Err(BodyRunError::Patch { patch: patch.name.clone(), source }),
+                Err(source) => {
+                    let (patch, source) = (patch.name.clone(), Box::new(source));
+                    return Err(Error::Patch { patch, source });
+                }
             }
         }
         if ready.is_empty() {
-            return Err(BodyRunError::NoPatch { body: body.name.clone(), patches: body.patches.len() });
+            return Err(Error::NoPatch { body: body.name.clone(), patches: body.patches.len() });
         }
         let (recordings, joint_recorder) = match &options.record {
             Some(path) => start_recording(path, &body, &joints, &stop, &ready)?,
@@ -216,7 +240,7 @@ impl BodyRun {
             let builder = std::thread::Builder::new().name(format!("dermis-{name}"));
             let thread = builder.spawn(move || thread.run());
             let name = name.clone();
-            run.threads.push(thread.map_err(|source| BodyRunError::Thread { patch: name, source })?);
+            run.threads.push(thread.map_err(|source| Error::Thread { what: format!("patch {name}"), source })?);
         }
         Ok(run)
     }
@@ -227,7 +251,7 @@ impl BodyRun {
         &mut self,
         options: &BodyRunOptions,
         ready: &[(usize, OpenedPatch)],
-    ) -> Result<Vec<Vec<Box<dyn Publisher>>>, BodyRunError> {
+    ) -> Result<Vec<Vec<Box<dyn Publisher>>>, Error> {
         let Some(options) = &options.ros2 else { return Ok(ready.iter().map(|_| Vec::new()).collect()) };
         let patches: Vec<_> =
             ready.iter().map(|(number, opened)| (*number, &opened.pipeline, opened.head.source.as_str())).collect();
@@ -245,7 +269,7 @@ impl BodyRun {
         &mut self,
         _options: &BodyRunOptions,
         ready: &[(usize, OpenedPatch)],
-    ) -> Result<Vec<Vec<Box<dyn Publisher>>>, BodyRunError> {
+    ) -> Result<Vec<Vec<Box<dyn Publisher>>>, Error> {
         Ok(ready.iter().map(|_| Vec::new()).collect())
     }
 
@@ -394,11 +418,7 @@ fn open_patch(
 }
 
 /// Opens the guard's socket. A patch that was not started has no frames, so its verdict stays `stale`.
-fn open_guard(
-    address: &GuardAddress,
-    body: &Body,
-    ready: &[(usize, OpenedPatch)],
-) -> Result<GuardSocket, BodyRunError> {
+fn open_guard(address: &GuardAddress, body: &Body, ready: &[(usize, OpenedPatch)]) -> Result<GuardSocket, Error> {
     let now_ns = HostStamp::now().monotonic_ns;
     let report = |number: usize| {
         let opened = ready.iter().find(|(ready, _)| *ready == number);
@@ -407,7 +427,7 @@ fn open_guard(
     };
     let patches: Vec<_> =
         body.patches.iter().enumerate().map(|(number, patch)| (patch.name.clone(), report(number))).collect();
-    GuardSocket::open(address, &patches).map_err(|source| BodyRunError::Guard { source })
+    GuardSocket::open(address, &patches).map_err(|source| Error::Guard { source })
 }
 
 /// A recorder for each patch, and the thread that records the joints.
@@ -420,17 +440,16 @@ fn start_recording(
     joints: &JointFeed,
     stop: &Arc<AtomicBool>,
     ready: &[(usize, OpenedPatch)],
-) -> Result<Recorders, BodyRunError> {
-    let failed = |source: dermis_record::Error| BodyRunError::Recording { source };
+) -> Result<Recorders, Error> {
     let text = |path: &Path| std::fs::read_to_string(path).unwrap_or_default();
     let urdf = body.urdf.as_ref().map(|(file, _)| text(file));
     let head = BodyHead { name: body.name.clone(), toml: text(&body.file), urdf };
-    let mut recording = BodyRecording::create(path, &head).map_err(failed)?;
+    let mut recording = BodyRecording::create(path, &head)?;
     let mut all = Vec::new();
     for (number, opened) in ready {
-        let recorder = recording.patch(&body.patches[*number].name, &opened.head).map_err(failed)?;
+        let recorder = recording.patch(&body.patches[*number].name, &opened.head)?;
         let live = LiveRecording::start_with(recorder, &opened.pipeline, SkinView::IMAGES_PER_S);
-        all.push(Some(live.map_err(failed)?));
+        all.push(Some(live?));
     }
     let (body, joints, stop) = (body.clone(), joints.clone(), stop.clone());
     let thread = std::thread::Builder::new().name("dermis-joint-recorder".to_owned());
@@ -439,7 +458,7 @@ fn start_recording(
             tracing::error!("where the joints stand is not recorded any more: {error}");
         }
     });
-    let thread = thread.map_err(|source| BodyRunError::Thread { patch: "joints".to_owned(), source })?;
+    let thread = thread.map_err(|source| Error::Thread { what: "the recording of joints".to_owned(), source })?;
     Ok((all, Some(thread)))
 }
 

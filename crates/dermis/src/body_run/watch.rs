@@ -13,6 +13,8 @@ use super::report::PatchHealth;
 use crate::source::TwinControl;
 
 /// A running body, seen from any thread. Clones see the same body.
+///
+/// No example: [`OpenPublisher`] gets one.
 #[derive(Clone, Debug)]
 pub struct BodyWatch {
     body: Arc<Body>,
@@ -21,6 +23,8 @@ pub struct BodyWatch {
 }
 
 /// A patch that is about to run.
+///
+/// No example: [`OpenPublisher`] gets one.
 #[derive(Clone, Copy, Debug)]
 pub struct StartingPatch<'a> {
     /// Its number in the body file.
@@ -34,6 +38,9 @@ pub struct StartingPatch<'a> {
 }
 
 /// Opens the publisher of a patch, if it gets one. The publisher moves to the patch's thread.
+///
+/// No example: for programs that publish a body in a way of their own, with
+/// [`BodyRun::start_with`](super::BodyRun::start_with).
 pub type OpenPublisher<'a> = dyn FnMut(&BodyWatch, StartingPatch<'_>) -> Option<Box<dyn Publisher>> + 'a;
 
 impl BodyWatch {

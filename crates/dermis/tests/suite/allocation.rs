@@ -1,11 +1,11 @@
 //! The live pipeline allocates nothing per frame while nothing touches the skin, and little while presses are fitted.
 
 use allocation_counter::measure;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
-use dermis::twin::TwinKit;
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
+use dermis_twin::TwinKit;
 
 /// Frames of the twin: baseline, untouched, pressed, moved with a second press next to it, untouched.
 fn frames(skin: &Skin) -> Vec<Vec<f64>> {

@@ -1,14 +1,14 @@
 //! Properties of every skin file: its twin uses all of its numbers, its name and size belong to it alone, and it can
 //! be written and read back.
 
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{
+use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{
     BUILTIN_NAMES, CoilPlaces, Electrodes, Electronics, ElementPlaces, ElementShape, Layer, Memory, Pair, Preset,
     Shape, SheetLayer, Skin,
 };
-use dermis::twin::{AnyTwin, Frontend as _};
-use dermis_device::{Frame, HostStamp, Layout};
+use dermis_twin::{AnyTwin, Frontend as _};
 use serde_json::Value;
 
 /// Relative difference, to the largest voltage, below which voltages are equal.

@@ -4,12 +4,12 @@
 use std::path::Path;
 
 use dermis::Skin;
-use dermis::device::{FrameTable, Layout};
-use dermis::lab::channel_search::{FoundOrder, find_order};
-use dermis::lab::twin_sample::{random_presses, sample_tables};
-use dermis::live::prepare::Prepared;
-use dermis::skin::{DrivePattern, Electrodes, MeasurePattern, ReadingOrder, Reads};
-use dermis::twin::from_skin::press_range;
+use dermis_device::{FrameTable, Layout};
+use dermis_lab::channel_search::{FoundOrder, find_order};
+use dermis_lab::twin_sample::{random_presses, sample_tables};
+use dermis_live::prepare::Prepared;
+use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, ReadingOrder, Reads};
+use dermis_twin::from_skin::press_range;
 
 /// A baseline of a skin's twin.
 fn baseline(skin: &Skin) -> FrameTable {

@@ -3,15 +3,15 @@
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 
-use dermis::live::calibration::CircuitNews;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
-use dermis::skin::{CircuitChoice, Electronics, Preset, Skin, builtin_text};
-use dermis::twin::AnyTwin;
 use dermis_device::{FileSpec, Frame, HostStamp, Layout};
+use dermis_live::calibration::CircuitNews;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
+use dermis_skin::{CircuitChoice, Electronics, Preset, Skin, builtin_text};
 use dermis_touch::Observation;
 use dermis_touch::damage::{Damage, DamageEvent};
+use dermis_twin::AnyTwin;
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Treatment};
 
@@ -278,7 +278,7 @@ fn the_circuit_of_the_measured_gel_skin_is_found_while_it_is_pressed() {
     let Some(folder) = dermis_testdata::set("hydrogel") else { return };
     let read = |name: &str| dermis_device::read(&FileSpec::all(folder.join(name)), None).unwrap();
     let (before, pressed) = (read("ohmc16_before.csv"), read("ohmc16_pressed.csv"));
-    let pokes = dermis::live::calibration::read_pokes(&folder.join("ohmc16_positions.csv")).unwrap();
+    let pokes = dermis_live::calibration::read_pokes(&folder.join("ohmc16_positions.csv")).unwrap();
     let mut skin = learner();
     // The gel creeps from press to press.
     skin.touch.drift_time_constant_s = 1.0;

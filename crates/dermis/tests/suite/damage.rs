@@ -2,16 +2,16 @@
 //! cuts are found and remembered, touches work next to them, drift and slow presses are told apart, and no baseline
 //! hides a damage.
 
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::live::stages::damage::{CrackModel, ProposalReason, estimate_cut};
-use dermis::skin::Skin;
-use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_live::stages::damage::{CrackModel, ProposalReason, estimate_cut};
+use dermis_skin::Skin;
 use dermis_touch::damage::{Damage, DamageEvent, DamageShape, DamageState};
 use dermis_touch::{ReferenceOrigin, Touch};
 use dermis_twin::physics::Cut;
+use dermis_twin::{AnyTwin, TwinKit};
 use dermis_twin::{Frontend, Heating, Treatment};
 
 /// A twin and the pipeline that follows it.

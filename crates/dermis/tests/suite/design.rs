@@ -1,8 +1,8 @@
 //! Compares the bounds of `dermis design` with estimates from noisy frames.
 
-use dermis::lab::design::{Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
-use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
+use dermis_lab::design::{Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
 
 const PLACE: [f64; 2] = [0.018, -0.011];
 const AMPLITUDE: f64 = 0.1;
@@ -149,11 +149,11 @@ fn electrodes_moved_away_come_back() {
 }
 
 /// Electrodes evenly spaced around a rim, some of them displaced.
-fn rim(skin: &Skin, off_deg: impl Fn(usize) -> f64) -> dermis::skin::Electrodes {
+fn rim(skin: &Skin, off_deg: impl Fn(usize) -> f64) -> dermis_skin::Electrodes {
     let count = skin.electrode_shapes().len();
     let at_deg = |k: usize| 360.0 * k as f64 / count as f64 + off_deg(k);
-    let electrode = |k: usize| dermis::skin::RimElectrode { at_deg: at_deg(k), width_mm: 5.0 };
-    dermis::skin::Electrodes::RimList((0..count).map(electrode).collect())
+    let electrode = |k: usize| dermis_skin::RimElectrode { at_deg: at_deg(k), width_mm: 5.0 };
+    dermis_skin::Electrodes::RimList((0..count).map(electrode).collect())
 }
 
 #[test]

@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use dermis::lab::doctor::{Answer, Check, examine};
-use dermis::lab::twin_source::TwinSource;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{Skin, builtin_text};
 use dermis_device::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};
+use dermis_lab::doctor::{Answer, Check, examine};
+use dermis_lab::twin_source::TwinSource;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{Skin, builtin_text};
 
 fn skin(name: &str, faults: &str) -> Skin {
     let text = builtin_text(name).unwrap();

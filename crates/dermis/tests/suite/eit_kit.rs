@@ -5,8 +5,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use dermis::skin::{Layer, ListedChannel, Reads, Shape, SheetLayer, Skin};
 use dermis::{Error, Session};
+use dermis_skin::{Layer, ListedChannel, Reads, Shape, SheetLayer, Skin};
 
 /// Stops the sketch when the test ends.
 struct Running(Child);

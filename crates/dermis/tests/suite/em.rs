@@ -1,15 +1,15 @@
 //! The EM-skins from file to touches: the numbers in their files reach twins and models, and single presses are found
 //! at the right element with the model's and with the measured Jacobian.
 
-use dermis::lab::twin_bench::Rig;
-use dermis::live::calibration::CalibratedImager;
-use dermis::live::calibration::Calibration;
-use dermis::live::calibration::Pokes;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::mit::catalogue::{body_cached, body_of, builtin_records, compute};
-use dermis::skin::{Element, ElementShape, Layer, Skin, Solve};
-use dermis::twin::AnyTwin;
+use dermis_lab::twin_bench::Rig;
+use dermis_live::calibration::CalibratedImager;
+use dermis_live::calibration::Calibration;
+use dermis_live::calibration::Pokes;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_mit::catalogue::{body_cached, body_of, builtin_records, compute};
+use dermis_skin::{Element, ElementShape, Layer, Skin, Solve};
+use dermis_twin::AnyTwin;
 use dermis_twin::from_skin::element_options;
 use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
@@ -38,7 +38,7 @@ fn peak_m(prepared: &Prepared, image: &[f32]) -> [f64; 2] {
 fn the_numbers_of_files_reach_twins_and_models() {
     for name in ["em-8", "em-16-circular", "em-16-square"] {
         let skin = Skin::open(name).unwrap();
-        let model = dermis::live::magnetic_model::MagneticModel::of(&skin).unwrap();
+        let model = dermis_live::magnetic_model::MagneticModel::of(&skin).unwrap();
         let options = element_options(&skin).unwrap();
         let Layer::Elements(layer) = &skin.frontend.layer else { panic!("{name} has no elements") };
         let elements = skin.frontend.elements.as_ref().unwrap();
@@ -127,7 +127,7 @@ fn a_skin_at_rest_has_no_touches() {
 
 #[test]
 fn files_that_mix_coils_and_electrodes_are_refused() {
-    let text = dermis::skin::builtin_text("em-8").unwrap();
+    let text = dermis_skin::builtin_text("em-8").unwrap();
     let refused = |from: &str, to: &str, field: &str| {
         assert!(text.contains(from), "{from}");
         let error = Skin::parse(&text.replace(from, to), "x").unwrap_err().to_string();
@@ -140,7 +140,7 @@ fn files_that_mix_coils_and_electrodes_are_refused() {
     refused("travel_mm = 11.0", "travel_mm = 21.0", "frontend.elements.travel_mm");
     refused("pitch_mm = 20.0", "pitch_mm = -1.0", "frontend.elements.places.grid.pitch_mm");
     refused("inductance_uh = 150.0", "inductance_uh = 150.0, shield_mm = 5.0", "frontend.coils.shield_mm");
-    let electrodes = dermis::skin::builtin_text("ionic-disc").unwrap();
+    let electrodes = dermis_skin::builtin_text("ionic-disc").unwrap();
     let text = electrodes.replace("[imaging]\n", "[imaging]\nsolve = \"lift-off\"\n");
     assert!(Skin::parse(&text, "x").unwrap_err().to_string().contains("imaging.solve"));
 }

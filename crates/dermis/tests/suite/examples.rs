@@ -4,12 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use dermis::Skin;
-use dermis::device::FileSpec;
-use dermis::lab::reconstruct::{Request, reconstruct};
-use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
-use dermis::skin::{DrivePattern, Electrodes, MeasurePattern, Reads, Shape};
-use dermis::twin::from_skin::press_range;
-use dermis::twin::mechanics::Indenter;
+use dermis_device::FileSpec;
+use dermis_lab::reconstruct::{Request, reconstruct};
+use dermis_lab::twin_sample::{SampleRequest, random_presses, sample};
+use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, Reads, Shape};
+use dermis_twin::from_skin::press_range;
+use dermis_twin::mechanics::Indenter;
 
 fn example(name: &str) -> Skin {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../skins/examples/{name}.toml"));

@@ -1,9 +1,9 @@
 //! Measured skins of which only outline and channels are known, calibrated by pokes on differences, and with the
 //! help of a sister skin's calibration. Data: DSHardman/Variable-Sensitivity-E-Skins.
 
-use dermis::lab::evidence::five_skins;
-use dermis::lab::evidence::place_errors::Presses;
-use dermis::live::calibration::Calibration;
+use dermis_lab::evidence::five_skins;
+use dermis_lab::evidence::place_errors::Presses;
+use dermis_live::calibration::Calibration;
 
 /// Draws of ten pokes to compare.
 const DRAWS: usize = 6;

@@ -1,9 +1,9 @@
 //! Force calibrations on the liquid skin's twin, applied at positions and forces that were not used to make them.
 
-use dermis::lab::forces::{PressPlan, fit_forces, press_twin};
-use dermis::lab::twin_bench::Rig;
-use dermis::live::forces::{load_forces, save_forces};
-use dermis::skin::Skin;
+use dermis_lab::forces::{PressPlan, fit_forces, press_twin};
+use dermis_lab::twin_bench::Rig;
+use dermis_live::forces::{load_forces, save_forces};
+use dermis_skin::Skin;
 use dermis_touch::force::{CalibrationScope, CurveKind};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
@@ -66,11 +66,11 @@ fn files_say_what_is_wrong_with_them() {
     let other = load_forces(&path, &Skin::open("piezo-disc").unwrap()).unwrap_err().to_string();
     assert!(other.contains("forces.json") && other.contains("ionic-disc") && other.contains("piezo-disc"), "{other}");
     // A skin with the same name, but twice as large.
-    let text = dermis::skin::builtin_text("ionic-disc").unwrap().replace("diameter_mm = 174.0", "diameter_mm = 348.0");
+    let text = dermis_skin::builtin_text("ionic-disc").unwrap().replace("diameter_mm = 174.0", "diameter_mm = 348.0");
     let larger = Skin::parse(&text, "larger").unwrap();
     let error = load_forces(&path, &larger).unwrap_err().to_string();
     assert!(error.contains("fingerprint") && error.contains("--as-skin"), "{error}");
-    let insisted = dermis::live::forces::parse_forces_as(&std::fs::read(&path).unwrap(), &path, &larger).unwrap();
+    let insisted = dermis_live::forces::parse_forces_as(&std::fs::read(&path).unwrap(), &path, &larger).unwrap();
     assert_eq!(insisted, calibration);
     std::fs::write(&path, "{\"scope\": 3}").unwrap();
     let broken = load_forces(&path, &skin).unwrap_err().to_string();

@@ -1,6 +1,6 @@
 //! Estimates channel noise from frames without knowing in which of them the skin is touched.
 
-use dermis::live::frame_noise::noise_of_frames;
+use dermis_live::frame_noise::noise_of_frames;
 
 const CHANNELS: usize = 60;
 

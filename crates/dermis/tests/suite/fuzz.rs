@@ -8,10 +8,10 @@ mod system;
 
 use std::sync::atomic::Ordering;
 
-use dermis::lab::twin_commands::TwinCommand;
-use dermis::twin::Treatment;
-use dermis::twin::instrument::Fault;
-use dermis::twin::physics::Cut;
+use dermis_lab::twin_commands::TwinCommand;
+use dermis_twin::Treatment;
+use dermis_twin::instrument::Fault;
+use dermis_twin::physics::Cut;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, FileFailurePersistence, RngSeed};
 

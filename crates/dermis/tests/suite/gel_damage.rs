@@ -1,16 +1,16 @@
 //! Damage of a gel that conducts less both where it is pressed and where it is cut, and whose readings drift all the
 //! time: the measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and a twin of such a skin.
 
-use dermis::lab::evidence::gel_watch;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::stages::damage::describe;
-use dermis::skin::Skin;
-use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{FileSpec, Frame, HostStamp, Layout};
+use dermis_lab::evidence::gel_watch;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::stages::damage::describe;
+use dermis_skin::Skin;
 use dermis_touch::ReferenceOrigin;
 use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::physics::Cut;
+use dermis_twin::{AnyTwin, TwinKit};
 use dermis_twin::{Frontend, Treatment};
 
 /// Time between frames of the long watch, seconds.

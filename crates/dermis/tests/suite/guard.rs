@@ -3,13 +3,13 @@
 
 use std::sync::Arc;
 
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{GuardSettings, Skin};
-use dermis::touch::guard::{GuardReason, GuardReport, GuardVerdict};
-use dermis::touch::health::HEALTH_WINDOW;
-use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{GuardSettings, Skin};
+use dermis_touch::guard::{GuardReason, GuardReport, GuardVerdict};
+use dermis_touch::health::HEALTH_WINDOW;
+use dermis_twin::{AnyTwin, TwinKit};
 
 /// Turns readings into the values that are sent.
 type Spoil = fn(&[f64], &mut [f64]);
@@ -116,7 +116,7 @@ fn faults_of_whole_frames_are_never_ok_for_longer_than_they_take_to_recognise() 
 #[test]
 fn a_lost_electrode_is_never_ok() {
     for name in ["healing-square", "ionic-disc"] {
-        let text = dermis::skin::builtin_text(name).unwrap();
+        let text = dermis_skin::builtin_text(name).unwrap();
         let from_s = (40 + REST) as f64 / Skin::open(name).unwrap().backend.frames_per_s.unwrap();
         let faults = format!("faults = [{{ open_electrodes = [5], from_s = {from_s:.4} }}]");
         let skin = Skin::parse(&crate::with_twin(text, &faults), "a test").unwrap();

@@ -1,12 +1,12 @@
 //! The built-in self-healing square from twin to touches: its noisy twin is pressed, and the whole pipeline locates
 //! the presses.
 
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
-use dermis::twin::AnyTwin;
 use dermis_device::{Frame, HostStamp, Layout};
-use dermis_touch::{Touch, TouchEvent};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
+use dermis_touch::{Touch, TouchPhase};
+use dermis_twin::AnyTwin;
 
 /// Time between frames, nanoseconds: 25 frames/s.
 const PERIOD_NS: u64 = 40_000_000;
@@ -59,7 +59,7 @@ impl Bench {
         self.frame.refill(self.frames, at, &self.values, &[]);
         let output = self.pipeline.process(&self.frame, time_ns).unwrap();
         self.touches = output.touches.to_vec();
-        self.begun += output.events.iter().filter(|event| matches!(event, TouchEvent::Begin(_))).count();
+        self.begun += output.touches.iter().filter(|touch| touch.phase == TouchPhase::Begin).count();
         self.strongest = output.image.iter().filter(|v| v.is_finite()).fold(0.0, |most, v| most.max(f64::from(*v)));
         self.frames += 1;
     }

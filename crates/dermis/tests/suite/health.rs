@@ -1,20 +1,20 @@
 //! A skin with a broken instrument: the fault is recognised within ten frames, touches stay in place without the
 //! broken part, and a sound twin, pressed or not, raises no alarm.
 
-use dermis::lab::twin_bench::Rig;
-use dermis::live::imager::Imager;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::reconstructor::Reconstructor;
-use dermis::live::stages::health::wiring;
-use dermis::live::stages::refinement::Refinement;
-use dermis::skin::{Skin, builtin_text};
-use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_lab::twin_bench::Rig;
+use dermis_live::imager::Imager;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::reconstructor::Reconstructor;
+use dermis_live::stages::health::wiring;
+use dermis_live::stages::refinement::Refinement;
+use dermis_skin::{Skin, builtin_text};
 use dermis_touch::Touch;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFaultKind, HEALTH_WINDOW};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
+use dermis_twin::{AnyTwin, TwinKit};
 
 /// Turns readings into the values that are sent.
 type Spoil = fn(&[f64], &mut Vec<f64>);

@@ -3,11 +3,11 @@
 
 use std::path::Path;
 
-use dermis::lab::case::Case;
-use dermis::live::calibration::{Calibration, read_pokes};
-use dermis::live::forces::parse_forces;
-use dermis::skin::{BUILTIN_NAMES, PriorChoice, Skin, builtin_text};
-use dermis::tomo::inverse::{ImageBasis, Prior, Weighting};
+use dermis_lab::case::Case;
+use dermis_live::calibration::{Calibration, read_pokes};
+use dermis_live::forces::parse_forces;
+use dermis_skin::{BUILTIN_NAMES, PriorChoice, Skin, builtin_text};
+use dermis_tomo::inverse::{ImageBasis, Prior, Weighting};
 use proptest::prelude::*;
 
 const CASE: &str = r#"{"nodes": [[0,0],[1,0],[1,1],[0,1],[0.5,0.5]], "elems": [[0,1,4],[1,2,4],[2,3,4],[3,0,4]],
@@ -84,7 +84,7 @@ fn nested(inner: &str, open: &str, close: &str) -> String {
 }
 
 /// A skin file with another prior.
-fn with_prior(text: &str, prior: &str) -> Result<Skin, dermis::skin::Error> {
+fn with_prior(text: &str, prior: &str) -> Result<Skin, dermis_skin::Error> {
     let kept: Vec<&str> = text.lines().filter(|line| !line.starts_with("prior = ")).collect();
     Skin::parse(&kept.join("\n").replacen("[imaging]", &format!("[imaging]\nprior = {prior}"), 1), "nested.toml")
 }
@@ -108,7 +108,7 @@ fn whatever_nests_is_refused_before_the_stack_ends() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("model.json");
         std::fs::write(&file, text).unwrap();
-        assert!(dermis::learn::Model::load(&file).is_err());
+        assert!(dermis_learn::Model::load(&file).is_err());
     }
     let base = builtin_text("healing-square").unwrap();
     let part = ("{ mixture = [{ weight = 1.0, prior = ", " }] }");

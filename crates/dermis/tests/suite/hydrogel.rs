@@ -4,13 +4,13 @@
 
 use std::path::Path;
 
-use dermis::lab::evidence::hydrogel::presses;
-use dermis::live::calibration::{CalibratedImager, Pokes, find_circuit, read_pokes, relative_changes};
-use dermis::live::channels::ChannelReader;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::skin::{CircuitChoice, Skin};
 use dermis_device::FileSpec;
+use dermis_lab::evidence::hydrogel::presses;
+use dermis_live::calibration::{CalibratedImager, Pokes, find_circuit, read_pokes, relative_changes};
+use dermis_live::channels::ChannelReader;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_skin::{CircuitChoice, Skin};
 
 struct Data {
     before: Vec<Vec<f64>>,

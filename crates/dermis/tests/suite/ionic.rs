@@ -1,15 +1,15 @@
 //! The built-in liquid skins of paper I from twin to touches: weights lie on the noisy twins, and the whole pipeline
 //! locates them.
 
-use dermis::live::imager::Imager;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::skin::{Layer, LiquidLayer, Skin};
-use dermis::twin::{AnyTwin, Frontend};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::imager::Imager;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_skin::{Layer, LiquidLayer, Skin};
 use dermis_touch::Touch;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
+use dermis_twin::{AnyTwin, Frontend};
 
 /// Time between frames, nanoseconds: 16 frames/s.
 const PERIOD_NS: u64 = 62_500_000;

@@ -1,23 +1,23 @@
 //! Training sets and segmentation on a small skin: samples are repeatable and varied, lost channels are missing,
 //! thresholds separate simulated frames, and models are rejected where they don't belong.
 
-use dermis::lab::learning::segment::{Method, Segmenter};
-use dermis::lab::learning::train_set::{Jitter, LostElectrodes, SimulatedFrames, TrainSetRequest, simulate};
-use dermis::lab::twin_bench::Rig;
-use dermis::live::network::{
-    CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, imaging_sha256, masks_of_image, suits,
-};
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::live::stages::classes::ClassPace;
-use dermis::skin::Skin;
-use dermis::twin::AnyTwin;
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_lab::learning::segment::{Method, Segmenter};
+use dermis_lab::learning::train_set::{Jitter, LostElectrodes, SimulatedFrames, TrainSetRequest, simulate};
+use dermis_lab::twin_bench::Rig;
 use dermis_learn::metrics::Confusion;
 use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED, SceneKind};
 use dermis_learn::{CARD_FORMAT, Model, ModelCard, Tensors, TrainingRecord, UNetShape};
+use dermis_live::network::{
+    CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, imaging_sha256, masks_of_image, suits,
+};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_live::stages::classes::ClassPace;
+use dermis_skin::Skin;
 use dermis_tomo::quality::{centroid_above_m, icc};
+use dermis_twin::AnyTwin;
 use dermis_twin::Frontend;
 use dermis_twin::mechanics::Indenter;
 

@@ -28,6 +28,7 @@ mod mesh_files;
 mod own_clock;
 mod piezo;
 mod protocol_lists;
+mod public_api;
 mod random_skins;
 mod recording;
 mod reliability;

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use dermis::lab::case::Case;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{Electrodes, Shape, Skin};
+use dermis_lab::case::Case;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{Electrodes, Shape, Skin};
 
 /// A skin file for the mesh from the importer's tests: a 1 m disc from meshio with 12 boundary edges, four of which
 /// are electrodes, and a node that belongs to no element.

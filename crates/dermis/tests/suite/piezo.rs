@@ -1,13 +1,13 @@
 //! The piezoresistive skins from twin to touches: their noisy twins are pressed, and the whole pipeline locates the
 //! presses. One backend file serves all three.
 
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{Layer, Skin};
-use dermis::twin::AnyTwin;
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{Layer, Skin};
 use dermis_tomo::mesh::{ElectrodeShape, Surface};
 use dermis_touch::Touch;
+use dermis_twin::AnyTwin;
 use dermis_twin::from_skin::patched_options;
 use dermis_twin::physics::PatchLayout;
 

@@ -2,15 +2,15 @@
 //! pipeline has its touches in the right places, an instrument on the wire receives the list, and the search for
 //! orders finds layouts that no pair of patterns describes.
 
-use dermis::device::{FrameTable, Layout};
-use dermis::lab::channel_search::find_order;
-use dermis::lab::measured_list::{measured_list, setup_of};
-use dermis::lab::twin_sample::{random_presses, sample_tables};
-use dermis::live::prepare::Prepared;
-use dermis::skin::{AgainstWord, Electrodes, Layer, ListedChannel, Shape, SheetLayer, Skin};
-use dermis::tomo::eit::{ForwardModel, Pattern, Protocol};
-use dermis::twin::from_skin::press_range;
 use dermis::{Session, SessionOptions};
+use dermis_device::{FrameTable, Layout};
+use dermis_lab::channel_search::find_order;
+use dermis_lab::measured_list::{measured_list, setup_of};
+use dermis_lab::twin_sample::{random_presses, sample_tables};
+use dermis_live::prepare::Prepared;
+use dermis_skin::{AgainstWord, Electrodes, Layer, ListedChannel, Shape, SheetLayer, Skin};
+use dermis_tomo::eit::{ForwardModel, Pattern, Protocol};
+use dermis_twin::from_skin::press_range;
 
 /// A generator of whole numbers (splitmix64), so that every run has the same lists.
 struct Dice(u64);
@@ -246,7 +246,7 @@ fn layouts(rest: &[f64]) -> Vec<(&'static str, Vec<f64>)> {
 fn layouts_that_no_pattern_says_are_proposed_as_lists() {
     let mut skin = Skin::open("healing-square").unwrap();
     skin.frontend.electrodes = Electrodes::Rim { count: 16, width_mm: 4.0, start_deg: Some(7.0), clockwise: false };
-    skin = skin.with_patterns(dermis::skin::DrivePattern::Adjacent, dermis::skin::MeasurePattern::Adjacent);
+    skin = skin.with_patterns(dermis_skin::DrivePattern::Adjacent, dermis_skin::MeasurePattern::Adjacent);
     let rest = Prepared::new(skin.clone()).unwrap().voltages;
     assert_eq!(rest.len(), 208);
     for (name, file) in layouts(&rest) {

@@ -1,10 +1,10 @@
 //! Skins that nobody has tuned: outline, size, layer, electrodes, protocol and presses are drawn by seed and read
 //! with the skin file as it is. The assertions hold over the whole draw.
 
-use dermis::lab::twin_sample::random_presses;
-use dermis::skin::Skin;
-use dermis::twin::from_skin::press_range;
-use dermis::twin::mechanics::Indenter;
+use dermis_lab::twin_sample::random_presses;
+use dermis_skin::Skin;
+use dermis_twin::from_skin::press_range;
+use dermis_twin::mechanics::Indenter;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};

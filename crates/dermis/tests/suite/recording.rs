@@ -5,10 +5,10 @@ use std::io::Cursor;
 use std::path::Path;
 use std::time::Duration;
 
-use dermis::record::{
+use dermis_device::{Counters, Frame, Layout, Pacing, Repeat, Source, SourceEvent};
+use dermis_record::{
     BaselineEntry, Entry, EventEntry, LostFrames, Recorder, Recording, RecordingHead, RecordingSummary, Replay, recover,
 };
-use dermis_device::{Counters, Frame, Layout, Pacing, Repeat, Source, SourceEvent};
 use dermis_touch::{ReferenceOrigin, ReferenceRecord};
 use proptest::prelude::*;
 

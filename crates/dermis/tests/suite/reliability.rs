@@ -8,14 +8,14 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
-use dermis::twin::TwinKit;
 use dermis_device::instruments::wire::{DeviceInfo, WireDevice, WireHost};
 use dermis_device::stream::{StreamOptions, StreamSource, TcpConnect};
 use dermis_device::{Frame, HostStamp, Layout, Source, SourceEvent, Status};
-use dermis_touch::TouchEvent;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
+use dermis_touch::TouchPhase;
+use dermis_twin::TwinKit;
 
 use crate::own_clock::{EventConnect, Events, Timeless};
 
@@ -172,10 +172,9 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
         seen += 1;
         let output = pipeline.process(&frame, frame.host_monotonic_ns).expect("a frame of this skin");
         let connection = frame.sequence.saturating_sub(BASELINE - BROUGHT) / (BROUGHT + MISSED);
-        for event in output.events {
-            let touch = event.touch();
-            match event {
-                TouchEvent::Begin(_) => {
+        for touch in output.ended.iter().chain(output.touches) {
+            match touch.phase {
+                TouchPhase::Begin => {
                     assert!(begun.last().is_none_or(|(_, last)| touch.id > *last), "identities count up");
                     assert!(open.insert(touch.id, connection).is_none(), "touch {} begins twice", touch.id);
                     begun.push((connection, touch.id));
@@ -183,8 +182,8 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
                     let error_m = (touch.position_m[0] - place[0]).hypot(touch.position_m[1] - place[1]);
                     assert!(error_m < 5e-3, "touch {} is {:.1} mm off", touch.id, error_m * 1e3);
                 }
-                TouchEvent::Move(_) => assert_eq!(open.get(&touch.id), Some(&connection), "of this connection"),
-                TouchEvent::End(_) => {
+                TouchPhase::Move => assert_eq!(open.get(&touch.id), Some(&connection), "of this connection"),
+                TouchPhase::End => {
                     let began = open.remove(&touch.id).expect("it has begun");
                     assert_eq!(connection, began + 1, "it ends with the first frame after the gap");
                 }

@@ -1,10 +1,10 @@
 //! The published experiments, replayed: the results that the tables of `dermis reproduce` must show.
 
-use dermis::lab::experiments::{PAPERS, Report};
+use dermis_lab::experiments::{PAPERS, Report};
 
 fn replay(id: &str) -> Report {
     let find =
-        |paper: &(&str, &str, &'static [dermis::lab::experiments::Experiment])| paper.2.iter().find(|e| e.id == id);
+        |paper: &(&str, &str, &'static [dermis_lab::experiments::Experiment])| paper.2.iter().find(|e| e.id == id);
     let experiment = PAPERS.iter().find_map(find).unwrap_or_else(|| panic!("no experiment {id}"));
     experiment.run().unwrap()
 }

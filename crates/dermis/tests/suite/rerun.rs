@@ -6,13 +6,13 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use dermis::lab::twin_source::TwinSource;
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::sink::{JsonLines, LinesFor, Sink};
-use dermis::record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, RerunReport, rerun};
-use dermis::skin::{Skin, builtin_text};
 use dermis_device::{Frame, Source, SourceEvent};
+use dermis_lab::twin_source::TwinSource;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_record::sink::{JsonLines, LinesFor, Sink};
+use dermis_record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, RerunReport, rerun};
+use dermis_skin::{Skin, builtin_text};
 
 const SKIN: &str = "healing-square";
 /// The demonstration presses from frame 61 on. The tare, forced under load, completes 32 frames after the request.
@@ -42,7 +42,7 @@ impl Result {
 fn live(path: &Path, frames: u64, from: u64, lost: &[u64]) -> Vec<Result> {
     let (source, _commands) = TwinSource::new(&Skin::open(SKIN).unwrap()).unwrap();
     let mut source = source.unpaced();
-    let prepared = dermis::live::prepare::Prepared::new(Skin::open(SKIN).unwrap()).unwrap();
+    let prepared = dermis_live::prepare::Prepared::new(Skin::open(SKIN).unwrap()).unwrap();
     let head = RecordingHead::of(&prepared, source.layout().clone(), source.name());
     let layout = source.layout().clone();
     let mut pipeline = Pipeline::new(prepared, &layout, None).unwrap();
@@ -119,7 +119,7 @@ fn faults_and_recoveries_are_events_of_the_recording_and_found_again_in_the_same
     let skin = Skin::parse(&crate::with_twin(builtin_text(SKIN).unwrap(), faults), "test").unwrap();
     let (source, _commands) = TwinSource::new(&skin).unwrap();
     let mut source = source.unpaced().undemonstrated();
-    let prepared = dermis::live::prepare::Prepared::new(skin).unwrap();
+    let prepared = dermis_live::prepare::Prepared::new(skin).unwrap();
     let (head, layout) =
         (RecordingHead::of(&prepared, source.layout().clone(), source.name()), source.layout().clone());
     let mut pipeline = Pipeline::new(prepared, &layout, None).unwrap();

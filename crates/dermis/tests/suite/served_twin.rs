@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use dermis::lab::serve::{Door, Served, device_info, serve};
-use dermis::lab::twin_source::TwinSource;
-use dermis::skin::Skin;
-use dermis::twin::TwinKit;
 use dermis_device::instruments::wire::WireHost;
 use dermis_device::stream::{StreamOptions, StreamSource, TcpConnect};
 use dermis_device::{Frame, Source, SourceEvent, open_stream};
+use dermis_lab::serve::{Door, Served, device_info, serve};
+use dermis_lab::twin_source::TwinSource;
+use dermis_skin::Skin;
+use dermis_twin::TwinKit;
 
 use crate::own_clock::Timeless;
 
@@ -162,8 +162,8 @@ fn several_hosts_have_the_same_frames_whoever_else_says_nothing_or_goes() {
 #[cfg(unix)]
 #[test]
 fn a_twin_at_a_pseudo_terminal_is_a_board_at_a_serial_port() {
-    use dermis::lab::serve::command_of;
     use dermis_device::stream::Pty;
+    use dermis_lab::serve::command_of;
 
     let Ok(pty) = Pty::open() else {
         dermis_testdata::skip("this machine gives no pseudo-terminal");
@@ -212,6 +212,6 @@ fn a_twin_at_a_pseudo_terminal_is_a_board_at_a_serial_port() {
 }
 
 #[cfg(unix)]
-fn twin_range(skin: &Skin) -> dermis::twin::PressRange {
+fn twin_range(skin: &Skin) -> dermis_twin::PressRange {
     TwinKit::of(skin).expect("it has a twin").press
 }

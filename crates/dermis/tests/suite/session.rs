@@ -4,11 +4,11 @@
 use std::path::Path;
 use std::time::Duration;
 
-use dermis::device::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};
-use dermis::lab::serve::Background;
-use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
-use dermis::live::prepare::Prepared;
 use dermis::{Error, Pipeline, Session, SessionOptions, Skin};
+use dermis_device::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};
+use dermis_lab::serve::Background;
+use dermis_lab::twin_sample::{SampleRequest, random_presses, sample};
+use dermis_live::prepare::Prepared;
 
 fn skin() -> Skin {
     Skin::open("healing-square").unwrap()
@@ -18,7 +18,7 @@ fn skin() -> Skin {
 fn files(folder: &Path) -> [String; 2] {
     let skin = skin();
     let [baseline, frames] = ["rest.csv", "press.csv"].map(|name| folder.join(name));
-    let usual = dermis::twin::from_skin::press_range(&skin);
+    let usual = dermis_twin::from_skin::press_range(&skin);
     let presses = random_presses(&skin.outline(), &usual, 3, 5).unwrap();
     let names = [&baseline, &frames].map(|path| path.display().to_string());
     sample(
@@ -114,4 +114,19 @@ fn a_silent_instrument_is_an_error_and_not_a_hang() {
         let error = session.next().unwrap().unwrap_err().to_string();
         assert!(error.contains("silent") && error.contains("no frame"), "{error}");
     }
+    // It can't be pressed by a command either.
+    let error = session.press([0.0; 2], 0.008, 80e3).unwrap_err();
+    assert!(matches!(&error, Error::NotATwin { name } if name == "silent"), "{error}");
+    assert!(session.release().is_err());
+}
+
+#[test]
+fn a_press_that_the_skin_cannot_carry_says_why_and_changes_nothing() {
+    let session = Session::open("twin", skin()).unwrap();
+    let refused = |place, radius_m, pressure_pa| session.press(place, radius_m, pressure_pa).unwrap_err().to_string();
+    assert!(refused([0.0, 1.0], 0.008, 80e3).contains("y of the indenter"));
+    assert!(refused([0.0, 0.0], -0.008, 80e3).contains("radius"));
+    assert!(refused([0.0, 0.0], 0.008, f64::NAN).contains("NaN"));
+    session.press([0.01, 0.0], 0.008, 80e3).unwrap();
+    session.release().unwrap();
 }

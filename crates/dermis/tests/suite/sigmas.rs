@@ -1,12 +1,12 @@
 //! Checks the standard deviations of positions: every built-in twin is pressed at random places, and errors are
 //! counted in units of their standard deviations.
 
-use dermis::device::FileSpec;
-use dermis::lab::reconstruct::{Request, reconstruct};
-use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
-use dermis::skin::Skin;
-use dermis::twin::from_skin::press_range;
-use dermis::twin::mechanics::{Indenter, Load, Shape};
+use dermis_device::FileSpec;
+use dermis_lab::reconstruct::{Request, reconstruct};
+use dermis_lab::twin_sample::{SampleRequest, random_presses, sample};
+use dermis_skin::Skin;
+use dermis_twin::from_skin::press_range;
+use dermis_twin::mechanics::{Indenter, Load, Shape};
 
 /// Presses of each twin, with 0.6 to 1.4 times the usual radius and 0.3 to 2 times the usual pressure.
 const PRESSES: usize = 200;

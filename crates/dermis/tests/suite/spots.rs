@@ -1,14 +1,14 @@
 //! Touches placed by the forward model, on twins whose mesh and physics differ from the model's.
 
-use dermis::lab::twin_bench::Rig;
-use dermis::live::imager::Imager;
-use dermis::live::prepare::Prepared;
-use dermis::live::reference::Reference;
-use dermis::live::stages::refinement::Refinement;
-use dermis::live::stages::spot_model::spot_model;
-use dermis::live::stages::touches::TouchStage;
-use dermis::skin::Skin;
-use dermis::twin::TwinKit;
+use dermis_lab::twin_bench::Rig;
+use dermis_live::imager::Imager;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_live::stages::refinement::Refinement;
+use dermis_live::stages::spot_model::spot_model;
+use dermis_live::stages::touches::TouchStage;
+use dermis_skin::Skin;
+use dermis_twin::TwinKit;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
 /// Mean and maximum, millimetres.

@@ -10,9 +10,9 @@ mod segment;
 
 use std::path::{Path, PathBuf};
 
-use dermis::lab::evidence::imaged::{Imaged, imaged};
-use dermis::skin::Skin;
 use dermis_device::FileSpec;
+use dermis_lab::evidence::imaged::{Imaged, imaged};
+use dermis_skin::Skin;
 
 /// A file or folder in a set of measured data, if the set is present; otherwise the test counts as skipped.
 pub(crate) fn measured(set: &str, path: &str) -> Option<PathBuf> {

@@ -3,13 +3,13 @@
 
 use std::time::Duration;
 
-use dermis::device::acquire::{Acquisition, AcquisitionCounters, Next};
-use dermis::lab::twin_source::TwinSource;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::skin::{Skin, builtin_text};
-use dermis::twin::TwinKit;
 use dermis_device::Layout;
+use dermis_device::acquire::{Acquisition, AcquisitionCounters, Next};
+use dermis_lab::twin_source::TwinSource;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{Skin, builtin_text};
+use dermis_twin::TwinKit;
 use dermis_twin::instrument::FrameFate;
 
 /// Frames that may queue for the pipeline.

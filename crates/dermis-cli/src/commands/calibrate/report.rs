@@ -2,8 +2,8 @@
 
 use std::io::Write;
 
-use dermis::live::calibration::{Calibration, LoadQuantity, StartReview, StartUse};
-use dermis::skin::Skin;
+use dermis_live::calibration::{Calibration, LoadQuantity, StartReview, StartUse};
+use dermis_skin::Skin;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::locator::{Accuracy, PriorUse};
 

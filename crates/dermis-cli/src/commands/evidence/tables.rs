@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis::lab::evidence::{Extent, Set, SetReport};
+use dermis_lab::evidence::{Extent, Set, SetReport};
 
 use crate::commands::escaped;
 use crate::exit::Outcome;
@@ -207,7 +207,7 @@ fn cell(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis::lab::evidence::{Comparison, Figure, Finding};
+    use dermis_lab::evidence::{Comparison, Figure, Finding};
 
     fn evidence() -> Evidence {
         let finding = Finding {

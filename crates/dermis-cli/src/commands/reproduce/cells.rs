@@ -1,6 +1,6 @@
 //! Formats the numbers of a table.
 
-use dermis::lab::experiments::Row;
+use dermis_lab::experiments::Row;
 
 /// The paper's value, the value here and their ratio, as text.
 pub(super) fn cells(row: &Row) -> [String; 3] {

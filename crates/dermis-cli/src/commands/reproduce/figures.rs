@@ -1,7 +1,7 @@
 //! Draws the figures of experiments, with captions that explain symbols and colours.
 
-use dermis::lab::experiments::{Figure, Look, METHODS, Report};
-use dermis::skin::Skin;
+use dermis_lab::experiments::{Figure, Look, METHODS, Report};
+use dermis_skin::Skin;
 
 use super::cells::cells;
 use crate::draw::{Chart, Dot, DotPlot, Heatmap, Mark, Panel, Picture, Series, SkinDrawing};
@@ -26,7 +26,7 @@ pub(super) fn drawing(figure: &Figure) -> (&'static str, Picture) {
             (*name, Chart { title: title.clone(), x_label, y_label, series: series.collect() }.picture())
         }
         Figure::Images { name, title, columns, panels, .. } => {
-            let panel = |panel: &dermis::lab::experiments::ImagePanel| Panel {
+            let panel = |panel: &dermis_lab::experiments::ImagePanel| Panel {
                 name: panel.name.clone(),
                 quantity: panel.quantity.into(),
                 columns: *columns,
@@ -115,7 +115,7 @@ pub(super) fn skins(letter: &str) -> anyhow::Result<Vec<(&'static str, String, P
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis::lab::experiments::{Kind, Row};
+    use dermis_lab::experiments::{Kind, Row};
 
     #[test]
     fn only_numbers_that_a_paper_prints_are_compared() {
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn captions_say_what_bars_squares_and_crosses_are() {
-        let curve = |look| dermis::lab::experiments::Curve { name: "a".into(), points: vec![[0.0, 1.0]], look };
+        let curve = |look| dermis_lab::experiments::Curve { name: "a".into(), points: vec![[0.0, 1.0]], look };
         let (title, text) = (String::new(), "Something.".to_string());
         let curves = vec![curve(Look::Repeats), curve(Look::PaperLine)];
         let figure = Figure::Curves { name: "f", title, caption: text, x_label: "x", y_label: "y", curves };

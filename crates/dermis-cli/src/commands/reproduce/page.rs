@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
-use dermis::lab::experiments::{Figure, METHODS, Method, PAPERS, Report};
-use dermis::skin::Skin;
+use dermis_lab::experiments::{Figure, METHODS, Method, PAPERS, Report};
+use dermis_skin::Skin;
 use dermis_twin::from_skin::seed_of;
 
 use super::cells::cells;
@@ -58,7 +58,7 @@ fn chapters(reports: &[Report]) -> Vec<Chapter<'_>> {
         title,
         reports: reports
             .iter()
-            .filter(|report| experiments.iter().any(|e: &dermis::lab::experiments::Experiment| e.id == report.id))
+            .filter(|report| experiments.iter().any(|e: &dermis_lab::experiments::Experiment| e.id == report.id))
             .collect(),
     };
     PAPERS.iter().map(chapter).filter(|chapter| !chapter.reports.is_empty()).collect()
@@ -230,7 +230,7 @@ impl Page {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis::lab::experiments::{Curve, Kind, Look, Row};
+    use dermis_lab::experiments::{Curve, Kind, Look, Row};
 
     fn report(id: &'static str) -> Report {
         let (unit, paper, here, kind) = ("mm", Some(2.0), 0.123_456, Kind::Predicted);

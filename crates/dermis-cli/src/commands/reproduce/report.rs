@@ -5,9 +5,9 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
-use dermis::lab::experiments::{Figure, Report};
 use dermis_device::instruments::npy;
 use dermis_device::write_atomic;
+use dermis_lab::experiments::{Figure, Report};
 
 use super::cells::cells;
 use super::figures::drawing;

@@ -5,8 +5,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use dermis::body::Body;
-use dermis::body_run::{BodyRun, BodyRunOptions, PatchHealth, PatchState};
+use dermis::BodyRun;
+use dermis::body::{BodyRunOptions, PatchHealth, PatchState};
+use dermis_body::Body;
 use serde_json::{Value, json};
 
 use super::super::{busy, hint, spinner};

@@ -1,8 +1,8 @@
 //! `dermis run --ros2`: publishes the run as a ROS 2 node.
 
-use dermis::body_run::BodyRunOptions;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::ros2::{NodeHead, NodeName, PatchHead, Ros2Node, Ros2Options, Ros2Summary};
+use dermis::body::BodyRunOptions;
+use dermis_live::pipeline::Pipeline;
+use dermis_record::ros2::{NodeHead, NodeName, PatchHead, Ros2Node, Ros2Options, Ros2Summary};
 
 use super::running::Running;
 use crate::exit::UsageError;

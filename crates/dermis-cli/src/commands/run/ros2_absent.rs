@@ -1,7 +1,7 @@
 //! Stands for `ros2.rs` in builds without ROS 2: refuses the option and says what to do.
 
-use dermis::body_run::BodyRunOptions;
-use dermis::live::pipeline::Pipeline;
+use dermis::body::BodyRunOptions;
+use dermis_live::pipeline::Pipeline;
 
 use super::running::Running;
 use crate::exit::UsageError;

@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 
 use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, ServerHandle};
 use crossbeam_channel::Receiver;
-use dermis::device::acquire::{Acquisition, AcquisitionCounters};
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::{
-    LiveCommand, LiveFeed, LiveRecording, Publisher, RecorderStatus, RecordingEnd, RecordingHead, SkinView,
-};
+use dermis_device::acquire::{Acquisition, AcquisitionCounters};
 use dermis_device::{Frame, HostStamp};
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
 use dermis_page::Announcer;
 use dermis_page::feed::{PageFeed, RecordingView};
 use dermis_page::message::Notice;
+use dermis_record::{
+    LiveCommand, LiveFeed, LiveRecording, Publisher, RecorderStatus, RecordingEnd, RecordingHead, SkinView,
+};
 
 use super::super::calendar::date_of;
 use super::twin_requests;

@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use dermis::body::is_body_file;
-use dermis::live::calibration::Calibration;
-use dermis::live::forces::{parse_forces, parse_forces_as};
-use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
-use dermis::live::prepare::Prepared;
-use dermis::record::{Recording, RecordingHead, is_recording, read_frames, read_frames_of};
-use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis::source::{OpenedSource, SourceOptions, TwinControl, open_source};
+use dermis_body::is_body_file;
 use dermis_device::{FileSpec, FrameTable, Source, SourceSelector};
+use dermis_live::calibration::Calibration;
+use dermis_live::forces::{parse_forces, parse_forces_as};
+use dermis_live::pipeline::{Pipeline, TARE_FRAMES};
+use dermis_live::prepare::Prepared;
+use dermis_record::{Recording, RecordingHead, is_recording, read_frames, read_frames_of};
+use dermis_skin::{DEFAULT_NAME, Skin};
 
 use super::super::reading::ReadArguments;
 use super::super::skin_word::{SkinWord, skin};
@@ -157,7 +157,7 @@ impl Opened {
         calibration: Option<&Path>,
         forces: Option<&Path>,
     ) -> anyhow::Result<(Pipeline, RecordingHead)> {
-        let read = |path: &Path| dermis_device::instruments::read_bytes(path).map_err(dermis::Error::from);
+        let read = |path: &Path| dermis_device::instruments::read_bytes(path).map_err(dermis_lab::Error::from);
         let calibration_text = calibration.map(read).transpose()?;
         let forces_text = forces.map(read).transpose()?;
         let parsed = match (calibration, &calibration_text) {
@@ -212,7 +212,7 @@ pub fn open_of(
     options: &SourceOptions,
 ) -> anyhow::Result<Opened> {
     check_speed(options.speed)?;
-    let selector = selector.parse::<SourceSelector>().map_err(dermis::Error::from)?;
+    let selector = selector.parse::<SourceSelector>().map_err(dermis_lab::Error::from)?;
     let skin = match &selector {
         SourceSelector::Twin { name } => find(name.as_deref())?,
         SourceSelector::File(spec) if named.is_none() && is_recording(&spec.path) => {

@@ -1,9 +1,9 @@
 //! Carries out the requests of a page that are for the twin: presses, cuts, healing, its demonstration.
 
-use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis::source::TwinControl;
-use dermis::twin::from_skin::treatment_of;
+use dermis_lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis_page::feed::PageFeed;
+use dermis_twin::from_skin::treatment_of;
 
 use crate::page::{Command, Reply, Request};
 

@@ -2,12 +2,12 @@
 
 use crossbeam_channel::Receiver;
 #[cfg(feature = "foxglove")]
-use dermis::body_run::mount_pose;
-use dermis::live::pipeline::Pipeline;
+use dermis::body::mount_pose;
+use dermis_live::pipeline::Pipeline;
 #[cfg(feature = "foxglove")]
-use dermis::record::foxglove::{FoxgloveAddress, FoxglovePatch, FoxgloveServer};
-use dermis::record::{LiveFeed, LiveRequest};
-use dermis::skin::GuardSettings;
+use dermis_record::foxglove::{FoxgloveAddress, FoxglovePatch, FoxgloveServer};
+use dermis_record::{LiveFeed, LiveRequest};
+use dermis_skin::GuardSettings;
 
 /// Options of viewers.
 #[derive(clap::Args)]

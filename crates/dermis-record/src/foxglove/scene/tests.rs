@@ -12,8 +12,8 @@ fn scene(bend_diameter_mm: Option<f64>) -> Scene {
     Scene::new(&skin, "palm")
 }
 
-fn batch(touches: &[Touch], events: &[TouchEvent]) -> TouchBatch {
-    TouchBatch { wall_ns: NOW_NS, touches: touches.to_vec(), events: events.to_vec(), ..TouchBatch::default() }
+fn batch(touches: &[Touch], ended: &[Touch]) -> TouchBatch {
+    TouchBatch { wall_ns: NOW_NS, touches: touches.to_vec(), ended: ended.to_vec(), ..TouchBatch::default() }
 }
 
 /// The vector turned by the pose's orientation: v + 2 q x (q x v + w v).
@@ -41,7 +41,7 @@ fn assert_near(found: [f64; 3], expected: [f64; 3]) {
 fn a_touch_is_one_entity_from_its_begin_to_its_end() {
     let mut scene = scene(None);
     let first = touch(1, TouchPhase::Begin, 3.0, -4.0);
-    let found = scene.update(&batch(&[first], &[TouchEvent::Begin(first)]));
+    let found = scene.update(&batch(&[first], &[]));
     let [entity] = &found.entities[..] else { panic!("{found:?}") };
     assert_eq!((entity.id.as_str(), entity.frame_id.as_str(), entity.frame_locked), ("touch-1", "palm", true));
     assert_eq!(entity.timestamp, Some(time(NOW_NS)));
@@ -51,13 +51,13 @@ fn a_touch_is_one_entity_from_its_begin_to_its_end() {
 
     // The same entity moves; a second one joins.
     let (moved, second) = (touch(1, TouchPhase::Move, 5.0, 0.0), touch(2, TouchPhase::Begin, 9.0, 9.0));
-    let found = scene.update(&batch(&[moved, second], &[TouchEvent::Move(moved), TouchEvent::Begin(second)]));
+    let found = scene.update(&batch(&[moved, second], &[]));
     let ids: Vec<&str> = found.entities.iter().map(|entity| entity.id.as_str()).collect();
     assert_eq!((ids, found.deletions.len()), (vec!["touch-1", "touch-2"], 0));
     assert_near(position(found.entities[0].cylinders[0].pose), [5e-3, 0.0, 0.0]);
 
     // One ends in this frame. The end of the other was lost on the way.
-    let ended = TouchEvent::End(touch(1, TouchPhase::End, 5.0, 0.0));
+    let ended = touch(1, TouchPhase::End, 5.0, 0.0);
     let found = scene.update(&batch(&[], &[ended]));
     let gone: Vec<(&str, i32)> = found.deletions.iter().map(|gone| (gone.id.as_str(), gone.r#type)).collect();
     assert_eq!(gone, [("touch-1", Type::MatchingId.into()), ("touch-2", Type::MatchingId.into())]);

@@ -1,9 +1,9 @@
 //! The events that can happen to the running system, and their probabilities.
 
-use dermis::lab::twin_commands::TwinCommand;
-use dermis::twin::instrument::Fault;
-use dermis::twin::physics::Cut;
-use dermis::twin::{Heating, Treatment};
+use dermis_lab::twin_commands::TwinCommand;
+use dermis_twin::instrument::Fault;
+use dermis_twin::physics::Cut;
+use dermis_twin::{Heating, Treatment};
 use proptest::prelude::*;
 use serde_json::json;
 

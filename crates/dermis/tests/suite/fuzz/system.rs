@@ -6,22 +6,22 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dermis::device::acquire::AcquisitionCounters;
-use dermis::lab::twin_commands::{CommandRefused, MOST_TREATMENTS, TwinCommand, TwinCommands};
-use dermis::lab::twin_source::TwinSource;
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
-use dermis::skin::Skin;
-use dermis::skin::budget::Budget;
-use dermis::twin::from_skin::treatment_of;
+use dermis_device::acquire::AcquisitionCounters;
 use dermis_device::{Frame, Source, SourceEvent};
+use dermis_lab::twin_commands::{CommandRefused, MOST_TREATMENTS, TwinCommand, TwinCommands};
+use dermis_lab::twin_source::TwinSource;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
 use dermis_page::feed::PageFeed;
 use dermis_page::message::Notice;
 use dermis_page::protocol::{Encoded, Said, parse};
 use dermis_page::{Announcer, Command, Scene, SourceState};
-use dermis_touch::TouchEvent;
+use dermis_record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
+use dermis_skin::Skin;
+use dermis_skin::budget::Budget;
+use dermis_touch::TouchPhase;
+use dermis_twin::from_skin::treatment_of;
 
 use super::figures::{FIGURES, State, some};
 use super::steps::{Spoilt, Step};
@@ -401,15 +401,12 @@ pub fn peak_bytes() -> Option<f64> {
 
 /// Every touch begins once and ends once, and is seen only in between.
 fn identities(output: &Output<'_>, begun: &mut BTreeSet<u64>, ended: &mut BTreeSet<u64>) {
-    for event in output.events {
-        match event {
-            TouchEvent::Begin(touch) => assert!(begun.insert(touch.id), "touch {} began twice", touch.id),
-            TouchEvent::End(touch) => {
-                assert!(begun.contains(&touch.id), "touch {} ended before it began", touch.id);
-                assert!(ended.insert(touch.id), "touch {} ended twice", touch.id);
-            }
-            _ => {}
-        }
+    for touch in output.ended {
+        assert!(begun.contains(&touch.id), "touch {} ended before it began", touch.id);
+        assert!(ended.insert(touch.id), "touch {} ended twice", touch.id);
+    }
+    for touch in output.touches.iter().filter(|touch| touch.phase == TouchPhase::Begin) {
+        assert!(begun.insert(touch.id), "touch {} began twice", touch.id);
     }
     for touch in output.touches {
         assert!(begun.contains(&touch.id) && !ended.contains(&touch.id), "touch {} is there without being", touch.id);

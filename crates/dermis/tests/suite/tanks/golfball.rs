@@ -1,6 +1,6 @@
 //! Golf balls in a 30 cm tank, at positions measured with a ruler.
 
-use dermis::lab::evidence::golfball::{SETUPS, error_mm, setup};
+use dermis_lab::evidence::golfball::{SETUPS, error_mm, setup};
 
 use super::measured;
 

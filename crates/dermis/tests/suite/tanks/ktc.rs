@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use dermis::lab::evidence::imaged::Imaged;
-use dermis::lab::evidence::ktc::{PHANTOMS, correlation, truth};
-use dermis::skin::Skin;
+use dermis_lab::evidence::imaged::Imaged;
+use dermis_lab::evidence::ktc::{PHANTOMS, correlation, truth};
+use dermis_skin::Skin;
 
 use super::{chosen, measured, run_with, write_frames};
 

@@ -1,7 +1,7 @@
 //! Baselines in a wrong order or with the wrong sign are detected, and the change that would fit is named.
 
-use dermis::live::prepare::Prepared;
-use dermis::skin::{ReadingOrder, Skin};
+use dermis_live::prepare::Prepared;
+use dermis_skin::{ReadingOrder, Skin};
 use dermis_tomo::eit::OrderReport;
 
 use super::{chosen, measured, run_with, write_frames};
@@ -20,7 +20,7 @@ fn case([name, set, path, select]: [&str; 4]) -> Option<Case> {
     let table = dermis_device::read(&chosen(&file, select), None).unwrap();
     let protocol = skin.protocol().unwrap();
     let mut reader =
-        dermis::live::channels::ChannelReader::new(table.layout(), &protocol, skin.backend.reads, path).unwrap();
+        dermis_live::channels::ChannelReader::new(table.layout(), &protocol, skin.backend.reads, path).unwrap();
     let frame = reader.read_table(&table).unwrap().swap_remove(0);
     Some(Case { skin, frame })
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dermis::lab::evidence::pyeidors::{files, found, objects, target};
+use dermis_lab::evidence::pyeidors::{files, found, objects, target};
 
 use super::measured;
 
@@ -16,7 +16,7 @@ fn check(folder: &Path, file: &Path) {
     );
     assert_eq!(found.len(), expected.len(), "{name}");
     for object in expected {
-        let is_near = |other: &dermis::lab::evidence::pyeidors::Object| {
+        let is_near = |other: &dermis_lab::evidence::pyeidors::Object| {
             other.sign == object.sign && other.pitches_from(object.electrode).abs() <= 0.5
         };
         assert!(found.iter().any(is_near), "{name}: nothing like {object:?} within half a pitch: {found:.2?}");

@@ -1,6 +1,6 @@
 //! A cup is lowered into a tank, moved once around it by hand and taken out again.
 
-use dermis::lab::evidence::sciospec::{largest_step_mm, run};
+use dermis_lab::evidence::sciospec::{largest_step_mm, run};
 
 use super::measured;
 
@@ -10,7 +10,7 @@ fn the_cup_is_followed_from_the_frame_it_enters() {
     let outcome = run(&directory).unwrap();
     let touches = &outcome.touches;
     assert_eq!(outcome.report.frames, 255);
-    assert_eq!(outcome.report.noise_source, dermis::live::reference::NoiseSource::Baseline);
+    assert_eq!(outcome.report.noise_source, dermis_live::reference::NoiseSource::Baseline);
     assert!(outcome.report.order.correlation >= 0.99, "{}", outcome.report.order.correlation);
     assert!(outcome.report.order.better.is_none());
     let (first, last) = (touches[0], touches[touches.len() - 1]);

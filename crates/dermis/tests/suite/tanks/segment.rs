@@ -1,8 +1,8 @@
 //! Segmentation of the Kuopio tank: labels compared with the photographed ground truth by the challenge's own score,
 //! with as many electrodes missing as at its hardest level.
 
-use dermis::lab::evidence::ktc::scores;
-use dermis::live::network::built_in;
+use dermis_lab::evidence::ktc::scores;
+use dermis_live::network::built_in;
 
 use super::measured;
 

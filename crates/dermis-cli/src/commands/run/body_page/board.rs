@@ -3,7 +3,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use dermis::body_run::{PatchHealth, PatchState};
+use dermis::body::{PatchHealth, PatchState};
 use dermis_page::{BodyTouchView, GuardView, PatchStateView, protocol};
 use dermis_touch::guard::{GuardReason, GuardReport};
 

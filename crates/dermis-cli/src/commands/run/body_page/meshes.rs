@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use axum::body::Bytes;
-use dermis::body::urdf::Geometry;
-use dermis::body::{Body, read_triangles};
+use dermis_body::urdf::Geometry;
+use dermis_body::{Body, read_triangles};
 
 /// Most corners on one page: a million triangles, more than the detailed models of arms in use.
 const MOST_CORNERS: usize = 3_000_000;

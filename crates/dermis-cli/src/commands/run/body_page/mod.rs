@@ -8,11 +8,11 @@ mod scene;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use dermis::body_run::{BodyWatch, JointsState, StartingPatch};
-use dermis::record::Publisher;
+use dermis::body::{BodyWatch, JointsState, StartingPatch};
 use dermis_device::HostStamp;
 use dermis_page::feed::PageFeed;
 use dermis_page::{Announcer, BodyState, JointsView, LinkPoseView, Scene};
+use dermis_record::Publisher;
 
 use self::board::PatchBoard;
 use self::meshes::Meshes;

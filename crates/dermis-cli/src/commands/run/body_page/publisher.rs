@@ -4,17 +4,17 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crossbeam_channel::Receiver;
-use dermis::body::{SpatialTouch, Transform, trusted_force};
-use dermis::body_run::{BodyWatch, JointsState};
-use dermis::device::acquire::AcquisitionCounters;
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::record::{ForceAndTorque, LiveCommand, LiveRequest, Publisher};
+use dermis::body::{BodyWatch, JointsState};
 use dermis::source::TwinControl;
+use dermis_body::{SpatialTouch, Transform, trusted_force};
+use dermis_device::acquire::AcquisitionCounters;
 use dermis_device::{Frame, HostStamp};
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
 use dermis_page::feed::PageFeed;
 use dermis_page::message::Notice;
 use dermis_page::{Announcer, BodyTouchView, PlacedTouchView};
+use dermis_record::{ForceAndTorque, LiveCommand, LiveRequest, Publisher};
 use dermis_touch::{Touch, TouchPhase};
 
 use super::super::twin_requests;

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use dermis::body::urdf::{Geometry, Shape};
-use dermis::body::{Body, Patch, Transform};
-use dermis::tomo::mesh::{Outline, SheetSpec, Surface};
+use dermis_body::urdf::{Geometry, Shape};
+use dermis_body::{Body, Patch, Transform};
 use dermis_page::{
     BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, Scene, ShapeView,
     SurfaceView, rings,
 };
+use dermis_tomo::mesh::{Outline, SheetSpec, Surface};
 
 /// Millimetres per metre.
 const MM: f64 = 1e3;
@@ -37,7 +37,7 @@ pub(super) fn body_scene(
     });
     let slides = |name: &str| {
         let joint = urdf.and_then(|urdf| urdf.joints.iter().find(|joint| joint.name == name));
-        joint.is_some_and(|joint| joint.kind == dermis::body::urdf::JointKind::Prismatic)
+        joint.is_some_and(|joint| joint.kind == dermis_body::urdf::JointKind::Prismatic)
     };
     let joints = kinematics.moving_joints().map(|name| JointView {
         name: name.to_owned(),
