@@ -81,19 +81,26 @@ fn learned_as_built(
 ) -> Result<Option<Calibration>, Error> {
     let count = pokes.positions_m.len();
     let is_single = pokes.further_m.iter().all(Vec::is_empty);
-    if !as_built::is_wanted(prepared) || count < FEWEST_FOR_BUILD || !is_single {
+    let (teaches, by_rest) = (as_built::is_wanted(prepared), as_built::learns_from_rest(prepared));
+    if !(teaches || by_rest) || count < FEWEST_FOR_BUILD || !is_single {
         return Ok(None);
     }
     let (reference, mut differences) = differences_of(prepared, measured)?;
+    if !teaches && !as_built::is_off(&reference) {
+        return Ok(None);
+    }
     let chosen: Vec<usize> = (0..count).step_by(count.div_ceil(MOST_FOR_BUILD)).collect();
     let count = chosen.len();
     let places_m: Vec<[f64; 2]> = chosen.iter().map(|&i| pokes.positions_m[i]).collect();
     differences = chosen.iter().map(|&i| std::mem::take(&mut differences[i])).collect();
-    let learned = BuildFit::new(prepared, &reference, &differences, &places_m)?;
+    // Pokes that are no spots only tell how good the skin is that their baseline describes.
+    let taught = if teaches { count } else { 0 };
+    let learned = BuildFit::new(prepared, &reference, &differences[..taught], &places_m[..taught])?;
+    let teachers = |rows: &[usize]| if teaches { rows.to_vec() } else { Vec::new() };
     let mut left_out = Vec::new();
     for fold in 0..FOLDS {
         let (out, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(|i| i % FOLDS == fold);
-        let Built { build, errors, .. } = learned.fit(&kept)?;
+        let Built { build, errors, .. } = learned.fit(&teachers(&kept))?;
         let skin = prepared.as_built(build)?.with_errors(Arc::new(errors.clone()));
         let rows: Vec<usize> = out.iter().map(|&i| chosen[i]).collect();
         let seen = seen_by_model(&skin, measured, pokes, &rows)?;
@@ -103,7 +110,7 @@ fn learned_as_built(
     let scale = built_scale(&left_out);
     let examples: Vec<LeftOut> = left_out.iter().map(|poke| poke.example(scale)).collect();
     let all: Vec<usize> = (0..count).collect();
-    let Built { build, errors, .. } = learned.fit(&all)?;
+    let Built { build, errors, .. } = learned.fit(&teachers(&all))?;
     let skin = prepared.as_built(build.clone())?;
     let seen = seen_by_model(&skin, measured, pokes, &chosen)?;
     let single: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();

@@ -9,6 +9,7 @@ mod drift;
 pub(crate) mod element_contacts;
 pub(crate) mod element_presses;
 pub(crate) mod force_law;
+mod gathered;
 pub(crate) mod gone;
 pub(crate) mod guard;
 pub mod health;

@@ -146,6 +146,11 @@ impl Skin {
         if skin.touch.refine.take().is_some() {
             tracing::warn!("{file}: touch.refine is no longer needed: touches are always fitted; remove the line");
         }
+        if skin.touch.contact_s_per_m2.take().is_some() {
+            tracing::warn!(
+                "{file}: touch.contact_s_per_m2 is no longer needed: the layer's law tells it; remove the line"
+            );
+        }
         skin.check(file)?;
         Ok(skin)
     }

@@ -33,8 +33,10 @@ pub struct TouchSettings {
     /// Default: a share of half the shorter side. A calibration by pokes has its own value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_error_mm: Option<f64>,
-    /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
-    pub contact_s_per_m2: f64,
+    /// Ignored: presses on a sandwich are fitted through the layer's law of contact. Accepted as `refine` is.
+    #[serde(default, skip_serializing)]
+    #[schemars(skip)]
+    pub(crate) contact_s_per_m2: Option<f64>,
     /// Ignored: the forward model places touches on every skin. Accepted so that files that still have it open.
     #[serde(default, skip_serializing)]
     #[schemars(skip)]
@@ -60,7 +62,7 @@ impl Default for TouchSettings {
             both_signs: false,
             assumed_noise_share: 1e-4,
             relative_size: 0.1,
-            contact_s_per_m2: 700.0,
+            contact_s_per_m2: None,
             position_floor_mm: 2.0,
             model_error_mm: None,
             refine: None,
@@ -87,7 +89,6 @@ impl TouchSettings {
         if let Some(error) = self.model_error_mm {
             checker.within("touch.model_error_mm", error, 0.0, 1e4)?;
         }
-        checker.within("touch.contact_s_per_m2", self.contact_s_per_m2, 1e-6, 1e9)?;
         checker.within("touch.most_unexplained", self.most_unexplained, 0.0, 1.0)?;
         checker.within("touch.join_cells", self.join_cells, 0.0, 100.0)?;
         checker.within("touch.drift_time_constant_s", self.drift_time_constant_s, 0.0, 1e9)

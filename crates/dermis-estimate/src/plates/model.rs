@@ -1,4 +1,4 @@
-//! What presses on plates do to the channels, and what is reported of them.
+//! The change of the channels by presses on plates, and the press as reported.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
@@ -270,14 +270,14 @@ impl PlateModel {
         0.5 * (low + high)
     }
 
-    /// Derivative of the logarithm of the force with respect to that of the radius.
+    /// Derivative of the logarithm of the force with respect to the logarithm of the radius.
     pub(super) fn log_force_by_log_radius(&self, press: &Pressed) -> f64 {
         let h = 1e-4;
         let at = |step: f64| self.force_n(&Pressed { log_radius: press.log_radius + step, ..*press }).ln();
         (at(h) - at(-h)) / (2.0 * h)
     }
 
-    /// What a proposed press reports: its load and radius (metres).
+    /// Load and radius (metres) reported of a proposed press.
     pub(super) fn reported_typical(&self) -> [f64; 2] {
         let PlateOptions { typical_pa, typical_radius_m, .. } = self.options;
         self.reported(typical_pa.ln(), typical_radius_m.ln()).map(f64::exp)

@@ -9,6 +9,7 @@ use dermis_touch::{Contact, ContactStrength};
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::force_law::ForceLaw;
+use crate::stages::gathered::Gathered;
 use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
 use crate::stages::plates::fits_contacts;
@@ -94,6 +95,7 @@ pub(crate) struct SpotStage {
     /// Images join presses.
     is_joint: bool,
     pause: Pause,
+    gathered: Gathered,
     explained: f64,
     far_m: f64,
     hints: Vec<Press>,
@@ -138,6 +140,7 @@ impl SpotStage {
         Self {
             is_joint,
             pause: Pause::default(),
+            gathered: Gathered::default(),
             estimator: Estimator::new(fit, evidence, touch.both_signs),
             error: SpotError::of(prepared),
             most_unexplained: touch.most_unexplained.min(if is_joint { MOST_UNEXPLAINED } else { 1.0 }),
@@ -205,6 +208,7 @@ impl SpotStage {
     pub(crate) fn forget(&mut self) {
         self.estimator.forget();
         self.pause = Pause::default();
+        self.gathered.forget();
         (self.gone_frames, self.wait) = (0, 0);
         self.peaks.clear();
         self.anchors.clear();
@@ -299,6 +303,23 @@ impl SpotStage {
     /// stay if the frame cannot be fitted, or if presses leave more of it unexplained than `touch.most_unexplained`.
     /// `lowest` is the lowest value of the image.
     pub(crate) fn refine(
+        &mut self,
+        time_ns: u64,
+        difference: &[f64],
+        imager: &Imager,
+        lowest: f64,
+        contacts: &mut Vec<Contact>,
+    ) {
+        if !self.is_joint {
+            self.refine_now(time_ns, difference, imager, lowest, contacts);
+        } else if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
+            self.refine_now(time_ns, &mean, imager, lowest, contacts);
+            self.gathered.keep(time_ns, if self.shown.is_empty() { &[] } else { contacts });
+        }
+    }
+
+    /// As [`SpotStage::refine`], for one frame or the mean of several.
+    fn refine_now(
         &mut self,
         time_ns: u64,
         difference: &[f64],

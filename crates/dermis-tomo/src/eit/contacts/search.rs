@@ -10,7 +10,7 @@ use crate::eit::EitError;
 use crate::eit::protocol::Measurement;
 
 /// Number of sets that are extended by one more port.
-const EXTENDED: usize = 12;
+const EXTENDED: usize = 60;
 /// Maximum number of ports in a set.
 const MOST: usize = 4;
 /// Number of channels processed in parallel.
