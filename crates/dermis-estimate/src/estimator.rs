@@ -279,14 +279,24 @@ impl Estimator {
         if best.presses.is_empty() && !hints.is_empty() {
             found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
         }
-        let sets = self.fit.joint_sets(best.presses.len() + 1);
-        let is_joint = !sets.is_empty();
-        for set in sets {
+        let is_joint = self.fit.is_joint();
+        let mut is_first = true;
+        while let Some(set) = self.fit.next_joint_set(is_first) {
+            is_first = false;
+            if set.len() <= best.presses.len() {
+                continue;
+            }
+            let mut fits: Vec<Explanation> = Vec::new();
             // Pressure and radius trade off, and a fit may end in a local optimum.
-            let starts = JOINT_RADII.map(|share| scaled(&set, share));
-            let fits = starts.into_iter().filter_map(|start| self.fitted(&start, Effort::Quick));
-            let Some(more) = fits.min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual)) else { continue };
-            let is_enough = more.cost.is_noise();
+            for share in JOINT_RADII {
+                fits.extend(self.fitted(&scaled(&set, share), Effort::Quick));
+                if fits.last().is_some_and(|more| more.cost.is_explained()) {
+                    break;
+                }
+            }
+            let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
+            let Some(more) = best_fit else { break };
+            let is_enough = more.cost.is_explained();
             found.push(more);
             if is_enough {
                 break;

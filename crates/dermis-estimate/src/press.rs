@@ -58,6 +58,9 @@ pub struct Cost {
 /// a third.
 const MOST_NOISE: f64 = 1.5;
 
+/// Largest multiple of the model's usual error that one press or a set of presses leaves.
+const MOST_MODEL_ERROR: f64 = 4.0;
+
 /// Mean square above which the residual of a weak frame counts as more than noise.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
 
@@ -65,6 +68,11 @@ impl Cost {
     /// True if the residual is consistent with noise.
     pub fn is_noise(&self) -> bool {
         self.residual <= MOST_NOISE * self.freedom
+    }
+
+    /// True if the residual is consistent with noise and a few times the known error of the model.
+    pub fn is_explained(&self) -> bool {
+        self.residual <= MOST_NOISE * self.freedom + MOST_MODEL_ERROR * self.model_error
     }
 
     /// Share of the frame's energy above the noise that is left unexplained, 0 to 1; 0 if the residual may be noise.
@@ -119,10 +127,10 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         false
     }
 
-    /// Sets of presses that together explain the last frame taken best, one of each size from `least` on; none unless
-    /// [`PressFit::is_joint`].
-    fn joint_sets(&self, _least: usize) -> Vec<Vec<Press>> {
-        Vec::new()
+    /// The set of presses that together explain the last frame taken best: of one press if `is_first`, then of one more
+    /// with each call. `None` if there is no larger one, or unless [`PressFit::is_joint`].
+    fn next_joint_set(&mut self, _is_first: bool) -> Option<Vec<Press>> {
+        None
     }
 
     /// Gain of the best of these proposals, without listing them.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use dermis_tomo::eit::EitError;
+use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
 
 use super::model::{Contacts, LOG_DEVIATIONS, LONGEST_LOG, PlateModel};
@@ -47,6 +48,8 @@ pub struct PlateFit {
     /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter hardly differ in
     /// what they do, so that these errors weigh more on a force than on a position.
     inflation: f64,
+    /// The search for presses that act together.
+    joint: Option<PatchSets>,
 }
 
 /// Presses with what they explain.
@@ -92,6 +95,7 @@ impl PlateFit {
             at,
             covariances,
             inflation: 1.0,
+            joint: None,
         }
     }
 
@@ -263,11 +267,14 @@ impl PressFit for PlateFit {
         self.model.is_joint()
     }
 
-    fn joint_sets(&self, least: usize) -> Vec<Vec<Press>> {
+    fn next_joint_set(&mut self, is_first: bool) -> Option<Vec<Press>> {
+        if is_first {
+            self.joint = self.model.begin_joint(&self.volts, &self.deviations);
+        }
         let [load, radius_m] = self.model.reported_typical();
+        let places = self.model.next_joint(self.joint.as_mut()?)?;
         let press = |position_m: [f64; 2]| Press { position_m, radius_m, load, ..Press::default() };
-        let sets = self.model.joint_places(&self.volts, &self.deviations, least);
-        sets.into_iter().map(|places| places.into_iter().map(press).collect()).collect()
+        Some(places.into_iter().map(press).collect())
     }
 
     fn most_gain(&self, negative: bool) -> f64 {

@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
 use dermis_tomo::eit::EitError;
-use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PlateContact, PlatedSheet};
+use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PatchSets, PlateContact, PlatedSheet};
 use dermis_tomo::mesh::PixelGrid;
 
 use super::pressure::{Field, OF_PRESS, PlateLaw, Pressed};
@@ -21,8 +21,16 @@ const INVERSE_STEPS: usize = 30;
 /// Bisections for the radius of a contact: to a millionth of it.
 const HALVINGS: usize = 20;
 
+/// The contact that presses make, and the points under them with the derivative of their conductance per area with
+/// respect to the pressure.
+#[derive(Clone, Debug)]
+pub(super) struct Made {
+    contact: PlateContact,
+    slopes: Vec<(usize, f64)>,
+}
+
 /// Contacts of the presses that act, and of those that are part of the baseline and have ended.
-pub(super) type Contacts = [Option<PlateContact>; 2];
+pub(super) type Contacts = [Option<Made>; 2];
 
 /// Sizes of presses on plates. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +92,7 @@ impl PlateModel {
         }) {
             if model.is_inside(place) {
                 let contact = model.contact(&[model.typical(place)], false, Effort::Quick)?;
-                model.proposals.extend(contact.map(|contact| (place, contact.change_v)));
+                model.proposals.extend(contact.map(|made| (place, made.contact.change_v)));
             }
         }
         if model.sheets[0].has_one_plate() {
@@ -99,18 +107,17 @@ impl PlateModel {
         Ok(model)
     }
 
-    /// The sets of positions, from `least` on, at which presses together explain a frame best (volts), one of each
-    /// size.
-    pub(super) fn joint_places(&self, frame: &[f64], deviations: &[f64], least: usize) -> Vec<Vec<[f64; 2]>> {
-        let mut found = Vec::new();
-        let Some(search) = &self.search else { return found };
-        let Ok(mut sets) = search.begin(self.sheets[0].sheet(), frame, deviations) else { return found };
-        while let Looked::Best(patches) = search.look(&mut sets, usize::MAX) {
-            if patches.len() >= least {
-                found.push(patches.iter().map(|patch| patch.position_m).collect());
-            }
+    /// Begins a search for the positions at which presses together explain a frame best (volts).
+    pub(super) fn begin_joint(&self, frame: &[f64], deviations: &[f64]) -> Option<PatchSets> {
+        self.search.as_ref()?.begin(self.sheets[0].sheet(), frame, deviations).ok()
+    }
+
+    /// The best positions for one press more than before.
+    pub(super) fn next_joint(&self, sets: &mut PatchSets) -> Option<Vec<[f64; 2]>> {
+        match self.search.as_ref()?.look(sets, usize::MAX) {
+            Looked::Best(patches) => Some(patches.iter().map(|patch| patch.position_m).collect()),
+            Looked::NotDone | Looked::NoRoom => None,
         }
-        found
     }
 
     fn sheet(&self, effort: Effort) -> &PlatedSheet {
@@ -146,19 +153,20 @@ impl PlateModel {
     }
 
     /// The contacts of the presses of one kind; `None` without any.
-    fn contact(&self, presses: &[Pressed], has_ended: bool, effort: Effort) -> Result<Option<PlateContact>, EitError> {
+    fn contact(&self, presses: &[Pressed], has_ended: bool, effort: Effort) -> Result<Option<Made>, EitError> {
         if presses.iter().all(|press| press.has_ended != has_ended) {
             return Ok(None);
         }
-        let sheet = self.sheet(effort);
-        let contacts: Vec<(usize, f64)> = self
-            .pressures(presses, has_ended, effort)
-            .into_iter()
-            .map(|(point, pressure_pa)| (point, self.law.conductance(pressure_pa)[0]))
-            .filter(|(_, conductance)| *conductance > 0.0)
-            .collect();
-        let contact = sheet.contact(&contacts)?;
-        Ok((!contact.is_open()).then_some(contact))
+        let (mut contacts, mut slopes) = (Vec::new(), Vec::new());
+        for (point, pressure_pa) in self.pressures(presses, has_ended, effort) {
+            let [conductance, slope] = self.law.conductance(pressure_pa);
+            if conductance > 0.0 {
+                contacts.push((point, conductance));
+                slopes.push((point, slope));
+            }
+        }
+        let contact = self.sheet(effort).contact(&contacts)?;
+        Ok((!contact.is_open()).then_some(Made { contact, slopes }))
     }
 
     /// The points under presses of one kind, with their pressure, pascal.
@@ -171,8 +179,10 @@ impl PlateModel {
             let near = sheet.points_between(x - reach_m, x + reach_m);
             found.extend(near.filter_map(|point| Some((point, field.at(sheet.points()[point].position_m)?.0))));
         }
-        // Pressures add up.
-        found.sort_unstable_by_key(|(point, _)| *point);
+        // Pressures add up where presses overlap.
+        if !found.is_sorted_by_key(|(point, _)| *point) {
+            found.sort_unstable_by_key(|(point, _)| *point);
+        }
         found.dedup_by(|(point, pressure), (kept, sum)| {
             let is_same = point == kept;
             *sum += if is_same { *pressure } else { 0.0 };
@@ -188,7 +198,7 @@ impl PlateModel {
         for (contact, sign) in
             contacts.iter().zip([1.0, -1.0]).filter_map(|(contact, sign)| Some((contact.as_ref()?, sign)))
         {
-            volts.iter_mut().zip(&contact.change_v).for_each(|(sum, value)| *sum += sign * value);
+            volts.iter_mut().zip(&contact.contact.change_v).for_each(|(sum, value)| *sum += sign * value);
         }
     }
 
@@ -197,13 +207,7 @@ impl PlateModel {
         let sheet = self.sheet(effort);
         let mut columns = vec![vec![0.0; self.channels()]; OF_PRESS * presses.len()];
         for (contact, has_ended) in contacts.iter().zip([false, true]) {
-            let Some(contact) = contact else { continue };
-            let slopes: Vec<(usize, f64)> = self
-                .pressures(presses, has_ended, effort)
-                .into_iter()
-                .map(|(point, pressure_pa)| (point, self.law.conductance(pressure_pa)[1]))
-                .filter(|(_, slope)| *slope > 0.0)
-                .collect();
+            let Some(Made { contact, slopes }) = contact else { continue };
             let sign = if has_ended { -1.0 } else { 1.0 };
             for (k, press) in presses.iter().enumerate().filter(|(_, press)| press.has_ended == has_ended) {
                 let field = Field::new(press, self.law.spread_m);

@@ -23,9 +23,10 @@ const COARSE_ELEMENTS: usize = 1500;
 const MOST_CHANNELS: usize = 2000;
 /// Contact under presses as they are proposed, as a share of the saturated contact.
 const PROPOSED_CONTACT: f64 = 0.8;
-/// Distance between the positions at which presses are proposed: in pitches on patches, in typical radii elsewhere.
+/// Distance between the positions at which presses are proposed: in pitches on patches, as a share of the shorter side
+/// elsewhere.
 const PROPOSED_EVERY: f64 = 0.5;
-const PROPOSED_RADII: f64 = 1.0;
+const PROPOSED_SHARE: f64 = 0.1;
 /// Least spread of pressure, in pitches.
 const LEAST_SPREAD: f64 = 0.05;
 /// Share of the conductance left in an element that is crossed by a cut which no slit can follow. It blocks the
@@ -159,7 +160,7 @@ impl Plates {
             radii_m: [SMALLEST_RADIUS * self.half_width_m, LARGEST_RADIUS * self.half_width_m],
             spacing_m: self
                 .squares
-                .map_or(PROPOSED_RADII * typical_radius_m, |squares| PROPOSED_EVERY * squares.pitch_m),
+                .map_or(2.0 * PROPOSED_SHARE * self.half_width_m, |squares| PROPOSED_EVERY * squares.pitch_m),
             most_presses: MOST_SPOTS,
             error_share: CONTACT_ERROR,
         };
