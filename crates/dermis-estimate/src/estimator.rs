@@ -27,6 +27,8 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
+/// Largest number of operations spent on one frame: some 50 ms. It is counted rather than timed, so that replays agree.
+const MOST_WORK: f64 = 1e8;
 /// Radii from which a joint set is fitted, relative to the typical one.
 const JOINT_RADII: [f64; 2] = [1.0, 1.4];
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
@@ -74,7 +76,8 @@ struct Explanation {
 impl Estimator {
     /// An estimator with this fit and these thresholds. With `negative`, presses may also lower what they usually
     /// raise.
-    pub fn new(fit: Box<dyn PressFit>, evidence: Evidence, negative: bool) -> Self {
+    pub fn new(mut fit: Box<dyn PressFit>, evidence: Evidence, negative: bool) -> Self {
+        fit.set_most_work(MOST_WORK);
         Self {
             fit,
             evidence,
@@ -96,6 +99,7 @@ impl Estimator {
     /// Continues with another fit, which weighs the channels differently.
     pub fn set_fit(&mut self, fit: Box<dyn PressFit>) {
         self.fit = fit;
+        self.fit.set_most_work(if self.is_unhurried { f64::INFINITY } else { MOST_WORK });
     }
 
     /// Forgets the last frame: the next is unrelated to it.
@@ -107,6 +111,7 @@ impl Estimator {
     /// From now on, spends as much time on each frame as it needs.
     pub fn take_time(&mut self) {
         self.is_unhurried = true;
+        self.fit.set_most_work(f64::INFINITY);
     }
 
     /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
@@ -276,7 +281,7 @@ impl Estimator {
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let room = self.fit.most_presses() - best.presses.len();
         let mut found: Vec<Explanation> = Vec::new();
-        if best.presses.is_empty() && !hints.is_empty() {
+        if best.presses.is_empty() && !hints.is_empty() && !self.fit.is_joint() {
             found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
         }
         let is_joint = self.fit.is_joint();

@@ -122,6 +122,9 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// set.
     fn seek(&self, negative: bool) -> Vec<Press>;
 
+    /// Bounds the operations spent on each frame. Fits beyond it fail.
+    fn set_most_work(&mut self, _operations: f64) {}
+
     /// True if presses act together in a way that their single responses do not show: linear images join them.
     fn is_joint(&self) -> bool {
         false

@@ -48,6 +48,9 @@ pub struct PlateFit {
     /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter hardly differ in
     /// what they do, so that these errors weigh more on a force than on a position.
     inflation: f64,
+    /// Operations spent on this frame, and the most that may be.
+    work: f64,
+    most_work: f64,
     /// The search for presses that act together.
     joint: Option<PatchSets>,
 }
@@ -95,13 +98,19 @@ impl PlateFit {
             at,
             covariances,
             inflation: 1.0,
+            work: 0.0,
+            most_work: f64::INFINITY,
             joint: None,
         }
     }
 
     /// The state of these presses, with their residual.
-    fn state(&self, presses: Vec<Pressed>, effort: Effort) -> Result<State, EitError> {
+    fn state(&mut self, presses: Vec<Pressed>, effort: Effort) -> Result<State, EitError> {
+        if self.work > self.most_work {
+            return Err(EitError::Contact { radius_m: 0.0, conductance_s_per_m2: 0.0 });
+        }
         let contacts = self.model.contacts(&presses, effort)?;
+        self.work += PlateModel::work(&contacts);
         let (mut change, mut residual) = (Vec::new(), Vec::new());
         self.model.change(&contacts, &mut change);
         self.whitening.apply(&change, &mut residual);
@@ -156,6 +165,7 @@ impl PressFit for PlateFit {
         self.frame = whitened;
         self.volts.clear();
         self.volts.extend_from_slice(frame);
+        self.work = 0.0;
         self.fit_nothing()
     }
 
@@ -261,6 +271,10 @@ impl PressFit for PlateFit {
             });
         }
         found
+    }
+
+    fn set_most_work(&mut self, operations: f64) {
+        self.most_work = operations;
     }
 
     fn is_joint(&self) -> bool {
@@ -425,7 +439,8 @@ impl Problem for FitUnderWay<'_> {
             moved = moved.max(share * distance_m / radius_m).max(0.1 * logs);
             next
         });
-        let Ok(next) = self.fit.state(presses.collect(), self.fit.at.effort) else { return Ok(None) };
+        let presses: Vec<Pressed> = presses.collect();
+        let Ok(next) = self.fit.state(presses, self.fit.at.effort) else { return Ok(None) };
         let cost = self.cost_of(&next);
         self.tried = Some(next);
         Ok(cost.is_finite().then_some(Trial { cost, moved }))

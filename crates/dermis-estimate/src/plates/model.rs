@@ -18,6 +18,11 @@ const MOST_DEVIATIONS: f64 = 4.0;
 /// Number of rings over which a contact is integrated, and steps from a reported press to the parameters of the fit.
 const RINGS: usize = 48;
 const INVERSE_STEPS: usize = 30;
+/// Largest area in contact, in areas of a typical press per press, and the least number of presses that it is for.
+const MOST_TYPICAL: f64 = 6.0;
+const FEWEST: usize = 3;
+/// Operations of a solution besides the factorisation: pressures, derivatives and right-hand sides take a millisecond.
+const LEAST_WORK: f64 = 1.2e6;
 /// Bisections for the radius of a contact: to a millionth of it.
 const HALVINGS: usize = 20;
 
@@ -165,6 +170,11 @@ impl PlateModel {
                 slopes.push((point, slope));
             }
         }
+        // Presses as large as the skin would take the time of many frames.
+        let area_m2: f64 = contacts.iter().map(|(point, _)| self.sheet(effort).points()[*point].area_m2).sum();
+        if area_m2 > MOST_TYPICAL * PI * self.options.typical_radius_m.powi(2) * presses.len().max(FEWEST) as f64 {
+            return Err(EitError::Contact { radius_m: (area_m2 / PI).sqrt(), conductance_s_per_m2: 0.0 });
+        }
         let contact = self.sheet(effort).contact(&contacts)?;
         Ok((!contact.is_open()).then_some(Made { contact, slopes }))
     }
@@ -189,6 +199,11 @@ impl PlateModel {
             is_same
         });
         found
+    }
+
+    /// Operations that solving for these contacts takes, by the factorisation of their cells.
+    pub(super) fn work(contacts: &Contacts) -> f64 {
+        contacts.iter().flatten().map(|made| (made.contact.cell_count() as f64).powi(3) / 3.0).sum::<f64>() + LEAST_WORK
     }
 
     /// Change of the channels, volts.

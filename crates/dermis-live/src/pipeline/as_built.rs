@@ -9,8 +9,11 @@ use crate::Error;
 use crate::stages::build_learning::Learned;
 
 impl Pipeline {
-    /// Starts to learn how the skin was built from a new baseline.
+    /// Starts to learn how the skin was built from a new baseline. That of a damaged skin does not tell.
     pub(super) fn learn_build(&mut self, time_ns: u64) {
+        if !self.damage().damages.is_empty() {
+            return;
+        }
         let left_out = self.health.as_ref().map_or(&[][..], |health| health.left_out());
         if let (Some(learning), State::Running(running)) = (&mut self.building, &self.state) {
             learning.begin(time_ns, &running.reference, left_out);

@@ -145,11 +145,11 @@ impl Plates {
         }
     }
 
-    /// The model of presses on a sheet with these cuts.
+    /// The model of presses on a sheet with these cuts; `None` once `go_on` says that it is no longer wanted.
     ///
     /// # Errors
     /// A mesh that cannot be made, or contacts that cannot be solved.
-    pub fn model(&self, cuts: &[SheetCut]) -> Result<PlateModel, Error> {
+    pub fn model(&self, cuts: &[SheetCut], go_on: impl Fn() -> bool) -> Result<Option<PlateModel>, Error> {
         let law = self.law();
         let typical_radius_m = TYPICAL_RADIUS * self.half_width_m;
         let options = PlateOptions {
@@ -164,8 +164,17 @@ impl Plates {
             most_presses: MOST_SPOTS,
             error_share: CONTACT_ERROR,
         };
-        let sheets = [self.sheet(COARSE_ELEMENTS, cuts)?, self.sheet(ELEMENTS, cuts)?];
-        Ok(PlateModel::new(sheets, law, options, self.grid, self.inside.clone())?)
+        let mut sheets = Vec::new();
+        for elements in [COARSE_ELEMENTS, ELEMENTS] {
+            if !go_on() {
+                return Ok(None);
+            }
+            sheets.push(self.sheet(elements, cuts)?);
+        }
+        let (Some(fine), Some(coarse)) = (sheets.pop(), sheets.pop()) else { return Ok(None) };
+        let is_wanted = go_on();
+        let model = is_wanted.then(|| PlateModel::new([coarse, fine], law, options, self.grid, self.inside.clone()));
+        Ok(model.transpose()?)
     }
 
     fn sheet(&self, elements: usize, cuts: &[SheetCut]) -> Result<PlatedSheet, Error> {

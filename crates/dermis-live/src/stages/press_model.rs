@@ -51,8 +51,10 @@ impl PressModel {
     /// # Errors
     /// A membrane or contacts that cannot be solved; no positive deviation; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, deviations: &[f64]) -> Result<Self, Error> {
-        if let Some(plates) = Plates::of(prepared) {
-            return Self::of_plates(&plates, &[]);
+        if let Some(plates) = Plates::of(prepared)
+            && let Some(model) = Self::of_plates(&plates, &[], || true)?
+        {
+            return Ok(model);
         }
         let membrane = Membrane::of(prepared)?;
         let whole = Box::new(spot_model_under(prepared, deviations, membrane.as_ref())?);
@@ -65,14 +67,15 @@ impl PressModel {
         })
     }
 
-    /// The model of presses on these plates, above a sheet with these cuts.
+    /// The model of presses on these plates, above a sheet with these cuts; `None` once `go_on` says that it is no
+    /// longer wanted.
     ///
     /// # Errors
     /// As [`Plates::model`].
-    pub fn of_plates(plates: &Plates, cuts: &[SheetCut]) -> Result<Self, Error> {
-        let model = plates.model(cuts)?;
+    pub fn of_plates(plates: &Plates, cuts: &[SheetCut], go_on: impl Fn() -> bool) -> Result<Option<Self>, Error> {
+        let Some(model) = plates.model(cuts, go_on)? else { return Ok(None) };
         let uniform = model.bare_v().iter().map(|volts| UNIFORM_DEVIATION * volts).collect();
-        Ok(Self::Plates { model: Arc::new(model), uniform })
+        Ok(Some(Self::Plates { model: Arc::new(model), uniform }))
     }
 
     /// Pressure of a load of amplitude 1, if presses act through a membrane.

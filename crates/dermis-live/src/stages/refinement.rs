@@ -275,8 +275,7 @@ impl Refinement {
         cut.cuts = cuts.to_vec();
         let (plates, cuts) = (cut.plates.clone(), cuts.to_vec());
         cut.coming.begin(time_ns.saturating_add(READY_NS), move |wanted| {
-            wanted.go_on()?;
-            Some(PressModel::of_plates(&plates, &cuts))
+            PressModel::of_plates(&plates, &cuts, || wanted.go_on().is_some()).transpose()
         });
     }
 
@@ -295,7 +294,9 @@ impl Refinement {
         }
         let fit = presses.model.fit(&presses.noise, &presses.left_out, &presses.drift).ok()?;
         let mut estimator = Estimator::new(fit, presses.evidence, false);
-        estimator.take_time();
+        if self.takes_time {
+            estimator.take_time();
+        }
         // Channels that are left out are ignored.
         let opposite: Vec<f64> = change.iter().map(|value| if value.is_finite() { -value } else { 0.0 }).collect();
         let estimate = estimator.explain(&opposite, &[])?;

@@ -56,6 +56,11 @@ pub struct PlateContact {
 }
 
 impl PlateContact {
+    /// Number of cells in contact. Solving takes a time that grows with its cube.
+    pub fn cell_count(&self) -> usize {
+        self.cells.len()
+    }
+
     /// True if nothing is in contact.
     pub fn is_open(&self) -> bool {
         self.cells.is_empty()
