@@ -27,8 +27,8 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// Largest number of operations spent on one frame: some 50 ms. It is counted rather than timed, so that replays agree.
-const MOST_WORK: f64 = 1e8;
+/// Largest number of operations spent on one frame: some 200 ms. It is counted rather than timed, so that replays agree.
+const MOST_WORK: f64 = 4e8;
 /// Radii from which a joint set is fitted, relative to the typical one.
 const JOINT_RADII: [f64; 2] = [1.0, 1.4];
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
