@@ -99,6 +99,10 @@ impl Estimator {
     /// Continues with another fit, which weighs the channels differently.
     pub fn set_fit(&mut self, fit: Box<dyn PressFit>) {
         self.fit = fit;
+        self.allow_work();
+    }
+
+    fn allow_work(&mut self) {
         self.fit.set_most_work(if self.is_unhurried { f64::INFINITY } else { MOST_WORK });
     }
 
@@ -111,7 +115,7 @@ impl Estimator {
     /// From now on, spends as much time on each frame as it needs.
     pub fn take_time(&mut self) {
         self.is_unhurried = true;
-        self.fit.set_most_work(f64::INFINITY);
+        self.allow_work();
     }
 
     /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
@@ -167,6 +171,7 @@ impl Estimator {
     /// Explains the frame of the last [`Estimator::explain`] again, also allowing presses with a negative load:
     /// presses that are part of the baseline and have ended. Keeps nothing for the next frame.
     pub fn explain_with_gone(&mut self) -> Option<Estimate> {
+        self.allow_work();
         let negative = std::mem::replace(&mut self.negative, true);
         let estimate = self.explain_from_nothing();
         self.negative = negative;
@@ -279,60 +284,16 @@ impl Estimator {
     /// [`LOOKAHEAD`] in a row, since two may be needed where one explains nothing; with as many that are all placed
     /// before the first fit; with one press split in two; or with the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
-        let room = self.fit.most_presses() - best.presses.len();
         let mut found: Vec<Explanation> = Vec::new();
-        if best.presses.is_empty() && !hints.is_empty() && !self.fit.is_joint() {
-            found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
-        }
         let is_joint = self.fit.is_joint();
-        let mut is_first = true;
-        while let Some(set) = self.fit.next_joint_set(is_first) {
-            is_first = false;
-            if set.len() <= best.presses.len() {
-                continue;
-            }
-            let mut fits: Vec<Explanation> = Vec::new();
-            // Pressure and radius trade off, and a fit may end in a local optimum.
-            for share in JOINT_RADII {
-                fits.extend(self.fitted(&scaled(&set, share), Effort::Quick));
-                if fits.last().is_some_and(|more| more.cost.is_explained()) {
-                    break;
-                }
-            }
-            let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
-            let Some(more) = best_fit else { break };
-            let is_enough = more.cost.is_explained();
-            found.push(more);
-            if is_enough {
-                break;
-            }
+        if is_joint {
+            self.propose_sets(best, false, &mut found);
         }
-        for peak in if is_joint { Vec::new() } else { self.peaks(best) } {
-            let mut starts: Vec<Press> = best.presses.iter().copied().chain([peak]).collect();
-            for _ in 0..LOOKAHEAD.min(room) {
-                let Some(more) = self.fitted(&starts, Effort::Quick) else { break };
-                if self.is_promising(&more) {
-                    starts.clone_from(&more.presses);
-                    found.push(more);
-                } else if self.fit.fit_loads(&starts).is_none() {
-                    break;
-                }
-                match self.fit.seek(self.negative).first() {
-                    Some(next) if starts.len() < self.fit.most_presses() => starts.push(*next),
-                    _ => break,
-                }
-            }
+        if is_joint && self.negative {
+            self.propose_sets(best, true, &mut found);
         }
-        if !is_joint {
-            self.pursue(best, &mut found);
-        }
-        let splits = if is_joint { 0 } else { best.presses.len().min(MOST_SPLIT) };
-        for k in 0..splits {
-            for direction in 0..DIRECTIONS {
-                if let Some(starts) = self.split(&best.presses, k, direction) {
-                    found.extend(self.fitted(&starts, Effort::Quick));
-                }
-            }
+        if !is_joint || self.negative {
+            self.propose_singly(best, hints, &mut found);
         }
         found.retain(|more| self.is_promising(more));
         found.sort_by(|a, b| self.score(a).total_cmp(&self.score(b)));
@@ -356,6 +317,66 @@ impl Estimator {
             }
         }
         most
+    }
+
+    /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or those
+    /// that have ended.
+    fn propose_sets(&mut self, best: &Explanation, have_ended: bool, found: &mut Vec<Explanation>) {
+        let mut is_first = true;
+        while let Some(set) = self.fit.next_joint_set(is_first, have_ended) {
+            is_first = false;
+            if set.len() <= best.presses.len() {
+                continue;
+            }
+            let mut fits: Vec<Explanation> = Vec::new();
+            // Pressure and radius trade off, and a fit may end in a local optimum.
+            for share in JOINT_RADII {
+                fits.extend(self.fitted(&scaled(&set, share), Effort::Quick));
+                if fits.last().is_some_and(|more| more.cost.is_explained()) {
+                    break;
+                }
+            }
+            let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
+            let Some(more) = best_fit else { break };
+            let is_enough = more.cost.is_explained();
+            found.push(more);
+            if is_enough {
+                break;
+            }
+        }
+    }
+
+    /// Proposes presses that are added to an explanation one by one: where the image or the residual suggests them, or by
+    /// splitting one.
+    fn propose_singly(&mut self, best: &Explanation, hints: &[Press], found: &mut Vec<Explanation>) {
+        let room = self.fit.most_presses() - best.presses.len();
+        if best.presses.is_empty() && !hints.is_empty() {
+            found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
+        }
+        for peak in self.peaks(best) {
+            let mut starts: Vec<Press> = best.presses.iter().copied().chain([peak]).collect();
+            for _ in 0..LOOKAHEAD.min(room) {
+                let Some(more) = self.fitted(&starts, Effort::Quick) else { break };
+                if self.is_promising(&more) {
+                    starts.clone_from(&more.presses);
+                    found.push(more);
+                } else if self.fit.fit_loads(&starts).is_none() {
+                    break;
+                }
+                match self.fit.seek(self.negative).first() {
+                    Some(next) if starts.len() < self.fit.most_presses() => starts.push(*next),
+                    _ => break,
+                }
+            }
+        }
+        self.pursue(best, found);
+        for k in 0..best.presses.len().min(MOST_SPLIT) {
+            for direction in 0..DIRECTIONS {
+                if let Some(starts) = self.split(&best.presses, k, direction) {
+                    found.extend(self.fitted(&starts, Effort::Quick));
+                }
+            }
+        }
     }
 
     /// The residual, with a penalty for each press: lower is better.

@@ -122,7 +122,7 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// set.
     fn seek(&self, negative: bool) -> Vec<Press>;
 
-    /// Bounds the operations spent on each frame. Fits beyond it fail.
+    /// Bounds the operations from now on, and from each next frame on. Fits beyond the bound fail.
     fn set_most_work(&mut self, _operations: f64) {}
 
     /// True if presses act together in a way that their single responses do not show: linear images join them.
@@ -130,9 +130,9 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         false
     }
 
-    /// The set of presses that together explain the last frame taken best: of one press if `is_first`, then of one more
-    /// with each call. `None` if there is no larger one, or unless [`PressFit::is_joint`].
-    fn next_joint_set(&mut self, _is_first: bool) -> Option<Vec<Press>> {
+    /// Best set of presses for the last frame taken: one press if `is_first`, one more with each further call. With
+    /// `have_ended`, they have a negative load. `None` if there is no larger set, or unless [`PressFit::is_joint`].
+    fn next_joint_set(&mut self, _is_first: bool, _have_ended: bool) -> Option<Vec<Press>> {
         None
     }
 

@@ -274,20 +274,22 @@ impl PressFit for PlateFit {
     }
 
     fn set_most_work(&mut self, operations: f64) {
-        self.most_work = operations;
+        (self.work, self.most_work) = (0.0, operations);
     }
 
     fn is_joint(&self) -> bool {
         self.model.is_joint()
     }
 
-    fn next_joint_set(&mut self, is_first: bool) -> Option<Vec<Press>> {
+    fn next_joint_set(&mut self, is_first: bool, have_ended: bool) -> Option<Vec<Press>> {
+        let sign = if have_ended { -1.0 } else { 1.0 };
         if is_first {
-            self.joint = self.model.begin_joint(&self.volts, &self.deviations);
+            let volts: Vec<f64> = self.volts.iter().map(|value| sign * value).collect();
+            self.joint = self.model.begin_joint(&volts, &self.deviations);
         }
         let [load, radius_m] = self.model.reported_typical();
         let places = self.model.next_joint(self.joint.as_mut()?)?;
-        let press = |position_m: [f64; 2]| Press { position_m, radius_m, load, ..Press::default() };
+        let press = |position_m: [f64; 2]| Press { position_m, radius_m, load: sign * load, ..Press::default() };
         Some(places.into_iter().map(press).collect())
     }
 
