@@ -41,6 +41,15 @@ impl Press {
     }
 }
 
+/// Footprint of a press.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Footprint {
+    /// Radius of the spot, or of the contact, metres.
+    pub radius_m: f64,
+    /// Force and its standard deviation, newtons, if the model's own law of contact tells them.
+    pub force_n: Option<[f64; 2]>,
+}
+
 /// Residual of a fit, and the numbers to judge it by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cost {
@@ -155,14 +164,9 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Change of the channels by these presses, volts.
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
 
-    /// Radius that a press is reported with, metres: that of the spot, or of a disc of contact.
-    fn disc_radius_m(&self, press: &Press) -> f64 {
-        press.radius_m
-    }
-
-    /// Force of a press and its standard deviation, newtons, by the model's own law of contact; `None` if it has none.
-    fn force_n(&self, _press: &Press) -> Option<[f64; 2]> {
-        None
+    /// Footprint of a press as reported.
+    fn footprint(&self, press: &Press) -> Footprint {
+        Footprint { radius_m: press.radius_m, force_n: None }
     }
 
     /// Largest change of the skin per unit of load under a press like this one.

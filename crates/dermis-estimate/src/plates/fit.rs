@@ -2,14 +2,13 @@
 
 use std::sync::Arc;
 
-use dermis_tomo::eit::EitError;
 use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
 
 use super::model::{Contacts, LOG_DEVIATIONS, LONGEST_LOG, PlateModel};
 use super::pressure::{OF_PRESS, Pressed};
 use crate::evidence::{Evidence, NOISE_UNKNOWN};
-use crate::press::{Cost, Effort, Press, PressFit};
+use crate::press::{Cost, Effort, Footprint, Press, PressFit};
 use crate::whitening::Whitening;
 
 /// Places of the logarithms of pressure and radius among the parameters of a press.
@@ -45,8 +44,8 @@ pub struct PlateFit {
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
-    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter hardly differ in
-    /// what they do, so that these errors weigh more on a force than on a position.
+    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the same
+    /// effect on the channels, so these errors weigh more on a force than on a position.
     inflation: f64,
     /// Operations spent on this frame, and the most that may be.
     work: f64,
@@ -104,18 +103,36 @@ impl PlateFit {
         }
     }
 
-    /// The state of these presses, with their residual.
-    fn state(&mut self, presses: Vec<Pressed>, effort: Effort) -> Result<State, EitError> {
+    /// The state of these presses, with their residual; `None` if their contacts cannot be solved, or beyond the bound
+    /// of operations.
+    fn state(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
         if self.work > self.most_work {
-            return Err(EitError::Contact { radius_m: 0.0, conductance_s_per_m2: 0.0 });
+            return None;
         }
-        let contacts = self.model.contacts(&presses, effort)?;
+        let contacts = self.model.contacts(&presses, effort).ok()?;
         self.work += PlateModel::work(&contacts);
         let (mut change, mut residual) = (Vec::new(), Vec::new());
         self.model.change(&contacts, &mut change);
         self.whitening.apply(&change, &mut residual);
         residual.iter_mut().zip(&self.frame).for_each(|(value, frame)| *value = frame - *value);
-        Ok(State { effort, presses, contacts, residual })
+        Some(State { effort, presses, contacts, residual })
+    }
+
+    /// Force of a press and its standard deviation, newtons: `ln F = ln p + ln A(R)`, with p and R functions of the
+    /// reported load and radius. `None` for a press that has ended.
+    fn force_n(&self, press: &Press, pressed: &Pressed) -> Option<[f64; 2]> {
+        let [[a, b], [c, d]] = self.model.reported_by(pressed.log_pressure, pressed.log_radius);
+        let by_radius = self.model.log_force_by_log_radius(pressed);
+        let determinant = a * d - b * c;
+        let by_load = (d - by_radius * c) / determinant / press.load;
+        let by_log_radius = (a * by_radius - b) / determinant;
+        let covariance = &press.covariance;
+        let variance = by_load * by_load * covariance[2][2]
+            + 2.0 * by_load * by_log_radius * covariance[2][3]
+            + by_log_radius * by_log_radius * covariance[3][3];
+        let force_n = self.model.force_n(pressed);
+        let sigma_n = force_n * (self.inflation * variance.max(0.0)).sqrt().hypot(FORCE_SHARE);
+        (!pressed.has_ended && force_n.is_finite() && sigma_n.is_finite()).then_some([force_n, sigma_n])
     }
 
     fn cost(&self) -> Cost {
@@ -174,7 +191,7 @@ impl PressFit for PlateFit {
             return None;
         }
         let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
-        self.at = self.state(presses, effort).ok()?;
+        self.at = self.state(presses, effort)?;
         let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
         let mut solver = Scratch::new(OF_PRESS * starts.len());
         let params = Params::until_settled(DAMPING, steps);
@@ -314,25 +331,9 @@ impl PressFit for PlateFit {
         self.error_share = self.model.options.error_share + share;
     }
 
-    fn disc_radius_m(&self, press: &Press) -> f64 {
-        self.model.contact_radius_m(&self.model.pressed(press))
-    }
-
-    fn force_n(&self, press: &Press) -> Option<[f64; 2]> {
+    fn footprint(&self, press: &Press) -> Footprint {
         let pressed = self.model.pressed(press);
-        let [[a, b], [c, d]] = self.model.reported_by(pressed.log_pressure, pressed.log_radius);
-        let by_radius = self.model.log_force_by_log_radius(&pressed);
-        // ln F = ln p + ln A(R), with both a function of the reported load and radius.
-        let determinant = a * d - b * c;
-        let by_load = (d - by_radius * c) / determinant / press.load;
-        let by_log_radius = (a * by_radius - b) / determinant;
-        let covariance = &press.covariance;
-        let variance = by_load * by_load * covariance[2][2]
-            + 2.0 * by_load * by_log_radius * covariance[2][3]
-            + by_log_radius * by_log_radius * covariance[3][3];
-        let force_n = self.model.force_n(&pressed);
-        let sigma_n = force_n * (self.inflation * variance.max(0.0)).sqrt().hypot(FORCE_SHARE);
-        (!pressed.has_ended && force_n.is_finite() && sigma_n.is_finite()).then_some([force_n, sigma_n])
+        Footprint { radius_m: self.model.contact_radius_m(&pressed), force_n: self.force_n(press, &pressed) }
     }
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
@@ -442,7 +443,7 @@ impl Problem for FitUnderWay<'_> {
             next
         });
         let presses: Vec<Pressed> = presses.collect();
-        let Ok(next) = self.fit.state(presses, self.fit.at.effort) else { return Ok(None) };
+        let Some(next) = self.fit.state(presses, self.fit.at.effort) else { return Ok(None) };
         let cost = self.cost_of(&next);
         self.tried = Some(next);
         Ok(cost.is_finite().then_some(Trial { cost, moved }))

@@ -112,3 +112,44 @@ impl Field {
         Some((pressure, [along * off[0], along * off[1], pressure, density * self.radius_m]))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_is_the_normal_distribution() {
+        // Abramowitz and Stegun, table 26.1: P(x) and Z(x) at 0.5, 1 and 2.
+        let table = [
+            (0.5, 0.691_462_461, 0.352_065_327),
+            (1.0, 0.841_344_746, 0.241_970_725),
+            (2.0, 0.977_249_868, 0.053_990_967),
+        ];
+        for (u, below, density) in table {
+            let [p, z] = normal(u);
+            assert!((p - below).abs() < 4e-6 && (z - density).abs() < 4e-6, "{u}: {p} {z}");
+            assert!((normal(-u)[0] - 1.0 + below).abs() < 4e-6);
+        }
+    }
+
+    #[test]
+    fn derivatives_of_a_pressure_are_those_of_differences() {
+        let press = Pressed { position_m: [0.0; 2], log_pressure: 9.0, log_radius: 8e-3_f64.ln(), has_ended: false };
+        let at = |press: &Pressed| Field::new(press, 1e-3).at([7e-3, 3e-3]).unwrap();
+        let (_, by) = at(&press);
+        let moved = |parameter: usize, step: f64| {
+            let mut moved = press;
+            match parameter {
+                0 | 1 => moved.position_m[parameter] += step,
+                2 => moved.log_pressure += step,
+                _ => moved.log_radius += step,
+            }
+            at(&moved).0
+        };
+        for (parameter, h) in [1e-4, 1e-4, 1e-3, 1e-2].into_iter().enumerate() {
+            let difference = (moved(parameter, h) - moved(parameter, -h)) / (2.0 * h);
+            // Steps of a tenth of the edge and more, which is wider than the table's.
+            assert!((difference / by[parameter] - 1.0).abs() < 0.01, "{parameter}: {difference} {}", by[parameter]);
+        }
+    }
+}

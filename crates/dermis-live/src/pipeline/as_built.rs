@@ -9,7 +9,7 @@ use crate::Error;
 use crate::stages::build_learning::Learned;
 
 impl Pipeline {
-    /// Starts to learn how the skin was built from a new baseline. That of a damaged skin does not tell.
+    /// Starts to learn how the skin was built from a new baseline, unless the skin is damaged.
     pub(super) fn learn_build(&mut self, time_ns: u64) {
         if !self.damage().damages.is_empty() {
             return;

@@ -281,7 +281,7 @@ impl Refinement {
 
     /// True if [`Refinement::share_of_release`] has an answer.
     pub(crate) fn knows_releases(&self) -> bool {
-        matches!(&self.by, By::Presses(presses) if presses.cut.is_some() && presses.stage.is_some())
+        self.is_joint() && matches!(&self.by, By::Presses(presses) if presses.stage.is_some())
     }
 
     /// Share of the energy of a change of the untouched skin (model volts, NaN where missing) that the end of presses

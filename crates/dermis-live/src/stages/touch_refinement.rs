@@ -1,6 +1,6 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Footprint, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::force::ForceReading;
@@ -35,10 +35,10 @@ const EXPLAINED: f64 = 0.05;
 const FAR: f64 = 0.2;
 const PATCHES_EXPLAINED: f64 = 0.01;
 const FAR_PITCHES: f64 = 0.5;
-/// Where images join presses, fits that leave more than this share of a frame's energy are rejected: something else
-/// than presses changed the skin. The image's contacts then begin no touch, unless a peak is this many times as high as
-/// the image's lowest value is deep: a press on a cut looks like that.
+/// Reject fits that leave more than this share of a frame's energy where images join presses: the skin has changed in
+/// another way. The image's contacts then begin no touch.
 const MOST_UNEXPLAINED: f64 = 0.3;
+/// A peak this many times as high as the image's lowest value is deep begins a touch all the same: a press on a cut.
 const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
@@ -381,7 +381,8 @@ impl SpotStage {
             let largest = self.estimator.fit_mut().largest_change(press);
             let nearest = self.of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied();
             let area_m2 = nearest.map_or(std::f64::consts::PI * press.radius_m.powi(2), |contact| contact.area_m2);
-            let by_contact = self.estimator.fit_mut().force_n(press).map(|[force_n, sigma_n]| (force_n, sigma_n));
+            let Footprint { radius_m, force_n } = self.estimator.fit_mut().footprint(press);
+            let by_contact = force_n.map(|[force_n, sigma_n]| (force_n, sigma_n));
             let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity));
             let c = &press.covariance;
             let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
@@ -398,7 +399,7 @@ impl SpotStage {
             contacts.push(Contact {
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
                 significance: *sigma,
-                radius_m: Some(self.estimator.fit_mut().disc_radius_m(press)),
+                radius_m: Some(radius_m),
                 force: by_contact.or_else(by_law).map(from_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,

@@ -31,7 +31,11 @@ struct Bench {
 impl Bench {
     /// A bench that has taken its baseline.
     fn new() -> Self {
-        let skin = Skin::open("healing-square").unwrap();
+        Self::pressed_at_start(Skin::open("healing-square").unwrap(), &[])
+    }
+
+    /// A bench of this skin that took its baseline while it was pressed at these places.
+    fn pressed_at_start(skin: Skin, places_mm: &[[f64; 2]]) -> Self {
         let twin = AnyTwin::from_skin(&skin).unwrap();
         let prepared = Prepared::new(skin).unwrap();
         let layout = Layout::Channels { count: prepared.channels() };
@@ -39,6 +43,7 @@ impl Bench {
         let (touches, values) = (Vec::new(), Vec::new());
         let mut bench =
             Self { twin, pipeline, frame: Frame::default(), values, frames: 0, touches, begun: 0, strongest: 0.0 };
+        (0..).zip(places_mm).for_each(|(pointer, place)| bench.press(pointer, *place));
         bench.run(32);
         assert!(bench.pipeline.reference().is_some(), "32 frames make the baseline");
         bench
@@ -99,6 +104,24 @@ fn every_press_is_one_touch_in_its_place() {
     println!("position error: mean {mean:.2} mm, largest {largest:.2} mm; the paper's Tikhonov: 2.52 and 3.75 mm");
     // The twin's errors must not exceed those of the published skin; measured here: 0.7 and 1.2 mm.
     assert!(mean < 1.5 && largest < 3.0, "mean {mean:.2} mm, largest {largest:.2} mm: {errors:.2?}");
+}
+
+/// Without a watch for damage, which has a test of its own for releases.
+#[test]
+fn presses_in_the_baseline_that_end_leave_no_ghosts_and_hide_no_press() {
+    for places in [&[[-20.0, 12.0]][..], &[[-20.0, 12.0], [15.0, -25.0]]] {
+        let mut skin = Skin::open("healing-square").unwrap();
+        skin.damage.watch = false;
+        let mut bench = Bench::pressed_at_start(skin, places);
+        bench.twin.scene_mut().release_all();
+        bench.run(SETTLE);
+        assert!(bench.touches.is_empty(), "{places:?} released: {:?}", bench.touches);
+        bench.press(0, [25.0, 20.0]);
+        bench.run(SETTLE);
+        assert_eq!(bench.touches.len(), 1, "{places:?}: {:?}", bench.touches);
+        assert!(distance_mm(&bench.touches[0], [25.0, 20.0]) < 1.5, "{places:?}: {:?}", bench.touches);
+        bench.release();
+    }
 }
 
 #[test]
