@@ -131,7 +131,7 @@ export class Labels {
         write(label, text);
         label.classList.toggle("away", isAway(at, outward, stage));
         const put: Box = { x: seen.x, y: seen.y - 4 - FORCE_HEIGHT / 2, width: FORCE_DIGIT * text.length + 8, height: FORCE_HEIGHT };
-        // Beside the end of the arrow, if a name is above it.
+        // Next to the end of the arrow if a name is above it.
         if (taken.some((other) => overlap(put, other))) [put.x, put.y] = [seen.x + put.width / 2 + 12, seen.y + FORCE_HEIGHT];
         label.style.transform = `translate(${put.x.toFixed(1)}px, ${put.y.toFixed(1)}px) translate(-50%, -50%)`;
       }

@@ -46,22 +46,22 @@ struct Fitted {
 
 /// Changes by one deviation of each parameter.
 struct Modes {
-    /// Of the voltages at rest: channels x parameters.
+    /// Voltages at rest: channels x parameters.
     rest: Mat<f64>,
-    /// Of the response to the spot of each poke, then of each tabulated place: for every parameter, channels x spots.
+    /// Response to the spot of each poke, then of each tabulated place: for every parameter, channels x spots.
     /// Single precision, since this is the largest object here. `None` for an error that cannot be built.
     spots: Vec<Option<Mat<f32>>>,
     pokes: usize,
 }
 
 impl Modes {
-    /// Of the response to a poke's spot: channels x parameters.
+    /// Response to a poke's spot: channels x parameters.
     fn of_poke(&self, poke: usize) -> Mat<f64> {
         let change = |c: usize, k: usize| self.spots[k].as_ref().map_or(0.0, |spots| f64::from(spots[(c, poke)]));
         Mat::from_fn(self.rest.nrows(), self.rest.ncols(), change)
     }
 
-    /// Of the response to a spot at a tabulated place.
+    /// Response to a spot at a tabulated place.
     fn of_place(&self, place: usize) -> Mat<f64> {
         self.of_poke(self.pokes + place)
     }

@@ -52,7 +52,8 @@ fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>>
 }
 
 /// Presses the twin of a skin, one frame per entry, and reads the frames with the skin's file. Returns the touches of
-/// each frame as the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres).
+/// each frame as the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres), then force
+/// and its sigma (newtons), NaN where unknown.
 pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u64) -> Vec<Vec<Vec<f64>>> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
@@ -84,7 +85,9 @@ pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u6
     let text = std::fs::read_to_string(at("t.csv")).unwrap();
     let mut found: Vec<Vec<Vec<f64>>> = vec![Vec::new(); count];
     for line in text.lines().skip(1) {
-        let cells: Vec<f64> = line.split(',').take(8).map(|cell| cell.parse().unwrap()).collect();
+        let mut cells: Vec<f64> = line.split(',').take(8).map(|cell| cell.parse().unwrap()).collect();
+        let of_force = [8, 10].map(|column| line.split(',').nth(column).and_then(|cell| cell.parse().ok()));
+        cells.extend(of_force.map(|value: Option<f64>| value.unwrap_or(f64::NAN)));
         found[cells[0] as usize].push(cells);
     }
     found
@@ -190,3 +193,33 @@ const SKINS: [&str; 12] = [
     "em-8",
     "em-16-square",
 ];
+
+/// Contact saturates, so that pressure and radius trade off, most on a sandwich: its sigmas tell.
+#[test]
+fn forces_follow_from_the_law_of_contact() {
+    for (layer, most_share) in [("patches", 0.2), ("sandwich", 0.5)] {
+        let text = format!(
+            "name = \"pad\"\ntitle = \"pad\"\nmodality = \"eit\"\n[frontend]\nshape = {{ square = {{ side_mm = 110.0 }} }}\n\
+             layer = {{ kind = \"{layer}\", thickness_mm = 1.0, conductivity_s_per_m = 5.0 }}\n\
+             electrodes = {{ rim = {{ count = 20, width_mm = 9.0 }} }}\ncontact_impedance_ohm_m2 = 1e-4\n\
+             [backend]\ncurrent_ma = 1.0\ndrive = \"adjacent\"\nmeasure = \"adjacent\"\nframes_per_s = 25.0\n"
+        );
+        let skin = Skin::parse(&text, "pad.toml").unwrap_or_else(|error| panic!("{error}"));
+        let usual = press_range(&skin);
+        let places = random_presses(&skin.outline(), &usual, 30, 5).unwrap();
+        let truth_n = usual.initial_pressure_pa * std::f64::consts::PI * usual.initial_radius_m.powi(2);
+        let found = pressed_and_read(skin, places, 5);
+        let single: Vec<&Vec<f64>> = found.iter().filter_map(|touches| touches.first()).collect();
+        assert!(single.len() >= 29, "{layer}: {} of 30 presses", single.len());
+        let mut shares: Vec<f64> = single.iter().map(|touch| (touch[8] / truth_n - 1.0).abs()).collect();
+        shares.sort_by(f64::total_cmp);
+        let inside = single.iter().filter(|touch| (touch[8] - truth_n).abs() <= 2.5 * touch[9]).count();
+        println!(
+            "{layer}: median error {:.2}, {inside} of {} inside 2.5 sigma",
+            shares[shares.len() / 2],
+            single.len()
+        );
+        assert!(shares[shares.len() / 2] <= most_share, "{layer}: {shares:?}");
+        assert!(inside as f64 >= 0.85 * single.len() as f64, "{layer}: {inside} of {}", single.len());
+    }
+}
