@@ -285,14 +285,13 @@ impl Estimator {
     /// before the first fit; with one press split in two; or with the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let mut found: Vec<Explanation> = Vec::new();
-        let is_joint = self.fit.is_joint();
-        if is_joint {
+        if self.fit.is_joint() {
             self.propose_sets(best, false, &mut found);
-        }
-        if is_joint && self.negative {
-            self.propose_sets(best, true, &mut found);
-        }
-        if !is_joint || self.negative {
+            // Present and ended presses in one set would explain a cut as well.
+            if self.negative {
+                self.propose_sets(best, true, &mut found);
+            }
+        } else {
             self.propose_singly(best, hints, &mut found);
         }
         found.retain(|more| self.is_promising(more));

@@ -10,7 +10,7 @@ use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_touch::guard::{GuardReason, GuardReport};
+use dermis_touch::guard::GuardReport;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFault};
 use dermis_touch::{BaselineState, Touch};
 
@@ -127,9 +127,7 @@ impl PageFeed {
         };
         let shown = self.update.guard.get_or_insert_default();
         let is_new = shown.verdict != report.verdict.name();
-        shown.verdict = report.verdict.name();
-        shown.reasons.clear();
-        shown.reasons.extend(report.reasons.iter().map(GuardReason::name));
+        shown.show(&report);
         is_new
     }
 

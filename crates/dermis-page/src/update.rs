@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use dermis_touch::guard::{GuardReason, GuardReport};
 use serde::Serialize;
 
 use crate::error::UpdateError;
@@ -55,6 +56,15 @@ pub struct GuardView {
     pub reasons: Vec<&'static str>,
     /// Always false: no part of dermis is safety-rated.
     pub safety_rated: bool,
+}
+
+impl GuardView {
+    /// Shows a guard's report.
+    pub fn show(&mut self, report: &GuardReport) {
+        self.verdict = report.verdict.name();
+        self.reasons.clear();
+        self.reasons.extend(report.reasons.iter().map(GuardReason::name));
+    }
 }
 
 /// Channels and electrodes that are left out; numbers count from 1.

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use dermis::body::{PatchHealth, PatchState};
 use dermis_page::{BodyTouchView, GuardView, PatchStateView, protocol};
-use dermis_touch::guard::{GuardReason, GuardReport};
+use dermis_touch::guard::GuardReport;
 
 use crate::page::PatchImage;
 
@@ -93,9 +93,7 @@ impl PatchBoard {
 }
 
 fn guard_view(report: GuardReport) -> GuardView {
-    GuardView {
-        verdict: report.verdict.name(),
-        reasons: report.reasons.iter().map(GuardReason::name).collect(),
-        safety_rated: false,
-    }
+    let mut view = GuardView::default();
+    view.show(&report);
+    view
 }
