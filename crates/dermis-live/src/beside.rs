@@ -81,7 +81,7 @@ impl<T: Send + 'static> Beside<T> {
     /// Starts work whose result counts from a given frame time on, replacing any in progress. The work may end
     /// without a result only if it is no longer wanted.
     pub fn begin(&mut self, due_ns: u64, work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static) {
-        self.drop_work();
+        self.cancel();
         let wanted = Wanted::default();
         let told = wanted.clone();
         let outcome = Outcome::of(move || work(&told));
@@ -97,7 +97,8 @@ impl<T: Send + 'static> Beside<T> {
         outcome.wait()
     }
 
-    fn drop_work(&mut self) {
+    /// Drops the work in progress, if any.
+    pub fn cancel(&mut self) {
         if let Some(UnderWay { wanted, .. }) = self.under_way.take() {
             wanted.0.store(true, Ordering::Relaxed);
         }

@@ -30,7 +30,7 @@ pub(crate) struct Drift {
     touched_ns: Option<u64>,
     released_ns: Option<u64>,
     /// Age in seconds for which the current weights were made.
-    pub age_s: f64,
+    age_s: f64,
 }
 
 impl Drift {
@@ -50,7 +50,7 @@ impl Drift {
         Self { voltages: prepared.voltages.clone(), electrodes, touched_ns: None, released_ns: None, age_s: 0.0 }
     }
 
-    /// Records whether presses are being followed. True if the weights must be updated, for the new `age_s`.
+    /// Records whether presses are being followed. True if the weights have changed.
     pub fn observe(&mut self, time_ns: u64, is_touched: bool) -> bool {
         let since_s = |ns: u64| time_ns.saturating_sub(ns) as f64 * 1e-9;
         if is_touched {
@@ -71,23 +71,31 @@ impl Drift {
 
     /// Restarts with an up-to-date baseline.
     pub fn forget(&mut self) {
-        (self.touched_ns, self.released_ns) = (None, None);
+        (self.touched_ns, self.released_ns, self.age_s) = (None, None, 0.0);
     }
 
-    /// Standard deviations of the channels: their noise (model volts) combined with their own drift.
-    pub fn deviations(&self, noise: &[f64]) -> Vec<f64> {
-        let own = CHANNEL_PER_S * self.age_s;
-        noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect()
+    /// True if drift has had time to show.
+    pub fn is_aged(&self) -> bool {
+        self.age_s > 0.0
     }
 
-    /// Correlated effects of drift on the channels, one entry per cause: volts for one standard deviation.
-    pub fn nuisances(&self) -> Vec<Vec<f64>> {
-        let share = ELECTRODE_PER_S * self.age_s;
-        if share == 0.0 {
-            return Vec::new();
-        }
-        self.electrodes.iter().map(|channels| channels.iter().map(|volts| share * volts).collect()).collect()
+    /// How much each channel counts, with this noise (model volts).
+    pub fn weights(&self, noise: &[f64]) -> Weights {
+        let (own, share) = (CHANNEL_PER_S * self.age_s, ELECTRODE_PER_S * self.age_s);
+        let deviations = noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect();
+        let scaled = |channels: &Vec<f64>| channels.iter().map(|volts| share * volts).collect();
+        let nuisances = if self.is_aged() { self.electrodes.iter().map(scaled).collect() } else { Vec::new() };
+        Weights { deviations, nuisances }
     }
+}
+
+/// How much the channels count: their noise and drift, model volts.
+#[derive(Debug)]
+pub(crate) struct Weights {
+    /// Standard deviations of the channels: their noise combined with their own drift.
+    pub deviations: Vec<f64>,
+    /// Correlated effects of drift on the channels, one entry per cause, for one standard deviation.
+    pub nuisances: Vec<Vec<f64>>,
 }
 
 /// Centre and size of each electrode, metres. On a bent skin, positions are those on the flat one.

@@ -9,7 +9,7 @@ use dermis_tomo::mesh::PixelGrid;
 
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::stages::drift::Drift;
+use crate::stages::drift::Weights;
 use crate::stages::plates::{Plates, SheetCut};
 use crate::stages::spot_model::{Membrane, spot_model_under};
 
@@ -86,23 +86,22 @@ impl PressModel {
         }
     }
 
-    /// A fit with this noise of the channels (model volts) and their drift, without the channels left out.
+    /// A fit under these weights, without the channels left out.
     ///
     /// # Errors
     /// The wrong number of channels, or none left: see [`SpotModel::without`].
-    pub fn fit(&self, noise: &[f64], left_out: &[u32], drift: &Drift) -> Result<Box<dyn PressFit>, Error> {
-        let mut deviations = drift.deviations(noise);
+    pub fn fit(&self, weights: Weights, left_out: &[u32]) -> Result<Box<dyn PressFit>, Error> {
+        let Weights { mut deviations, mut nuisances } = weights;
         match self {
             Self::Spots { whole, error_share, grid, inside, .. } => {
                 let model = match left_out {
-                    [] => whole.marginalised(&deviations, &drift.nuisances())?,
+                    [] => whole.marginalised(&deviations, &nuisances)?,
                     _ => whole.without(left_out, &deviations)?,
                 };
                 Ok(Box::new(SpotFit::new(model, *grid, inside.clone(), *error_share)))
             }
             Self::Plates { model, uniform } => {
                 left_out.iter().for_each(|&channel| deviations[channel as usize] = f64::INFINITY);
-                let mut nuisances = drift.nuisances();
                 nuisances.push(uniform.clone());
                 Ok(Box::new(PlateFit::new(model.clone(), &deviations, &nuisances)))
             }

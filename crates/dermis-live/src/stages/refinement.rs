@@ -1,9 +1,9 @@
 //! Improves the contacts of the image with the forward model: as contacts with the plates above a sheet, as spots of
 //! conductivity on other layers, or not at all.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use dermis_estimate::{Estimator, Evidence};
+use dermis_estimate::{Estimator, Evidence, PressFit};
 use dermis_touch::Contact;
 
 use crate::Error;
@@ -26,8 +26,8 @@ pub struct Refinement {
     takes_time: bool,
 }
 
-/// Delay after which a model with new cuts takes effect, nanoseconds: several times the time to compute it on one slow
-/// core.
+/// Delay after which a model made in the background takes effect, nanoseconds: several times the time to make one with
+/// new cuts on one slow core, or new weights for sixteen skins.
 const READY_NS: u64 = 3_000_000_000;
 
 #[derive(Debug)]
@@ -40,19 +40,28 @@ enum By {
 /// Presses fitted to each frame.
 #[derive(Debug)]
 struct Presses {
-    model: PressModel,
+    model: Arc<PressModel>,
     /// Fits with the channels and noise in use; `None` until the noise is known.
     stage: Option<Box<SpotStage>>,
     /// Noise of the channels in model volts, and the channels left out.
     noise: Vec<f64>,
     left_out: Vec<u32>,
     drift: Drift,
+    /// The fit under weights that have changed: it takes tens of milliseconds on a large skin.
+    coming: Beside<Result<AgedFit, Error>>,
     /// Share of a press's energy that the model leaves because the skin is not as drawn.
     built_share: f64,
     evidence: Evidence,
     /// The sheet and its cuts, if presses are fitted to a sheet that can be cut.
     cut: Option<CutModels>,
 }
+
+/// A fit, and whether it allows for drift.
+type AgedFit = (Box<dyn PressFit>, bool);
+
+/// Held while a fit is made in the background. The skins of a body age together, and would otherwise all take the
+/// processors and the memory at once.
+static TURN: Mutex<()> = Mutex::new(());
 
 /// The models of a sheet that is being cut. New ones take up to a second and are computed in the background.
 #[derive(Debug)]
@@ -68,11 +77,12 @@ impl Presses {
         let touch = &prepared.skin.touch;
         let plates = Plates::of(prepared).filter(Plates::is_one).map(Arc::new);
         Self {
-            model,
+            model: Arc::new(model),
             stage: None,
             noise,
             left_out: Vec::new(),
             drift: Drift::new(prepared),
+            coming: Beside::new(),
             built_share: 0.0,
             evidence: Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma },
             cut: plates.map(|plates| CutModels { plates, cuts: Vec::new(), coming: Beside::new() }),
@@ -82,21 +92,52 @@ impl Presses {
     /// Restarts with the channels and noise in use.
     fn restart(&mut self, prepared: &Prepared) -> Result<(), Error> {
         self.drift.forget();
-        self.drift.age_s = 0.0;
-        let fit = self.model.fit(&self.noise, &self.left_out, &self.drift)?;
+        let (fit, _) = self.fit()?;
         let mut fresh = SpotStage::new(prepared, fit, self.model.membrane_pa());
         fresh.set_built_share(self.built_share);
         self.stage = Some(Box::new(fresh));
         Ok(())
     }
 
-    /// Puts an ordered model into use when it is due.
-    fn take_up_cuts(&mut self, time_ns: u64) -> Result<(), Error> {
-        let Some(model) = self.cut.as_mut().and_then(|cut| cut.coming.take(time_ns)) else { return Ok(()) };
-        self.model = model?;
+    /// A fit under the current weights, in place of any that is being made.
+    fn fit(&mut self) -> Result<AgedFit, Error> {
+        self.coming.cancel();
+        let fit = self.model.fit(self.drift.weights(&self.noise), &self.left_out)?;
+        Ok((fit, self.drift.is_aged()))
+    }
+
+    /// Takes up the current weights at once.
+    fn reweigh(&mut self) -> Result<(), Error> {
+        let (fit, is_aged) = self.fit()?;
         if let Some(stage) = &mut self.stage {
-            stage.set_fit(self.model.fit(&self.noise, &self.left_out, &self.drift)?, self.drift.age_s > 0.0);
-            stage.forget();
+            stage.set_fit(fit, is_aged);
+        }
+        Ok(())
+    }
+
+    /// Orders a fit under the current weights.
+    fn reweigh_soon(&mut self, time_ns: u64) {
+        let (model, left_out) = (self.model.clone(), self.left_out.clone());
+        let (weights, is_aged) = (self.drift.weights(&self.noise), self.drift.is_aged());
+        self.coming.begin(time_ns.saturating_add(READY_NS), move |wanted| {
+            let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+            wanted.go_on()?;
+            Some(model.fit(weights, &left_out).map(|fit| (fit, is_aged)))
+        });
+    }
+
+    /// Puts what was ordered into use when it is due.
+    fn take_up(&mut self, time_ns: u64) -> Result<(), Error> {
+        if let Some(model) = self.cut.as_mut().and_then(|cut| cut.coming.take(time_ns)) {
+            self.model = Arc::new(model?);
+            if let Some(stage) = &mut self.stage {
+                stage.forget();
+                self.reweigh()?;
+            }
+        }
+        if let (Some(fit), Some(stage)) = (self.coming.take(time_ns), &mut self.stage) {
+            let (fit, is_aged) = fit?;
+            stage.set_fit(fit, is_aged);
         }
         Ok(())
     }
@@ -188,12 +229,11 @@ impl Refinement {
     /// No positive noise.
     pub(crate) fn set_noise(&mut self, noise: &[f64]) -> Result<(), Error> {
         let By::Presses(presses) = &mut self.by else { return Ok(()) };
-        let Presses { model, stage: Some(stage), noise: kept, left_out, drift, .. } = &mut **presses else {
+        if presses.stage.is_none() {
             return Ok(());
-        };
-        *kept = noise.to_vec();
-        stage.set_fit(model.fit(noise, left_out, drift)?, drift.age_s > 0.0);
-        Ok(())
+        }
+        presses.noise = noise.to_vec();
+        presses.reweigh()
     }
 
     /// Continues without these channels, with this noise of the others (model volts). An empty list restores all
@@ -232,12 +272,12 @@ impl Refinement {
         contacts: &mut Vec<Contact>,
     ) -> Result<(), Error> {
         let By::Presses(presses) = &mut self.by else { return Ok(()) };
-        presses.take_up_cuts(time_ns)?;
-        let Presses { model, stage: Some(stage), noise, left_out, drift, .. } = &mut **presses else { return Ok(()) };
+        presses.take_up(time_ns)?;
+        let Some(stage) = &mut presses.stage else { return Ok(()) };
         let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
         stage.refine(time_ns, imager.filled(), imager, f64::from(lowest), contacts);
-        if drift.observe(time_ns, stage.is_touched()) {
-            stage.set_fit(model.fit(noise, left_out, drift)?, drift.age_s > 0.0);
+        if presses.drift.observe(time_ns, stage.is_touched()) {
+            presses.reweigh_soon(time_ns);
         }
         Ok(())
     }
@@ -252,10 +292,10 @@ impl Refinement {
         self.stage().and_then(SpotStage::explained)
     }
 
-    /// Number of frames that had to wait for a model with new cuts.
+    /// Number of frames that had to wait for a model or weights.
     pub(crate) fn waits(&self) -> u64 {
         match &self.by {
-            By::Presses(presses) => presses.cut.as_ref().map_or(0, |cut| cut.coming.waits()),
+            By::Presses(presses) => presses.coming.waits() + presses.cut.as_ref().map_or(0, |cut| cut.coming.waits()),
             By::Nothing => 0,
         }
     }
@@ -292,7 +332,7 @@ impl Refinement {
         if !self.knows_releases() || (0..).zip(change).any(missing) {
             return None;
         }
-        let fit = presses.model.fit(&presses.noise, &presses.left_out, &presses.drift).ok()?;
+        let fit = presses.model.fit(presses.drift.weights(&presses.noise), &presses.left_out).ok()?;
         let mut estimator = Estimator::new(fit, presses.evidence, false);
         if self.takes_time {
             estimator.take_time();

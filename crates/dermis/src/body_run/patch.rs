@@ -296,7 +296,8 @@ impl PatchThread {
         Ok(())
     }
 
-    /// Queues a report; false if the queue is full. Sources that wait for their frames to be taken wait here too.
+    /// Queues a report; false if the queue is full. Sources that wait for their frames to be taken wait here too, until
+    /// the body stops and no report is read any more.
     fn publish(&self, report: PatchReport) -> bool {
         if !self.waits {
             return self.reports.try_send(report).is_ok();
@@ -309,7 +310,7 @@ impl PatchThread {
                 Err(SendTimeoutError::Disconnected(_)) => return false,
             }
         }
-        false
+        true
     }
 }
 
