@@ -5,31 +5,31 @@ from pathlib import Path
 
 MARKS = ("<!-- benchmark:begin -->", "<!-- benchmark:end -->")
 TOLD = {
-    "place": "Told: the labelled pokes of the skin, as differences from the untouched skin; no outline, electrodes or "
-    "protocol. Judged: single presses of the same session. Errors in mm.",
-    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of "
-    "`hydrogel-damage` was pressed 15 times along a line of unknown length, so places and errors are numbers of presses.",
+    "place": "Told: labelled pokes, as differences from the untouched skin; no outline, electrodes or protocol. Judged: "
+    "single presses of the same session. Errors in mm.",
+    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of `hydrogel-"
+    "damage` was pressed 15 times along a line of unknown length, so places and errors are numbers of presses.",
     "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and the given number of pokes of the damaged one. "
-    "*unchanged*: only old pokes; *alone*: only new ones; *pooled*: both, unmarked; *own*: both, marked, and the method decides "
-    "how to use them. Judged: other presses of the damaged skin. Errors in mm.",
+    "*unchanged*: only old pokes; *alone*: only new ones; *pooled*: both, unmarked; *own*: both, marked. "
+    "Judged: other presses of the damaged skin. Errors in mm.",
     "lines": "Told: the 15 presses of the uncut membrane. Judged: the same line after cuts, and healed. Errors in "
     "numbers of presses, mean over the runs.",
-    "several": "Told: presses of a gel disc, and which of six points they touched; *singles*: one point at a time, "
-    "from another batch; *all*: every pattern, from another batch; *within*: every pattern, from half of the judged batch. Judged: "
-    "all 63 patterns, and 100 untouched frames (differences of neighbouring frames before presses).",
-    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no "
-    "pressed frame. Errors in mm.",
-    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two "
-    "or three depths. Errors in mm.",
-    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training "
-    "phantoms at the challenge's levels 1 to 7 (none to twelve of 32 electrodes lost), by its score: 1 is perfect, an empty label "
-    "0.264. The challenge's 21 evaluation frames are others.",
+    "several": "Told: presses of a gel disc, and which of six points they touched; *singles*: one at a time, *all*: every "
+    "pattern, both from another batch; *within*: every pattern, from half of the judged batch. Judged: all 63 "
+    "patterns, and 100 untouched frames (differences of neighbouring frames before presses).",
+    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no pressed "
+    "frame. Errors in mm.",
+    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two or "
+    "three depths. Errors in mm.",
+    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training phantoms at "
+    "the challenge's levels 1 to 7 (none to twelve of 32 electrodes lost), by its score: 1 is perfect, an empty"
+    " label 0.264.",
     "watch": "Told: 64 frames of the untouched skin, eight seconds apart, then every frame in turn. Judged: alarms. "
-    "The publication gives no times of events. Steps above three times the median show two: frames 490 to 505, after which the "
-    "levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after an event belong to it; what "
-    "follows the second is not judged. A false alarm is a run of frames.",
-    "speed": "One frame at a time on one core, at the largest number of pokes. Preparation lies between the labels "
-    "and the first frame.",
+    "Steps above three times the median show two events, whose times are not published: frames 490 to 505, "
+    "after which the levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after"
+    " an event belong to it; what follows the second is not judged. A false alarm is a run of frames.",
+    "speed": "One frame at a time on one core, at the largest number of pokes. Preparation lies between the labels and "
+    "the first frame.",
 }
 TITLES = {
     "place": "Place", "session": "New session", "damaged": "Damaged", "lines": "Cut and healed", "several": "Several touches",
