@@ -78,7 +78,9 @@ def averaged(rows):
     return found | {key: sum(row[key] for row in rows) for key in ("misses", "false", "frames")}
 
 
-def table(head, rows):
+def table(head, rows, is_short=False):
+    kept = [column for column, name in enumerate(head) if not (is_short and name in LEFT_OUT)]
+    head, rows = [head[column] for column in kept], [[row[column] for column in kept] for row in rows]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
@@ -101,6 +103,8 @@ def best_plain(head, lines, plain, by, better=min):
     return [line for line in lines if line[method] not in plain or any(line is other for other in chosen)]
 
 
+# Columns left out where only the best plain method is shown.
+LEFT_OUT = ("inside 2.5 sigma", "too many", "calls per second", "points right", "number right")
 HEAD = ["median", "90th percentile", "inside 1 sigma", "inside 2.5 sigma", "negative log likelihood", "misses", "too many"]
 
 
@@ -130,20 +134,20 @@ def place_summary(rows, times, plain=()):
             number(sum(skin["false"] for skin in skins)), number(mean(speed), 2),
         ])  # fmt: skip
     head = ["pokes", "method", "skins", *HEAD, "calls per second"]
-    return table(head, best_plain(head, lines, plain, "median"))
+    return table(head, best_plain(head, lines, plain, "median"), bool(plain))
 
 
 def depths(rows, plain=()):
     """Puts the root mean square first: most presses of a set have the same depth, so the median says little."""
     lines = [[*key, number(score["rms"]), *cells(score)] for key, score in ((key, averaged(group)) for key, group in gathered(rows, "set", "method").items())]
     head = ["set", "method", "root mean square", *HEAD]
-    return table(head, best_plain(head, lines, plain, "root mean square"))
+    return table(head, best_plain(head, lines, plain, "root mean square"), bool(plain))
 
 
 def by_set(rows, keys=("set", "size", "method"), plain=()):
     lines = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in key] + cells(averaged(group)) for key, group in gathered(rows, *keys).items()]
     head = [{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD
-    return table(head, best_plain(head, lines, plain, "median"))
+    return table(head, best_plain(head, lines, plain, "median"), bool(plain))
 
 
 def points(rows, plain=()):
@@ -154,7 +158,7 @@ def points(rows, plain=()):
     ]  # fmt: skip
     head = ["told", "presses", "method", "patterns right", "doubles right", "points right", "number right", "misses", "false touches",
             "false touches on 100 untouched frames"]  # fmt: skip
-    return table(head, best_plain(head, lines, plain, "patterns right", max))
+    return table(head, best_plain(head, lines, plain, "patterns right", max), bool(plain))
 
 
 def levels(rows, plain=()):
@@ -192,7 +196,7 @@ def section(name, body):
 
 def tables(rows, times, is_full=True, plain=()):
     """All tables. Without `is_full`, places are only summarised over the skins. Of the methods in `plain`, each group of lines shows
-    the best; tasks that only they entered are left out."""
+    the best in fewer columns; tasks that only they entered, and speeds, are left out."""
     kind = lambda row: (row["task"], bool(row.get("strategy")))  # noqa: E731
     entered = {kind(row) for row in rows if row["method"] not in plain}
     of = lambda *names: [row for row in rows if row["task"] in names and kind(row) in entered]  # noqa: E731
@@ -211,7 +215,7 @@ def tables(rows, times, is_full=True, plain=()):
     for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
         if of(name):
             parts.append(section(name, body(of(name), plain=plain)))
-    if of("place") and times:
+    if of("place") and times and not plain:
         parts.append(section("speed", speeds(times)))
     return "\n".join(parts)
 
