@@ -70,10 +70,10 @@ fn measure_skin(bench: &mut Bench<'_>, folder: &Path) -> Result<(), Stop> {
             plain.push(presses.judge_plain(taught, judged));
         }
         bench.add(Row {
-            measured: &format!("`{name}`: place of {judged} presses after {taught} pokes"),
+            measured: &format!("`{name}`, place after {taught} pokes"),
             known: &format!(
-                "a guessed square of {SIDE_MM} mm and these pokes ({draws} draws), without the judged presses; no \
-                 electrode, baseline or physics"
+                "a guessed square of {SIDE_MM} mm and these pokes; no electrode, baseline or physics; judged are {judged} \
+                 other presses in each of {draws} draws"
             ),
             here: PlaceErrors::figures(&here),
             plain: Comparison::computed("kernel ridge regression", PlaceErrors::without_sigmas(&plain)),

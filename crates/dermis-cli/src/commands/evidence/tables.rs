@@ -132,8 +132,7 @@ impl Evidence {
     pub(super) fn markdown(&self) -> String {
         let mut text = format!("{}\n", self.lead());
         for (set, report) in &self.sets {
-            let took = duration(report.seconds);
-            let _ = write!(text, "\n### `{}`: {}\n\n{} ({took}).\n\n", set.name, set.title, set.source);
+            let _ = write!(text, "\n### `{}`: {}\n\n{}.\n\n", set.name, set.title, set.source);
             for path in &report.missing {
                 let _ = write!(text, "Missing: `{}` is not there.\n\n", self.named(path));
             }
@@ -265,11 +264,16 @@ mod tests {
         assert!(text.contains("1 of 2 sets in 2.5 min; missing: ktc; incomplete: hydrogel"), "{text}");
         let row = "| place \\| of presses | median 1.50 mm (1.00 to 2.00) |";
         assert!(text.contains(row) && text.contains("| measured | dermis |"), "{text}");
-        assert!(text.contains("- **known or assumed**: the <outline>\n- **plain method**: ridge: median 3.00 mm\n"), "{text}");
+        assert!(
+            text.contains("- **known or assumed**: the <outline>\n- **plain method**: ridge: median 3.00 mm\n"),
+            "{text}"
+        );
         assert!(text.contains("Missing: `DIR/ktc/a.csv` is not there."), "{text}");
-        assert!(text.contains("(2.5 min).\n"), "{text}");
         let html = evidence().html();
-        assert!(html.contains("<li><b>known or assumed</b>: the &lt;outline&gt;</li>") && html.contains("<h2 id=\"ktc\">"), "{html}");
+        assert!(
+            html.contains("<li><b>known or assumed</b>: the &lt;outline&gt;</li>") && html.contains("<h2 id=\"ktc\">"),
+            "{html}"
+        );
         let json = evidence().as_json();
         assert_eq!((&json["sets"][0]["state"], &json["sets"][1]["state"]), (&"incomplete".into(), &"missing".into()));
         assert_eq!(json["sets"][0]["findings"][0]["here"][0]["range"][1], 2.0);
