@@ -18,7 +18,7 @@ import urllib.parse
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parent.parent / "docs" / "src"
-LANGUAGES = {"arduino", "console", "csv", "ini", "json", "mermaid", "python", "rust", "sh", "text", "toml", "xml"}
+LANGUAGES = {"arduino", "console", "csv", "ini", "json", "mermaid", "python", "rust", "sh", "text", "toml", "typescript", "xml"}
 problems = []
 
 

@@ -5,31 +5,31 @@ from pathlib import Path
 
 MARKS = ("<!-- benchmark:begin -->", "<!-- benchmark:end -->")
 TOLD = {
-    "place": "Told: the labelled pokes of the skin, as differences from the untouched skin; no outline, electrodes or "
-    "protocol. Judged: single presses of the same session. Errors in mm.",
-    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of "
-    "`hydrogel-damage` was pressed 15 times along a line of unknown length, so places and errors are numbers of presses.",
+    "place": "Told: labelled pokes, as differences from the untouched skin; no outline, electrodes or protocol. Judged: "
+    "single presses of the same session. Errors in mm.",
+    "session": "Told: one labelled session. Judged: the same skin in a later session. The gel membrane of `hydrogel-"
+    "damage` was pressed 15 times along a line of unknown length, so places and errors are numbers of presses.",
     "damaged": "Told: 1,000 labelled pokes of the undamaged skin, and the given number of pokes of the damaged one. "
-    "*unchanged*: only old pokes; *alone*: only new ones; *pooled*: both, unmarked; *own*: both, marked, and the method decides "
-    "how to use them. Judged: other presses of the damaged skin. Errors in mm.",
+    "*unchanged*: only old pokes; *alone*: only new ones; *pooled*: both, unmarked; *own*: both, marked. "
+    "Judged: other presses of the damaged skin. Errors in mm.",
     "lines": "Told: the 15 presses of the uncut membrane. Judged: the same line after cuts, and healed. Errors in "
     "numbers of presses, mean over the runs.",
-    "several": "Told: presses of a gel disc, and which of six points they touched; *singles*: one point at a time, "
-    "from another batch; *all*: every pattern, from another batch; *within*: every pattern, from half of the judged batch. Judged: "
-    "all 63 patterns, and 100 untouched frames (differences of neighbouring frames before presses).",
-    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no "
-    "pressed frame. Errors in mm.",
-    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two "
-    "or three depths. Errors in mm.",
-    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training "
-    "phantoms at the challenge's levels 1 to 7 (none to twelve of 32 electrodes lost), by its score: 1 is perfect, an empty label "
-    "0.264. The challenge's 21 evaluation frames are others.",
+    "several": "Told: presses of a gel disc, and which of six points they touched; *singles*: one at a time, *all*: every "
+    "pattern, both from another batch; *within*: every pattern, from half of the judged batch. Judged: all 63 "
+    "patterns, and 100 untouched frames (differences of neighbouring frames before presses).",
+    "unlabelled": "Told: outline, electrodes, protocol and the untouched frames of the gel disc; no position and no pressed "
+    "frame. Errors in mm.",
+    "depth": "Told: 400 pokes with place and depth. Judged: the depth of other presses of the session, which has two or "
+    "three depths. Errors in mm.",
+    "segmentation": "Told: diameter, electrodes, currents, one frame of the empty tank. Judged: the four training phantoms at "
+    "the challenge's levels 1 to 7 (none to twelve of 32 electrodes lost), by its score: 1 is perfect, an empty"
+    " label 0.264.",
     "watch": "Told: 64 frames of the untouched skin, eight seconds apart, then every frame in turn. Judged: alarms. "
-    "The publication gives no times of events. Steps above three times the median show two: frames 490 to 505, after which the "
-    "levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after an event belong to it; what "
-    "follows the second is not judged. A false alarm is a run of frames.",
-    "speed": "One frame at a time on one core, at the largest number of pokes. Preparation lies between the labels "
-    "and the first frame.",
+    "Steps above three times the median show two events, whose times are not published: frames 490 to 505, "
+    "after which the levels return, and 663 to 665, after which they stay changed. Alarms up to 30 frames after"
+    " an event belong to it; what follows the second is not judged. A false alarm is a run of frames.",
+    "speed": "One frame at a time on one core, at the largest number of pokes. Preparation lies between the labels and "
+    "the first frame.",
 }
 TITLES = {
     "place": "Place", "session": "New session", "damaged": "Damaged", "lines": "Cut and healed", "several": "Several touches",
@@ -78,7 +78,9 @@ def averaged(rows):
     return found | {key: sum(row[key] for row in rows) for key in ("misses", "false", "frames")}
 
 
-def table(head, rows):
+def table(head, rows, is_short=False):
+    kept = [column for column, name in enumerate(head) if not (is_short and name in LEFT_OUT)]
+    head, rows = [head[column] for column in kept], [[row[column] for column in kept] for row in rows]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
@@ -101,6 +103,8 @@ def best_plain(head, lines, plain, by, better=min):
     return [line for line in lines if line[method] not in plain or any(line is other for other in chosen)]
 
 
+# Columns left out where only the best plain method is shown.
+LEFT_OUT = ("inside 2.5 sigma", "too many", "calls per second", "points right", "number right")
 HEAD = ["median", "90th percentile", "inside 1 sigma", "inside 2.5 sigma", "negative log likelihood", "misses", "too many"]
 
 
@@ -130,20 +134,20 @@ def place_summary(rows, times, plain=()):
             number(sum(skin["false"] for skin in skins)), number(mean(speed), 2),
         ])  # fmt: skip
     head = ["pokes", "method", "skins", *HEAD, "calls per second"]
-    return table(head, best_plain(head, lines, plain, "median"))
+    return table(head, best_plain(head, lines, plain, "median"), bool(plain))
 
 
 def depths(rows, plain=()):
     """Puts the root mean square first: most presses of a set have the same depth, so the median says little."""
     lines = [[*key, number(score["rms"]), *cells(score)] for key, score in ((key, averaged(group)) for key, group in gathered(rows, "set", "method").items())]
     head = ["set", "method", "root mean square", *HEAD]
-    return table(head, best_plain(head, lines, plain, "root mean square"))
+    return table(head, best_plain(head, lines, plain, "root mean square"), bool(plain))
 
 
 def by_set(rows, keys=("set", "size", "method"), plain=()):
     lines = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in key] + cells(averaged(group)) for key, group in gathered(rows, *keys).items()]
     head = [{"set": "set", "size": "pokes", "strategy": "told", "task": "runs"}.get(key, key) for key in keys] + HEAD
-    return table(head, best_plain(head, lines, plain, "median"))
+    return table(head, best_plain(head, lines, plain, "median"), bool(plain))
 
 
 def points(rows, plain=()):
@@ -154,7 +158,7 @@ def points(rows, plain=()):
     ]  # fmt: skip
     head = ["told", "presses", "method", "patterns right", "doubles right", "points right", "number right", "misses", "false touches",
             "false touches on 100 untouched frames"]  # fmt: skip
-    return table(head, best_plain(head, lines, plain, "patterns right", max))
+    return table(head, best_plain(head, lines, plain, "patterns right", max), bool(plain))
 
 
 def levels(rows, plain=()):
@@ -192,7 +196,7 @@ def section(name, body):
 
 def tables(rows, times, is_full=True, plain=()):
     """All tables. Without `is_full`, places are only summarised over the skins. Of the methods in `plain`, each group of lines shows
-    the best; tasks that only they entered are left out."""
+    the best in fewer columns; tasks that only they entered, and speeds, are left out."""
     kind = lambda row: (row["task"], bool(row.get("strategy")))  # noqa: E731
     entered = {kind(row) for row in rows if row["method"] not in plain}
     of = lambda *names: [row for row in rows if row["task"] in names and kind(row) in entered]  # noqa: E731
@@ -211,7 +215,7 @@ def tables(rows, times, is_full=True, plain=()):
     for name, body in (("several", points), ("unlabelled", by_set), ("depth", depths), ("segmentation", levels), ("watch", alarms)):
         if of(name):
             parts.append(section(name, body(of(name), plain=plain)))
-    if of("place") and times:
+    if of("place") and times and not plain:
         parts.append(section("speed", speeds(times)))
     return "\n".join(parts)
 

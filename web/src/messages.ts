@@ -1,6 +1,6 @@
 // Written by a test of crates/dermis-page from its types; protocol.rs says how.
 
-/** The skin as drawn by the page. Lengths are millimetres in the skin's frame (x right, y up, origin as in the skin file). */
+/** The skin as drawn by the page. Lengths are millimetres in the skin's frame. */
 export interface Scene {
   /** True if the skin is watched for damage. */
   watches_damage: boolean;
@@ -14,13 +14,13 @@ export interface Scene {
   is_treatable: boolean;
   /** Closed rings, without repeating the first point: the outer boundary first, then holes. */
   outline_mm: [number, number][][];
-  /** Diameter of the cylinder that the sheet is bent around, with its axis along y behind the sheet; `null` if the sheet is flat. All other lengths are those of the flattened sheet. */
+  /** Diameter of the cylinder that the sheet is bent around, with its axis along y; `null` if flat. Other lengths are those of the flattened sheet. */
   bend_diameter_mm: number | null;
   /** Electrodes (or coils) in the order of their numbers. */
   electrodes: ElectrodeView[];
   /** The image's grid. */
   grid: GridView;
-  /** A label for every channel, such as `1-8 / 2-9` for drive and measuring pair, numbered from 1. */
+  /** Drive and measuring pair of each channel, such as `1-8 / 2-9`. */
   channel_labels: string[];
   /** Unit of channel values and of their noise, such as `V`. */
   channel_unit: string;
@@ -30,9 +30,9 @@ export interface Scene {
   image_unit: string;
   /** Unit of touch amplitudes: the image's, or with a calibration its typical pokes. */
   amplitude_unit: string;
-  /** Initial colour range, which grows to the largest values seen. If `null`, it is taken from the first frames. */
+  /** Initial colour range; `null`: from the first frames. */
   range_hint: [number, number] | null;
-  /** Smallest and largest hyperparameter that the page's slider offers; both positive. */
+  /** Range of the hyperparameter's slider. */
   hyperparameter_range: [number, number];
   /** Limits of a press from the page. */
   press: PressLimits;
@@ -110,15 +110,15 @@ export interface State {
   guard: GuardView | null;
 }
 
-/** One touch. Positions are in the skin's frame: x right, y up, origin as in the skin file. */
+/** One touch. Positions are in the skin's frame. */
 export interface TouchView {
   /** Permanent number of the touch. */
   id: number;
   /** Phase. */
   phase: TouchPhase;
-  /** Position to the right of the skin's origin, millimetres. */
+  /** Position along x, millimetres. */
   x_mm: number;
-  /** Position above the skin's origin, millimetres. */
+  /** Position along y, millimetres. */
   y_mm: number;
   /** Amplitude in the image's unit. */
   amplitude: number;
@@ -130,7 +130,7 @@ export interface TouchView {
   sigma_y_mm: number | null;
   /** Normal force, newtons, if a calibration gives one. */
   force_n: number | null;
-  /** Position of `force_n` in its calibration. If it is below, above or saturated, `force_n` is the end of the range; with `law`, the force follows from the law in the skin file instead. */
+  /** Position of `force_n` in its calibration, which ends there if below, above or saturated; `law`: from the law in the skin file. */
   force_range: "within" | "below" | "above" | "saturated" | "law" | "none" | null;
   /** An alternative position, if the calibration cannot decide. */
   other: OtherPlaceView | null;
@@ -147,9 +147,9 @@ export type TouchPhase =
 
 /** An alternative position of a touch. */
 export interface OtherPlaceView {
-  /** Position to the right of the skin's origin, millimetres. */
+  /** Position along x, millimetres. */
   x_mm: number;
-  /** Position above the skin's origin, millimetres. */
+  /** Position along y, millimetres. */
   y_mm: number;
   /** Probability that the touch is here instead. */
   probability: number;
@@ -171,7 +171,7 @@ export interface Counter {
   name: string;
   /** Current count. */
   value: number;
-  /** True if any value above zero means lost data, which the page highlights. */
+  /** True if any value above zero means lost data. */
   is_loss: boolean;
 }
 
@@ -189,7 +189,7 @@ export interface PipelineState {
   recorded_frames: number;
   /** Hyperparameter in use (the lambda of the skin's prior). */
   hyperparameter: number;
-  /** True while the twin shows touches by itself when nobody presses. */
+  /** True while the twin shows its demonstration. */
   demonstrates: boolean;
 }
 
@@ -271,9 +271,9 @@ export interface DamageRow {
   id: number;
   /** State of the damage. */
   state: "suspected" | "confirmed" | "covered" | "healing" | "healed";
-  /** Centre, to the right of the skin's origin. */
+  /** Centre, x. */
   x_mm: number;
-  /** Centre, above the skin's origin. */
+  /** Centre, y. */
   y_mm: number;
   /** Length of a cut; 0 for a spot. */
   length_mm: number;
@@ -368,25 +368,25 @@ export interface Answer {
 
 /** A command from the page. Lengths are millimetres in the skin's frame. */
 export type Command =
-  /** Take a new baseline. */
+  /** Take a new baseline; refused under load unless forced. */
   | { tare: { force: boolean } }
   /** Start recording raw frames. */
   | "record_start"
   /** End the recording. */
   | "record_stop"
-  /** Use this hyperparameter (positive). */
+  /** Use this positive hyperparameter from 0.3 s later. Of several in a row the last counts; the others are answered as replaced. */
   | { hyperparameter: number }
-  /** Press on the twin. */
+  /** Press on the twin; up to 16 at once per page. */
   | { press: Press }
   /** Move a current press, or change its radius or pressure. */
   | { move: Press }
-  /** End a press. Also sent for every current press of a page that has left. */
+  /** End a press. The presses of a closed page end too. */
   | { release: { pointer_id: number } }
-  /** Cut or heal the twin, or speed up its time. */
+  /** Treat the twin of a self-healing skin. */
   | { treat: TwinAction }
-  /** Switch the twin's demonstration of touches on or off. */
+  /** Stop the twin's demonstration, or show it while nobody presses. */
   | { demonstrate: boolean }
-  /** Show these channels (0-based), at most `Command::MOST_CHANNELS`. */
+  /** Show these channels (0-based), at most 64. */
   | { choose_channels: number[] };
 
 /** A round indenter on the twin. */

@@ -11,7 +11,7 @@ use crate::scene::Scene;
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
-    /// Take a new baseline.
+    /// Take a new baseline; refused under load unless forced.
     Tare {
         /// Take it even while something touches the skin.
         force: bool,
@@ -20,22 +20,23 @@ pub enum Command {
     RecordStart,
     /// End the recording.
     RecordStop,
-    /// Use this hyperparameter (positive).
+    /// Use this positive hyperparameter from 0.3 s later. Of several in a row the last counts; the others are answered as
+    /// replaced.
     Hyperparameter(f64),
-    /// Press on the twin.
+    /// Press on the twin; up to 16 at once per page.
     Press(Press),
     /// Move a current press, or change its radius or pressure.
     Move(Press),
-    /// End a press. Also sent for every current press of a page that has left.
+    /// End a press. The presses of a closed page end too.
     Release {
         /// The press to end.
         pointer_id: u64,
     },
-    /// Cut or heal the twin, or speed up its time.
+    /// Treat the twin of a self-healing skin.
     Treat(TwinAction),
-    /// Switch the twin's demonstration of touches on or off.
+    /// Stop the twin's demonstration, or show it while nobody presses.
     Demonstrate(bool),
-    /// Show these channels (0-based), at most [`Command::MOST_CHANNELS`].
+    /// Show these channels (0-based), at most 64.
     ChooseChannels(Vec<u32>),
 }
 

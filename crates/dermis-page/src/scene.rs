@@ -3,8 +3,7 @@
 
 use serde::Serialize;
 
-/// The skin as drawn by the page. Lengths are millimetres in the skin's frame (x right, y up, origin as in the
-/// skin file).
+/// The skin as drawn by the page. Lengths are millimetres in the skin's frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct Scene {
@@ -20,14 +19,14 @@ pub struct Scene {
     pub is_treatable: bool,
     /// Closed rings, without repeating the first point: the outer boundary first, then holes.
     pub outline_mm: Vec<Vec<[f64; 2]>>,
-    /// Diameter of the cylinder that the sheet is bent around, with its axis along y behind the sheet; `None` if the
-    /// sheet is flat. All other lengths are those of the flattened sheet.
+    /// Diameter of the cylinder that the sheet is bent around, with its axis along y; `None` if flat. Other lengths are
+    /// those of the flattened sheet.
     pub bend_diameter_mm: Option<f64>,
     /// Electrodes (or coils) in the order of their numbers.
     pub electrodes: Vec<ElectrodeView>,
     /// The image's grid.
     pub grid: GridView,
-    /// A label for every channel, such as `1-8 / 2-9` for drive and measuring pair, numbered from 1.
+    /// Drive and measuring pair of each channel, such as `1-8 / 2-9`.
     pub channel_labels: Vec<String>,
     /// Unit of channel values and of their noise, such as `V`.
     pub channel_unit: String,
@@ -37,9 +36,9 @@ pub struct Scene {
     pub image_unit: String,
     /// Unit of touch amplitudes: the image's, or with a calibration its typical pokes.
     pub amplitude_unit: String,
-    /// Initial colour range, which grows to the largest values seen. If `None`, it is taken from the first frames.
+    /// Initial colour range; `None`: from the first frames.
     pub range_hint: Option<[f32; 2]>,
-    /// Smallest and largest hyperparameter that the page's slider offers; both positive.
+    /// Range of the hyperparameter's slider.
     pub hyperparameter_range: [f64; 2],
     /// Limits of a press from the page.
     pub press: PressLimits,

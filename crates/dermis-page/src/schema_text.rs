@@ -1,4 +1,4 @@
-//! Types of messages as TypeScript and as tables of the book, from their JSON schemas. Tests alone use it.
+//! Types of messages as TypeScript, from their JSON schemas. Tests alone use it.
 
 use std::fmt::Write as _;
 
@@ -19,32 +19,6 @@ pub fn typescript(definitions: &Definitions, roots: &[&str]) -> String {
             }
             None => write!(text, "\n{docs}export type {name} =\n{};\n", variants(schema).join("\n")),
         };
-    }
-    text
-}
-
-/// For each type a heading, its description, and a table of its fields or variants.
-pub fn tables(definitions: &Definitions, roots: &[&str]) -> String {
-    let mut text = String::new();
-    for (name, schema) in in_order(definitions, roots) {
-        let is_root = roots.contains(&name);
-        let heading = if is_root { name.to_lowercase() } else { name.to_owned() };
-        let docs = docs_of(schema).unwrap_or_default();
-        let _ = write!(text, "\n#### `{heading}`\n\n{docs}\n\n");
-        let rows: Vec<[String; 3]> = match fields(schema) {
-            Some(fields) => fields.into_iter().map(|field| [field.name, field.type_, field.docs]).collect(),
-            None => {
-                let all = schema["oneOf"].as_array().into_iter().flatten();
-                all.map(|one| [String::new(), type_of(one), docs_of(one).unwrap_or_default()]).collect()
-            }
-        };
-        let has_names = rows.iter().any(|[name, ..]| !name.is_empty());
-        text +=
-            if has_names { "| field | type | meaning |\n|---|---|---|\n" } else { "| value | meaning |\n|---|---|\n" };
-        for [name, type_, docs] in rows {
-            let name = if has_names { format!("| `{name}` ") } else { String::new() };
-            let _ = writeln!(text, "{name}| `{}` | {docs} |", type_.replace(" | ", "` or `"));
-        }
     }
     text
 }

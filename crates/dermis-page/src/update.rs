@@ -115,9 +115,9 @@ pub struct DamageRow {
     /// State of the damage.
     #[cfg_attr(test, schemars(schema_with = "crate::words::damage_states"))]
     pub state: &'static str,
-    /// Centre, to the right of the skin's origin.
+    /// Centre, x.
     pub x_mm: f64,
-    /// Centre, above the skin's origin.
+    /// Centre, y.
     pub y_mm: f64,
     /// Length of a cut; 0 for a spot.
     pub length_mm: f64,
@@ -224,7 +224,7 @@ pub enum TouchPhase {
     End,
 }
 
-/// One touch. Positions are in the skin's frame: x right, y up, origin as in the skin file.
+/// One touch. Positions are in the skin's frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct TouchView {
@@ -232,9 +232,9 @@ pub struct TouchView {
     pub id: u64,
     /// Phase.
     pub phase: TouchPhase,
-    /// Position to the right of the skin's origin, millimetres.
+    /// Position along x, millimetres.
     pub x_mm: f64,
-    /// Position above the skin's origin, millimetres.
+    /// Position along y, millimetres.
     pub y_mm: f64,
     /// Amplitude in the image's unit.
     pub amplitude: f64,
@@ -248,8 +248,8 @@ pub struct TouchView {
     pub sigma_y_mm: f64,
     /// Normal force, newtons, if a calibration gives one.
     pub force_n: Option<f64>,
-    /// Position of `force_n` in its calibration. If it is below, above or saturated, `force_n` is the end of the
-    /// range; with `law`, the force follows from the law in the skin file instead.
+    /// Position of `force_n` in its calibration, which ends there if below, above or saturated; `law`: from the law in
+    /// the skin file.
     #[cfg_attr(test, schemars(schema_with = "crate::words::force_ranges"))]
     pub force_range: Option<&'static str>,
     /// An alternative position, if the calibration cannot decide.
@@ -260,9 +260,9 @@ pub struct TouchView {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 pub struct OtherPlaceView {
-    /// Position to the right of the skin's origin, millimetres.
+    /// Position along x, millimetres.
     pub x_mm: f64,
-    /// Position above the skin's origin, millimetres.
+    /// Position along y, millimetres.
     pub y_mm: f64,
     /// Probability that the touch is here instead.
     pub probability: f64,
@@ -288,7 +288,7 @@ pub struct Counter {
     pub name: Cow<'static, str>,
     /// Current count.
     pub value: u64,
-    /// True if any value above zero means lost data, which the page highlights.
+    /// True if any value above zero means lost data.
     pub is_loss: bool,
 }
 
@@ -348,7 +348,7 @@ pub struct PipelineState {
     pub recorded_frames: u64,
     /// Hyperparameter in use (the lambda of the skin's prior).
     pub hyperparameter: f64,
-    /// True while the twin shows touches by itself when nobody presses.
+    /// True while the twin shows its demonstration.
     pub demonstrates: bool,
 }
 

@@ -70,14 +70,14 @@ fn measure_skin(bench: &mut Bench<'_>, folder: &Path) -> Result<(), Stop> {
             plain.push(presses.judge_plain(taught, judged));
         }
         bench.add(Row {
-            measured: &format!("`{name}`: place of {judged} presses after {taught} pokes; mean over {draws} draws"),
+            measured: &format!("`{name}`, place after {taught} pokes"),
             known: &format!(
-                "a guessed square of {SIDE_MM} mm, {taught} labelled pokes; no electrode, no baseline, no physics; the \
-                 judged presses are not among the pokes (seeds 1 to {draws})"
+                "a guessed square of {SIDE_MM} mm and these pokes; no electrode, baseline or physics; judged are {judged} \
+                 other presses in each of {draws} draws"
             ),
             here: PlaceErrors::figures(&here),
             plain: Comparison::computed("kernel ridge regression", PlaceErrors::without_sigmas(&plain)),
-            published: Comparison::said("none published for these presses that we know of"),
+            published: Comparison::said("none known"),
         });
     }
     Ok(())

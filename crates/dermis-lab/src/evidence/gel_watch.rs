@@ -102,7 +102,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
             "8 standard deviations from the first 64 frames, no drift followed",
             vec![Figure::new("damage told in frame", plain, "(from 0)")],
         ),
-        published: Comparison::said("none published: neither time nor place of the damage is"),
+        published: Comparison::said("none: time and place of the damage are unknown"),
     });
     Ok(())
 }

@@ -45,7 +45,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         known: "diameter of the tank, place of the electrodes, protocol, one frame without balls",
         here,
         plain: Comparison::said("one linear step with a NOSER prior, computed elsewhere: 5 to 9, 15 to 17 and 23 mm"),
-        published: Comparison::said("none published: sample data of EIDORS"),
+        published: Comparison::said("none: sample data"),
     });
     Ok(())
 }

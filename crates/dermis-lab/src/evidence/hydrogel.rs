@@ -9,7 +9,7 @@ use crate::Error;
 
 /// Presses to judge after a calibration.
 const JUDGED: usize = 100;
-const NONE_PUBLISHED: &str = "none published for these presses that we know of";
+const NONE_PUBLISHED: &str = "none known";
 
 /// Reads the presses in a folder, for the built-in skin `hydrogel-disc`.
 ///
@@ -40,8 +40,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
     }));
     bench.add(Row {
         measured: &format!("place of {count} presses, no label"),
-        known: "outline, electrodes, protocol and the board's circuit, from the built-in skin file; no position and no \
-                pressed frame: channels are calibrated on the untouched frames",
+        known: "the skin file with the board's circuit; channels are calibrated on the untouched frames",
         here: figures(presses.judge(&all, None)?),
         plain: Comparison::computed("the same without the circuit (textbook model)", plain),
         published: Comparison::said(NONE_PUBLISHED),
@@ -52,7 +51,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         ignorant.backend.circuit = Some(CircuitChoice::ToLearn(LearnCircuit::Learn));
         bench.add(Row {
             measured: &format!("place of {count} presses, no label and no circuit"),
-            known: "outline, electrodes and protocol; the circuit is searched with the same unlabelled frames",
+            known: "the skin file without the circuit, which is searched with the same unlabelled frames",
             here: figures(presses.with_skin(ignorant).judge(&all, None)?),
             plain: Comparison::said("as above"),
             published: Comparison::said(NONE_PUBLISHED),
@@ -72,14 +71,8 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
             plain.push(presses.judge_plain(taught, judged));
         }
         bench.add(Row {
-            measured: &format!("place of {JUDGED} presses after {taught} pokes; mean over {} draws", here.len()),
-            known: &format!(
-                "the skin file, {taught} labelled pokes; the judged presses are not among them (seeds {})",
-                {
-                    let (first, last) = (seeds.start(), seeds.end());
-                    if first == last { first.to_string() } else { format!("{first} to {last}") }
-                }
-            ),
+            measured: &format!("place of {JUDGED} presses after {taught} pokes; mean of {} draws", here.len()),
+            known: "the skin file and these pokes, without the judged presses",
             here: PlaceErrors::figures(&here),
             plain: Comparison::computed("kernel ridge regression", PlaceErrors::without_sigmas(&plain)),
             published: Comparison::said(NONE_PUBLISHED),

@@ -125,7 +125,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
             Figure::new("touches too many", touches.saturating_sub(right) as f64, "in all"),
         ],
         plain: Comparison::said("none computed"),
-        published: Comparison::said("none published: sample data of PyEIDORS"),
+        published: Comparison::said("none: sample data"),
     });
     Ok(())
 }

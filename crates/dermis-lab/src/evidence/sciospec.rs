@@ -59,7 +59,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
             "change of the frame above five times that of the empty tank",
             vec![Figure::new("fires in frame", fired, "(from 0)")],
         ),
-        published: Comparison::said("none published: sample data of Sciospec, cup at frame 60 give or take two"),
+        published: Comparison::said("none: sample data, with the cup at frame 60 give or take two"),
     });
     Ok(())
 }

@@ -76,72 +76,66 @@ pub const SETS: [Set; 8] = [
         name: "hydrogel",
         title: "a round gelatin skin, 16 electrodes, 500 presses by a robot",
         source: "D. Hardman, T. G. Thuruthel and F. Iida, HydrogelEIT (`ohmc16`)",
-        tuned: "the form of the board's circuit was found on these presses with their places at hand, its loads and \
-                weights by the score of unlabelled frames; the size of a touch, the noise floor and the band of the \
-                centroid were kept after seeing errors; the calibration's rules were developed on this skin and on \
-                `five-skins`",
-        not_tuned: "no hyperparameter of a calibration is set by hand: each is chosen by leaving out pokes of the draw",
+        tuned: "the form of the board's circuit, with the places at hand; its loads and weights, by the score of unlabelled \
+                frames; size of a touch, noise floor and band of the centroid; the calibration's rules",
+        not_tuned: "hyperparameters of a calibration, which are chosen by leaving out pokes of the draw",
         measure: hydrogel::measure,
     },
     Set {
         name: "five-skins",
         title: "skins of one family, conductive patterns cast into a gel, 2,500 presses each by a robot",
         source: "D. Hardman, T. G. Thuruthel and F. Iida, Variable-Sensitivity-E-Skins",
-        tuned: "the calibration's two experts and their combination were developed on `plain` and `circles`; the guessed \
-                square was chosen with the data",
-        not_tuned: "other folders of the set: none was at hand while dermis was made",
+        tuned: "the calibration's two experts and their combination; the guessed square",
+        not_tuned: "anything on other folders of the set",
         measure: five_skins::measure,
     },
     Set {
         name: "hydrogel-damage",
         title: "a gel skin watched for two hours, with two disturbances",
         source: "D. Hardman, T. G. Thuruthel and F. Iida, HydrogelEIT (`DamageTests`)",
-        tuned: "the watch was made for this recording: following drift, three frames of rest, a tenth of the disturbance; \
-                `smallest_depth` 0.006 was chosen knowing it and the 500 presses of `hydrogel`",
-        not_tuned: "the model of the skin and its circuit, which come from `hydrogel`; there is no second such recording",
+        tuned: "the watch: following drift, three frames of rest, a tenth of the disturbance, `smallest_depth` 0.006",
+        not_tuned: "the model of the skin and its circuit, which come from `hydrogel`",
         measure: gel_watch::measure,
     },
     Set {
         name: "ktc",
         title: "a water tank with 32 electrodes, 4 training phantoms with photographed truth",
         source: "Kuopio Tomography Challenge 2023",
-        tuned: "the recipe of the tanks (weights, prior, hyperparameter rule) while looking at all four tanks; the soft \
-                threshold of the images and the thresholds of the labels on these phantoms; the rule by which the \
-                network's labels are taken was checked on them",
-        not_tuned: "the network's weights: simulated frames alone",
+        tuned: "the recipe of all four tanks (weights, prior, hyperparameter rule); the soft threshold of the images, the \
+                thresholds of the labels, and the rule by which the network's labels are taken",
+        not_tuned: "the network's weights, which come from simulated frames",
         measure: ktc::measure,
     },
     Set {
         name: "golfball",
         title: "balls of 2 cm radius in a saline tank of 30 cm, 16 electrodes",
         source: "M. Soleimani, C. Gomez-Laberge and A. Adler, 2006 (EIDORS sample data)",
-        tuned: "the recipe of the tanks while looking at all four; gain by channel for this deep tank",
-        not_tuned: "no position of a ball enters a parameter",
+        tuned: "the recipe of all four tanks; gain by channel for this deep tank",
+        not_tuned: "anything by the balls' positions",
         measure: golfball::measure,
     },
     Set {
         name: "pyeidors-tank",
         title: "metal and plastic at named electrodes of a tank, 16 electrodes",
         source: "PyEIDORS sample data",
-        tuned: "the recipe of the tanks while looking at all four; gain by regression with intercept, and touches from half \
-                of the strongest, for this instrument",
-        not_tuned: "nothing is chosen by file or by object",
+        tuned: "the recipe of all four tanks; gain by regression with intercept, and touches from half of the strongest",
+        not_tuned: "anything by file or object",
         measure: pyeidors::measure,
     },
     Set {
         name: "sciospec",
         title: "a cup moved through a tank by hand, 255 frames of a Sciospec instrument",
         source: "Sciospec, sciospec_EIT_matlab_example",
-        tuned: "the recipe of the tanks while looking at all four; touches from a relative conductivity of 0.08",
-        not_tuned: "the frame at which the cup enters enters no parameter; which frames are empty was given",
+        tuned: "the recipe of all four tanks; touches from a relative conductivity of 0.08",
+        not_tuned: "anything by the frame at which the cup enters",
         measure: sciospec::measure,
     },
     Set {
         name: "team7",
         title: "a racetrack coil over an aluminium plate with a hole, 50 Hz",
         source: "K. Fujiwara and T. Nakata, COMPEL 9, 137 (1990), TEAM Workshop Problem 7",
-        tuned: "the mesh was chosen for its run time, with the deviations of three meshes known",
-        not_tuned: "no parameter of the physics",
+        tuned: "the mesh, with the deviations of three meshes known",
+        not_tuned: "the physics",
         measure: team7::measure,
     },
 ];

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis_lab::evidence::{Extent, Set, SetReport};
+use dermis_lab::evidence::{Extent, Finding, Set, SetReport};
 
 use crate::commands::escaped;
 use crate::exit::Outcome;
@@ -17,7 +17,7 @@ pub(super) struct Evidence {
 }
 
 /// Columns of a set's table.
-const COLUMNS: [&str; 6] = ["measured", "known or assumed", "dermis", "plain method", "best published", "time"];
+const COLUMNS: [&str; 5] = ["measured", "known or assumed", "dermis", "plain method", "best published"];
 
 /// Prints a set on the terminal.
 pub(super) fn print(out: &mut dyn Write, set: &Set, report: &SetReport) -> std::io::Result<()> {
@@ -114,7 +114,10 @@ impl Evidence {
     fn lead(&self) -> String {
         let quick = if self.extent == Extent::Quick { " --quick" } else { "" };
         let version = env!("CARGO_PKG_VERSION");
-        format!("Written by `dermis evidence --data DIR{quick}` of dermis {version}: {}.", self.summary())
+        format!(
+            "Written by `dermis evidence --data DIR{quick}` of dermis {version}: {}. `--only SET` repeats one set.",
+            self.summary()
+        )
     }
 
     /// A missing file as named on a page. The folder of the data is private and left out.
@@ -127,14 +130,9 @@ impl Evidence {
 
     /// The tables in Markdown.
     pub(super) fn markdown(&self) -> String {
-        let mut text = format!("{}\n\n| set | what it is | state | time |\n|---|---|---|---|\n", self.lead());
-        for (set, report) in &self.sets {
-            let (state, took) = (state(report), duration(report.seconds));
-            let _ = writeln!(text, "| `{}` | {} | {state} | {took} |", set.name, cell(set.title));
-        }
+        let mut text = format!("{}\n", self.lead());
         for (set, report) in &self.sets {
             let _ = write!(text, "\n### `{}`: {}\n\n{}.\n\n", set.name, set.title, set.source);
-            let _ = write!(text, "```sh\n{}\n```\n\n", self.command(set));
             for path in &report.missing {
                 let _ = write!(text, "Missing: `{}` is not there.\n\n", self.named(path));
             }
@@ -144,11 +142,18 @@ impl Evidence {
             if report.findings.is_empty() {
                 continue;
             }
-            let _ = write!(text, "| {} |\n|{}\n", COLUMNS.join(" | "), "---|".repeat(COLUMNS.len()));
-            for row in cells(report) {
-                let _ = writeln!(text, "| {} |", row.map(|text| cell(&text)).join(" | "));
+            let Layout { columns, rows, shared } = Layout::of(report);
+            if !columns.is_empty() {
+                let _ = write!(text, "| {} |\n|{}\n", columns.join(" | "), "---|".repeat(columns.len()));
+                for row in rows {
+                    let _ = writeln!(text, "| {} |", row.iter().map(|text| cell(text)).collect::<Vec<_>>().join(" | "));
+                }
+                text.push('\n');
             }
-            let _ = write!(text, "\n- Tuned on this set: {}.\n- Not tuned: {}.\n", set.tuned, set.not_tuned);
+            for (name, value) in shared {
+                let _ = writeln!(text, "- **{name}**: {}", cell(&value));
+            }
+            let _ = write!(text, "- **tuned on this set**: {}\n- **not tuned**: {}\n", set.tuned, set.not_tuned);
         }
         text
     }
@@ -171,32 +176,57 @@ impl Evidence {
             if report.findings.is_empty() {
                 continue;
             }
-            let head = COLUMNS.map(|column| format!("<th>{column}</th>")).concat();
-            let rows: String = cells(report)
-                .map(|row| format!("<tr>{}</tr>\n", row.map(|text| format!("<td>{}</td>", escaped(&text))).concat()))
-                .collect();
-            let _ = write!(
-                text,
-                "<div class=\"wide\"><table><tr>{head}</tr>\n{rows}</table></div>\n<ul><li>Tuned on this set: {tuned}.</li>\
-                 <li>Not tuned: {not_tuned}.</li></ul>\n"
-            );
+            let Layout { columns, rows, shared } = Layout::of(report);
+            if !columns.is_empty() {
+                let head = columns.iter().map(|column| format!("<th>{column}</th>")).collect::<String>();
+                let _ = writeln!(text, "<div class=\"wide\"><table><tr>{head}</tr>");
+                for row in rows {
+                    let row = row.iter().map(|text| format!("<td>{}</td>", escaped(text))).collect::<String>();
+                    let _ = writeln!(text, "<tr>{row}</tr>");
+                }
+                text.push_str("</table></div>\n");
+            }
+            text.push_str("<ul>");
+            for (name, value) in shared {
+                let _ = write!(text, "<li><b>{name}</b>: {}</li>", escaped(&value));
+            }
+            let _ = writeln!(text, "<li>tuned on this set: {tuned}</li><li>not tuned: {not_tuned}</li></ul>");
         }
         text
     }
 }
 
-/// The cells of a set's rows, in the order of [`COLUMNS`].
-fn cells(report: &SetReport) -> impl Iterator<Item = [String; 6]> {
-    report.findings.iter().map(|finding| {
-        [
-            finding.measured.clone(),
-            finding.known.clone(),
-            finding.here_text(),
-            finding.plain.text(),
-            finding.published.text(),
-            duration(finding.seconds),
-        ]
-    })
+/// A set's findings as a table without repetitions, and apart from it the columns whose cells are all alike.
+struct Layout {
+    columns: Vec<&'static str>,
+    rows: Vec<Vec<String>>,
+    shared: Vec<(&'static str, String)>,
+}
+
+impl Layout {
+    fn of(report: &SetReport) -> Self {
+        let cells: Vec<[String; COLUMNS.len()]> = report.findings.iter().map(cells).collect();
+        let (mut shared, mut varying) = (Vec::new(), Vec::new());
+        for (index, name) in COLUMNS.into_iter().enumerate() {
+            if cells.iter().all(|row| row[index] == cells[0][index]) {
+                shared.push((name, cells[0][index].clone()));
+            } else {
+                varying.push(index);
+            }
+        }
+        let cell = |row: usize, index: usize| {
+            let repeats = row > 0 && cells[row][index] == cells[row - 1][index];
+            if repeats { "as above".to_owned() } else { cells[row][index].clone() }
+        };
+        let rows = (0..cells.len()).map(|row| varying.iter().map(|&index| cell(row, index)).collect()).collect();
+        Self { columns: varying.into_iter().map(|index| COLUMNS[index]).collect(), rows, shared }
+    }
+}
+
+/// The cells of a row, in the order of [`COLUMNS`].
+fn cells(finding: &Finding) -> [String; COLUMNS.len()] {
+    let Finding { measured, known, plain, published, .. } = finding;
+    [measured.clone(), known.clone(), finding.here_text(), plain.text(), published.text()]
 }
 
 /// Text escaped for a cell of a Markdown table.
@@ -207,7 +237,7 @@ fn cell(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_lab::evidence::{Comparison, Figure, Finding};
+    use dermis_lab::evidence::{Comparison, Figure};
 
     fn evidence() -> Evidence {
         let finding = Finding {
@@ -218,8 +248,9 @@ mod tests {
             published: Comparison::said("none"),
             seconds: 150.0,
         };
-        let measured =
-            SetReport { findings: vec![finding], missing: vec!["data/x/b.csv".into()], failed: None, seconds: 151.0 };
+        let other = Finding { measured: "place of others".into(), here: vec![], ..finding.clone() };
+        let findings = vec![finding, other];
+        let measured = SetReport { findings, missing: vec!["data/x/b.csv".into()], failed: None, seconds: 151.0 };
         let missing =
             SetReport { findings: vec![], missing: vec!["data/ktc/a.csv".into()], failed: None, seconds: 0.0 };
         let sets = ["hydrogel", "ktc"].map(|name| Set::named(name).expect("a set"));
@@ -228,16 +259,21 @@ mod tests {
     }
 
     #[test]
-    fn tables_hold_every_column_and_say_what_is_missing() {
+    fn cells_that_are_all_alike_are_listed_once_and_missing_files_are_named() {
         let text = evidence().markdown();
         assert!(text.contains("1 of 2 sets in 2.5 min; missing: ktc; incomplete: hydrogel"), "{text}");
-        let row = "| place \\| of presses | the <outline> | median 1.50 mm (1.00 to 2.00) | ridge: median 3.00 mm | none | \
-                   2.5 min |";
-        assert!(text.contains(row), "{text}");
+        let row = "| place \\| of presses | median 1.50 mm (1.00 to 2.00) |";
+        assert!(text.contains(row) && text.contains("| measured | dermis |"), "{text}");
+        assert!(
+            text.contains("- **known or assumed**: the <outline>\n- **plain method**: ridge: median 3.00 mm\n"),
+            "{text}"
+        );
         assert!(text.contains("Missing: `DIR/ktc/a.csv` is not there."), "{text}");
-        assert!(text.contains("dermis evidence --data DIR --only hydrogel\n"), "{text}");
         let html = evidence().html();
-        assert!(html.contains("<td>the &lt;outline&gt;</td>") && html.contains("<h2 id=\"ktc\">"), "{html}");
+        assert!(
+            html.contains("<li><b>known or assumed</b>: the &lt;outline&gt;</li>") && html.contains("<h2 id=\"ktc\">"),
+            "{html}"
+        );
         let json = evidence().as_json();
         assert_eq!((&json["sets"][0]["state"], &json["sets"][1]["state"]), (&"incomplete".into(), &"missing".into()));
         assert_eq!(json["sets"][0]["findings"][0]["here"][0]["range"][1], 2.0);
