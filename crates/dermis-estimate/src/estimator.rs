@@ -27,8 +27,10 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// Largest number of operations spent on one frame: some 200 ms. It is counted rather than timed, so that replays agree.
+/// Largest number of operations spent on one frame: some 100 ms. It is counted rather than timed, so that replays agree.
 const MOST_WORK: f64 = 4e8;
+/// The same for the search for presses that have ended.
+const MOST_WORK_GONE: f64 = 2e8;
 /// Radii from which a joint set is fitted, relative to the typical one.
 const JOINT_RADII: [f64; 2] = [1.0, 1.4];
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
@@ -76,8 +78,7 @@ struct Explanation {
 impl Estimator {
     /// An estimator with this fit and these thresholds. With `negative`, presses may also lower what they usually
     /// raise.
-    pub fn new(mut fit: Box<dyn PressFit>, evidence: Evidence, negative: bool) -> Self {
-        fit.set_most_work(MOST_WORK);
+    pub fn new(fit: Box<dyn PressFit>, evidence: Evidence, negative: bool) -> Self {
         Self {
             fit,
             evidence,
@@ -99,11 +100,10 @@ impl Estimator {
     /// Continues with another fit, which weighs the channels differently.
     pub fn set_fit(&mut self, fit: Box<dyn PressFit>) {
         self.fit = fit;
-        self.allow_work();
     }
 
-    fn allow_work(&mut self) {
-        self.fit.set_most_work(if self.is_unhurried { f64::INFINITY } else { MOST_WORK });
+    fn allow_work(&mut self, most: f64) {
+        self.fit.set_most_work(if self.is_unhurried { f64::INFINITY } else { most });
     }
 
     /// Forgets the last frame: the next is unrelated to it.
@@ -115,12 +115,17 @@ impl Estimator {
     /// From now on, spends as much time on each frame as it needs.
     pub fn take_time(&mut self) {
         self.is_unhurried = true;
-        self.allow_work();
+    }
+
+    /// True if a frame (model volts) is noise and a uniform change, or cannot be fitted.
+    pub fn is_at_rest(&mut self, frame: &[f64]) -> bool {
+        self.fit.take_frame(frame).is_none_or(|cost| cost.is_noise())
     }
 
     /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
     /// frame had none.
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
+        self.allow_work(MOST_WORK);
         let null = self.fit.take_frame(frame)?;
         let mut best = Explanation { presses: Vec::new(), cost: null };
         let last = std::mem::take(&mut self.last);
@@ -171,7 +176,7 @@ impl Estimator {
     /// Explains the frame of the last [`Estimator::explain`] again, also allowing presses with a negative load:
     /// presses that are part of the baseline and have ended. Keeps nothing for the next frame.
     pub fn explain_with_gone(&mut self) -> Option<Estimate> {
-        self.allow_work();
+        self.allow_work(MOST_WORK_GONE);
         let negative = std::mem::replace(&mut self.negative, true);
         let estimate = self.explain_from_nothing();
         self.negative = negative;
@@ -286,11 +291,7 @@ impl Estimator {
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let mut found: Vec<Explanation> = Vec::new();
         if self.fit.is_joint() {
-            self.propose_sets(best, false, &mut found);
-            // Present and ended presses in one set would explain a cut as well.
-            if self.negative {
-                self.propose_sets(best, true, &mut found);
-            }
+            self.propose_sets(best, &mut found);
         } else {
             self.propose_singly(best, hints, &mut found);
         }
@@ -318,11 +319,11 @@ impl Estimator {
         most
     }
 
-    /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or those
-    /// that have ended.
-    fn propose_sets(&mut self, best: &Explanation, have_ended: bool, found: &mut Vec<Explanation>) {
+    /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else those
+    /// that have ended. Both in one set would explain a cut as well.
+    fn propose_sets(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
         let mut is_first = true;
-        while let Some(set) = self.fit.next_joint_set(is_first, have_ended) {
+        while let Some(set) = self.fit.next_joint_set(is_first, self.negative) {
             is_first = false;
             if set.len() <= best.presses.len() {
                 continue;

@@ -24,6 +24,7 @@ use dermis_touch::health::Health;
 use dermis_touch::{Baseline, BaselineChange, BaselineParams, BaselineState, Load, ReferenceRecord};
 
 use crate::Error;
+use crate::beside::Beside;
 use crate::calibration::{Calibration, check_wiring};
 pub use crate::channel_noise::TARE_FRAMES;
 use crate::channels::ChannelReader;
@@ -65,6 +66,8 @@ pub struct Pipeline {
     circuit: Option<CircuitStage>,
     /// Learns how the skin was built, unless a calibration says so.
     building: Option<BuildLearning>,
+    /// Draws errors of the workshop, after a baseline that is not the first.
+    errors: Beside<()>,
     /// A network that classifies pixels, if any.
     classes: Option<ClassStage>,
     /// `None` without limits in the skin file or from the user.
@@ -164,6 +167,7 @@ impl Pipeline {
             levels,
             circuit,
             building,
+            errors: Beside::new(),
             classes: None,
             guard,
             is_seen: false,
@@ -202,6 +206,7 @@ impl Pipeline {
         let at = (frame.host_monotonic_ns, frame.sequence);
         self.take_up_circuit(time_ns, at)?;
         self.take_up_build(time_ns, at)?;
+        self.take_up_errors(time_ns);
         let change = match self.is_blank() {
             // Nothing to learn from: the baseline starts with the first frame that has readings.
             true => BaselineChange::None,
@@ -418,12 +423,13 @@ impl Pipeline {
     }
 
     /// Number of frames that waited for background work: operators for other hyperparameters, sheets with new cuts,
-    /// searches for the readout's circuit, models of the skin as built. Zero on a machine that is fast enough for the stream.
+    /// searches for the readout's circuit, models of the skin as built, errors of the workshop. Zero on a machine that is
+    /// fast enough for the stream.
     pub fn waits(&self) -> u64 {
         let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
         let of_circuits = self.circuit.as_ref().map_or(0, CircuitStage::waits);
         let of_builds = self.building.as_ref().map_or(0, BuildLearning::waits);
-        self.operators.waits() + of_sheets + of_circuits + of_builds
+        self.operators.waits() + of_sheets + of_circuits + of_builds + self.errors.waits()
     }
 
     /// Starts classifying the pixels of frames by a network, or stops.

@@ -211,6 +211,11 @@ impl Prepared {
         rows
     }
 
+    /// True if the errors of touches on skins as built are known, so that asking for them takes no time.
+    pub(crate) fn knows_workshop_error(&self) -> bool {
+        self.workshop_error.get().is_some()
+    }
+
     /// Errors of touches on skins built within the file's tolerances, worked out by `draw` once.
     pub(crate) fn workshop_error(
         &self,

@@ -13,7 +13,7 @@ use crate::stages::element_presses::ElementPresses;
 use crate::stages::placement::Placement;
 use crate::stages::refinement::Refinement;
 use crate::stages::touches::TouchStage;
-use crate::stages::workshop_ensemble::built_error;
+use crate::stages::workshop_ensemble::{built_error, must_draw};
 
 /// Turns difference data into images and images into touches.
 #[derive(Debug)]
@@ -52,6 +52,11 @@ impl Reconstructor {
         let elements = ElementContacts::new(prepared);
         let presses = if elements.is_some() { ElementPresses::new(prepared)? } else { None };
         Ok(Self { imager, placement, refinement, elements, presses, touches, is_unexplained: false })
+    }
+
+    /// True if [`Reconstructor::take_reference`] takes the time of many frames.
+    pub(crate) fn takes_long(&self, prepared: &Prepared, reference: &Reference) -> bool {
+        self.refinement.refines() && must_draw(prepared, reference.misfit)
     }
 
     /// Takes into account how far the skin that gave this reference is from its file.

@@ -163,8 +163,13 @@ impl PlateModel {
             return Ok(None);
         }
         let (mut contacts, mut slopes) = (Vec::new(), Vec::new());
+        // Most points are under the full pressure of one press.
+        let (mut known_pa, mut known) = (f64::NAN, [0.0; 2]);
         for (point, pressure_pa) in self.pressures(presses, has_ended, effort) {
-            let [conductance, slope] = self.law.conductance(pressure_pa);
+            if pressure_pa != known_pa {
+                (known_pa, known) = (pressure_pa, self.law.conductance(pressure_pa));
+            }
+            let [conductance, slope] = known;
             if conductance > 0.0 {
                 contacts.push((point, conductance));
                 slopes.push((point, slope));
@@ -185,14 +190,11 @@ impl PlateModel {
         let mut found: Vec<(usize, f64)> = Vec::new();
         for press in presses.iter().filter(|press| press.has_ended == has_ended) {
             let field = Field::new(press, self.law.spread_m);
-            let [x, reach_m] = [press.position_m[0], field.reach_m()];
-            let near = sheet.points_between(x - reach_m, x + reach_m);
-            found.extend(near.filter_map(|point| Some((point, field.at(sheet.points()[point].position_m)?.0))));
+            let near = sheet.points_near(press.position_m, field.reach_m());
+            found.extend(near.filter_map(|point| Some((point, field.pressure_at(sheet.points()[point].position_m)?))));
         }
-        // Pressures add up where presses overlap.
-        if !found.is_sorted_by_key(|(point, _)| *point) {
-            found.sort_unstable_by_key(|(point, _)| *point);
-        }
+        // Pressures add up where presses overlap. The stable sort is quick, since the points of each press are in order.
+        found.sort_by_key(|(point, _)| *point);
         found.dedup_by(|(point, pressure), (kept, sum)| {
             let is_same = point == kept;
             *sum += if is_same { *pressure } else { 0.0 };
@@ -226,13 +228,11 @@ impl PlateModel {
             let sign = if has_ended { -1.0 } else { 1.0 };
             for (k, press) in presses.iter().enumerate().filter(|(_, press)| press.has_ended == has_ended) {
                 let field = Field::new(press, self.law.spread_m);
-                let moves: Vec<(usize, [f64; OF_PRESS])> = slopes
-                    .iter()
-                    .filter_map(|&(point, slope)| {
-                        let (_, by) = field.at(sheet.points()[point].position_m)?;
-                        Some((point, by.map(|value| sign * slope * value)))
-                    })
-                    .collect();
+                let moved = |&(point, slope): &(usize, f64)| {
+                    let by = field.derivatives_at(sheet.points()[point].position_m)?;
+                    Some((point, by.map(|value| sign * slope * value)))
+                };
+                let moves: Vec<(usize, [f64; OF_PRESS])> = slopes.iter().filter_map(moved).collect();
                 let jacobian = sheet.derivatives(contact, &moves);
                 for parameter in 0..OF_PRESS {
                     columns[OF_PRESS * k + parameter] =
@@ -276,11 +276,10 @@ impl PlateModel {
     /// Radius at which the contact under a press is half that in its middle, metres.
     pub(super) fn contact_radius_m(&self, press: &Pressed) -> f64 {
         let field = Field::new(press, self.law.spread_m);
-        let middle_pa = field.at(press.position_m).map_or(0.0, |(pressure, _)| pressure);
+        let middle_pa = field.pressure_at(press.position_m).unwrap_or(0.0);
         let half = 0.5 * self.law.conductance(middle_pa)[0];
-        let at = |distance_m: f64| field.at([press.position_m[0] + distance_m, press.position_m[1]]);
-        let is_more =
-            |distance_m: f64| at(distance_m).is_some_and(|(pressure, _)| self.law.conductance(pressure)[0] > half);
+        let at = |distance_m: f64| field.pressure_at([press.position_m[0] + distance_m, press.position_m[1]]);
+        let is_more = |distance_m: f64| at(distance_m).is_some_and(|pressure| self.law.conductance(pressure)[0] > half);
         let (mut low, mut high) = (0.0, field.reach_m());
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);

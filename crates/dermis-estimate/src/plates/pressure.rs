@@ -92,24 +92,36 @@ impl Field {
         self.radius_m + Self::REACH * self.spread_m
     }
 
-    /// Pressure at a position (pascal), and its derivatives by the parameters of the press; `None` beyond its reach.
-    pub fn at(&self, place_m: [f64; 2]) -> Option<(f64, [f64; OF_PRESS])> {
+    /// Offset from the centre, and its square; `None` beyond the reach.
+    fn offset(&self, place_m: [f64; 2]) -> Option<([f64; 2], f64)> {
         let off = [place_m[0] - self.centre_m[0], place_m[1] - self.centre_m[1]];
-        let reach_m = self.reach_m();
         let square = off[0] * off[0] + off[1] * off[1];
-        if square > reach_m * reach_m {
-            return None;
+        (square <= self.reach_m().powi(2)).then_some((off, square))
+    }
+
+    /// Pressure at a position, pascal; `None` beyond its reach.
+    pub fn pressure_at(&self, place_m: [f64; 2]) -> Option<f64> {
+        let (_, square) = self.offset(place_m)?;
+        let full_m = self.radius_m - Self::REACH * self.spread_m;
+        if full_m > 0.0 && square < full_m * full_m {
+            return Some(self.pressure_pa);
         }
+        Some(self.pressure_pa * normal((self.radius_m - square.sqrt()) / self.spread_m)[0])
+    }
+
+    /// Derivatives of the pressure at a position by the parameters of the press; `None` beyond its reach.
+    pub fn derivatives_at(&self, place_m: [f64; 2]) -> Option<[f64; OF_PRESS]> {
+        let (off, square) = self.offset(place_m)?;
         let distance_m = square.sqrt();
         let u = (self.radius_m - distance_m) / self.spread_m;
         if u > Self::REACH {
-            return Some((self.pressure_pa, [0.0, 0.0, self.pressure_pa, 0.0]));
+            return Some([0.0, 0.0, self.pressure_pa, 0.0]);
         }
         let [below, density] = normal(u);
         let pressure = self.pressure_pa * below;
         let density = self.pressure_pa * density / self.spread_m;
         let along = density / distance_m.max(1e-9);
-        Some((pressure, [along * off[0], along * off[1], pressure, density * self.radius_m]))
+        Some([along * off[0], along * off[1], pressure, density * self.radius_m])
     }
 }
 
@@ -135,8 +147,8 @@ mod tests {
     #[test]
     fn derivatives_of_a_pressure_are_those_of_differences() {
         let press = Pressed { position_m: [0.0; 2], log_pressure: 9.0, log_radius: 8e-3_f64.ln(), has_ended: false };
-        let at = |press: &Pressed| Field::new(press, 1e-3).at([7e-3, 3e-3]).unwrap();
-        let (_, by) = at(&press);
+        let at = |press: &Pressed| Field::new(press, 1e-3).pressure_at([7e-3, 3e-3]).unwrap();
+        let by = Field::new(&press, 1e-3).derivatives_at([7e-3, 3e-3]).unwrap();
         let moved = |parameter: usize, step: f64| {
             let mut moved = press;
             match parameter {
@@ -144,7 +156,7 @@ mod tests {
                 2 => moved.log_pressure += step,
                 _ => moved.log_radius += step,
             }
-            at(&moved).0
+            at(&moved)
         };
         for (parameter, h) in [1e-4, 1e-4, 1e-3, 1e-2].into_iter().enumerate() {
             let difference = (moved(parameter, h) - moved(parameter, -h)) / (2.0 * h);

@@ -11,7 +11,10 @@ use crate::reconstructor::Reconstructor;
 use crate::reference::{MeasuredNoise, Reference};
 use crate::stages::gone::Gone;
 use crate::stages::health::HealthStage;
+use crate::stages::workshop_ensemble::built_error;
 
+/// Delay after which errors of the workshop count, nanoseconds: several times the time to draw them on one slow core.
+const ERRORS_READY_NS: u64 = 5_000_000_000;
 /// Number of frames averaged for the new baseline after a press in the old one has ended.
 const GONE_FRAMES: usize = 8;
 /// Reason for that baseline in the records.
@@ -152,6 +155,30 @@ impl Pipeline {
         Ok(())
     }
 
+    /// Takes into account how far the skin is from its file: at once, or when the errors of such skins are drawn.
+    fn take_reference(&mut self) {
+        self.errors.cancel();
+        let State::Running(running) = &mut self.state else { return };
+        let Running { reference, reconstructor } = &mut **running;
+        if !reconstructor.takes_long(&self.prepared, reference) {
+            reconstructor.take_reference(&self.prepared, reference);
+            return;
+        }
+        let (prepared, misfit) = (self.prepared.clone(), reference.misfit);
+        let due_ns = self.timing.clock.time_ns().saturating_add(ERRORS_READY_NS);
+        self.errors.begin(due_ns, move |_| {
+            built_error(&prepared, misfit);
+            Some(())
+        });
+    }
+
+    /// Takes up the errors of such skins, if they are due.
+    pub(super) fn take_up_errors(&mut self, time_ns: u64) {
+        if self.errors.take(time_ns).is_some() {
+            self.take_reference();
+        }
+    }
+
     /// Matches the baseline to the model and, the first time, builds the operator.
     pub(super) fn match_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
         if let (Some(health), State::Starting(_)) = (&mut self.health, &self.state) {
@@ -178,8 +205,8 @@ impl Pipeline {
                 imager.set_noise(&reference.noise)?;
                 touches.set_noise(imager.noise_image());
                 refinement.set_noise(&reference.noise)?;
-                running.reconstructor.take_reference(&self.prepared, &reference);
                 running.reference = reference;
+                self.take_reference();
             }
             State::Starting(starting) => {
                 let mut running = starting.run(&self.prepared, &mut self.choices, reference)?;

@@ -187,6 +187,7 @@ impl SpotStage {
     pub(crate) fn set_fit(&mut self, fit: Box<dyn PressFit>, is_aged: bool) {
         self.is_aged = is_aged;
         self.estimator.set_fit(fit);
+        self.gone.clear();
         self.estimator.fit_mut().set_error_beyond(self.built_share);
     }
 
@@ -209,16 +210,53 @@ impl SpotStage {
         self.estimator.forget();
         self.pause = Pause::default();
         self.gathered.forget();
+        self.gone.clear();
         (self.gone_frames, self.wait) = (0, 0);
         self.peaks.clear();
         self.anchors.clear();
         self.remnants.clear();
     }
 
+    /// The presses that explain a frame, and whether presses that have ended explain it as well.
+    fn explain(&mut self, difference: &[f64]) -> Option<(Estimate, bool)> {
+        if let Some(mut estimate) = self.explain_without_gone(difference) {
+            self.hold(&mut estimate.presses);
+            return Some((estimate, true));
+        }
+        let mut estimate = self.estimator.explain(difference, &self.hints)?;
+        self.hold(&mut estimate.presses);
+        let without_gone = self.look_for_gone(&estimate);
+        let has_gone = without_gone.is_some();
+        Some((without_gone.unwrap_or(estimate), has_gone))
+    }
+
+    /// Between searches, takes the presses that the last one found to have ended off the frame and explains the rest.
+    /// `None` without any, or if that no longer explains the frame.
+    fn explain_without_gone(&mut self, difference: &[f64]) -> Option<Estimate> {
+        if self.gone.is_empty() || self.wait == 0 {
+            return None;
+        }
+        if !self.estimator.is_at_rest(difference) {
+            self.estimator.fit_mut().channels_of(&self.gone, &mut self.volts);
+            let rest: Vec<f64> = difference.iter().zip(&self.volts).map(|(all, gone)| all - gone).collect();
+            let estimate = self.estimator.explain(&rest, &self.hints)?;
+            let energy = |volts: &[f64]| volts.iter().map(|volts| volts * volts).sum::<f64>();
+            if estimate.unexplained * energy(&rest) < GONE_UNEXPLAINED * energy(difference) {
+                self.wait -= 1;
+                self.gone_frames += 1;
+                self.gone_alone = estimate.presses.is_empty();
+                return Some(estimate);
+            }
+        }
+        self.gone.clear();
+        None
+    }
+
     /// If present presses do not explain the frame, searches for presses of negative load, which are part of the
     /// baseline but have ended. If there are any, returns the estimate without them.
     fn look_for_gone(&mut self, estimate: &Estimate) -> Option<Estimate> {
         if estimate.is_at_rest || estimate.unexplained < CLEARLY_EXPLAINED || self.both_signs {
+            self.gone.clear();
             (self.gone_frames, self.wait, self.waited) = (0, 0, 0);
             return None;
         }
@@ -226,6 +264,7 @@ impl SpotStage {
             self.wait -= 1;
             return None;
         }
+        self.gone.clear();
         let found = self.estimator.explain_with_gone().filter(|found| {
             let has_gone = found.presses.iter().any(|press| press.load < 0.0);
             let is_simpler = found.presses.len() < estimate.presses.len();
@@ -233,18 +272,26 @@ impl SpotStage {
             has_gone && found.unexplained < most.min(GONE_UNEXPLAINED)
         });
         let Some(mut found) = found else {
-            // Frames that nothing explains keep coming: search less and less often.
-            self.waited = (2 * self.waited).clamp(1, MOST_GONE_WAIT);
-            (self.gone_frames, self.wait) = (0, if self.is_unhurried { 0 } else { self.waited });
+            self.gone_frames = 0;
+            self.wait_for_gone();
             return None;
         };
-        self.gone.clear();
         self.gone.extend(found.presses.iter().filter(|press| press.load < 0.0));
         self.gone_alone = self.gone.len() == found.presses.len();
         self.gone_frames += 1;
+        if self.gone_frames >= GONE_FRAMES {
+            self.wait_for_gone();
+        }
         let pairs = found.presses.into_iter().zip(found.evidence);
         (found.presses, found.evidence) = pairs.filter(|(press, _)| press.load > 0.0).unzip();
         Some(found)
+    }
+
+    /// Searches for presses that have ended less and less often, while frames keep coming that nothing explains, or
+    /// whose explanation the baseline does not take up.
+    fn wait_for_gone(&mut self) {
+        self.wait = if self.is_unhurried { 0 } else { self.waited };
+        self.waited = (2 * self.waited).clamp(1, MOST_GONE_WAIT);
     }
 
     /// Keeps presses at the position and radius from when the baseline was fresh, as long as the frame allows it.
@@ -296,6 +343,7 @@ impl SpotStage {
             return Some(Gone::Alone);
         }
         self.estimator.fit_mut().channels_of(&self.gone, &mut self.volts);
+        self.gone.clear();
         Some(Gone::BesideOthers(&self.volts))
     }
 
@@ -343,11 +391,9 @@ impl SpotStage {
             doubt(contacts, lowest);
             return;
         }
-        let Some(mut estimate) = self.estimator.explain(difference, &self.hints) else { return };
-        self.hold(&mut estimate.presses);
-        if let Some(without_gone) = self.look_for_gone(&estimate) {
+        let Some((estimate, has_gone)) = self.explain(difference) else { return };
+        if has_gone {
             contacts.clear();
-            estimate = without_gone;
         }
         if estimate.unexplained > self.most_unexplained {
             if self.is_joint {

@@ -48,7 +48,7 @@ pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError
         let remaining = prepared.workshop_error(|| None)?;
         return Some(BuiltError::new(remaining, f64::NAN));
     }
-    if misfit < AS_DRAWN || !prepared.skin.fits_touches() || !prepared.skin.backend.wiring.is_known() {
+    if !is_off(prepared, misfit) {
         return None;
     }
     let ensemble = prepared.workshop_error(|| match draw(prepared) {
@@ -59,6 +59,17 @@ pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError
         }
     });
     Some(BuiltError::new(ensemble?, misfit))
+}
+
+/// True if a skin whose baseline has this misfit is not as drawn, and touches are fitted to its model.
+fn is_off(prepared: &Prepared, misfit: f64) -> bool {
+    let is_drawn = misfit < AS_DRAWN;
+    !is_drawn && prepared.skin.fits_touches() && prepared.skin.backend.wiring.is_known()
+}
+
+/// True if [`built_error`] must first draw the ensemble, which takes the time of many frames.
+pub(crate) fn must_draw(prepared: &Prepared, misfit: f64) -> bool {
+    !prepared.is_as_built() && is_off(prepared, misfit) && !prepared.knows_workshop_error()
 }
 
 /// Draws the ensemble of a skin whose touches are fitted.

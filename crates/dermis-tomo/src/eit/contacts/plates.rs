@@ -3,7 +3,6 @@
 //! plates in place of `1`, `P = M^-1 - M^-1 B (B' M^-1 B)^-1 B' M^-1`.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 use super::sheet::{ContactSheet, OF_PRESS, Touched};
 use crate::eit::{EitError, ForwardModel};
@@ -42,7 +41,18 @@ pub struct PlatedSheet {
     sheet: ContactSheet,
     /// Plate of each cell.
     plates: Vec<u32>,
+    /// Column by column, from left to right, and upwards within each.
     points: Vec<PlatePoint>,
+    columns: Columns,
+}
+
+/// Columns of equal width that divide the points of a sheet.
+#[derive(Debug)]
+struct Columns {
+    left_m: f64,
+    width_m: f64,
+    /// Index of the first point of each column, and the number of all points.
+    firsts: Vec<usize>,
 }
 
 /// Solution for one set of contacts.
@@ -81,7 +91,7 @@ impl PlatedSheet {
     ) -> Result<Self, EitError> {
         let (sheet, order) = ContactSheet::with_order(model, sheet_s, 0.0)?;
         let mut parts = parts_under_plates(model, &order, plate_at);
-        parts.sort_by(|a, b| a.position_m[0].total_cmp(&b.position_m[0]));
+        let columns = Columns::of(&mut parts, sheet.node_spacing_m());
         let cells = cells_of(&parts, sheet.node_spacing_m());
         let count = cells.iter().max().map_or(0, |last| *last as usize + 1);
         let (mut means, mut plates) = (vec![Vec::new(); count], vec![0; count]);
@@ -93,7 +103,8 @@ impl PlatedSheet {
             let Part { position_m, area_m2, .. } = *part;
             PlatePoint { position_m, area_m2, cell }
         };
-        Ok(Self { sheet: sheet.averaged(&means), plates, points: parts.iter().zip(cells).map(point).collect() })
+        let points = parts.iter().zip(cells).map(point).collect();
+        Ok(Self { sheet: sheet.averaged(&means), plates, points, columns })
     }
 
     /// Number of channels.
@@ -116,15 +127,25 @@ impl PlatedSheet {
         self.plates.iter().all(|plate| *plate == self.plates[0])
     }
 
-    /// All points at which the sheet can make contact, in ascending order of x.
+    /// All points at which the sheet can make contact.
     pub fn points(&self) -> &[PlatePoint] {
         &self.points
     }
 
-    /// The range of the points with x between these values, metres.
-    pub fn points_between(&self, from_m: f64, to_m: f64) -> Range<usize> {
-        let below = |x_m: f64| self.points.partition_point(|point| point.position_m[0] < x_m);
-        below(from_m)..below(to_m).max(below(from_m))
+    /// Indices of points, ascending: all those within a distance of a centre (metres), and few others.
+    pub fn points_near(&self, centre_m: [f64; 2], reach_m: f64) -> impl Iterator<Item = usize> + '_ {
+        let Columns { left_m, width_m, firsts } = &self.columns;
+        let last = firsts.len() - 2;
+        let column = |x_m: f64| (((x_m - left_m) / width_m).max(0.0) as usize).min(last);
+        (column(centre_m[0] - reach_m)..=column(centre_m[0] + reach_m)).flat_map(move |column| {
+            let from_m = left_m + width_m * column as f64;
+            let nearest_m = centre_m[0].clamp(from_m, from_m + width_m);
+            let half_m = (reach_m * reach_m - (nearest_m - centre_m[0]).powi(2)).max(0.0).sqrt();
+            let points = &self.points[firsts[column]..firsts[column + 1]];
+            let from = points.partition_point(|point| point.position_m[1] < centre_m[1] - half_m);
+            let to = points.partition_point(|point| point.position_m[1] <= centre_m[1] + half_m);
+            firsts[column] + from..firsts[column] + to.max(from)
+        })
     }
 
     /// Solves for these contacts: points (as indices in [`PlatedSheet::points`]) with their conductance per area,
@@ -228,6 +249,18 @@ fn cells_of(parts: &[Part], size_m: f64) -> Vec<u32> {
     let mut numbers: BTreeMap<(u32, u32, u32), u32> = parts.iter().map(|part| (key(part), 0)).collect();
     (0..).zip(numbers.values_mut()).for_each(|(number, cell)| *cell = number);
     parts.iter().map(|part| numbers[&key(part)]).collect()
+}
+
+impl Columns {
+    /// Sorts parts into columns about this wide.
+    fn of(parts: &mut [Part], width_m: f64) -> Self {
+        let left_m = parts.iter().map(|part| part.position_m[0]).fold(f64::INFINITY, f64::min);
+        let column = |part: &Part| ((part.position_m[0] - left_m) / width_m) as usize;
+        parts.sort_by(|a, b| column(a).cmp(&column(b)).then(a.position_m[1].total_cmp(&b.position_m[1])));
+        let count = parts.last().map_or(1, |part| column(part) + 1);
+        let firsts = (0..=count).map(|k| parts.partition_point(|part| column(part) < k)).collect();
+        Self { left_m, width_m, firsts }
+    }
 }
 
 /// Number of the quarter of a triangle that contains these barycentric coordinates.

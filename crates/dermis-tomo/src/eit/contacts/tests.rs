@@ -215,3 +215,22 @@ fn derivatives_of_plates_agree_with_differences() {
         assert!(difference(&derivatives, &differences) < 1e-4, "parameter {parameter}");
     }
 }
+
+#[test]
+fn the_points_near_a_place_are_those_within_its_reach_and_few_others() {
+    let model = ForwardModel::new(body(4e-3), protocol()).unwrap();
+    let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
+    let sheet = PlatedSheet::new(&model, &sheet_s, |_| Some(0)).unwrap();
+    // In the middle, at the rim, and outside.
+    for (centre, reach_m) in [([3e-3, -7e-3], 0.018), ([0.049, 0.01], 0.012), ([-0.07, 0.0], 0.03), ([0.2, 0.2], 0.01)]
+    {
+        let away = |point: &PlatePoint| (point.position_m[0] - centre[0]).hypot(point.position_m[1] - centre[1]);
+        let near: Vec<usize> = sheet.points_near(centre, reach_m).collect();
+        assert!(near.is_sorted());
+        let within: Vec<usize> = (0..sheet.points().len()).filter(|&k| away(&sheet.points()[k]) <= reach_m).collect();
+        assert!(within.iter().all(|point| near.binary_search(point).is_ok()), "{centre:?}");
+        // Columns are as wide as an element: they stand out from the disc by at most that.
+        let beyond = near.iter().map(|&point| away(&sheet.points()[point])).fold(0.0, f64::max);
+        assert!(beyond <= reach_m.max(0.0) + 8e-3, "{beyond}");
+    }
+}
