@@ -1,5 +1,6 @@
 //! A load test of the whole of `dermis run`. An instrument on a socket sends 208 channels at a fixed rate; image,
-//! touches, recording and page follow, with three viewers, one of which never reads, and a reader of the guard's verdicts.
+//! touches, recording and page follow, with three viewers, one of which never reads, and a reader of the guard's
+//! verdicts.
 //!
 //! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after `cargo
 //! build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if a frame was
@@ -181,8 +182,8 @@ fn run(device: u16, page: u16, recording: &PathBuf, guard: &Path) -> Result<Chil
         .spawn()?)
 }
 
-/// Reads the guard's verdicts until the socket closes, and returns their numbers and the time from a frame's first byte to
-/// the arrival of its verdict here.
+/// Reads the guard's verdicts until the socket closes, and returns their numbers and the time from a frame's first byte
+/// to the arrival of its verdict here.
 fn read_verdicts(socket: &Path) -> Result<String, Failure> {
     let mut stream = UnixStream::connect(socket);
     for _ in 0..600 {

@@ -12,7 +12,8 @@ use crate::DeviceError;
 ///
 /// assert_eq!("sciospec".parse::<Format>()?, Format::Sciospec);
 /// let message = "toml".parse::<Format>().unwrap_err().to_string();
-/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, \
+/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc,
+/// golfball, \
 ///     pyeidors");
 /// # Ok::<(), dermis_device::DeviceError>(())
 /// ```

@@ -29,7 +29,8 @@ const LEAST_VARIANCE_M2: f64 = 1e-12;
 /// Minimum number of pokes that tell how a skin was built, and number of parts in which they are left out.
 const FEWEST_FOR_BUILD: usize = 8;
 const FOLDS: usize = 4;
-/// Largest number of pokes, evenly drawn, that tell how a skin was built: they determine a hundred parameters many times.
+/// Largest number of pokes, evenly drawn, that tell how a skin was built: they determine a hundred parameters many
+/// times.
 const MOST_FOR_BUILD: usize = 120;
 /// Share of coordinates within one standard deviation.
 const ONE_SIGMA: f64 = 0.683;

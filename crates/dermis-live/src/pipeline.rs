@@ -423,8 +423,8 @@ impl Pipeline {
     }
 
     /// Number of frames that waited for background work: operators for other hyperparameters, sheets with new cuts,
-    /// searches for the readout's circuit, models of the skin as built, errors of the workshop. Zero on a machine that is
-    /// fast enough for the stream.
+    /// searches for the readout's circuit, models of the skin as built, errors of the workshop. Zero on a machine that
+    /// is fast enough for the stream.
     pub fn waits(&self) -> u64 {
         let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
         let of_circuits = self.circuit.as_ref().map_or(0, CircuitStage::waits);

@@ -247,7 +247,8 @@ impl Prepared {
     }
 }
 
-/// Voltages at rest, volts, and volts per relative change of each inside pixel, with the readout circuit if it is known.
+/// Voltages at rest, volts, and volts per relative change of each inside pixel, with the readout circuit if it is
+/// known.
 fn electric_model(
     skin: &Skin,
     body: &SkinBody,

@@ -64,7 +64,8 @@ pub struct Reference {
     pub successive: Vec<Vec<f64>>,
     /// Comparison of the baseline with the model.
     pub order: OrderReport,
-    /// Root mean square of the baseline's difference from the model, relative; NaN where there is no baseline to compare.
+    /// Root mean square of the baseline's difference from the model, relative; NaN where there is no baseline to
+    /// compare.
     pub misfit: f64,
 }
 

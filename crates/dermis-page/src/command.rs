@@ -20,8 +20,8 @@ pub enum Command {
     RecordStart,
     /// End the recording.
     RecordStop,
-    /// Use this positive hyperparameter from 0.3 s later. Of several in a row the last counts; the others are answered as
-    /// replaced.
+    /// Use this positive hyperparameter from 0.3 s later. Of several in a row the last counts; the others are answered
+    /// as replaced.
     Hyperparameter(f64),
     /// Press on the twin; up to 16 at once per page.
     Press(Press),

@@ -1,6 +1,6 @@
 //! The messages on the wire, version 1: little-endian binary for images, channels and noise, JSON for the rest.
-//! `docs/src/page-protocol.md` describes them for other programs and includes `web/src/messages.ts`, which a test writes
-//! from the types here: `DERMIS_BLESS=1 cargo test -p dermis-page --lib blessed`.
+//! `docs/src/page-protocol.md` describes them for other programs and includes `web/src/messages.ts`, which a test
+//! writes from the types here: `DERMIS_BLESS=1 cargo test -p dermis-page --lib blessed`.
 
 use bytes::Bytes;
 use serde::de::DeserializeOwned;

@@ -135,8 +135,8 @@ fn typical_hyperparameter(prepared: &Prepared) -> f64 {
     reference.and_then(|r| Imager::new(prepared, &r, &[])).map_or(1.0, |imager| imager.hyperparameter())
 }
 
-/// Closed rings of an outline, metres, without repeating the first point: the outer boundary first, then holes. A circle
-/// becomes a polygon.
+/// Closed rings of an outline, metres, without repeating the first point: the outer boundary first, then holes. A
+/// circle becomes a polygon.
 pub fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
     match outline {
         Outline::Disc { radius_m } => {

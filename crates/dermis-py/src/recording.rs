@@ -276,8 +276,8 @@ struct FileFrames {
     understood: String,
 }
 
-/// Reads frames from any file that ``dermis reconstruct`` reads: text tables, NumPy, MATLAB, Excel, Parquet, recordings,
-/// ROS bags, Sciospec ``.eit`` and others.
+/// Reads frames from any file that ``dermis reconstruct`` reads: text tables, NumPy, MATLAB, Excel, Parquet,
+/// recordings, ROS bags, Sciospec ``.eit`` and others.
 ///
 /// Parameters
 /// ----------

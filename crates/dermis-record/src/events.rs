@@ -1,5 +1,5 @@
-//! Events of a running pipeline: gaps, faults and recoveries, damage, new verdicts of the guard, results of a search for
-//! the readout's circuit.
+//! Events of a running pipeline: gaps, faults and recoveries, damage, new verdicts of the guard, results of a search
+//! for the readout's circuit.
 
 use dermis_device::Frame;
 use dermis_live::output::Output;

@@ -8,8 +8,8 @@
 //! | `/dermis/transforms` | `foxglove.FrameTransforms` | link to patch; on a body all links |
 //! | `/dermis/log` | `foxglove.Log` | events and baselines in words |
 //!
-//! On a body each patch has its own topics, `/dermis/PATCH/scene`, except for the last two. Log times are the wall clock
-//! at the frame's first byte.
+//! On a body each patch has its own topics, `/dermis/PATCH/scene`, except for the last two. Log times are the wall
+//! clock at the frame's first byte.
 //!
 //! # Losses
 //! Every patch has a queue and a thread in front of the server, so nothing here delays the pipeline. Frames that don't

@@ -5,8 +5,9 @@
 //! publisher ([`Ros2Node::publisher`]) that its pipeline hands frames and results. Messages wait in a bounded queue; if
 //! it is full, they are dropped and counted, and the pipeline goes on.
 //!
-//! Topics of a single skin are below the node's name, as in recordings: `/dermis/touches`. Those of a body's patches are
-//! below the patch's name: `/dermis/palm/touches`. Positions are metres in the patch's frame, forces act on the sensor.
+//! Topics of a single skin are below the node's name, as in recordings: `/dermis/touches`. Those of a body's patches
+//! are below the patch's name: `/dermis/palm/touches`. Positions are metres in the patch's frame, forces act on the
+//! sensor.
 
 mod error;
 mod joints;

@@ -1,5 +1,5 @@
-//! The test vectors of the book's chapter on the wire, which includes them from `wire-vectors.txt`: this crate must send
-//! and read exactly these bytes. An independent program with another checksum implementation (zlib's) and another
+//! The test vectors of the book's chapter on the wire, which includes them from `wire-vectors.txt`: this crate must
+//! send and read exactly these bytes. An independent program with another checksum implementation (zlib's) and another
 //! stuffing generated them.
 
 use std::collections::BTreeMap;

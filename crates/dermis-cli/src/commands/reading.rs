@@ -5,8 +5,8 @@ use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
 /// Options for reading files of frames, with their format.
 #[derive(clap::Args)]
 pub(super) struct ReadArguments {
-    /// Format of files of frames (csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball, pyeidors);
-    /// default: recognised from the file.
+    /// Format of files of frames (csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, golfball,
+    /// pyeidors); default: recognised from the file.
     #[arg(long)]
     format: Option<Format>,
     #[command(flatten)]

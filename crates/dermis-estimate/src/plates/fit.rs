@@ -44,8 +44,8 @@ pub struct PlateFit {
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
-    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the same
-    /// effect on the channels, so these errors weigh more on a force than on a position.
+    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
+    /// same effect on the channels, so these errors weigh more on a force than on a position.
     inflation: f64,
     /// Operations spent on this frame, and the most that may be.
     work: f64,

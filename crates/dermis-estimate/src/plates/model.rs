@@ -193,7 +193,8 @@ impl PlateModel {
             let near = sheet.points_near(press.position_m, field.reach_m());
             found.extend(near.filter_map(|point| Some((point, field.pressure_at(sheet.points()[point].position_m)?))));
         }
-        // Pressures add up where presses overlap. The stable sort is quick, since the points of each press are in order.
+        // Pressures add up where presses overlap. The stable sort is quick, since the points of each press are in
+        // order.
         found.sort_by_key(|(point, _)| *point);
         found.dedup_by(|(point, pressure), (kept, sum)| {
             let is_same = point == kept;
@@ -262,8 +263,8 @@ impl PlateModel {
         [load.ln(), 0.5 * square.ln()]
     }
 
-    /// Force under a press, newtons: the integral of its pressure, `p pi ((R^2 + s^2) Phi(R/s) + R s phi(R/s))` with the
-    /// normal distribution Phi and its density phi.
+    /// Force under a press, newtons: the integral of its pressure, `p pi ((R^2 + s^2) Phi(R/s) + R s phi(R/s))` with
+    /// the normal distribution Phi and its density phi.
     pub(super) fn force_n(&self, press: &Pressed) -> f64 {
         let (radius_m, spread_m) = (press.log_radius.exp(), self.law.spread_m);
         let x = radius_m / spread_m;

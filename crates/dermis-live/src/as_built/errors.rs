@@ -26,8 +26,8 @@ pub(crate) fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
 
 /// Tabulates errors. `responses` has [`PARAMETERS`] columns per position: a spot of load 1 and its derivatives, in
 /// volts. `changes(place)` is the change of the spot's response there by each independent error (columns), of
-/// deviation 1. `uniform` is the response to a uniform change. `law` is the variance of the relative load by the contact
-/// law.
+/// deviation 1. `uniform` is the response to a uniform change. `law` is the variance of the relative load by the
+/// contact law.
 pub(crate) fn error_table(
     (places_m, spacing_m): (Vec<[f64; 2]>, f64),
     responses: MatRef<'_, f64>,

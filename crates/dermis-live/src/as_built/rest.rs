@@ -42,8 +42,8 @@ pub(crate) fn is_off(reference: &Reference) -> bool {
     reference.misfit >= AS_DRAWN
 }
 
-/// The skin as built, as far as its baseline tells. `None` if the baseline fits the skin as drawn, if no skin within the
-/// tolerances explains it, or if presses on the skin are not spots.
+/// The skin as built, as far as its baseline tells. `None` if the baseline fits the skin as drawn, if no skin within
+/// the tolerances explains it, or if presses on the skin are not spots.
 ///
 /// The size of the errors comes from the skin itself: where its baseline is nearer to the file than the tolerances
 /// allow, the covariance that remains is scaled by the squared ratio of the misfits.

@@ -1,5 +1,5 @@
-//! Switches to the model of the skin as built, once it is learned. Touches keep their identities; their positions move by
-//! the errors of the model so far.
+//! Switches to the model of the skin as built, once it is learned. Touches keep their identities; their positions move
+//! by the errors of the model so far.
 
 use std::sync::Arc;
 

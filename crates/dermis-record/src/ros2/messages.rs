@@ -193,7 +193,8 @@ const CYCLONE_HEADER: usize = 16;
 /// Encapsulation of a message.
 const ENCAPSULATION: usize = 4;
 
-/// The header of a request to `std_srvs/srv/Trigger`, if its client uses rmw_cyclonedds. The request itself is one byte.
+/// The header of a request to `std_srvs/srv/Trigger`, if its client uses rmw_cyclonedds. The request itself is one
+/// byte.
 pub(super) fn cyclone_header(request: &[u8]) -> Option<[u8; CYCLONE_HEADER]> {
     request.get(ENCAPSULATION..ENCAPSULATION + CYCLONE_HEADER)?.try_into().ok()
 }

@@ -70,8 +70,8 @@ impl LineExtras for Plain {}
 /// which of them is the `intact` one (from 1), and a `proposal` of a new baseline (`reason`, `since_s`,
 /// `offset_sigma`). Its times are on the pipeline's clock.
 ///
-/// `guard` is present if the skin has a guard: `verdict` (`ok`, `stale` or `stop`), `reasons`, and `safety_rated`, which
-/// is always false.
+/// `guard` is present if the skin has a guard: `verdict` (`ok`, `stale` or `stop`), `reasons`, and `safety_rated`,
+/// which is always false.
 ///
 /// Numbers have as many digits as it takes to read them back exactly. Every line is flushed, so that a reader sees it
 /// at once. The line is built in reused memory: nothing is allocated once the longest line has been written.

@@ -2,8 +2,8 @@
 //!
 //! s, the change that a typical poke at p makes, is a Gaussian process with covariance 1 + k(p, p'), k Matern 5/2. A
 //! sum of signatures is again Gaussian, so frames of one touch and of several labelled touches teach the same map. Its
-//! length and noise maximise the marginal likelihood (Rasmussen & Williams 2006, eq. 2.30). Frames and map are projected
-//! on the leading principal directions of the pokes.
+//! length and noise maximise the marginal likelihood (Rasmussen & Williams 2006, eq. 2.30). Frames and map are
+//! projected on the leading principal directions of the pokes.
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
@@ -59,7 +59,8 @@ pub struct Superposition {
     /// Weight of each channel, divided by the amplitude of the median poke; 0 if it is never used.
     weights: Vec<f64>,
     map: Map,
-    /// Minimum strength of a further touch relative to the RMS sum of the others, or to a median poke if that is stronger.
+    /// Minimum strength of a further touch relative to the RMS sum of the others, or to a median poke if that is
+    /// stronger.
     least_further: f64,
     /// Minimum strength of a first touch, in median pokes.
     least_first: f64,

@@ -101,7 +101,8 @@ pub struct JointFeed {
 
 impl JointFeed {
     /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `ros2:/TOPIC`, `sweep` (a demonstration: every joint
-    /// moves to and fro between its limits), `page` (set by [`JointFeed::set`]) or a file of lines, at the pace of their
+    /// moves to and fro between its limits), `page` (set by [`JointFeed::set`]) or a file of lines, at the pace of
+    /// their
     /// `time_s`. Without a source the joints stay at `joints.at` or, where that is missing, at rest.
     ///
     /// # Errors

@@ -52,8 +52,8 @@ fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>>
 }
 
 /// Presses the twin of a skin, one frame per entry, and reads the frames with the skin's file. Returns the touches of
-/// each frame as the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres), then force
-/// and its sigma (newtons), NaN where unknown.
+/// each frame as the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres), then
+/// force and its sigma (newtons), NaN where unknown.
 pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u64) -> Vec<Vec<Vec<f64>>> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

@@ -16,8 +16,8 @@ use crate::prepare::Prepared;
 /// Maximum median error of the earlier calibration on pokes of its own skin, relative to that of a guess at their
 /// centre. Sisters with other electrode numbers are at 1; a skin that was damaged since was at 0.17.
 const SAME_SKIN: f64 = 0.6;
-/// With fewer pokes, locators fitted to them alone don't compete: their left-out errors are far too small. From ten pokes
-/// of a damaged skin and its prior, 2 mm were expected and 6 mm reached.
+/// With fewer pokes, locators fitted to them alone don't compete: their left-out errors are far too small. From ten
+/// pokes of a damaged skin and its prior, 2 mm were expected and 6 mm reached.
 const TELLING: usize = 20;
 /// Sigmas within which the earlier calibration explains a poke.
 const EXPLAINED_SIGMAS: f64 = 2.5;

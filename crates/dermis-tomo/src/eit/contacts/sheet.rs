@@ -126,7 +126,8 @@ impl ContactSheet {
         let electrodes = model.body.electrodes.len();
         let mut patterns: Vec<Vec<(usize, f64)>> = Vec::with_capacity(protocol.patterns().len());
         if protocol.patterns().len() > electrodes {
-            // Their potentials are sums of those of the electrodes, which are fewer. The last electrode is the reference.
+            // Their potentials are sums of those of the electrodes, which are fewer. The last electrode is the
+            // reference.
             let first = columns.len();
             let alone = |electrode: u32| Pattern::new(vec![(electrode, 1.0), (electrodes as u32 - 1, -1.0)]);
             columns.extend(potentials(&(0..electrodes as u32 - 1).map(alone).collect::<Vec<_>>()));

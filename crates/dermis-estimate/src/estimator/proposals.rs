@@ -1,0 +1,164 @@
+//! Proposes sets of presses that may explain a frame better than an explanation does.
+
+use std::f64::consts::PI;
+
+use super::{Estimator, Explanation};
+use crate::press::{Effort, Press};
+
+/// Number of presses added in a row before the evidence for all of them is judged.
+const LOOKAHEAD: usize = 3;
+/// Largest number of times that each press of a set is moved before they are fitted together.
+const MOST_ROUNDS: usize = 3;
+/// Initial radius of the halves of a split press, in its radii.
+const HALF_RADIUS: f64 = 0.7;
+/// Number of directions in which a press is split, and initial distance of each half from its centre, in its radii.
+const DIRECTIONS: usize = 4;
+const SPLIT_RADII: f64 = 1.2;
+/// Only the strongest presses are split, at most this many.
+const MOST_SPLIT: usize = 3;
+/// Radii from which a joint set is fitted, relative to the typical one.
+const JOINT_RADII: [f64; 2] = [1.0, 1.4];
+
+impl Estimator {
+    /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else
+    /// those that have ended. Both in one set would explain a cut as well.
+    pub(super) fn propose_sets(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+        let mut is_first = true;
+        while let Some(set) = self.fit.next_joint_set(is_first, self.negative) {
+            is_first = false;
+            if set.len() <= best.presses.len() {
+                continue;
+            }
+            let mut fits: Vec<Explanation> = Vec::new();
+            // Pressure and radius trade off, and a fit may end in a local optimum.
+            for share in JOINT_RADII {
+                fits.extend(self.fitted(&scaled(&set, share), Effort::Quick));
+                if fits.last().is_some_and(|more| more.cost.is_explained()) {
+                    break;
+                }
+            }
+            let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
+            let Some(more) = best_fit else { break };
+            let is_enough = more.cost.is_explained();
+            found.push(more);
+            if is_enough {
+                break;
+            }
+        }
+    }
+
+    /// Proposes presses that are added to an explanation one by one: where the image or the residual suggests them, or
+    /// by splitting one.
+    pub(super) fn propose_singly(&mut self, best: &Explanation, hints: &[Press], found: &mut Vec<Explanation>) {
+        let room = self.fit.most_presses() - best.presses.len();
+        if best.presses.is_empty() && !hints.is_empty() {
+            found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
+        }
+        for peak in self.peaks(best) {
+            let mut starts: Vec<Press> = best.presses.iter().copied().chain([peak]).collect();
+            for _ in 0..LOOKAHEAD.min(room) {
+                let Some(more) = self.fitted(&starts, Effort::Quick) else { break };
+                if self.is_promising(&more) {
+                    starts.clone_from(&more.presses);
+                    found.push(more);
+                } else if self.fit.fit_loads(&starts).is_none() {
+                    break;
+                }
+                match self.fit.seek(self.negative).first() {
+                    Some(next) if starts.len() < self.fit.most_presses() => starts.push(*next),
+                    _ => break,
+                }
+            }
+        }
+        self.pursue(best, found);
+        for k in 0..best.presses.len().min(MOST_SPLIT) {
+            for direction in 0..DIRECTIONS {
+                if let Some(starts) = self.split(&best.presses, k, direction) {
+                    found.extend(self.fitted(&starts, Effort::Quick));
+                }
+            }
+        }
+    }
+
+    /// Adds one press after the other to an explanation, and moves all of them after each addition. They are fitted
+    /// only then: one press fitted to the frame of two becomes wide and ends up between them, and no second press
+    /// added to it gets it away from there.
+    fn pursue(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+        let mut starts = best.presses.clone();
+        let begun = if starts.is_empty() { self.fit.fit_nothing() } else { self.fit.fit_loads(&starts) };
+        if begun.is_none() {
+            return;
+        }
+        for _ in 0..LOOKAHEAD.min(self.fit.most_presses() - starts.len()) {
+            let Some(next) = self.fit.seek(self.negative).first().copied() else { return };
+            starts.push(next);
+            self.rearrange(&mut starts);
+            let more = self.fitted(&starts, Effort::Quick);
+            let is_enough = more.as_ref().is_some_and(|more| more.cost.is_noise());
+            found.extend(more);
+            if is_enough || self.fit.fit_loads(&starts).is_none() {
+                return;
+            }
+        }
+    }
+
+    /// Moves each press in turn to the best place given the others, as long as that lowers the residual.
+    fn rearrange(&mut self, presses: &mut Vec<Press>) {
+        if presses.len() < 2 {
+            return;
+        }
+        let Some(mut least) = self.fit.fit_loads(presses) else { return };
+        for _ in 0..MOST_ROUNDS {
+            let before = least.residual;
+            for k in 0..presses.len() {
+                let mut moved = presses.clone();
+                moved.remove(k);
+                if self.fit.fit_loads(&moved).is_none() {
+                    continue;
+                }
+                let Some(place) = self.fit.seek(self.negative).first().copied() else { continue };
+                moved.insert(k, place);
+                if let Some(cost) = self.fit.fit_loads(&moved).filter(|cost| cost.residual < least.residual) {
+                    (*presses, least) = (moved, cost);
+                }
+            }
+            if least.residual >= before {
+                return;
+            }
+        }
+    }
+
+    /// Presses suggested by the residual of an explanation.
+    fn peaks(&mut self, best: &Explanation) -> Vec<Press> {
+        if !best.presses.is_empty() && self.fit.fit(&best.presses, Effort::Quick).is_none() {
+            return Vec::new();
+        }
+        if best.presses.is_empty() && self.fit.fit_nothing().is_none() {
+            return Vec::new();
+        }
+        self.fit.seek(self.negative)
+    }
+
+    /// Splits one press in a direction; `None` if a half would be off the skin.
+    fn split(&self, presses: &[Press], k: usize, direction: usize) -> Option<Vec<Press>> {
+        let press = presses[k];
+        let angle = PI * direction as f64 / DIRECTIONS as f64;
+        let reach = SPLIT_RADII * press.radius_m;
+        let [dx, dy] = [reach * angle.cos(), reach * angle.sin()];
+        let [x, y] = press.position_m;
+        let halves = [[x + dx, y + dy], [x - dx, y - dy]];
+        if presses.len() >= self.fit.most_presses() || halves.iter().any(|place| !self.fit.is_inside(*place)) {
+            return None;
+        }
+        let half = |position_m| Press { position_m, radius_m: HALF_RADIUS * press.radius_m, ..press };
+        let mut starts = presses.to_vec();
+        starts[k] = half(halves[0]);
+        starts.push(half(halves[1]));
+        Some(starts)
+    }
+}
+
+/// Presses with their radii scaled.
+fn scaled(presses: &[Press], share: f64) -> Vec<Press> {
+    presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect()
+}
