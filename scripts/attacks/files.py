@@ -168,8 +168,9 @@ def kill(ground):
         age = max((ages[n] for n in missing), default=0.0)
         most_lost = max(most_lost, age)
         check(age < PROMISED_S, f"kill {k}: frame {missing[:1]} was {age:.2f} s old and is not there")
-        gaps = sum(b - a - 1 for a, b in zip(there, there[1:]))
-        check(gaps == 0, f"kill {k}: {gaps} frames are missing in the middle")
+        # A busy computer leaves out frames of the twin, which are not printed either.
+        gaps = [n for n in missing if n < there[-1]]
+        check(not gaps, f"kill {k}: frames {gaps[:5]} are missing in the middle")
         if bound:
             bounds.append((len(missing), int(bound[1])))
             check(
