@@ -8,6 +8,7 @@ import re
 import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 from .tools import PANIC, attack, check
 
