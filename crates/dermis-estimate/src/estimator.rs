@@ -21,6 +21,8 @@ const PROMISING: f64 = 0.6;
 const MOST_WORK: f64 = 4e8;
 /// The same for the search for presses that have ended.
 const MOST_WORK_GONE: f64 = 2e8;
+/// Time that an operation takes on one core, nanoseconds.
+const OPERATION_NS: f64 = 0.25;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
 /// After a failed search for further presses, wait this many frames before the next, and twice as many after each
@@ -54,6 +56,8 @@ pub struct Estimator {
     next_wait: u32,
     in_vain_at: f64,
     is_unhurried: bool,
+    /// Operations spent.
+    spent: f64,
 }
 
 /// A set of presses and the cost of its fit.
@@ -77,6 +81,7 @@ impl Estimator {
             wait: 0,
             in_vain_at: f64::INFINITY,
             is_unhurried: false,
+            spent: 0.0,
         }
     }
 
@@ -90,7 +95,15 @@ impl Estimator {
         self.fit = fit;
     }
 
+    /// About how long the explanations since the last call took, nanoseconds; 0 if fits are quick.
+    pub fn spent_ns(&mut self) -> u64 {
+        let operations = std::mem::take(&mut self.spent) + self.fit.work();
+        self.fit.set_most_work(MOST_WORK);
+        (OPERATION_NS * operations) as u64
+    }
+
     fn allow_work(&mut self, most: f64) {
+        self.spent += self.fit.work();
         self.fit.set_most_work(if self.is_unhurried { f64::INFINITY } else { most });
     }
 

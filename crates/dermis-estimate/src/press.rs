@@ -134,6 +134,11 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Bounds the operations from now on, and from each next frame on. Fits beyond the bound fail.
     fn set_most_work(&mut self, _operations: f64) {}
 
+    /// Operations spent since the bound was set or the frame was taken. Fits that are quick count none.
+    fn work(&self) -> f64 {
+        0.0
+    }
+
     /// True if presses act together in a way that their single responses do not show: linear images join them.
     fn is_joint(&self) -> bool {
         false

@@ -294,6 +294,10 @@ impl PressFit for PlateFit {
         (self.work, self.most_work) = (0.0, operations);
     }
 
+    fn work(&self) -> f64 {
+        self.work
+    }
+
     fn is_joint(&self) -> bool {
         self.model.is_joint()
     }

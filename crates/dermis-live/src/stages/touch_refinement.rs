@@ -362,7 +362,11 @@ impl SpotStage {
             self.refine_now(time_ns, difference, imager, lowest, contacts);
         } else if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
             self.refine_now(time_ns, &mean, imager, lowest, contacts);
-            self.gathered.keep(time_ns, if self.shown.is_empty() { &[] } else { contacts });
+            // Searches in vain have a pause of their own.
+            let is_explained = time_ns >= self.pause.until_ns;
+            let spent_ns = Some(self.estimator.spent_ns()).filter(|_| is_explained && !self.is_unhurried);
+            let shown = if self.shown.is_empty() { &[] } else { &contacts[..] };
+            self.gathered.keep(time_ns, spent_ns.unwrap_or(0), shown);
         }
     }
 
