@@ -69,12 +69,11 @@ fn an_earlier_session_counts_as_much_as_the_skin_resembles_it() {
         let median = |locator: &FusedLocator| 1e3 * judge(locator, changed).0[JUDGED / 2];
         let (alone, before, together) = (median(&fit(&new)), median(&unchanged), median(&shared));
         let within = judge(&shared, changed).1;
-        println!("alone within {:.2}", judge(&fit(&new), changed).1);
         let resemblance = shared.report().resemblance.unwrap();
         println!(
             "changed {changed}: resemblance {resemblance}, alone {alone:.2} mm, before {before:.2} mm, together {together:.2} mm, within {within:.2}"
         );
-        assert!(together <= 1.1 * alone.min(before), "{changed}: {together} mm, {alone} mm alone, {before} mm before");
+        assert!(together <= 1.15 * alone.min(before), "{changed}: {together} mm, {alone} mm alone, {before} mm before");
         assert!((0.5..0.9).contains(&within), "{changed}: {within}");
         resemblances.push(resemblance);
     }
