@@ -12,6 +12,9 @@ use crate::typical::median;
 /// Powers tried of the misfit and of the distance, the defaults first.
 const MISFIT_POWERS: [f64; 4] = [0.0, 0.5, 1.0, 1.5];
 const DISTANCE_POWERS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
+/// Gain in total log score that each power above zero must bring: Akaike's penalty for one parameter, and the logarithm
+/// of the number of powers tried. Fifty pokes otherwise choose one by chance.
+const MARGIN: f64 = SELECTION_MARGIN + 1.386_294;
 /// Limits of the ratios, beyond which no left-out example tells anything.
 const LIMITS: (f64, f64) = (0.1, 30.0);
 
@@ -66,7 +69,7 @@ impl Excess {
             for distance_power in DISTANCE_POWERS {
                 let candidate = Self { misfit_power, distance_power, ..plain };
                 let powers = u8::from(misfit_power > 0.0) + u8::from(distance_power > 0.0);
-                let score = candidate.score(trials, frames) - SELECTION_MARGIN * f64::from(powers);
+                let score = candidate.score(trials, frames) - MARGIN * f64::from(powers);
                 if score > reached {
                     (best, reached) = (candidate, score);
                 }

@@ -240,9 +240,11 @@ fn fit_all(
     let (form, uses) = choose_form(examples, &features, map, &rows, sister)?;
     let seen = forward_examples(examples, &form.features, &rows)?;
     let (mut design, prior) = prepare(&seen, &form.map, &form.hyper)?;
-    let weigh = Weights::new(examples, &rows);
+    let mut weigh = Weights::new(examples, &rows);
     if let Some(is_earlier) = &weigh.is_earlier {
-        design.sessions = Some(sessions::choose(&design, &prior, is_earlier, &form.hyper)?);
+        let sessions = sessions::choose(&design, &prior, is_earlier, &form.hyper)?;
+        weigh.discount(&sessions, form.hyper.noise);
+        design.sessions = Some(sessions);
     }
     let projection = projection(&design, &prior, form.turn.as_ref())?;
     let fitting = Fitting {

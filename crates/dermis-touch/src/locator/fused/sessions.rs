@@ -18,6 +18,8 @@ const EARLIER_WORTH: f64 = MIN_EXAMPLES as f64;
 /// The same where they choose how the experts are combined: a dozen examples would choose one of forty combinations by
 /// chance.
 const JOINING_WORTH: f64 = 50.0;
+/// Lower bound on a weight: quantiles need weights above zero.
+const LEAST_WEIGHT: f64 = 1e-9;
 
 /// The resemblance under which the frames are most probable.
 pub(super) fn choose(
@@ -45,6 +47,8 @@ pub(super) struct Weights {
     pub is_earlier: Option<Vec<bool>>,
     count: usize,
     of_earlier: f64,
+    /// Variance of an example about its map, relative to the variance about the new map.
+    told: f64,
 }
 
 impl Weights {
@@ -57,12 +61,23 @@ impl Weights {
             is_earlier: (earlier > 0).then_some(is_earlier),
             count: rows.len(),
             of_earlier: (EARLIER_WORTH / earlier.max(1) as f64).min(1.0),
+            told: 1.0,
         }
+    }
+
+    /// Weighs earlier examples less if the skin has changed: about the new map they have an additional variance of 1 -
+    /// r^2, which `noise` is relative to.
+    pub(super) fn discount(&mut self, sessions: &Sessions, noise: f64) {
+        self.told = noise / (noise + 1.0 - sessions.resemblance.powi(2));
     }
 
     /// Weight of a row.
     pub(super) fn of(&self, row: usize) -> f64 {
-        if self.is_earlier.as_ref().is_some_and(|is_earlier| is_earlier[row]) { self.of_earlier } else { 1.0 }
+        if self.is_earlier.as_ref().is_some_and(|is_earlier| is_earlier[row]) {
+            (self.of_earlier * self.told).max(LEAST_WEIGHT)
+        } else {
+            1.0
+        }
     }
 
     /// At most `most` rows that choose how the experts are combined, with their weights: new ones first.
@@ -73,7 +88,7 @@ impl Weights {
         let (earlier, new): (Vec<usize>, Vec<usize>) = (0..self.count).partition(|&row| is_earlier[row]);
         let new: Vec<usize> = evenly(new.len(), most).into_iter().map(|i| new[i]).collect();
         let kept = evenly(earlier.len(), most - new.len());
-        let weight = (JOINING_WORTH / kept.len().max(1) as f64).min(1.0);
+        let weight = (self.told * JOINING_WORTH / kept.len().max(1) as f64).clamp(LEAST_WEIGHT, 1.0);
         new.into_iter().map(|row| (row, 1.0)).chain(kept.into_iter().map(|i| (earlier[i], weight))).collect()
     }
 }
