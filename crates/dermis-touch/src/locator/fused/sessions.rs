@@ -12,8 +12,8 @@ use crate::locator::turn::log_density;
 
 /// Resemblances tried.
 const RESEMBLANCES: [f64; 10] = [1.0, 0.99, 0.97, 0.94, 0.9, 0.8, 0.65, 0.5, 0.25, 0.0];
-/// Weight of all earlier examples together, in new ones: the smallest number that can be fitted. With 10, too few errors
-/// of a damaged skin are within one sigma after 5 pokes, 54 instead of 59 %.
+/// Weight of all earlier examples together, in new ones: the smallest number that can be fitted. With 10, too few
+/// errors of a damaged skin are within one sigma after 5 pokes, 54 instead of 59 %.
 const EARLIER_WORTH: f64 = MIN_EXAMPLES as f64;
 /// The same where they choose how the experts are combined: a dozen examples would choose one of forty combinations by
 /// chance.
