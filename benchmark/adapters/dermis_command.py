@@ -41,7 +41,8 @@ def call(*arguments, folder=None):
 
 
 def write(path, values, head=None):
-    np.savetxt(path, values, delimiter=",", fmt="%.9g", header=head or "", comments="")
+    # With exponents: dermis refuses a few rows of numbers such as 12.875, whose dots could separate thousands.
+    np.savetxt(path, values, delimiter=",", fmt="%.8e", header=head or "", comments="")
 
 
 def touches(path, count):
