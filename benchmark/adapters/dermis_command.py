@@ -41,7 +41,8 @@ def call(*arguments, folder=None):
 
 
 def write(path, values, head=None):
-    np.savetxt(path, values, delimiter=",", fmt="%.9g", header=head or "", comments="")
+    # With exponents: dermis refuses a few rows of numbers such as 12.875, whose dots could separate thousands.
+    np.savetxt(path, values, delimiter=",", fmt="%.8e", header=head or "", comments="")
 
 
 def touches(path, count):
@@ -75,7 +76,7 @@ class Skin:
             self.calibrate(told, old, "old.json", [])
             start = ["--start", "old.json"]
         self.calibrate(told, ~old, "calibration.json", start)
-        self.pokes, self.calls_per_s = len(told.frames), None
+        self.pokes = len(told.frames)
 
     def calibrate(self, told, rows, name, more):
         places = told.targets if self.kind == "place" else np.hstack([told.places, told.targets])
@@ -106,16 +107,17 @@ class Skin:
         )  # fmt: skip
         return time.perf_counter() - begun
 
-    def rate(self, frames, rest):
-        """Frames per second without the start of the program: many frames against two. NaN if the start hides them."""
+    def rate(self, frames, rest=None):
+        """Frames per second without the start of the program: many frames against two. NaN if the start hides them, or
+        after few pokes."""
+        if self.pokes < TIMED_POKES:
+            return math.nan
         rows = np.resize(np.arange(len(frames)), TIMED_FRAMES)
         several = [(frames[part], None if rest is None else rest[part]) for part in (rows[:2], rows)]
         short, whole = (min(self.reconstruct(*both) for _ in range(2)) for both in several)
         return (TIMED_FRAMES - 2) / (whole - short) if whole > 2 * short else math.nan
 
     def __call__(self, frames, rest=None):
-        if self.calls_per_s is None:
-            self.calls_per_s = self.rate(frames, rest) if self.pokes >= TIMED_POKES else math.nan
         self.reconstruct(frames, rest)
         found, extra = touches(self.path / "touches.csv", len(frames))
         if self.kind == "depth":

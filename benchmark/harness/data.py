@@ -1,5 +1,6 @@
 """Reads the measured sets. Every set is optional: a reader returns None if its files are missing."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ def table(path, columns=None, head=0):
     return values
 
 
+@functools.cache
 def skin(folder):
     """Differences (n x channels) and positions (n x 3: x, y, depth in m) of a pressed skin, or None."""
     folder = Path(folder)
@@ -57,6 +59,7 @@ def skin(folder):
     return frames, places
 
 
+@functools.cache
 def hydrogel(folder):
     """Frames before and during each press (500 x 192 magnitudes), and positions, for the gel disc."""
     folder = Path(folder)

@@ -4,6 +4,7 @@ A case is a training set with its test set. Predictions are written to METHOD/TA
 them, whichever program wrote them.
 """
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -240,8 +241,16 @@ COLUMNS = {
 }
 
 
+def is_timed(case):
+    """True if the tables use the case's times: places after the first draw of each number of pokes."""
+    return case.task == "place" and case.part.endswith(".1")
+
+
 def predict(method, case, folder):
-    """Runs one method on one case and writes its predictions. Returns times, or None if the method skips the task."""
+    """Runs one method on one case and writes its predictions. Returns times, or None if the method skips the task.
+
+    An answer that has a function `rate` measures its own speed, in frames per second.
+    """
     entry = {"labels": "segment", "unlabelled": "unlabelled", "alarms": "watch"}.get(case.kind, "regress")
     function = getattr(method, entry)
     if function is None:
@@ -277,6 +286,8 @@ def predict(method, case, folder):
         for row, count in zip(case.rows, extra[0] if extra else []):
             rows += [[int(row), *[float("nan")] * table.shape[1]]] * int(count)
         write_rows(path, ",".join(["frame", *names, *(f"sigma_{name}" for name in names)]), rows)
+    if hasattr(answer, "rate"):
+        return trained, answer.rate(case.frames, *more) if is_timed(case) else math.nan
     if getattr(answer, "calls_per_s", None) is not None:
         return trained, answer.calls_per_s
     times = []

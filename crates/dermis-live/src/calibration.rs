@@ -18,9 +18,10 @@ pub(crate) use circuit_search::{check_searchable, find_circuit_while};
 pub use circuit_search::{find_circuit, relative_changes};
 pub use matched::MatchedFinder;
 pub use placement_finder::{LearntFinder, PlacementFinder};
-pub(crate) use poke_calibration::{AsBuilt, differences_of, load_shares};
+pub(crate) use poke_calibration::{AsBuilt, differences_of};
 pub use poke_calibration::{
     Calibration, CalibrationOptions, PokeFrames, PokeGroup, PokeReview, StartReview, StartUse, set_channels,
 };
+pub(crate) use pokes::load_shares;
 pub use pokes::{LoadQuantity, Pokes, read_pokes};
 pub(crate) use self_calibrated::SelfCalibrated;

@@ -173,9 +173,6 @@ impl LearntFinder {
         let sigma_m = located.sigma_x_m.max(located.sigma_y_m);
         let load = self.load.zip(located.load);
         let position_m = [located.x_m, located.y_m];
-        // A frame that resembles its touch less than pokes usually do: the skin has changed, or other touches were
-        // removed imperfectly.
-        let excess = located.novelty.max(1.0);
         Placement {
             amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
@@ -183,8 +180,8 @@ impl LearntFinder {
             vague: sigma_m > VAGUE * self.half_width_m,
             position_m,
             covariance_m2: [
-                [excess * located.sigma_x_m.powi(2), excess * located.covariance_xy_m2],
-                [excess * located.covariance_xy_m2, excess * located.sigma_y_m.powi(2)],
+                [located.sigma_x_m.powi(2), located.covariance_xy_m2],
+                [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
             ],
             other_place: None,
             further: [None; MOST_FURTHER],

@@ -35,14 +35,16 @@ pub(super) use strength::SmallestAmplitude;
 use strength::{TouchStrength, Weighed};
 
 use super::poke_check::{Sound, check_pokes};
-use super::pokes::{LoadQuantity, Pokes};
+use super::pokes::{LoadQuantity, Pokes, evenly, load_shares};
 use crate::Error;
 use crate::prepare::Prepared;
 
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
-/// Maximum number of pokes, evenly drawn, kept for the measured Jacobian; its time grows with their cube.
-const MOST_KEPT: usize = 800;
+/// Maximum number of pokes, evenly drawn, kept for later sessions, and of those that make the measured Jacobian. The
+/// time of a fit grows with their cube.
+const MOST_KEPT: usize = 1500;
+const MOST_IN_JACOBIAN: usize = 800;
 /// Maximum number of pokes, evenly drawn, that determine how weak a touch may be.
 const MOST_WEIGHED: usize = 500;
 /// Maximum number of pokes that determine the amplitude of a typical one.
@@ -97,12 +99,6 @@ pub struct Calibration {
     review: PokeReview,
 }
 
-/// Load of each poke relative to a typical one, by its index; 1 if loads are unknown.
-pub(crate) fn load_shares(loads: Option<&[f64]>) -> impl Fn(usize) -> f64 + '_ {
-    let loads = loads.map(|loads| (loads, loads.iter().sum::<f64>() / loads.len() as f64));
-    move |index| loads.map_or(1.0, |(loads, mean)| loads[index] / mean)
-}
-
 impl Calibration {
     /// Fits a calibration to pokes. `baselines` has one frame for all pokes or one for each; frames are in the
     /// protocol's order.
@@ -132,7 +128,7 @@ impl Calibration {
         let unsound_channels = scatter.as_ref().map_or_else(Vec::new, |scatter| scatter.unsound(None));
         set_channels(&mut differences, &unsound_channels, f64::NAN);
         let Sound { rows, repeated, dead_channels } = check_pokes(prepared, &differences, pokes)?;
-        let picked = |count: usize| rows.iter().step_by(rows.len().div_ceil(count).max(1)).copied();
+        let picked = |most: usize| evenly(rows.len(), most).map(|i| rows[i]);
         let places = |rows: &[usize]| rows.iter().map(|&i| pokes.positions_m[i]).collect::<Vec<_>>();
         let frames = rows.iter().flat_map(|&i| differences[i].iter().copied()).collect();
         let mut examples = Examples::new(prepared.channels(), frames, places(&rows))?;
@@ -153,8 +149,12 @@ impl Calibration {
             let located = fused.predict_into(frame, &mut scratch)?;
             Ok::<_, Error>(Weighed { amplitude: located.amplitude, sigma_m: located.sigma_x_m.max(located.sigma_y_m) })
         };
-        let amplitudes: Result<Vec<f64>, Error> =
-            picked(MOST_WEIGHED).map(|i| Ok(weigh(&differences[i])?.amplitude)).collect();
+        // Few new pokes don't show how weak one may be.
+        let earlier = keeps.and_then(|number| options.start.get(number));
+        let earlier_frames = earlier.map_or(&[][..], |earlier| &earlier.frames);
+        let some_earlier = evenly(earlier_frames.len(), MOST_WEIGHED).map(|i| &earlier_frames[i]);
+        let weighed = picked(MOST_WEIGHED).map(|i| &differences[i]).chain(some_earlier);
+        let amplitudes: Result<Vec<f64>, Error> = weighed.map(|frame| Ok(weigh(frame)?.amplitude)).collect();
         let resting = match measured {
             PokeFrames::Readings { baselines, .. } if baselines.len() > 1 => {
                 // The difference of two frames is noisier than a frame's difference from the mean of all.
@@ -190,7 +190,7 @@ impl Calibration {
             strength: TouchStrength::of(amplitudes?, &resting, matches!(measured, PokeFrames::Readings { .. })),
             review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter, start },
         };
-        if let Some(earlier) = keeps.and_then(|number| options.start.get(number)) {
+        if let Some(earlier) = earlier {
             calibration.keep_pokes_of(earlier);
         }
         Ok(calibration)
@@ -209,8 +209,7 @@ impl Calibration {
     /// Adds the pokes of an earlier calibration, up to as many as are kept at most.
     fn keep_pokes_of(&mut self, earlier: &Self) {
         let room = MOST_KEPT.saturating_sub(self.frames.len());
-        let step = earlier.frames.len().div_ceil(room.max(1)).max(1);
-        for i in (0..earlier.frames.len()).step_by(step).take(room) {
+        for i in evenly(earlier.frames.len(), room) {
             self.frames.push(earlier.frames[i].clone());
             self.positions_m.push(earlier.positions_m[i]);
             if let Some(loads) = &mut self.loads {
@@ -297,7 +296,7 @@ impl Calibration {
     }
 
     /// The calibration of a skin on which these channels no longer work. It is refitted without them to its pokes, or
-    /// to the 800 of them that it keeps. `noise` is the current channel noise, in the unit of difference data. The
+    /// to the 1,500 of them that it keeps. `noise` is the current channel noise, in the unit of difference data. The
     /// locator then locates touches.
     ///
     /// # Errors
@@ -382,7 +381,7 @@ impl Calibration {
         let mut scratch = self.locator.scratch();
         let load_share = load_shares(self.loads.as_deref());
         let (mut places_m, mut amplitudes) = (Vec::new(), Vec::new());
-        for i in (0..self.frames.len()).step_by(self.frames.len().div_ceil(MOST_TYPICAL).max(1)) {
+        for i in evenly(self.frames.len(), MOST_TYPICAL) {
             // Skip pokes that cannot be located.
             let Ok(located) = self.locator.predict_into(&self.frames[i], &mut scratch) else { continue };
             let amplitude = located.amplitude / load_share(i);
@@ -416,7 +415,8 @@ impl Calibration {
     /// Fewer than three complete pokes.
     pub fn measured_jacobian(&self, prepared: &Prepared) -> Result<MeasuredJacobian, Error> {
         let complete = |index: &usize| self.frames[*index].iter().all(|v| v.is_finite());
-        let chosen: Vec<usize> = (0..self.frames.len()).filter(complete).collect();
+        let complete: Vec<usize> = (0..self.frames.len()).filter(complete).collect();
+        let chosen: Vec<usize> = evenly(complete.len(), MOST_IN_JACOBIAN).map(|i| complete[i]).collect();
         // Loads relative to their mean, so that a typical poke has amplitude 1 with or without loads.
         let share = load_shares(self.loads.as_deref());
         let frames: Vec<Vec<f64>> =

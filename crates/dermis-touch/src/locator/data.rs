@@ -19,6 +19,8 @@ pub struct Examples {
     pub(super) positions_m: Vec<[f64; 2]>,
     pub(super) loads: Option<Vec<f64>>,
     pub(super) channel_noise: Option<Vec<f64>>,
+    /// Number of examples, the last ones, of an earlier session.
+    pub(super) earlier: usize,
 }
 
 impl Examples {
@@ -39,7 +41,7 @@ impl Examples {
             let expected = "a finite number, or NaN where the channel is missing";
             return Err(LocatorError::Value { field: "frames", index, value: frames[index], expected });
         }
-        Ok(Self { channels, frames, positions_m, loads: None, channel_noise: None })
+        Ok(Self { channels, frames, positions_m, loads: None, channel_noise: None, earlier: 0 })
     }
 
     /// Adds the load of each poke: a force in newtons, a depth in metres, or any other positive quantity that grows
@@ -73,6 +75,23 @@ impl Examples {
             return Err(LocatorError::TooFewChannels { frame: 0, got: usable, expected: MIN_CHANNELS });
         }
         self.channel_noise = Some(noise);
+        Ok(self)
+    }
+
+    /// Appends the examples of an earlier session of the same skin. How much they count follows from how well the
+    /// frames of the two sessions agree. Loads are kept if both sets have them; the channel noise is that of the new session.
+    ///
+    /// # Errors
+    /// Different numbers of channels.
+    pub fn with_earlier(mut self, earlier: &Self) -> Result<Self, LocatorError> {
+        check_length("channels of the earlier examples", self.channels, earlier.channels)?;
+        self.frames.extend_from_slice(&earlier.frames);
+        self.positions_m.extend_from_slice(&earlier.positions_m);
+        self.loads = self.loads.zip(earlier.loads.as_ref()).map(|(mut loads, others)| {
+            loads.extend_from_slice(others);
+            loads
+        });
+        self.earlier += earlier.len();
         Ok(self)
     }
 

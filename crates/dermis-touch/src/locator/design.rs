@@ -4,7 +4,7 @@
 
 use faer::{Mat, Side};
 
-use super::copies::{APART, Copies, matern52, squared_distance};
+use super::copies::{APART, Copies, Sessions, matern52, squared_distance};
 use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
 use crate::typical::median;
@@ -25,6 +25,8 @@ pub(super) struct Design {
     pub positions_m: Vec<[f64; 2]>,
     /// Which rows are rotated copies of others, if any.
     pub copies: Option<Copies>,
+    /// Which rows are of an earlier session, if any.
+    pub sessions: Option<Sessions>,
     /// Weight of each channel; 0 if it is never used.
     pub weights: Vec<f64>,
     /// Mean square of each channel of z.
@@ -71,6 +73,7 @@ impl Design {
             amplitude,
             positions_m: examples.positions_m.clone(),
             copies: None,
+            sessions: None,
             weights,
             energy,
             missing,
@@ -113,15 +116,18 @@ impl Design {
     /// Correlations of the rows at one length.
     pub(super) fn correlations_among(&self, length_m: f64) -> Mat<f64> {
         let (n, places) = (self.positions_m.len(), &self.positions_m);
-        let factor = |i: usize, j: usize| self.copies.as_ref().map_or(1.0, |copies| copies.between(i, j));
-        Mat::from_fn(n, n, |i, j| factor(i, j) * matern52(places[i], places[j], length_m))
+        let copied = |i: usize, j: usize| self.copies.as_ref().map_or(1.0, |copies| copies.between(i, j));
+        let session = |i: usize, j: usize| self.sessions.as_ref().map_or(1.0, |sessions| sessions.between(i, j));
+        Mat::from_fn(n, n, |i, j| copied(i, j) * session(i, j) * matern52(places[i], places[j], length_m))
     }
 
     /// Correlations of the map at `positions` (rows) with the design's rows (columns).
     pub(super) fn correlations_to(&self, positions: &[[f64; 2]], length_m: f64) -> Mat<f64> {
         let (n, places) = (self.positions_m.len(), &self.positions_m);
-        let factor = |i: usize| self.copies.as_ref().map_or(1.0, |copies| copies.with_map(i));
-        Mat::from_fn(positions.len(), n, |p, i| factor(i) * matern52(positions[p], places[i], length_m))
+        let copied = |i: usize| self.copies.as_ref().map_or(1.0, |copies| copies.with_map(i));
+        let session = |i: usize| self.sessions.as_ref().map_or(1.0, |sessions| sessions.with_map(i));
+        let factors: Vec<f64> = (0..n).map(|i| copied(i) * session(i)).collect();
+        Mat::from_fn(positions.len(), n, |p, i| factors[i] * matern52(positions[p], places[i], length_m))
     }
 
     /// The given rows of a design without copies, as a design.
@@ -131,6 +137,7 @@ impl Design {
             amplitude: rows.iter().map(|&i| self.amplitude[i]).collect(),
             positions_m: rows.iter().map(|&i| self.positions_m[i]).collect(),
             copies: None,
+            sessions: self.sessions.as_ref().map(|sessions| sessions.subset(rows)),
             weights: self.weights.clone(),
             energy: self.energy.clone(),
             missing: Vec::new(),

@@ -10,7 +10,9 @@ use super::design::{Design, Prior, basis};
 use super::error::{LocatorError, check_length};
 use super::load::{LoadLaw, root_mean_square};
 use super::model::Locator;
-use super::posterior::{CHOSEN_QUANTITIES, Calibration, Spread, Trial, calibrate, extent, moments, quantile};
+use super::posterior::{
+    CHOSEN_QUANTITIES, Calibration, SELECTION_MARGIN, Spread, Trial, calibrate, extent, moments, quantile,
+};
 use super::regression::{FittedMap, WorkedOut, example_noise, smoothed};
 use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
 use super::turn::Turn;
@@ -22,9 +24,6 @@ const FILLING_PASSES: usize = 3;
 const LENGTHS: [f64; 3] = [0.38, 0.25, 0.57];
 /// Noise variances tried; the first is the default.
 const NOISES: [f64; 3] = [0.04, 0.02, 0.08];
-/// Gain in total log score that a hyperparameter must bring to leave its default. This is the penalty of Akaike's
-/// criterion for one parameter, so that few examples do not choose by chance.
-pub(super) const SELECTION_MARGIN: f64 = 1.0;
 /// Number of sectors, by direction from the centroid, for testing how well one part of the skin is located from the
 /// others.
 pub(super) const SECTORS: usize = 4;
@@ -318,6 +317,7 @@ impl Fitting<'_> {
             error_m: [found.mean_m[0] - truth[0], found.mean_m[1] - truth[1]],
             variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
             unexplained: weights.iter().enumerate().map(|(p, w)| w * variance(p)).sum(),
+            weight: 1.0,
         }
     }
 

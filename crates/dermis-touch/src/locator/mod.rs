@@ -10,9 +10,9 @@
 //!
 //! Position and covariance are the moments of exp(b L(p)). The temperature b accounts for errors shared between
 //! channels. It and a factor on sigma are chosen so that each example, when left out, is predicted best and is within
-//! one sigma in 68 % of cases. Far from any poke, a second term of sigma grows with v; its size is found by locating
-//! each quarter of the skin from the others. Sigma is also multiplied by 1 + 7/n for the seven quantities chosen by
-//! the same left-out examples.
+//! one sigma in 68 % of cases. Far from any poke, a second term of sigma grows with v; its size predicts left-out
+//! examples best, and is at most what locating each quarter of the skin from the others needs. Sigma is also multiplied
+//! by 1 + 7/n for the seven quantities chosen by the same left-out examples.
 //!
 //! Because the model runs from position to frame, it interpolates smooth functions, needs few pokes, and its
 //! posterior may have several peaks where the skin is ambiguous.

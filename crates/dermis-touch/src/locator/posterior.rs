@@ -16,6 +16,18 @@ const NEGLIGIBLE: f64 = -40.0;
 const THINNED_EVERY: usize = 3;
 /// Share of errors within one standard deviation of a Gaussian.
 pub(super) const ONE_SIGMA: f64 = 0.6827;
+/// Share of the errors that should be within `TAIL_SIGMAS` standard deviations, if errors have longer tails than a
+/// Gaussian's: 98.8 % are within 2.5 of it. At most the share `MOST_WITHIN` is then within one.
+const TAIL_SIGMAS: f64 = 2.5;
+const TAIL_SHARE: f64 = 0.96;
+const MOST_WITHIN: f64 = 0.74;
+/// Extrapolations tried: half the largest, a quarter, and so on.
+const EXTRAPOLATIONS: i32 = 10;
+/// Lower bound on the factor, relative to that without extrapolation.
+const LEAST_FACTOR: f64 = 0.3;
+/// Gain in total log score that a choice must bring. This is the penalty of Akaike's criterion for one parameter, so
+/// that few examples do not choose by chance.
+pub(super) const SELECTION_MARGIN: f64 = 1.0;
 /// Number of quantities chosen by the examples that leaving one out does not undo: length, noise, shrinkage, common
 /// gain, temperature, both terms of sigma. Left-out errors are too small by about this number over the number of
 /// examples.
@@ -182,6 +194,13 @@ pub(super) struct Trial {
     pub error_m: [f64; 2],
     pub variance_m2: [f64; 2],
     pub unexplained: f64,
+    /// Weight among the examples: below 1 for an earlier session's.
+    pub weight: f64,
+}
+
+/// Number of trials, those of an earlier session by their weight.
+fn weight(trials: &[Trial]) -> f64 {
+    trials.iter().map(|trial| trial.weight).sum()
 }
 
 /// Computes sigma from the posterior: sigma^2 = (factor s)^2 + (extrapolation u)^2, with s the posterior's standard
@@ -198,9 +217,10 @@ impl Spread {
         posterior_m2 * self.factor.powi(2) + (self.extrapolation_m * unexplained).powi(2)
     }
 
-    /// Fits both terms so that 68 % of the errors are within one sigma. The extrapolation comes from `far`, examples
-    /// located by those of other parts of the skin, and the factor from `near`, examples located by all the others.
-    /// The factor is raised for the number of quantities the examples `chose`.
+    /// Fits both terms. `far` holds examples located by those of other parts of the skin, and `near` examples located
+    /// by all the others. The first bound the extrapolation: 68 % of their errors are within one sigma. It is only as
+    /// large as helps to predict `near`, since a frame from an unknown part of the skin often resembles touches where
+    /// the map is well known. The factor is raised for the number of quantities the examples `chose`.
     pub(super) fn fit(near: &[Trial], far: &[Trial], chose: f64) -> Self {
         let alone = Self::factor_for(near, 0.0);
         let needed = |t: &Trial, axis: usize| {
@@ -208,23 +228,46 @@ impl Spread {
             rest.max(0.0).sqrt() / t.unexplained.max(1e-3)
         };
         let ratios: Vec<f64> = far.iter().flat_map(|t| [needed(t, 0), needed(t, 1)]).collect();
-        let extrapolation_m = if ratios.is_empty() { 0.0 } else { quantile(&ratios, ONE_SIGMA) };
-        let factor = Self::factor_for(near, extrapolation_m).max(0.3 * alone);
-        Self { factor: factor * (1.0 + chose / near.len() as f64), extrapolation_m }
+        let most_m = if ratios.is_empty() { 0.0 } else { quantile(&ratios, ONE_SIGMA) };
+        let with = |extrapolation_m: f64| Self { factor: Self::factor_for(near, extrapolation_m), extrapolation_m };
+        let mut best = with(most_m);
+        let mut reached = best.score(near);
+        for halvings in (1..=EXTRAPOLATIONS).filter(|_| most_m > 0.0) {
+            let candidate = with(most_m * 0.5_f64.powi(halvings));
+            let score = candidate.score(near);
+            if score > reached + SELECTION_MARGIN {
+                (best, reached) = (candidate, score);
+            }
+        }
+        Self { factor: best.factor * (1.0 + chose / weight(near)), ..best }
     }
 
-    /// The factor from `near` for a given extrapolation, raised for the quantities that the examples chose.
-    pub(super) fn factor_with(near: &[Trial], extrapolation_m: f64) -> f64 {
-        Self::factor_for(near, extrapolation_m) * (1.0 + CHOSEN_QUANTITIES / near.len() as f64)
+    /// The factor from `near` for a given extrapolation, raised for the number of quantities that the examples `chose`.
+    pub(super) fn factor_with(near: &[Trial], extrapolation_m: f64, chose: f64) -> f64 {
+        Self::factor_for(near, extrapolation_m) * (1.0 + chose / weight(near))
     }
 
-    fn factor_for(near: &[Trial], extrapolation_m: f64) -> f64 {
-        let needed = |t: &Trial, axis: usize| {
-            let rest = t.error_m[axis].powi(2) - (extrapolation_m * t.unexplained).powi(2);
-            (rest.max(0.0) / t.variance_m2[axis]).sqrt()
+    /// Log density of the true positions, without constants.
+    fn score(self, trials: &[Trial]) -> f64 {
+        let density = |t: &Trial, axis: usize| {
+            log_student(t.error_m[axis], self.variance_m2(t.variance_m2[axis], t.unexplained).sqrt())
         };
-        let ratios: Vec<f64> = near.iter().flat_map(|t| [needed(t, 0), needed(t, 1)]).collect();
-        quantile(&ratios, ONE_SIGMA).max(1e-3)
+        trials.iter().map(|t| t.weight * (density(t, 0) + density(t, 1))).sum()
+    }
+
+    /// The factor with which 68 % of the errors are within one sigma, for a given extrapolation. It is raised until 96 %
+    /// are within 2.5 sigma, or 74 % within one. At least `LEAST_FACTOR` times that without extrapolation.
+    fn factor_for(near: &[Trial], extrapolation_m: f64) -> f64 {
+        let alone = if extrapolation_m > 0.0 { Self::factor_for(near, 0.0) } else { 0.0 };
+        let within = |sigmas: f64, share: f64| {
+            let needed = |t: &Trial, axis: usize| {
+                let rest = (t.error_m[axis] / sigmas).powi(2) - (extrapolation_m * t.unexplained).powi(2);
+                ((rest.max(0.0) / t.variance_m2[axis]).sqrt(), t.weight)
+            };
+            weighted_quantile(near.iter().flat_map(|t| [needed(t, 0), needed(t, 1)]).collect(), share)
+        };
+        let tail = within(TAIL_SIGMAS, TAIL_SHARE).min(within(1.0, MOST_WITHIN));
+        within(1.0, ONE_SIGMA).max(tail).max(LEAST_FACTOR * alone).max(1e-3)
     }
 }
 
@@ -244,10 +287,89 @@ pub(super) fn quantile(values: &[f64], fraction: f64) -> f64 {
     sorted[low] + (at - low as f64) * (sorted[high] - sorted[low])
 }
 
+/// The `fraction` quantile of a non-empty list of values with weights above zero, with linear interpolation. With equal
+/// weights this is [`quantile`].
+pub(super) fn weighted_quantile(mut values: Vec<(f64, f64)>, fraction: f64) -> f64 {
+    values.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let [first, last] = [values[0], values[values.len() - 1]];
+    let total = values.iter().map(|v| v.1).sum::<f64>() - 0.5 * (first.1 + last.1);
+    let target = fraction * total;
+    let (mut below, mut reached) = (first, 0.0);
+    for &value in &values[1..] {
+        let step = 0.5 * (below.1 + value.1);
+        if reached + step >= target {
+            return below.0 + (target - reached) / step * (value.0 - below.0);
+        }
+        (below, reached) = (value, reached + step);
+    }
+    last.0
+}
+
 /// RMS distance of positions from their centroid, times sqrt 2: the radius if they cover a disc evenly.
 pub(super) fn extent(positions: &[[f64; 2]]) -> f64 {
     let n = positions.len() as f64;
     let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
     let mean = positions.iter().map(|p| super::copies::squared_distance(*p, centre)).sum::<f64>() / n;
     (2.0 * mean).sqrt()
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Standard normal numbers by Box and Muller from a linear congruential generator.
+    pub(in crate::locator) fn normals(count: usize) -> Vec<f64> {
+        let mut state = 7_u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let mut normal = || (-2.0 * (1.0 - uniform()).ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
+        (0..count).map(|_| normal()).collect()
+    }
+
+    /// Trials with posterior standard deviations of 1 mm, or of 2 mm every other one, and errors of such sizes.
+    fn trials(count: usize, unexplained: f64) -> Vec<Trial> {
+        let numbers = normals(2 * count);
+        let trial = |i: usize| {
+            let sigma_m = if i % 2 == 0 { 1e-3 } else { 2e-3 };
+            let error_m = [sigma_m * numbers[2 * i], sigma_m * numbers[2 * i + 1]];
+            Trial { error_m, variance_m2: [sigma_m * sigma_m; 2], unexplained, weight: 1.0 }
+        };
+        (0..count).map(trial).collect()
+    }
+
+    /// Frames from where nothing was poked pass for touches where much was, so that the map says little is unexplained.
+    #[test]
+    fn errors_far_from_pokes_do_not_hide_what_the_posterior_says_near_them() {
+        let near = trials(200, 0.02);
+        let far: Vec<Trial> = (0..200).map(|i| Trial { error_m: [0.02; 2], ..near[i] }).collect();
+        let spread = Spread::fit(&near, &far, 0.0);
+        let sigmas_m = [1e-6, 4e-6].map(|variance_m2| spread.variance_m2(variance_m2, 0.02).sqrt());
+        assert!((0.8e-3..1.25e-3).contains(&sigmas_m[0]), "{sigmas_m:?}");
+        assert!((1.6e-3..2.5e-3).contains(&sigmas_m[1]), "{sigmas_m:?}");
+    }
+
+    /// Long tails widen sigma until 96 % of the errors are within 2.5 of it.
+    #[test]
+    fn long_tails_are_covered() {
+        let mut near = trials(400, 0.0);
+        near.iter_mut().step_by(12).for_each(|trial| trial.error_m = trial.error_m.map(|error| 3.0 * error));
+        let spread = Spread::fit(&near, &[], 0.0);
+        let is_inside =
+            |trial: &&Trial| trial.error_m[0].abs() <= 2.5 * spread.variance_m2(trial.variance_m2[0], 0.0).sqrt();
+        assert!(near.iter().filter(is_inside).count() >= 380, "{spread:?}");
+        assert!(spread.factor < 2.5, "{spread:?}");
+    }
+
+    #[test]
+    fn a_weighted_quantile_is_the_plain_one_for_equal_weights_and_follows_the_heavy_ones() {
+        let values = [0.3, 0.1, 0.9, 0.5, 0.7];
+        for fraction in [0.0, 0.2, 0.683, 1.0] {
+            let weighted = weighted_quantile(values.iter().map(|v| (*v, 0.25)).collect(), fraction);
+            assert!((weighted - quantile(&values, fraction)).abs() < 1e-12, "{fraction}: {weighted}");
+        }
+        let heavy = weighted_quantile(values.iter().map(|v| (*v, if *v > 0.6 { 1.0 } else { 0.01 })).collect(), 0.5);
+        assert!((0.7..0.9).contains(&heavy), "{heavy}");
+    }
 }

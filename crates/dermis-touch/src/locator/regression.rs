@@ -376,6 +376,7 @@ mod tests {
             amplitude: vec![1.0; n],
             positions_m,
             copies: None,
+            sessions: None,
             weights: vec![1.0; channels],
             energy: vec![1.0; channels],
             missing: Vec::new(),

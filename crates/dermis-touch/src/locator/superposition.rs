@@ -284,6 +284,26 @@ impl Superposition {
         }
     }
 
+    /// Share of the median frame's energy that its best touch explains, by the map of all frames: a map that has too few
+    /// frames explains little of another one, even without noise.
+    fn explained(
+        &self,
+        labelled: &[LabelledFrame<'_>],
+        scratch: &mut SuperpositionScratch,
+    ) -> Result<f64, LocatorError> {
+        let mut shares = Vec::with_capacity(labelled.len().min(MOST_LEFT_OUT));
+        for number in evenly(labelled.len(), MOST_LEFT_OUT) {
+            self.project(labelled[number].frame, scratch)?;
+            scratch.parts.clear();
+            if self.try_another(scratch).is_some() {
+                let (touch, square) =
+                    (scratch.trial[0], scratch.weighted.iter().map(|v| f64::from(v * v)).sum::<f64>());
+                shares.push(touch.share.powi(2) * f64::from(self.map.squares[touch.index]) / square);
+            }
+        }
+        Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
+    }
+
     /// Chooses the smallest strength of a further touch that gets nearly as many numbers of touches right as any, and
     /// the smallest strength of a first touch.
     fn set_thresholds(
@@ -293,7 +313,8 @@ impl Superposition {
         left_out: &LeftOut,
     ) -> Result<(), LocatorError> {
         let mut scratch = SuperpositionScratch::default();
-        let (mut firsts, mut explained) = (Vec::new(), Vec::new());
+        let explained = self.explained(labelled, &mut scratch)?;
+        let mut firsts = Vec::new();
         // For each frame, its number of touches and the relative strengths of the second, third and so on.
         let mut further: Vec<(usize, Vec<f64>)> = Vec::new();
         for number in evenly(labelled.len(), MOST_LEFT_OUT) {
@@ -307,9 +328,6 @@ impl Superposition {
                 let Some(strength) = self.try_another(&mut scratch) else { break };
                 if number == 0 {
                     firsts.push(strength);
-                    let square: f64 = scratch.weighted.iter().map(|v| f64::from(v * v)).sum();
-                    let touch = scratch.trial[0];
-                    explained.push(touch.share.powi(2) * f64::from(self.map.squares[touch.index]) / square);
                 } else {
                     strengths.push(strength);
                 }
@@ -329,7 +347,7 @@ impl Superposition {
         firsts.sort_by(f64::total_cmp);
         let weak = firsts.get((WEAK * firsts.len() as f64) as usize).copied().unwrap_or(0.0);
         // What noise alone shows is no stronger than a false second touch.
-        self.least_first = if median(&explained) < MOST_NOISE { self.least_further.min(weak) } else { 0.0 };
+        self.least_first = if explained < MOST_NOISE { self.least_further.min(weak) } else { 0.0 };
         Ok(())
     }
 }

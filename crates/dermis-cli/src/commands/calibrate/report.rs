@@ -133,7 +133,11 @@ fn print_start(start: &StartReview, out: &mut dyn Write) -> std::io::Result<()> 
         StartUse::Pooled => "used: its pokes are pooled with the new ones",
         StartUse::Unchanged => "used unchanged: the new pokes improve nothing",
     };
-    writeln!(out, "  {used}; median error on the new pokes {:.2} mm", 1e3 * start.chosen_m)
+    write!(out, "  {used}; median error on the new pokes {:.2} mm", 1e3 * start.chosen_m)?;
+    match start.resemblance {
+        Some(share) => writeln!(out, "; resemblance of the sessions {share} (0: nothing in common, 1: no change)"),
+        None => writeln!(out),
+    }
 }
 
 pub(super) fn print_forces(calibration: &ForceCalibration, presses: usize, out: &mut dyn Write) -> std::io::Result<()> {

@@ -1,10 +1,11 @@
 //! Calibrating from an earlier calibration: of the same skin in another session, or of a sister.
 //!
-//! Four locators compete: from the new pokes alone, from them with the earlier calibration as prior, from both sets of
-//! pokes pooled, and the earlier one unchanged. Each is judged on the new pokes, left out where they were used, by the
-//! mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error. The last two compete only if the
-//! earlier calibration places the new pokes much better than a guess: otherwise it is of another skin. Few pokes can't
-//! judge what was fitted to them alone. They are then pooled, or on another skin, complete the prior.
+//! If the earlier calibration places the new pokes much better than a guess, it is of the same skin. Both sets of pokes
+//! then share a locator, in which the earlier ones count as much as the skin still resembles the earlier one. The
+//! earlier calibration unchanged is used instead only if it places the new pokes clearly better. On another skin, the
+//! new pokes alone and with the earlier calibration as prior compete. Locators are judged on the new pokes, left out
+//! where they were used, by the mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error. Few
+//! pokes can't judge what was fitted to them alone.
 
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
 use serde::{Deserialize, Serialize};
@@ -16,9 +17,11 @@ use crate::prepare::Prepared;
 /// Maximum median error of the earlier calibration on pokes of its own skin, relative to that of a guess at their
 /// centre. Sisters with other electrode numbers are at 1; a skin that was damaged since was at 0.17.
 const SAME_SKIN: f64 = 0.6;
-/// With fewer pokes, locators fitted to them alone don't compete: their left-out errors are far too small. From ten
+/// With fewer pokes, a locator fitted to them alone doesn't compete: its left-out errors are far too small. From ten
 /// pokes of a damaged skin and its prior, 2 mm were expected and 6 mm reached.
 const TELLING: usize = 20;
+/// Standard errors by which another locator must be better than the one that both sessions share.
+const CLEARLY: f64 = 2.0;
 /// Sigmas within which the earlier calibration explains a poke.
 const EXPLAINED_SIGMAS: f64 = 2.5;
 /// Share of errors within one standard deviation of a Gaussian.
@@ -34,7 +37,7 @@ pub enum StartUse {
     Nothing,
     /// As prior of the map, or of the covariance between channels.
     Prior,
-    /// Its pokes are pooled with the new ones.
+    /// Its pokes are pooled with the new ones, and count as much as the sessions resemble each other.
     Pooled,
     /// It locates touches unchanged.
     Unchanged,
@@ -48,6 +51,10 @@ pub struct StartReview {
     pub used: StartUse,
     /// Share of the new pokes that it places within 2.5 sigma.
     pub explained: f64,
+    /// Correlation of the new session's map with the earlier one's, if their pokes are pooled: 1 if the skin has not
+    /// changed, 0 if the sessions have nothing in common.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resemblance: Option<f64>,
     /// Median error on the new pokes with the earlier calibration unchanged, metres.
     pub unchanged_m: f64,
     /// Median error on the new pokes of the locator that was chosen, metres.
@@ -109,32 +116,41 @@ pub(super) fn fit_best(
     let options = FusedOptions::default();
     let count = examples.len();
     let fit = |examples: &Examples| FusedLocator::fit(examples, map, &options);
-    let alone = fit(examples)?;
     if sisters.is_empty() {
-        return Ok(Started { locator: alone, keeps: None, review: None });
+        return Ok(Started { locator: fit(examples)?, keeps: None, review: None });
     }
     let guess_m = guess_m(examples);
     let mut unchanged: Vec<Vec<Miss>> = Vec::new();
-    let mut candidates =
-        vec![Candidate { errors: left_out(&alone, count), locator: alone, used: StartUse::Nothing, sister: None }];
+    let mut candidates = Vec::new();
     for (number, sister) in sisters.iter().enumerate() {
         check(sister, prepared)?;
         let mut consider = |locator: FusedLocator, used: StartUse, errors: Vec<Miss>| {
             candidates.push(Candidate { locator, used, sister: Some(number), errors });
         };
-        let prior = FusedLocator::fit_with_prior(examples, map, &options, sister.locator)?;
-        let errors = left_out(&prior, count);
-        consider(prior, StartUse::Prior, errors);
         let as_it_is = on(sister.locator, examples);
-        if median_m(&as_it_is) < SAME_SKIN * guess_m {
-            if let Some(pooled) = pooled(examples, sister)? {
-                let pooled = fit(&pooled)?;
-                let errors = left_out(&pooled, count);
-                consider(pooled, StartUse::Pooled, errors);
+        let is_same_skin = median_m(&as_it_is) < SAME_SKIN * guess_m;
+        match if is_same_skin { pooled(examples, sister)? } else { None } {
+            Some(both) => {
+                let both = fit(&both)?;
+                let errors = left_out(&both, count);
+                consider(both, StartUse::Pooled, errors);
             }
+            None => {
+                let prior = FusedLocator::fit_with_prior(examples, map, &options, sister.locator)?;
+                let errors = left_out(&prior, count);
+                consider(prior, StartUse::Prior, errors);
+            }
+        }
+        if is_same_skin {
             consider(sister.locator.clone(), StartUse::Unchanged, as_it_is.clone());
         }
         unchanged.push(as_it_is);
+    }
+    // Where sessions resemble each other in nothing, the shared locator is that of the new pokes alone.
+    if candidates.iter().all(|candidate| candidate.used != StartUse::Pooled) {
+        let alone = fit(examples)?;
+        let errors = left_out(&alone, count);
+        candidates.push(Candidate { locator: alone, used: StartUse::Nothing, sister: None, errors });
     }
     let best = choose(&candidates, count);
     let closest = unchanged.iter().min_by(|a, b| score(a).total_cmp(&score(b)));
@@ -144,35 +160,32 @@ pub(super) fn fit_best(
     });
     let Candidate { mut locator, used, sister, errors } = candidates.swap_remove(best);
     let keeps = sister.filter(|_| matches!(used, StartUse::Pooled | StartUse::Unchanged));
-    if keeps.is_some() {
-        // Most of the errors behind its sigmas are of the earlier session.
+    if used == StartUse::Unchanged {
+        // The errors behind its sigmas are of the earlier session.
         let share = count as f64 / (count as f64 + SIGMA_WORTH);
         locator.scale_sigmas(sigma_factor(&errors).powf(share))?;
     }
-    let review = Some(StartReview { used, explained, unchanged_m, chosen_m: median_m(&errors) });
+    let resemblance = locator.report().resemblance;
+    let review = Some(StartReview { used, explained, resemblance, unchanged_m, chosen_m: median_m(&errors) });
     Ok(Started { locator, keeps, review })
 }
 
-/// Index of the best candidate. The earlier calibration remains unchanged only if it is better than the pooled pokes by
-/// more than a standard error.
+/// Index of the best candidate. An earlier calibration of the same skin remains unchanged only if it is clearly better
+/// than the locator that both sessions share.
 fn choose(candidates: &[Candidate], count: usize) -> usize {
-    let has = |used: StartUse| candidates.iter().any(|candidate| candidate.used == used);
-    let competes = |candidate: &Candidate| match candidate.used {
-        StartUse::Nothing => count >= TELLING,
-        StartUse::Prior => count >= TELLING || !has(StartUse::Pooled),
-        StartUse::Pooled => true,
-        StartUse::Unchanged => !has(StartUse::Pooled),
-    };
     let by_score = |a: &usize, b: &usize| score(&candidates[*a].errors).total_cmp(&score(&candidates[*b].errors));
-    let best = (0..candidates.len()).filter(|&i| competes(&candidates[i])).min_by(by_score).unwrap_or(0);
-    let unchanged = |i: &usize| candidates[*i].used == StartUse::Unchanged;
-    (0..candidates.len())
-        .filter(unchanged)
-        .find(|&i| is_clearly_better(&candidates[i].errors, &candidates[best].errors))
-        .unwrap_or(best)
+    let best_of = |competes: &dyn Fn(usize) -> bool| (0..candidates.len()).filter(|&i| competes(i)).min_by(by_score);
+    let Some(shared) = best_of(&|i| candidates[i].used == StartUse::Pooled) else {
+        return best_of(&|i| candidates[i].used != StartUse::Nothing || count >= TELLING).unwrap_or(0);
+    };
+    let is_better = |i: usize| {
+        candidates[i].used == StartUse::Unchanged
+            && is_clearly_better(&candidates[i].errors, &candidates[shared].errors)
+    };
+    best_of(&is_better).unwrap_or(shared)
 }
 
-/// True if errors are smaller than others of the same pokes by more than a standard error of ln(e^2 + m^2).
+/// True if errors are smaller than others of the same pokes by more than [`CLEARLY`] standard errors of ln(e^2 + m^2).
 fn is_clearly_better(errors: &[Miss], others: &[Miss]) -> bool {
     let middle2 = median_m(others).powi(2).max(f64::MIN_POSITIVE);
     let log = |miss: &Miss| (miss.distance_m().powi(2).min(1.0) + middle2).ln();
@@ -180,7 +193,7 @@ fn is_clearly_better(errors: &[Miss], others: &[Miss]) -> bool {
     let count = gains.len() as f64;
     let mean = gains.iter().sum::<f64>() / count;
     let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-    mean > (variance / count).sqrt()
+    mean > CLEARLY * (variance / count).sqrt()
 }
 
 /// Rejects a calibration with another number of channels.
@@ -195,21 +208,17 @@ fn check(sister: &Earlier<'_>, prepared: &Prepared) -> Result<(), Error> {
     })
 }
 
-/// The new pokes, followed by those that the sister keeps. `None` if only one of the two has loads.
+/// The new pokes, with those that the sister keeps as an earlier session. `None` if only one of the two has loads.
 fn pooled(examples: &Examples, sister: &Earlier<'_>) -> Result<Option<Examples>, Error> {
     if examples.loads().is_some() != sister.loads.is_some() {
         return Ok(None);
     }
-    let frames = examples.frames().iter().copied().chain(sister.frames.iter().flatten().copied()).collect();
-    let positions_m = examples.positions_m().iter().chain(sister.positions_m).copied().collect();
-    let mut pooled = Examples::new(examples.channels(), frames, positions_m)?;
-    if let Some(noise) = examples.channel_noise() {
-        pooled = pooled.with_channel_noise(noise.to_vec())?;
+    let frames = sister.frames.iter().flatten().copied().collect();
+    let mut earlier = Examples::new(examples.channels(), frames, sister.positions_m.to_vec())?;
+    if let Some(loads) = sister.loads {
+        earlier = earlier.with_loads(loads.to_vec())?;
     }
-    if let (Some(new), Some(old)) = (examples.loads(), sister.loads) {
-        pooled = pooled.with_loads(new.iter().chain(old).copied().collect())?;
-    }
-    Ok(Some(pooled))
+    Ok(Some(examples.clone().with_earlier(&earlier)?))
 }
 
 /// Errors of the first `count` examples of a locator, each located by the others. Excluded ones are infinitely wrong.

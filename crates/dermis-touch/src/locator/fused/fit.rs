@@ -1,13 +1,15 @@
 //! Fits both experts and their combination.
 
+use super::excess::{Excess, Unlike};
 use super::features::{Features, fill_from_neighbours, in_frame};
 use super::form::{Form, GRID, MOST_TURNED, TELLING, choose_form, forward_examples, projection};
-use super::fusion::{Cells, Fusion};
+use super::fusion::{Cells, Fusion, LeftOutView};
 use super::inverse::{Guess, LeftOutPlaces, Memory, Regression};
 use super::live::unit_length;
 use super::model::FusedLocator;
 use super::prior::Sister;
 use super::report::{Accuracy, FusedReport};
+use super::sessions::{self, Weights};
 use super::state::{FUSED_VERSION, FusedState};
 use crate::locator::data::{Examples, LeaveOneOut, LeftOut, MIN_EXAMPLES, SignatureMap};
 use crate::locator::design::{Design, Prior, nearest};
@@ -39,10 +41,12 @@ const DOUBTFUL_MEDIANS: f64 = 10.0;
 /// them.
 const MOST_DOUBTFUL: f64 = 0.1;
 const REFIT_AT_MOST: usize = 1000;
-/// With rotated copies of few examples, the left-out examples choose only sigma.
+/// With rotated copies of few examples, the left-out examples choose only sigma. With those of an earlier session, the
+/// new ones choose how the experts are combined, too.
 const CHOSEN_BESIDE_COPIES: f64 = 1.0;
+const CHOSEN_BY_NEW: f64 = 2.0;
 /// Minimum number of examples for separate sigma factors in x and y.
-const OWN_FACTORS: usize = 100;
+const OWN_FACTORS: f64 = 100.0;
 
 /// Options of [`FusedLocator::fit`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -124,6 +128,7 @@ fn without(examples: &Examples, rows: &[usize]) -> Examples {
         positions_m: kept.iter().map(|&i| examples.positions_m[i]).collect(),
         loads: examples.loads.as_ref().map(|loads| kept.iter().map(|&i| loads[i]).collect()),
         channel_noise: examples.channel_noise.clone(),
+        earlier: kept.iter().filter(|&&i| i >= examples.len() - examples.earlier).count(),
     }
 }
 
@@ -167,15 +172,16 @@ impl Inverse {
         whitened: Option<Vec<Vec<f64>>>,
         places_m: &[[f64; 2]],
         rows: &[usize],
+        is_earlier: Option<&[bool]>,
     ) -> Result<Self, LocatorError> {
         let truth: Vec<[f64; 2]> = rows.iter().map(|&i| places_m[i]).collect();
         let mut plain_rows = vec![vec![0.0; 2 * units.units[0].len()]; units.units.len()];
         units.units.iter().zip(&mut plain_rows).for_each(|(unit, row)| Features::inverse(unit, row));
-        let (mut plain, mut places) = Regression::fit(&plain_rows, places_m, PLAIN_RANK, rows)?;
+        let (mut plain, mut places) = Regression::fit(&plain_rows, places_m, PLAIN_RANK, rows, is_earlier)?;
         let mut share = 1.0;
         let mut other = None;
         if let Some(frames) = whitened {
-            let (mut regression, found) = Regression::fit(&frames, places_m, WHITENED_RANK, rows)?;
+            let (mut regression, found) = Regression::fit(&frames, places_m, WHITENED_RANK, rows, is_earlier)?;
             (share, places) = best_mix(&places, &found, &truth);
             regression.set_residuals(&places.places_m, &truth);
             plain.set_residuals(&places.places_m, &truth);
@@ -185,12 +191,14 @@ impl Inverse {
         let single = |row: &Vec<f64>| row.iter().map(|v| *v as f32).collect::<Vec<f32>>();
         let mut guesses = Vec::with_capacity(rows.len());
         for (place, &i) in rows.iter().enumerate() {
-            let mut variance_m2 = share * plain.guess(&single(&plain_rows[i]), &mut memory, Some(place)).variance_m2;
+            let guess = plain.guess(&single(&plain_rows[i]), &mut memory, Some(place));
+            let (mut variance_m2, mut distance) = (share * guess.variance_m2, share * guess.distance);
             if let Some((regression, frames)) = &other {
                 let guess = regression.guess(&single(&frames[i]), &mut memory, Some(place));
                 variance_m2 += (1.0 - share) * guess.variance_m2;
+                distance += (1.0 - share) * guess.distance;
             }
-            guesses.push(Guess { mean_m: places.places_m[place], variance_m2 });
+            guesses.push(Guess { mean_m: places.places_m[place], variance_m2, distance });
         }
         Ok(Self { plain, plain_rows, whitened: other.map(|o| o.0), share, places, guesses })
     }
@@ -231,7 +239,13 @@ fn fit_all(
     let units = Units::new(examples, &features)?;
     let (form, uses) = choose_form(examples, &features, map, &rows, sister)?;
     let seen = forward_examples(examples, &form.features, &rows)?;
-    let (design, prior) = prepare(&seen, &form.map, &form.hyper)?;
+    let (mut design, prior) = prepare(&seen, &form.map, &form.hyper)?;
+    let mut weigh = Weights::new(examples, &rows);
+    if let Some(is_earlier) = &weigh.is_earlier {
+        let sessions = sessions::choose(&design, &prior, is_earlier, &form.hyper)?;
+        weigh.discount(&sessions, form.hyper.noise);
+        design.sessions = Some(sessions);
+    }
     let projection = projection(&design, &prior, form.turn.as_ref())?;
     let fitting = Fitting {
         positions: &map.positions_m,
@@ -245,27 +259,47 @@ fn fit_all(
     let whitened = (n >= WHITENED_POKES * examples.channels)
         .then(|| whitened_rows(examples, &form.features, &judged))
         .transpose()?;
-    let inverse = Inverse::fit(&units, whitened, &examples.positions_m, &rows)?;
-    let joining = evenly(rows.len(), JOINING);
+    let inverse = Inverse::fit(&units, whitened, &examples.positions_m, &rows, weigh.is_earlier.as_deref())?;
+    let joining = weigh.joining(JOINING);
     let alone = form.turn.is_some() && rows.len() < TELLING;
-    let left_out: Vec<(&[f64], Option<Guess>, [f64; 2])> = joining
+    let left_out: Vec<LeftOutView<'_>> = joining
         .iter()
-        .map(|&i| (judged.left_out.col_as_slice(i), Some(inverse.guesses[i]), design.positions_m[i]))
+        .map(|&(i, weight)| LeftOutView {
+            log_likelihood: judged.left_out.col_as_slice(i),
+            guess: Some(inverse.guesses[i]),
+            truth_m: design.positions_m[i],
+            weight,
+        })
         .collect();
     let cells = Cells::new(&map.positions_m, fitting.spacing_m);
     let fusion = if alone { Fusion::UNTOLD } else { Fusion::choose(&map.positions_m, &cells, &left_out) };
-    let near = near_trials(&fitting, &cells, &fusion, &judged, &inverse.guesses, &design.positions_m);
+    let mut near = near_trials(&fitting, &cells, &fusion, &judged, &inverse.guesses, &design.positions_m);
+    near.iter_mut().enumerate().for_each(|(i, trial)| trial.weight = weigh.of(i));
+    let usual_misfit = quantile(&judged.misfits, 0.95);
+    let unlike = |(misfit, guess): (&f64, &Guess)| Unlike {
+        novelty: misfit / usual_misfit,
+        distance: if fusion.doublings.is_some() { guess.distance } else { 1.0 },
+    };
+    let unlike: Vec<Unlike> = judged.misfits.iter().zip(&inverse.guesses).map(unlike).collect();
+    let excess = Excess::choose(&near, &unlike);
+    for (trial, unlike) in near.iter_mut().zip(&unlike) {
+        trial.variance_m2 = trial.variance_m2.map(|variance_m2| variance_m2 * excess.of(*unlike));
+    }
     let far = Far { fitting: &fitting, cells: &cells, fusion: &fusion, form: &form, inverse: &inverse, rows: &rows };
     let (far_fused, far_forward) = far.trials(&design, &prior, judged.calibration.temperature)?;
     let axis = |trials: &[Trial], axis: usize| -> Vec<Trial> {
         let own = |t: &Trial| Trial { error_m: [t.error_m[axis]; 2], variance_m2: [t.variance_m2[axis]; 2], ..*t };
         trials.iter().map(own).collect()
     };
-    let chose = if alone { CHOSEN_BESIDE_COPIES } else { CHOSEN_QUANTITIES };
+    let chose = match (alone, &weigh.is_earlier) {
+        (true, _) => CHOSEN_BESIDE_COPIES,
+        (false, Some(_)) => CHOSEN_BY_NEW,
+        (false, None) => CHOSEN_QUANTITIES,
+    };
     let both = Spread::fit(&near, &far_fused, chose);
     let mut sigma_factors = [both.factor; 2];
-    if near.len() >= OWN_FACTORS {
-        let factor = |a: usize| Spread::factor_with(&axis(&near, a), both.extrapolation_m);
+    if near.iter().map(|trial| trial.weight).sum::<f64>() >= OWN_FACTORS {
+        let factor = |a: usize| Spread::factor_with(&axis(&near, a), both.extrapolation_m, chose);
         sigma_factors = [factor(0), factor(1)];
     }
     let mut load = load_law(examples, &units, &map.positions_m, form.hyper.length_m)?;
@@ -307,6 +341,7 @@ fn fit_all(
         sister_map: uses[1],
         sister_covariance: uses[2],
         sister_turn: uses[3],
+        resemblance: design.sessions.as_ref().map(|sessions| sessions.resemblance),
         doubtful,
         doubtful_left_out: false,
     };
@@ -318,6 +353,7 @@ fn fit_all(
         whitened: inverse.whitened,
         plain_share: inverse.share,
         fusion,
+        excess,
         sigma_factors,
         extrapolation_m: both.extrapolation_m,
         places_m: design.positions_m,
@@ -371,6 +407,7 @@ fn near_trials(
             error_m: [found.mean_m[0] - truth[i][0], found.mean_m[1] - truth[i][1]],
             variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
             unexplained: weights.iter().enumerate().map(|(p, w)| w * judged.left_out_variance(i, p)).sum(),
+            weight: 1.0,
         }
     };
     (0..truth.len()).map(trial).collect()
@@ -428,6 +465,7 @@ impl Far<'_> {
                     error_m: [found.mean_m[0] - truth[0], found.mean_m[1] - truth[1]],
                     variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
                     unexplained: weights.iter().enumerate().map(|(p, w)| w * map.variance()[p]).sum(),
+                    weight: 1.0,
                 });
             }
         }

@@ -10,8 +10,8 @@ use crate::locator::channel_covariance::ChannelPrior;
 use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureMap};
 use crate::locator::design::{Design, Prior, basis};
 use crate::locator::error::LocatorError;
-use crate::locator::fit::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
-use crate::locator::posterior::extent;
+use crate::locator::fit::{Fitting, Grid, default_hyperparameters, evenly, prepare};
+use crate::locator::posterior::{SELECTION_MARGIN, extent};
 use crate::locator::regression::WorkedOut;
 use crate::locator::turn::{Turn, log_density};
 use crate::typical::spacing;
@@ -117,7 +117,7 @@ pub(super) fn forward_examples(
     let positions_m = rows.iter().map(|&i| examples.positions_m[i]).collect();
     // The frames are already in units of the noise.
     let channel_noise = examples.channel_noise.as_ref().map(|_| vec![1.0; c]);
-    Ok(Examples { channels: c, frames, positions_m, loads: None, channel_noise })
+    Ok(Examples { channels: c, frames, positions_m, loads: None, channel_noise, earlier: 0 })
 }
 
 /// The mean of the map in the form that the forward expert sees.

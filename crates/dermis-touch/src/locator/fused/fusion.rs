@@ -13,7 +13,7 @@ use std::collections::HashMap;
 
 use super::inverse::Guess;
 use crate::locator::copies::squared_distance;
-use crate::locator::posterior::{ONE_SIGMA, log_student, quantile};
+use crate::locator::posterior::{ONE_SIGMA, log_student, weighted_quantile};
 use crate::locator::rows::exponentials;
 
 /// Temperatures b tried.
@@ -89,6 +89,18 @@ pub(super) struct Fusion {
     pub temperature: f64,
     /// c is a half times two to the power of this. `None`: the inverse expert is not used.
     pub doublings: Option<u32>,
+}
+
+/// A left-out example as both experts see it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LeftOutView<'a> {
+    /// Log-likelihood over the map.
+    pub log_likelihood: &'a [f64],
+    /// The inverse expert's position.
+    pub guess: Option<Guess>,
+    pub truth_m: [f64; 2],
+    /// Weight among the examples.
+    pub weight: f64,
 }
 
 /// Values shared by all combinations of the same likelihood and guess.
@@ -283,30 +295,26 @@ impl Fusion {
         alone.chain(joined.filter(|_| with_inverse)).collect()
     }
 
-    /// The combination that predicts left-out examples (log-likelihood, guess, truth) best.
-    pub(super) fn choose(
-        positions: &[[f64; 2]],
-        cells: &Cells,
-        left_out: &[(&[f64], Option<Guess>, [f64; 2])],
-    ) -> Self {
-        let candidates = Self::candidates(left_out.iter().all(|l| l.1.is_some()));
-        // For each candidate, errors and posterior standard deviations, x and y of each example.
-        let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::with_capacity(2 * left_out.len()); candidates.len()];
+    /// The combination that predicts left-out examples best.
+    pub(super) fn choose(positions: &[[f64; 2]], cells: &Cells, left_out: &[LeftOutView<'_>]) -> Self {
+        let candidates = Self::candidates(left_out.iter().all(|example| example.guess.is_some()));
+        // For each candidate, errors, posterior standard deviations and weights, x and y of each example.
+        let mut errors: Vec<Vec<(f64, f64, f64)>> = vec![Vec::with_capacity(2 * left_out.len()); candidates.len()];
         let mut weighing = Weighing::new(positions.len());
-        for (log_likelihood, guess, truth) in left_out {
-            weighing.begin(positions, cells, log_likelihood, *guess);
+        for &LeftOutView { log_likelihood, guess, truth_m, weight } in left_out {
+            weighing.begin(positions, cells, log_likelihood, guess);
             for (candidate, errors) in candidates.iter().zip(&mut errors) {
-                let joined = candidate.join_weighed(positions, cells, log_likelihood, *guess, &mut weighing);
+                let joined = candidate.join_weighed(positions, cells, log_likelihood, guess, &mut weighing);
                 for axis in 0..2 {
-                    errors.push((joined.mean_m[axis] - truth[axis], joined.covariance_m2[axis].sqrt()));
+                    errors.push((joined.mean_m[axis] - truth_m[axis], joined.covariance_m2[axis].sqrt(), weight));
                 }
             }
         }
         let mut best = (f64::NEG_INFINITY, Self { temperature: TEMPERATURES[4], doublings: None });
         for (candidate, errors) in candidates.into_iter().zip(&errors) {
-            let ratios: Vec<f64> = errors.iter().map(|e| (e.0 / e.1).abs()).collect();
-            let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
-            let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / left_out.len() as f64;
+            let ratios: Vec<(f64, f64)> = errors.iter().map(|e| ((e.0 / e.1).abs(), e.2)).collect();
+            let factor = weighted_quantile(ratios, ONE_SIGMA).max(1e-3);
+            let score = errors.iter().map(|e| e.2 * log_student(e.0, e.1 * factor)).sum::<f64>();
             if score > best.0 {
                 best = (score, candidate);
             }

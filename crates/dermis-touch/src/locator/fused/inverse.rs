@@ -12,6 +12,7 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
 
 use super::landmarks;
+use crate::locator::copies::{Sessions, squared_distance};
 use crate::locator::error::{LocatorError, check_first, check_length};
 use crate::locator::fit::evenly;
 use crate::locator::posterior::quantile;
@@ -22,6 +23,10 @@ use crate::typical::median;
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];
 /// Ridges tried, relative to the kernel's variance.
 const RIDGES: [f64; 7] = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1];
+/// Resemblances of two sessions tried, the default first, and the drop in the sum of ln(e^2 + m^2) that another must
+/// bring: Akaike's penalty for one parameter, for a density that falls with the fourth power of the error.
+const RESEMBLANCES: [f64; 7] = [1.0, 0.99, 0.97, 0.9, 0.75, 0.5, 0.0];
+const RESEMBLANCE_MARGIN: f64 = 0.5;
 /// Maximum number of examples that choose length and ridge.
 const CHOOSING: usize = 500;
 /// Squared width of the local variance's weights, relative to the median squared distance between examples.
@@ -71,6 +76,8 @@ pub(super) struct LeftOutPlaces {
 pub(super) struct Guess {
     pub mean_m: [f64; 2],
     pub variance_m2: f64,
+    /// Squared distance to the nearest example over the usual one.
+    pub distance: f64,
 }
 
 impl Regression {
@@ -81,6 +88,7 @@ impl Regression {
         places_m: &[[f64; 2]],
         most_rank: usize,
         judged: &[usize],
+        is_earlier: Option<&[bool]>,
     ) -> Result<(Self, LeftOutPlaces), LocatorError> {
         let (centre, basis) = principal(features, most_rank)?;
         let rank = basis.ncols();
@@ -102,7 +110,10 @@ impl Regression {
         };
         let rows: Vec<Vec<f32>> = features.iter().map(|f| fitted.project(f)).collect();
         fitted.choose(&rows, places_m, &chosen)?;
-        let places = fitted.solve(&rows, places_m, judged)?;
+        let places = match is_earlier.filter(|_| judged.len() == rows.len()) {
+            Some(is_earlier) => fitted.solve_sessions(&rows, places_m, is_earlier)?,
+            None => fitted.solve(&rows, places_m, judged)?,
+        };
         fitted.points = judged.iter().flat_map(|&i| rows[i].iter().copied()).collect();
         fitted.squares = judged.iter().map(|&i| dot(&rows[i], &rows[i])).collect();
         let truth: Vec<[f64; 2]> = judged.iter().map(|&i| places_m[i]).collect();
@@ -183,19 +194,12 @@ impl Regression {
         let inverse_length = 1.0 / self.length as f32;
         let kernel = |i: usize, j: usize| f64::from(matern52_of(distance2(&rows[i], &rows[j]) as f32, inverse_length));
         let m = judged.len();
-        let what = "kernel between the examples";
-        let singular = |_| LocatorError::Singular { what };
         let target = |i: usize, axis: usize| places_m[i][axis] - self.mean_m[axis];
-        let mut places = vec![[0.0; 2]; m];
         if m == rows.len() {
             let own = |i: usize, j: usize| if i == j { 1.0 + self.ridge } else { kernel(i, j) };
-            let inverse = symmetric(m, own).llt(Side::Lower).map_err(singular)?.inverse();
-            let a = &inverse * Mat::from_fn(m, 2, target);
-            for i in 0..m {
-                places[i] = [0, 1].map(|axis| places_m[i][axis] - a[(i, axis)] / inverse[(i, i)]);
-            }
-            self.weights = (0..m).map(|i| [a[(i, 0)], a[(i, 1)]]).collect();
-            return Ok(LeftOutPlaces { places_m: places });
+            let exact = Exact::solve(symmetric(m, own), &Mat::from_fn(m, 2, target), places_m)?;
+            self.weights = exact.weights;
+            return Ok(exact.left_out);
         }
         let targets: Vec<[f64; 2]> = (0..rows.len()).map(|i| [0, 1].map(|axis| target(i, axis))).collect();
         let unsaid = m as f64 / rows.len() as f64;
@@ -204,6 +208,40 @@ impl Regression {
         let place = |(i, left_out): (&usize, &[f64; 2])| [0, 1].map(|axis| places_m[*i][axis] - left_out[axis]);
         self.weights = learnt.weights;
         Ok(LeftOutPlaces { places_m: judged.iter().zip(&learnt.left_out).map(place).collect() })
+    }
+
+    /// As [`Regression::solve`], for examples of which some are of an earlier session. Their kernel with those of the
+    /// new session is multiplied by a resemblance: the one that predicts the new ones best when they are left out.
+    fn solve_sessions(
+        &mut self,
+        rows: &[Vec<f32>],
+        places_m: &[[f64; 2]],
+        is_earlier: &[bool],
+    ) -> Result<LeftOutPlaces, LocatorError> {
+        let inverse_length = 1.0 / self.length as f32;
+        let kernel = |i: usize, j: usize| match i == j {
+            true => 1.0 + self.ridge,
+            false => f64::from(matern52_of(distance2(&rows[i], &rows[j]) as f32, inverse_length)),
+        };
+        let plain = symmetric(rows.len(), kernel);
+        let targets = Mat::from_fn(rows.len(), 2, |i, axis| places_m[i][axis] - self.mean_m[axis]);
+        let mut best: Option<(f64, f64, Exact)> = None;
+        for resemblance in RESEMBLANCES {
+            let sessions = Sessions { is_earlier: is_earlier.to_vec(), resemblance };
+            let shared = Mat::from_fn(rows.len(), rows.len(), |i, j| sessions.between(i, j) * plain[(i, j)]);
+            let mut exact = Exact::solve(shared, &targets, places_m)?;
+            exact.weights.iter_mut().enumerate().for_each(|(i, a)| *a = a.map(|a| a * sessions.with_map(i)));
+            let new = (0..rows.len()).filter(|&i| !is_earlier[i]);
+            let squares: Vec<f64> = new.map(|i| squared_distance(exact.left_out.places_m[i], places_m[i])).collect();
+            let middle = best.as_ref().map_or_else(|| median(&squares).max(f64::MIN_POSITIVE), |best| best.1);
+            let score = squares.iter().map(|square| (square + middle).ln()).sum::<f64>();
+            if best.as_ref().is_none_or(|best| score < best.0 - RESEMBLANCE_MARGIN) {
+                best = Some((score, middle, exact));
+            }
+        }
+        let (_, _, exact) = best.ok_or(LocatorError::Singular { what: "kernel between the examples" })?;
+        self.weights = exact.weights;
+        Ok(exact.left_out)
     }
 
     /// Position for a frame with these features. The variance ignores point `left_out`, if given.
@@ -227,7 +265,7 @@ impl Regression {
         let moved = sums(&memory.kernel, &self.weights, |k, a| [k * a[0], k * a[1]]);
         let mean_m = [0, 1].map(|axis| self.mean_m[axis] + moved[axis]);
         let variance_m2 = self.local_variance(&mut memory.kernel, f64::from(nearest), left_out);
-        Guess { mean_m, variance_m2 }
+        Guess { mean_m, variance_m2, distance: f64::from(nearest) / self.usual_nearest }
     }
 
     /// The local variance of a coordinate from kernel values, which are sharpened in place.
@@ -293,6 +331,26 @@ impl Regression {
         let above = |v: f64| v.is_finite() && v > 0.0;
         let scales = [self.length, self.ridge, self.usual_nearest, self.typical_m2];
         check_first("regression scales", scales.into_iter(), above, "a finite number above zero")
+    }
+}
+
+/// The weights of a regression on all examples, and what it predicts for each from the others.
+struct Exact {
+    weights: Vec<[f64; 2]>,
+    left_out: LeftOutPlaces,
+}
+
+impl Exact {
+    /// Solves K a = y for a kernel with its ridge and targets relative to their mean.
+    fn solve(kernel: Mat<f64>, targets: &Mat<f64>, places_m: &[[f64; 2]]) -> Result<Self, LocatorError> {
+        let what = "kernel between the examples";
+        let inverse = kernel.llt(Side::Lower).map_err(|_| LocatorError::Singular { what })?.inverse();
+        let a = &inverse * targets;
+        let left_out = |i: usize| [0, 1].map(|axis| places_m[i][axis] - a[(i, axis)] / inverse[(i, i)]);
+        Ok(Self {
+            weights: (0..a.nrows()).map(|i| [a[(i, 0)], a[(i, 1)]]).collect(),
+            left_out: LeftOutPlaces { places_m: (0..a.nrows()).map(left_out).collect() },
+        })
     }
 }
 

@@ -1,5 +1,6 @@
 //! Locates one frame with both experts, without allocating.
 
+use super::excess::Unlike;
 use super::features::Features;
 use super::inverse::{Guess, Memory};
 use super::model::FusedLocator;
@@ -57,7 +58,10 @@ impl FusedLocator {
         let found = state.fusion.join(positions, &self.cells, log_likelihood, guess, along, posterior);
         let unexplained: f64 = forward.variance.iter().zip(posterior.iter()).map(|(v, w)| v * w).sum();
         let spread = |axis: usize| Spread { factor: state.sigma_factors[axis], extrapolation_m: state.extrapolation_m };
-        let sigma = |axis: usize| spread(axis).variance_m2(found.covariance_m2[axis], unexplained).sqrt();
+        let novelty = misfit / forward.usual_misfit;
+        let distance = guess.map_or(1.0, |guess| guess.distance);
+        let excess = state.excess.of(Unlike { novelty, distance });
+        let sigma = |axis: usize| spread(axis).variance_m2(excess * found.covariance_m2[axis], unexplained).sqrt();
         let load = forward.load.as_ref().map(|law| {
             let log_factor: f64 = law.log_factor.iter().zip(posterior.iter()).map(|(f, w)| f * w).sum();
             let value = ((weighed.amplitude.ln() - log_factor) / law.exponent).exp();
@@ -68,14 +72,14 @@ impl FusedLocator {
             y_m: found.mean_m[1],
             sigma_x_m: sigma(0),
             sigma_y_m: sigma(1),
-            covariance_xy_m2: found.covariance_m2[2] * state.sigma_factors[0] * state.sigma_factors[1],
+            covariance_xy_m2: excess * found.covariance_m2[2] * state.sigma_factors[0] * state.sigma_factors[1],
             peak_x_m: positions[found.peak][0],
             peak_y_m: positions[found.peak][1],
             amplitude: weighed.amplitude,
             load,
             log_evidence: found.log_evidence,
             unexplained,
-            novelty: misfit / forward.usual_misfit,
+            novelty,
         })
     }
 
@@ -90,11 +94,12 @@ impl FusedLocator {
     /// The inverse expert's position. Missing channels increase its variance.
     fn guess(&self, scratch: &mut FusedScratch, seen: f64) -> Guess {
         let state = &self.state;
-        let mut guess = Guess { mean_m: [0.0; 2], variance_m2: 0.0 };
+        let mut guess = Guess { mean_m: [0.0; 2], variance_m2: 0.0, distance: 0.0 };
         let mut add = |share: f64, part: Guess| {
             guess.mean_m[0] += share * part.mean_m[0];
             guess.mean_m[1] += share * part.mean_m[1];
             guess.variance_m2 += share * part.variance_m2 / (seen * seen);
+            guess.distance += share * part.distance;
         };
         if state.plain_share > 0.0 {
             if !scratch.forward.missing_now.is_empty() {

@@ -16,6 +16,7 @@
 //! the prediction of left-out pokes.
 
 mod drift;
+mod excess;
 mod features;
 mod fit;
 mod form;
@@ -26,6 +27,7 @@ mod live;
 mod model;
 mod prior;
 mod report;
+mod sessions;
 mod state;
 
 pub use drift::SessionDrift;

@@ -61,6 +61,10 @@ pub struct FusedReport {
     /// Use of rotational symmetry, if another skin was given that has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sister_turn: Option<PriorUse>,
+    /// Correlation of the map with that of an earlier session, if examples of one were given: 0 if they have nothing in
+    /// common, 1 if the skin has not changed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resemblance: Option<f64>,
     /// Indices of examples that the others strongly contradict. Check whether their positions were recorded
     /// correctly.
     pub doubtful: Vec<usize>,

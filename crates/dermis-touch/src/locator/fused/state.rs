@@ -1,5 +1,6 @@
 //! State of a fused locator, as plain arrays that can be stored and are checked when read back.
 
+use super::excess::Excess;
 use super::features::Features;
 use super::fusion::Fusion;
 use super::inverse::Regression;
@@ -25,6 +26,9 @@ pub(super) struct FusedState {
     /// Weight of `plain` in the inverse expert's position.
     pub plain_share: f64,
     pub fusion: Fusion,
+    /// Widening of the posterior by a frame unlike the pokes.
+    #[serde(default)]
+    pub excess: Excess,
     /// Factors on the posterior's standard deviations of x and y.
     pub sigma_factors: [f64; 2],
     /// Standard deviation that a wholly unexplained map adds, metres.
@@ -57,7 +61,11 @@ impl FusedState {
         let not_negative = |v: f64| v.is_finite() && v >= 0.0;
         let values = [self.fusion.temperature, self.extrapolation_m];
         check_first("fusion", values.into_iter(), not_negative, "a finite number, zero or above")?;
+        let powers = [self.excess.misfit_power, self.excess.distance_power];
+        check_first("excess powers", powers.into_iter(), not_negative, "a finite number, zero or above")?;
         let above = |v: f64| v.is_finite() && v > 0.0;
+        let usual = [self.excess.usual_novelty, self.excess.usual_distance];
+        check_first("excess medians", usual.into_iter(), above, "a finite number above zero")?;
         check_first("sigma_factors", self.sigma_factors.into_iter(), above, "a finite number above zero")
     }
 }
