@@ -24,7 +24,7 @@ fn frame(place_m: [f64; 2], changed: f64, seed: usize) -> Vec<f64> {
     let bump = |skin: usize, k: usize| {
         let centre = place(700_000 * (skin + 1) + k);
         let square: f64 = (0..2).map(|axis| (place_m[axis] - centre[axis]).powi(2)).sum();
-        (if k % 3 == 0 { -1.0 } else { 1.0 }) * (-square / (2.0 * 0.022_f64.powi(2))).exp()
+        (if k.is_multiple_of(3) { -1.0 } else { 1.0 }) * (-square / (2.0 * 0.022_f64.powi(2))).exp()
     };
     (0..CHANNELS)
         .map(|k| (1.0 - changed) * bump(0, k) + changed * bump(1, k) + 0.03 * dither(3_000_000 + seed * CHANNELS + k))

@@ -332,7 +332,7 @@ pub(super) mod tests {
     fn trials(count: usize, unexplained: f64) -> Vec<Trial> {
         let numbers = normals(2 * count);
         let trial = |i: usize| {
-            let sigma_m = if i % 2 == 0 { 1e-3 } else { 2e-3 };
+            let sigma_m = if i.is_multiple_of(2) { 1e-3 } else { 2e-3 };
             let error_m = [sigma_m * numbers[2 * i], sigma_m * numbers[2 * i + 1]];
             Trial { error_m, variance_m2: [sigma_m * sigma_m; 2], unexplained, weight: 1.0 }
         };

@@ -405,8 +405,12 @@ const SURE_THOUSANDS: usize = 3;
 
 /// A row and a cell showing thousands separators. Their column has integers below 1000 without the mark, and other
 /// numbers with exactly three digits after it. With decimal marks, all cells would have the mark, or the number of
-/// digits would vary.
+/// digits would vary. Between commas, a point is a decimal point: who writes `1.234` for a thousand needs the comma for
+/// decimals.
 fn thousands(sketch: &Sketch, rows: &[&str]) -> Option<(usize, String)> {
+    if (sketch.separator, sketch.decimal) == (Separator::Mark(b','), Decimal::Point) {
+        return None;
+    }
     #[derive(Default)]
     struct Column {
         whole: usize,

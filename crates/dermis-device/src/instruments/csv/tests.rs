@@ -191,6 +191,9 @@ fn marks_between_thousands_are_refused_with_their_place() {
             "{message}"
         );
     }
+    // Between commas, points are decimal points.
+    let places = read_for("12.875,998\n13,1.002\n-4.125,1.001\n7.375,3.004\n", &[]).unwrap();
+    assert_eq!((places.values()[0], places.values()[3]), (12.875, 1.002));
     // Counts reach a thousand late in the file.
     let late: String = (0..300).map(|row| if row < 250 { "5;7\n" } else { "1,001;1,120\n" }).collect();
     assert!(read_for(&late, &[]).unwrap_err().starts_with("made.csv:251: column 1: expected a number"));
