@@ -12,9 +12,9 @@ use crate::DeviceError;
 ///
 /// assert_eq!("sciospec".parse::<Format>()?, Format::Sciospec);
 /// let message = "toml".parse::<Format>().unwrap_err().to_string();
-/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc,
-/// golfball, \
-///     pyeidors");
+/// let expected = "'toml': expected one of csv, lines, columns, npy, npz, mat, xlsx, parquet, sciospec, ktc, \
+///     golfball, pyeidors";
+/// assert_eq!(message, expected);
 /// # Ok::<(), dermis_device::DeviceError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -89,8 +89,9 @@ enum SaidFault {
 /// use dermis_lab::twin_source::{TwinCommand, TwinSource};
 ///
 /// let (twin, _) = TwinSource::new(&Skin::open("healing-square")?)?;
-/// let Ok(Some(TwinCommand::Press { position_m, .. })) = command_of("press 10 -5 20", &twin.press_range()) else {
-/// panic!() }; assert_eq!(position_m, [0.01, -0.005]);
+/// let Ok(Some(command)) = command_of("press 10 -5 20", &twin.press_range()) else { panic!() };
+/// let TwinCommand::Press { position_m, .. } = command else { panic!() };
+/// assert_eq!(position_m, [0.01, -0.005]);
 /// # Ok::<(), dermis_lab::Error>(())
 /// ```
 pub fn command_of(line: &str, press: &PressRange) -> Result<Option<TwinCommand>, String> {
