@@ -5,8 +5,8 @@
 //! ```
 //! use dermis_mit::{MitError, Sphere, skin_depth_m};
 //!
-//! // Copper at 1 MHz lets a field in no deeper than 66 um: a ball of 20 mm answers like one that lets no flux in,
-//! which // has a polarizability of -2 pi a^3 (Jackson, Classical Electrodynamics, 5.11 with mu = 0).
+//! // Copper at 1 MHz lets a field in no deeper than 66 um: a ball of 20 mm answers like one that lets no flux in.
+//! // Its polarizability is -2 pi a^3 (Jackson, Classical Electrodynamics, 5.11 with mu = 0).
 //! let (radius_m, conductivity_s_per_m, relative_permeability) = (0.01_f64, 58e6, 1.0);
 //! assert!((skin_depth_m(conductivity_s_per_m, relative_permeability, 1e6)? - 66e-6).abs() < 1e-6);
 //! let ball = Sphere { radius_m, conductivity_s_per_m, relative_permeability };
