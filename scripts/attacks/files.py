@@ -169,7 +169,7 @@ def kill(ground):
         most_lost = max(most_lost, age)
         check(age < PROMISED_S, f"kill {k}: frame {missing[:1]} was {age:.2f} s old and is not there")
         # A busy computer leaves out frames of the twin, which are not printed either.
-        gaps = [n for n in missing if n < there[-1]]
+        gaps = [n for n in missing if n < max(there, default=0)]
         check(not gaps, f"kill {k}: frames {gaps[:5]} are missing in the middle")
         if bound:
             bounds.append((len(missing), int(bound[1])))
