@@ -41,8 +41,7 @@ def call(*arguments, folder=None):
 
 
 def write(path, values, head=None):
-    # With exponents: dermis refuses a few rows of numbers such as 12.875, whose dots could separate thousands.
-    np.savetxt(path, values, delimiter=",", fmt="%.8e", header=head or "", comments="")
+    np.savetxt(path, values, delimiter=",", fmt="%.9g", header=head or "", comments="")
 
 
 def touches(path, count):

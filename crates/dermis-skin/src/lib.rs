@@ -11,8 +11,9 @@
 //! let skin = Skin::open("healing-square")?;
 //! assert_eq!(skin.protocol()?.channel_count(), 208);
 //! // The same in code as in TOML: the file is what it prints.
-//! let gel = Skin::rectangle("gel-pad", 150.0, 60.0, Layer::Sheet(SheetLayer::gel(5.0, 0.2))).with_rim_electrodes(20,
-//! 5.0); assert_eq!(Skin::parse(&gel.to_toml(), "gel-pad.toml")?, gel);
+//! let layer = Layer::Sheet(SheetLayer::gel(5.0, 0.2));
+//! let gel = Skin::rectangle("gel-pad", 150.0, 60.0, layer).with_rim_electrodes(20, 5.0);
+//! assert_eq!(Skin::parse(&gel.to_toml(), "gel-pad.toml")?, gel);
 //! # Ok::<(), dermis_skin::Error>(())
 //! ```
 

@@ -84,4 +84,4 @@ pub use touch::{Observation, Touch, TouchPhase};
 pub use touch_load::{LoadQuantity, TouchLoad};
 pub use track::Tracker;
 pub use tracker_params::{PositionSource, TrackerParams};
-pub use typical::median;
+pub use typical::{evenly, median};

@@ -1,4 +1,4 @@
-//! Medians and spacings.
+//! Medians, spacings and even choices.
 
 /// Median; the mean of the two middle values for an even number, NaN for none.
 ///
@@ -8,6 +8,17 @@
 /// ```
 pub fn median(values: &[f64]) -> f64 {
     median_in_place(&mut values.to_vec())
+}
+
+/// At most `most` of `count` indices, evenly spread.
+///
+/// ```
+/// assert_eq!(dermis_touch::evenly(10, 3), [0, 3, 6]);
+/// assert_eq!(dermis_touch::evenly(2, 3), [0, 1]);
+/// ```
+pub fn evenly(count: usize, most: usize) -> Vec<usize> {
+    let kept = count.min(most);
+    (0..kept).map(|i| i * count / kept).collect()
 }
 
 /// As [`median`], without a copy: sorts `values`.

@@ -30,7 +30,7 @@ impl Skin {
         })
     }
 
-    /// Scattered rows, the first of which are not judged.
+    /// Scattered rows. The last ones of the set are kept for judging.
     fn rows(&self, count: usize) -> Vec<usize> {
         (0..count).map(|k| (k * 1229) % (self.frames.len() - JUDGED)).collect()
     }

@@ -20,6 +20,7 @@ use groups::split;
 use std::path::Path;
 
 use dermis_tomo::inverse::MeasuredJacobian;
+use dermis_touch::evenly;
 use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
     Examples, FusedLocator, FusedReport, LabelledFrame, LeaveOneOut, LocatorError, MIN_EXAMPLES, PlaceCorrection,
@@ -35,7 +36,7 @@ pub(super) use strength::SmallestAmplitude;
 use strength::{TouchStrength, Weighed};
 
 use super::poke_check::{Sound, check_pokes};
-use super::pokes::{LoadQuantity, Pokes, evenly, load_shares};
+use super::pokes::{LoadQuantity, Pokes, load_shares};
 use crate::Error;
 use crate::prepare::Prepared;
 
@@ -128,7 +129,7 @@ impl Calibration {
         let unsound_channels = scatter.as_ref().map_or_else(Vec::new, |scatter| scatter.unsound(None));
         set_channels(&mut differences, &unsound_channels, f64::NAN);
         let Sound { rows, repeated, dead_channels } = check_pokes(prepared, &differences, pokes)?;
-        let picked = |most: usize| evenly(rows.len(), most).map(|i| rows[i]);
+        let picked = |most: usize| evenly(rows.len(), most).into_iter().map(|i| rows[i]);
         let places = |rows: &[usize]| rows.iter().map(|&i| pokes.positions_m[i]).collect::<Vec<_>>();
         let frames = rows.iter().flat_map(|&i| differences[i].iter().copied()).collect();
         let mut examples = Examples::new(prepared.channels(), frames, places(&rows))?;
@@ -152,7 +153,7 @@ impl Calibration {
         // Few new pokes don't show how weak one may be.
         let earlier = keeps.and_then(|number| options.start.get(number));
         let earlier_frames = earlier.map_or(&[][..], |earlier| &earlier.frames);
-        let some_earlier = evenly(earlier_frames.len(), MOST_WEIGHED).map(|i| &earlier_frames[i]);
+        let some_earlier = evenly(earlier_frames.len(), MOST_WEIGHED).into_iter().map(|i| &earlier_frames[i]);
         let weighed = picked(MOST_WEIGHED).map(|i| &differences[i]).chain(some_earlier);
         let amplitudes: Result<Vec<f64>, Error> = weighed.map(|frame| Ok(weigh(frame)?.amplitude)).collect();
         let resting = match measured {
@@ -416,7 +417,7 @@ impl Calibration {
     pub fn measured_jacobian(&self, prepared: &Prepared) -> Result<MeasuredJacobian, Error> {
         let complete = |index: &usize| self.frames[*index].iter().all(|v| v.is_finite());
         let complete: Vec<usize> = (0..self.frames.len()).filter(complete).collect();
-        let chosen: Vec<usize> = evenly(complete.len(), MOST_IN_JACOBIAN).map(|i| complete[i]).collect();
+        let chosen: Vec<usize> = evenly(complete.len(), MOST_IN_JACOBIAN).into_iter().map(|i| complete[i]).collect();
         // Loads relative to their mean, so that a typical poke has amplitude 1 with or without loads.
         let share = load_shares(self.loads.as_deref());
         let frames: Vec<Vec<f64>> =

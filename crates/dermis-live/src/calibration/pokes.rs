@@ -98,12 +98,6 @@ pub(crate) fn load_shares(loads: Option<&[f64]>) -> impl Fn(usize) -> f64 + '_ {
     move |index| loads.map_or(1.0, |(loads, mean)| loads[index] / mean)
 }
 
-/// At most `most` of `count` indices, evenly spread.
-pub(super) fn evenly(count: usize, most: usize) -> impl Iterator<Item = usize> {
-    let kept = count.min(most);
-    (0..kept).map(move |i| i * count / kept)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

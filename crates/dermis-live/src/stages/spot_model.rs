@@ -97,8 +97,8 @@ pub(crate) fn assumed_deviations(prepared: &Prepared) -> Vec<f64> {
 pub(crate) struct Membrane {
     /// Response of the depth of a liquid under a closed membrane at all pixels (rows) to a load on one (columns): `T
     /// lap w = -p + c - rho gz w`, with `w = 0` at the rim and constant volume. The unit is chosen so that a typical
-    /// spot in the middle makes 1 there. The liquid's weight narrows dents that are wider than `sqrt(T / rho |gz|)`, 78 mm for
-    /// water under 60 N/m; the depth is only a scale factor.
+    /// spot in the middle makes 1 there. The liquid's weight narrows dents that are wider than `sqrt(T / rho |gz|)`,
+    /// 78 mm for water under 60 N/m; the depth is only a scale factor.
     pub spread: Mat<f64>,
     /// Pressure of a load of amplitude 1, pascal.
     pub pressure_pa: f64,

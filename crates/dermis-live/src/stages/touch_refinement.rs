@@ -219,15 +219,13 @@ impl SpotStage {
 
     /// The presses that explain a frame, and whether presses that have ended explain it as well.
     fn explain(&mut self, difference: &[f64]) -> Option<(Estimate, bool)> {
-        if let Some(mut estimate) = self.explain_without_gone(difference) {
-            self.hold(&mut estimate.presses);
-            return Some((estimate, true));
+        if let Some(mut rest) = self.explain_without_gone(difference) {
+            self.hold(&mut rest.presses);
+            return Some((rest, true));
         }
         let mut estimate = self.estimator.explain(difference, &self.hints)?;
         self.hold(&mut estimate.presses);
-        let without_gone = self.look_for_gone(&estimate);
-        let has_gone = without_gone.is_some();
-        Some((without_gone.unwrap_or(estimate), has_gone))
+        Some(self.look_for_gone(&estimate).map_or((estimate, false), |rest| (rest, true)))
     }
 
     /// Between searches, takes the presses that the last one found to have ended off the frame and explains the rest.
@@ -255,8 +253,8 @@ impl SpotStage {
     /// If present presses do not explain the frame, searches for presses of negative load, which are part of the
     /// baseline but have ended. If there are any, returns the estimate without them.
     fn look_for_gone(&mut self, estimate: &Estimate) -> Option<Estimate> {
+        self.gone.clear();
         if estimate.is_at_rest || estimate.unexplained < CLEARLY_EXPLAINED || self.both_signs {
-            self.gone.clear();
             (self.gone_frames, self.wait, self.waited) = (0, 0, 0);
             return None;
         }
@@ -264,7 +262,6 @@ impl SpotStage {
             self.wait -= 1;
             return None;
         }
-        self.gone.clear();
         let found = self.estimator.explain_with_gone().filter(|found| {
             let has_gone = found.presses.iter().any(|press| press.load < 0.0);
             let is_simpler = found.presses.len() < estimate.presses.len();
@@ -363,10 +360,10 @@ impl SpotStage {
         } else if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
             self.refine_now(time_ns, &mean, imager, lowest, contacts);
             // Searches in vain have a pause of their own.
-            let is_explained = time_ns >= self.pause.until_ns;
-            let spent_ns = Some(self.estimator.spent_ns()).filter(|_| is_explained && !self.is_unhurried);
-            let shown = if self.shown.is_empty() { &[] } else { &contacts[..] };
-            self.gathered.keep(time_ns, spent_ns.unwrap_or(0), shown);
+            let is_in_vain = time_ns < self.pause.until_ns;
+            let spent_ns = self.estimator.spent_ns();
+            let busy_ns = if is_in_vain || self.is_unhurried { 0 } else { spent_ns };
+            self.gathered.keep(time_ns, busy_ns, if self.shown.is_empty() { &[] } else { contacts });
         }
     }
 

@@ -37,7 +37,7 @@ impl Copies {
     }
 }
 
-/// Which rows of a design are of an earlier session, and how much its map resembles that of the new one. Both maps are
+/// The rows of a design from an earlier session, and how much its map resembles that of the new one. Both maps are
 /// the sum of a common map with variance r and a map of their own with variance 1 - r, all with the same correlation
 /// over the skin: rows of different sessions are correlated by the factor r.
 #[derive(Debug, Clone, PartialEq)]

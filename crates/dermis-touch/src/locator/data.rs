@@ -78,8 +78,8 @@ impl Examples {
         Ok(self)
     }
 
-    /// Appends the examples of an earlier session of the same skin. How much they count follows from how well the
-    /// frames of the two sessions agree. Loads are kept if both sets have them; the channel noise is that of the new session.
+    /// Appends the examples of an earlier session of the same skin. Their weight follows from how well the frames of
+    /// the two sessions agree. Loads are kept if both sets have them. The channel noise stays that of the new session.
     ///
     /// # Errors
     /// Different numbers of channels.

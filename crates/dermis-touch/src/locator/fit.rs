@@ -16,7 +16,7 @@ use super::posterior::{
 use super::regression::{FittedMap, WorkedOut, example_noise, smoothed};
 use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
 use super::turn::Turn;
-use crate::typical::{median, spacing};
+use crate::typical::{evenly, median, spacing};
 
 /// Number of passes that fill missing channels of the examples from the regression on the others.
 const FILLING_PASSES: usize = 3;
@@ -371,12 +371,6 @@ pub(super) fn prepare(
 
 pub(super) fn default_hyperparameters(radius: f64) -> Hyperparameters {
     Hyperparameters { length_m: LENGTHS[0] * radius, noise: NOISES[0], shrinkage: SHRINKAGES[0] }
-}
-
-/// At most `most` of `count` indices, evenly spread.
-pub(super) fn evenly(count: usize, most: usize) -> Vec<usize> {
-    let kept = count.min(most);
-    (0..kept).map(|i| i * count / kept).collect()
 }
 
 fn check_options(options: &LocatorOptions) -> Result<(), LocatorError> {

@@ -217,9 +217,9 @@ impl Spread {
         posterior_m2 * self.factor.powi(2) + (self.extrapolation_m * unexplained).powi(2)
     }
 
-    /// Fits both terms. `far` holds examples located by those of other parts of the skin, and `near` examples located
-    /// by all the others. The first bound the extrapolation: 68 % of their errors are within one sigma. It is only as
-    /// large as helps to predict `near`, since a frame from an unknown part of the skin often resembles touches where
+    /// Fits both terms. `far` holds examples located from other parts of the skin, and `near` examples located from all
+    /// the others. `far` bounds the extrapolation: 68 % of its errors are within one sigma. Below that bound, the
+    /// extrapolation that predicts `near` best is used, since a frame from an unknown part of the skin often resembles touches where
     /// the map is well known. The factor is raised for the number of quantities the examples `chose`.
     pub(super) fn fit(near: &[Trial], far: &[Trial], chose: f64) -> Self {
         let alone = Self::factor_for(near, 0.0);
@@ -255,8 +255,8 @@ impl Spread {
         trials.iter().map(|t| t.weight * (density(t, 0) + density(t, 1))).sum()
     }
 
-    /// The factor with which 68 % of the errors are within one sigma, for a given extrapolation. It is raised until 96 %
-    /// are within 2.5 sigma, or 74 % within one. At least `LEAST_FACTOR` times that without extrapolation.
+    /// The factor that puts 68 % of the errors within one sigma, for a given extrapolation. It is raised until 96 % are
+    /// within 2.5 sigma, or 74 % within one. At least `LEAST_FACTOR` times that without extrapolation.
     fn factor_for(near: &[Trial], extrapolation_m: f64) -> f64 {
         let alone = if extrapolation_m > 0.0 { Self::factor_for(near, 0.0) } else { 0.0 };
         let within = |sigmas: f64, share: f64| {

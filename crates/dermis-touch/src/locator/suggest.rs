@@ -6,11 +6,11 @@ use faer::Mat;
 
 use super::data::SuggestedPoke;
 use super::error::LocatorError;
-use super::fit::evenly;
 use super::model::Locator;
 use super::posterior::moments;
 use super::regression::{Products, correlations, inverse_covariance, noise_variance};
 use super::rows::dot;
+use crate::typical::evenly;
 
 /// Maximum number of map positions considered.
 const CANDIDATES: usize = 600;

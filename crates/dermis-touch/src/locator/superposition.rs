@@ -13,9 +13,8 @@ mod map;
 
 use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
-use super::fit::evenly;
 use super::rows::{dot, products};
-use crate::typical::median;
+use crate::typical::{evenly, median};
 pub use map::LabelledFrame;
 use map::{LeftOut, Map, Shape, Sums, candidates};
 
@@ -284,7 +283,7 @@ impl Superposition {
         }
     }
 
-    /// Share of the median frame's energy that its best touch explains, by the map of all frames: a map that has too few
+    /// Share of the median frame's energy that its best touch explains, by the map of all frames. A map of too few
     /// frames explains little of another one, even without noise.
     fn explained(
         &self,

@@ -146,7 +146,7 @@ pub(super) fn fit_best(
         }
         unchanged.push(as_it_is);
     }
-    // Where sessions resemble each other in nothing, the shared locator is that of the new pokes alone.
+    // The shared locator includes the new pokes alone, as a resemblance of 0.
     if candidates.iter().all(|candidate| candidate.used != StartUse::Pooled) {
         let alone = fit(examples)?;
         let errors = left_out(&alone, count);

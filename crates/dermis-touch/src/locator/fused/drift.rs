@@ -6,7 +6,7 @@ use super::inverse::{Memory, Regression};
 use super::report::Accuracy;
 use crate::locator::data::{Examples, MIN_EXAMPLES};
 use crate::locator::error::LocatorError;
-use crate::locator::fit::evenly;
+use crate::typical::evenly;
 
 /// Maximum number of pokes used. The statistic needs no more, and its time grows with their cube.
 const MOST: usize = 2000;

@@ -13,8 +13,8 @@ use crate::typical::median;
 /// Powers tried of the misfit and of the distance, the defaults first.
 const MISFIT_POWERS: [f64; 4] = [0.0, 0.5, 1.0, 1.5];
 const DISTANCE_POWERS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
-/// Gain in total log score that each power above zero must bring: Akaike's penalty for one parameter, and the logarithm
-/// of the number of powers tried. Fifty pokes otherwise choose one by chance.
+/// Gain in total log score that each power above zero must bring: Akaike's penalty for one parameter, plus the
+/// logarithm of the number of powers tried. Fifty pokes otherwise choose one by chance.
 const MARGIN: f64 = SELECTION_MARGIN + 1.386_294;
 /// Limits of the ratios, beyond which no left-out example tells anything.
 const LIMITS: (f64, f64) = (0.1, 30.0);

@@ -14,13 +14,13 @@ use super::state::{FUSED_VERSION, FusedState};
 use crate::locator::data::{Examples, LeaveOneOut, LeftOut, MIN_EXAMPLES, SignatureMap};
 use crate::locator::design::{Design, Prior, nearest};
 use crate::locator::error::{LocatorError, check_length};
-use crate::locator::fit::{Fitting, Judged, SECTORS, by_direction, evenly, prepare};
+use crate::locator::fit::{Fitting, Judged, SECTORS, by_direction, prepare};
 use crate::locator::load::LoadLaw;
 use crate::locator::model::Locator;
 use crate::locator::posterior::{CHOSEN_QUANTITIES, ONE_SIGMA, Spread, Trial, quantile};
 use crate::locator::regression::{WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
-use crate::typical::spacing;
+use crate::typical::{evenly, spacing};
 
 /// Number of principal components of the inverse expert's features.
 pub(super) const PLAIN_RANK: usize = 64;

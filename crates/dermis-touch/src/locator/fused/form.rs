@@ -10,11 +10,11 @@ use crate::locator::channel_covariance::ChannelPrior;
 use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureMap};
 use crate::locator::design::{Design, Prior, basis};
 use crate::locator::error::LocatorError;
-use crate::locator::fit::{Fitting, Grid, default_hyperparameters, evenly, prepare};
+use crate::locator::fit::{Fitting, Grid, default_hyperparameters, prepare};
 use crate::locator::posterior::{SELECTION_MARGIN, extent};
 use crate::locator::regression::WorkedOut;
 use crate::locator::turn::{Turn, log_density};
-use crate::typical::spacing;
+use crate::typical::{evenly, spacing};
 
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
 pub(super) const GRID: Grid =

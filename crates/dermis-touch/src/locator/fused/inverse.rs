@@ -14,10 +14,9 @@ use faer::{Mat, Side};
 use super::landmarks;
 use crate::locator::copies::{Sessions, squared_distance};
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::locator::fit::evenly;
 use crate::locator::posterior::quantile;
 use crate::locator::rows::{dot, matern52, matern52_of, products};
-use crate::typical::median;
+use crate::typical::{evenly, median};
 
 /// Lengths tried, relative to the median distance between examples.
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];
@@ -210,8 +209,8 @@ impl Regression {
         Ok(LeftOutPlaces { places_m: judged.iter().zip(&learnt.left_out).map(place).collect() })
     }
 
-    /// As [`Regression::solve`], for examples of which some are of an earlier session. Their kernel with those of the
-    /// new session is multiplied by a resemblance: the one that predicts the new ones best when they are left out.
+    /// As [`Regression::solve`], for examples of two sessions. The kernel between the sessions is multiplied by a
+    /// resemblance: the one that predicts the new examples best when they are left out.
     fn solve_sessions(
         &mut self,
         rows: &[Vec<f32>],
@@ -226,8 +225,9 @@ impl Regression {
         let plain = symmetric(rows.len(), kernel);
         let targets = Mat::from_fn(rows.len(), 2, |i, axis| places_m[i][axis] - self.mean_m[axis]);
         let mut best: Option<(f64, f64, Exact)> = None;
+        let mut sessions = Sessions { is_earlier: is_earlier.to_vec(), resemblance: RESEMBLANCES[0] };
         for resemblance in RESEMBLANCES {
-            let sessions = Sessions { is_earlier: is_earlier.to_vec(), resemblance };
+            sessions.resemblance = resemblance;
             let shared = Mat::from_fn(rows.len(), rows.len(), |i, j| sessions.between(i, j) * plain[(i, j)]);
             let mut exact = Exact::solve(shared, &targets, places_m)?;
             exact.weights.iter_mut().enumerate().for_each(|(i, a)| *a = a.map(|a| a * sessions.with_map(i)));

@@ -7,8 +7,8 @@ use crate::locator::copies::Sessions;
 use crate::locator::data::{Examples, Hyperparameters, MIN_EXAMPLES};
 use crate::locator::design::{Design, Prior};
 use crate::locator::error::LocatorError;
-use crate::locator::fit::evenly;
 use crate::locator::turn::log_density;
+use crate::typical::evenly;
 
 /// Resemblances tried.
 const RESEMBLANCES: [f64; 10] = [1.0, 0.99, 0.97, 0.94, 0.9, 0.8, 0.65, 0.5, 0.25, 0.0];
@@ -29,16 +29,16 @@ pub(super) fn choose(
     hyper: &Hyperparameters,
 ) -> Result<Sessions, LocatorError> {
     let mut rest = Design { z: &design.z - &prior.at_examples, ..design.clone() };
-    let mut best = (f64::NEG_INFINITY, Sessions { is_earlier: is_earlier.to_vec(), resemblance: 1.0 });
+    let sessions = |resemblance: f64| Sessions { is_earlier: is_earlier.to_vec(), resemblance };
+    let mut best = (f64::NEG_INFINITY, RESEMBLANCES[0]);
     for resemblance in RESEMBLANCES {
-        let sessions = Sessions { is_earlier: is_earlier.to_vec(), resemblance };
-        rest.sessions = Some(sessions.clone());
+        rest.sessions = Some(sessions(resemblance));
         let density = log_density(&rest, hyper)?;
         if density > best.0 {
-            best = (density, sessions);
+            best = (density, resemblance);
         }
     }
-    Ok(best.1)
+    Ok(sessions(best.1))
 }
 
 /// Weights of the forward expert's rows.

@@ -5,10 +5,9 @@ use faer::{Mat, MatRef, Side};
 
 use crate::locator::copies::{matern52, squared_distance};
 use crate::locator::error::{LocatorError, check_length, check_positions};
-use crate::locator::fit::evenly;
 use crate::locator::posterior::extent;
 use crate::locator::rows::dot;
-use crate::typical::median;
+use crate::typical::{evenly, median};
 
 /// Maximum rank of the projection, and maximum number of frames that define it.
 const MOST_RANK: usize = 64;
