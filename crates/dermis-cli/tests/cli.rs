@@ -94,7 +94,7 @@ impl Desk {
         let output = self.run(arguments);
         let message = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-        // Nothing but what was understood of the files stands before the error.
+        // Only the lines on how the files were understood may precede the error.
         let before_error: Vec<&str> = message.lines().take_while(|line| !line.starts_with("error: ")).collect();
         let is_understood = |line: &&str| line.contains(": ") && line.contains("frame");
         assert!(message.contains("error: ") && before_error.iter().all(is_understood), "{arguments:?}: {message}");

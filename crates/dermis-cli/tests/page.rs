@@ -1,5 +1,5 @@
-//! The live page's server as strangers and slow pages meet it: who is let in, which requests are refused and
-//! how, what a page loses if it doesn't keep up, and that a press never outlives its page.
+//! The live page's server facing strangers and slow pages: access, refused requests, the updates lost by a page that
+//! doesn't keep up, and presses that end with their page.
 
 #[path = "page/access.rs"]
 mod access;
@@ -391,7 +391,7 @@ async fn a_page_that_does_not_acknowledge_misses_updates_and_others_do_not() {
     }
     assert!(last["frame"].as_u64().is_some_and(|frame| frame <= 60));
     say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;
-    // Once it is back it gets the newest update, unless that was one of the eight.
+    // When it resumes, it gets the newest update, unless that was one of the eight.
     while last["frame"] != 60 {
         last = next_json(&mut stuck, "state").await;
         say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;

@@ -39,7 +39,7 @@ fn a_replay_prints_what_the_run_printed() {
     let desk = tempfile::tempdir().expect("a directory");
     let live = done(desk.path(), &[&["run", "--headless", "--record", "a.mcap"], &QUICK[..]].concat());
     assert!(live.lines().count() == 120 && live.contains("\"id\":1"), "{live}");
-    // The monotonic clock of another process says nothing here.
+    // The monotonic times of two processes can't be compared.
     let live: String = live
         .lines()
         .map(|line| {
@@ -198,7 +198,7 @@ fn a_full_disk_stops_the_recording_and_not_the_stream() {
     assert!(said.contains(&format!("not_recorded={}", 3000 - saved)), "{saved} saved: {said}");
     assert!(!desk.path().join("a.mcap").exists());
 
-    // A command that only records has nothing left to do.
+    // A command that only records has nothing left to do and stops.
     let output = on_a_small_disk(desk.path(), 2500, &[&["record", "--out", "b.mcap"], &source[..]].concat());
     assert_eq!(output.status.code(), Some(3), "{}", message(&output));
     assert!(message(&output).contains("frames were lost") && text(&output).contains("lost"), "{}", message(&output));

@@ -60,7 +60,7 @@ impl Arguments {
         if !data.is_dir() {
             return Err(UsageError(format!("--data {}: expected a folder", data.display())).into());
         }
-        // Check now: ten minutes is a long time to find out that the file cannot be written.
+        // Fail now if the file cannot be written, not after ten minutes of work.
         let file = self.out.as_deref().map(OutFile::checked).transpose()?;
         let extent = if self.quick { Extent::Quick } else { Extent::Full };
         let mut evidence = Evidence { data: data.clone(), extent, sets: Vec::with_capacity(sets.len()) };

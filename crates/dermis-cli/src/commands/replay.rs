@@ -120,7 +120,7 @@ impl Arguments {
     }
 }
 
-/// Outcome by what is missing.
+/// Logs what is missing; returns [`Outcome::DataLost`] if anything is.
 fn outcome(report: &RerunReport) -> Outcome {
     if report.refused > 0 {
         tracing::warn!(refused = report.refused, "recorded commands were refused this time");

@@ -128,7 +128,7 @@ impl Arguments {
         self.classify_by_network(&mut pipeline)?;
         let is_twin = opened.twin.is_some();
         let guard = self.open_guard(&mut pipeline)?;
-        // Files and twins run at a speed of their own.
+        // The clocks of files and twins may run at any speed.
         pipeline.watch_lag(!is_twin && !opened.is_file);
         let limits = pipeline.prepared().skin.guard.or(guard.as_ref().map(|_| GuardSettings::default()));
         let viewers = Viewers::open(&self.viewers, &pipeline, limits)?;
@@ -155,7 +155,7 @@ impl Arguments {
         let name = acquisition.name().to_string();
         let requests = page.as_ref().map(|(_, requests)| requests);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, guard.as_ref(), out);
-        // Its readers are told to stop before the recording is finished, which takes longer.
+        // Tell the guard's readers to stop before finishing the recording, which takes longer.
         drop(guard);
         node.close();
         run.stop_recording();
@@ -341,7 +341,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
     }
 
     fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
-        // First of all: everything else may wait.
+        // The guard comes first; everything else can wait.
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
             guard.publish(output.sequence, report);
         }

@@ -1,6 +1,6 @@
-//! Access control of the page. A request must name a host that this server goes by (otherwise a site could point its
-//! own name here: DNS rebinding), must come from the page itself if the browser states an origin, and must carry the
-//! token if there is one.
+//! Access control of the page. A request must name one of this server's hosts (otherwise a site could point its own
+//! name here: DNS rebinding), must come from the page itself if the browser states an origin, and must carry the token
+//! if there is one.
 
 use std::fmt;
 use std::hint::black_box;
@@ -124,7 +124,7 @@ impl Access {
         carries.then(|| format!("{}={}; Path=/; HttpOnly; SameSite=Strict", self.cookie, token.0))
     }
 
-    /// The single host that the request names, if this server goes by it.
+    /// The single host that the request names, if it is one of this server's.
     fn authority(&self, headers: &HeaderMap, uri: &Uri) -> Option<Authority> {
         let mut hosts = headers.get_all(header::HOST).iter();
         let (host, None) = (hosts.next()?, hosts.next()) else { return None };

@@ -245,7 +245,7 @@ impl Client<'_> {
             }
             Err(TrySendError::Full(request)) => {
                 request.reply.refuse("the pipeline is behind: not done, try again");
-                // The page has released its press and won't say so again.
+                // The page has released its press and won't repeat it.
                 if let Some((pointer, false)) = held {
                     self.held.remove(&(number, pointer));
                     tokio::spawn(release(skin.commands.clone(), self.number, pointer));
@@ -304,7 +304,7 @@ impl Client<'_> {
     }
 
     fn answer(&self, id: u64, text: String) {
-        // A page with so many unread answers won't miss this one.
+        // Dropped if the page has too many unread answers.
         let _ = self.answers.try_send(Answer { id, ok: false, text });
     }
 
@@ -342,7 +342,7 @@ impl Allowance {
     }
 }
 
-/// A command of a single skin's page: its endpoint has that skin alone.
+/// A command from a single skin's page, whose endpoint has only that skin.
 fn to_only_skin(command: Command) -> BodyCommand {
     BodyCommand::Patch(PatchCommand { number: 0, command })
 }

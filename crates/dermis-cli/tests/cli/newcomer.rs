@@ -1,4 +1,4 @@
-//! A newcomer's first hour: frames in files, an order that differs from the skin's, exports, a skin of one's own.
+//! A newcomer's first hour: frames in files, an order that differs from the skin's, exports, a new skin.
 
 use std::fs;
 
@@ -78,7 +78,7 @@ fn every_export_of_frames_is_read_like_the_recording() {
         assert!(said.contains("frames: 88\n"), "{file}: {said}");
         desk.done(&["snr", "--frames", &baseline]);
         let table = fs::read_to_string(desk.path("t.csv")).expect("a table");
-        // An array has no times, which touches are tracked by; the positions are the same.
+        // An array has no times, so tracks differ; the positions are the same.
         let places = |line: &str| {
             let cells: Vec<f64> = line.split(',').take(4).map(|cell| cell.parse().expect("a number")).collect();
             [cells[0], cells[2], cells[3]]

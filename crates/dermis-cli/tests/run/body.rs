@@ -88,7 +88,7 @@ fn touches_of_two_patches_come_in_every_frame_and_replay_from_one_recording() {
                 assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?} {expected:?}");
                 let normal = numbers(&touch["in_root"]["normal"]);
                 assert!((normal[0] - s).abs() < 1e-12 && (normal[2] - c).abs() < 1e-12, "{normal:?}");
-                // The layer's law tells the force, which acts on the skin.
+                // The force follows from the layer's law and acts on the skin.
                 let force_n = touch["force_n"].as_f64().expect("a force");
                 let expected = [-s * force_n, 0.0, -c * force_n];
                 let found = numbers(&touch["in_root"]["force_n"]);

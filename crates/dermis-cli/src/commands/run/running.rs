@@ -68,7 +68,7 @@ impl Running {
         &self.head.source
     }
 
-    /// Also publishes the run here.
+    /// Adds a publisher of the run.
     #[cfg(feature = "ros2")]
     pub(in crate::commands) fn publish_to(&mut self, publisher: Box<dyn Publisher>) {
         self.publishers.push(publisher);
@@ -88,13 +88,13 @@ impl Running {
         }
     }
 
-    /// Ends the viewers and says what they missed.
+    /// Ends the viewers and reports the frames they missed.
     pub(in crate::commands) fn end_viewers(&mut self) {
         self.viewers.report();
         self.viewers = Viewers::default();
     }
 
-    /// Everything that takes what the pipeline hands out: the recording and the viewers.
+    /// The feeds that receive the pipeline's output: the recording's and the viewers'.
     fn feeds(&self) -> impl Iterator<Item = &LiveFeed> {
         self.recorder.as_deref().into_iter().chain(&self.viewers.feeds)
     }
@@ -249,7 +249,7 @@ impl Running {
                 None => reply.refuse("nothing is being recorded"),
             },
             Command::Hyperparameter(value) => self.command(LiveCommand::Hyperparameter(value), reply, pipeline),
-            // All channels are published; the page selects. The twin has had the others.
+            // All channels are published and the page selects. Commands to the twin have been handled already.
             _ => {}
         }
     }
