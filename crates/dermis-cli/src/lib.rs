@@ -119,7 +119,7 @@ fn hint_at_new_spellings(arguments: &[OsString]) {
     for (command, old, new) in RENAMED {
         let is_old = |word: &String| word == old || word.starts_with(&format!("{old}="));
         if words.iter().any(|word| word == command) && words.iter().any(is_old) {
-            commands::hint(&format!("{old} is {new} now"));
+            commands::hint(&format!("{old} is now {new}"));
         }
     }
 }

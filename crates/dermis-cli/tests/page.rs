@@ -255,7 +255,7 @@ async fn what_no_pipeline_could_do_is_refused_with_the_value_and_the_expectation
         (json!({"choose_channels": [4]}), "channel 4 refused: expected an index below 4"),
         (press(1, 1e6), "x_mm is 1000000, expected -100 to 100"),
         (press(1, 70.0), "press refused: (70.0, 0.0) mm is off the skin"),
-        (json!({"release": {"pointer_id": 9}}), "pointer_id 9 refused: it does not press"),
+        (json!({"release": {"pointer_id": 9}}), "pointer_id 9 refused: it is not pressing"),
         (json!("explode"), "unknown variant `explode`"),
         (press(u64::from(u32::MAX) + 1, 0.0), "expected at most 4294967295"),
     ] {

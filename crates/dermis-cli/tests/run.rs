@@ -215,7 +215,7 @@ fn a_device_is_asked_and_measures_once() {
     assert!(code == Some(0) && ohms.len() == 16 && ohms.iter().all(|ohm| (ohm - 13.8889).abs() < 1e-3), "{ohms:?}");
     // A twin measures as its skin file says, with its single gain.
     for (arguments, reason) in [
-        (&["twin:healing-square", "--protocol", "adjacent"][..], "does not take a protocol"),
+        (&["twin:healing-square", "--protocol", "adjacent"][..], "does not accept a protocol"),
         (&["twin:healing-square", "--gain", "3"], "cannot take this"),
         (&["frames.csv"], "expected an instrument"),
         (&["twin:healing-square", "--gain", "300"], "a code of 0 to 254"),

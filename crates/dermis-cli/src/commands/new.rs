@@ -20,7 +20,7 @@ Examples:
 Without options it asks. An outline is disc:DIAMETER, square:SIDE, rectangle:WIDTHxHEIGHT (millimetres) or polygon:FILE.csv
 with columns x_mm, y_mm (or x_m, y_m). Layers: gel (salted gelatin, hydrogel), foam (carbon-filled, conducts better when
 pressed), sandwich (a sheet under a metal layer that touches it where pressed), patches (a sheet under separate patches), liquid (in a tray under
-a membrane). NAME.toml says what every line means; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
+a membrane). NAME.toml explains every line; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
 
 /// Layers available for a new skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -77,7 +77,7 @@ impl Arguments {
         let [file, drawing] = ["toml", "svg"].map(|ending| folder.join(format!("{}.{ending}", self.name)));
         for path in [&file, &drawing] {
             if path.exists() {
-                let text = format!("{}: is there already; expected a new name, or --out FOLDER", path.display());
+                let text = format!("{}: already exists; expected a new name, or --out FOLDER", path.display());
                 return Err(UsageError(text).into());
             }
         }
@@ -92,7 +92,7 @@ impl Arguments {
         };
         let electrodes = match self.electrodes {
             Some(count) => count,
-            None => ask(out, "electrodes, evenly round the rim (4 to 128)", "16", electrode_count)?,
+            None => ask(out, "electrodes, evenly spaced around the rim (4 to 128)", "16", electrode_count)?,
         };
         let layer = match self.layer {
             Some(layer) => layer,
@@ -145,9 +145,7 @@ fn ask<T>(
             if !is_terminal {
                 return Ok(parse(usual)?);
             }
-            return Err(
-                UsageError("nothing was answered; expected answers or options, see dermis new --help".into()).into()
-            );
+            return Err(UsageError("no answer; expected answers or options, see dermis new --help".into()).into());
         }
         let answer = if line.trim().is_empty() { usual } else { line.trim() };
         match parse(answer) {

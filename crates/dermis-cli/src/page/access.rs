@@ -160,11 +160,11 @@ impl Denial {
     pub(super) fn explanation(self) -> &'static str {
         match self {
             Self::Host => {
-                "Refused: this server does not go by the name in the address. Use the address that dermis printed, or start it with --allow-host NAME.\n"
+                "Refused: this server does not answer to the host name in the address. Use the address that dermis printed, or start it with --allow-host NAME.\n"
             }
             Self::Origin => "Refused: the request does not come from this server's own page.\n",
             Self::Token => {
-                "Refused: the token is missing or wrong. Open the whole address that dermis printed, with ?token= and what follows.\n"
+                "Refused: the token is missing or wrong. Open the whole address that dermis printed, including ?token= and the text after it.\n"
             }
         }
     }

@@ -46,7 +46,7 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     sample("random:60", "12", ["b2.npy", "f2.npy", "t2.csv"]);
     let pokes = ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "c.json"];
     let said = desk.done(&[&["calibrate", "em-8"], &pokes[..]].concat());
-    assert!(said.contains("placed by the skin's model"), "{said}");
+    assert!(said.contains("located by the skin's model"), "{said}");
     let reconstruct = |frames: &str, more: &[&str]| {
         let files =
             ["reconstruct", "em-8", "--baseline", "b2.npy#0..16", "--frames", frames, "--touches", "touches.csv"];
@@ -66,7 +66,7 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     let alone =
         ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "a.json", "--no-physics"];
     let said = desk.done(&[&["calibrate", "em-8"], &alone[..]].concat());
-    assert!(!said.contains("placed by the skin's model"), "{said}");
+    assert!(!said.contains("located by the skin's model"), "{said}");
     reconstruct("b2.npy#16..31", &["--calibration", "a.json"]);
     assert!(rows(&desk, "touches.csv").len() <= 1);
     reconstruct("f2.npy", &["--calibration", "a.json"]);

@@ -217,7 +217,7 @@ impl Running {
             if let Some(better) = &reference.order.better {
                 let text = format!(
                     "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}; \
-                     `dermis order` writes the lines of the skin file that say so",
+                     `dermis order` prints the lines for the skin file",
                     better.description, better.correlation, correlation
                 );
                 tracing::warn!("{text}");
@@ -285,7 +285,7 @@ impl Running {
         self.not_recorded += end.lost;
         if let Some(error) = &end.error {
             self.recording_failed = true;
-            tracing::error!(frames = end.frames, lost = end.lost, "the recording is not whole: {error}");
+            tracing::error!(frames = end.frames, lost = end.lost, "the recording is incomplete: {error}");
         }
         Some(end)
     }
