@@ -52,7 +52,7 @@ pub struct Arguments {
     /// Places along the longer side of the maps.
     #[arg(long, value_name = "PLACES", default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=128))]
     map: u32,
-    /// Also compute the smallest force, by the mechanics of the skin's twin.
+    /// Also compute the smallest detectable force, with the mechanics of the skin's twin.
     #[arg(long, conflicts_with = "improve")]
     force: bool,
     /// Output folder for the maps, PNG and NPY.

@@ -104,8 +104,8 @@ pub struct Arguments {
     #[arg(long)]
     keep_going: bool,
     /// Publish the guard's verdict on every frame (ok, stale, stop) as a line of JSON on this local socket:
-    /// tcp://127.0.0.1:PORT or unix://PATH. The limits are those of [guard] in the skin file; without that table any
-    /// touch stops. Not safety-rated.
+    /// tcp://127.0.0.1:PORT or unix://PATH. The limits are those of [guard] in the skin file; without that table,
+    /// any touch means stop. Not safety-rated.
     #[arg(long, value_name = "ADDRESS")]
     guard: Option<GuardAddress>,
     #[command(flatten)]

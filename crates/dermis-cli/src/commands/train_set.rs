@@ -82,7 +82,7 @@ enum Scenes {
 /// Which electrodes are lost.
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum Lost {
-    /// The first ones in half of the cases, else a run that starts anywhere, or scattered ones.
+    /// The first ones in half of the cases; otherwise a run of neighbours from anywhere, or scattered ones.
     Mixed,
     /// The first ones.
     First,

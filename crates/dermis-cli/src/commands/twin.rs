@@ -73,8 +73,8 @@ struct Sample {
     /// Seed of the noise and of random presses.
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Number of a skin that a workshop builds within the file's `[tolerances]`: the twin then differs from its file,
-    /// each number in another way. Without it the twin is exactly as drawn.
+    /// Give the twin random errors within the file's `[tolerances]`; each number gives different ones. Without this the
+    /// twin matches its file exactly.
     #[arg(long, value_name = "N")]
     built: Option<u64>,
     /// Frames per press.

@@ -156,9 +156,9 @@ impl Page {
             let _ = writeln!(self.text, "<p class=\"source\">{}{doi}</p>", escaped(method.source));
         }
         if let Some(picture) = comparison(letter, &chapter.reports) {
-            let words = "Every number that the paper prints, if it is not 0, and the same of the twins, as the ratio \
-                         of the two on a logarithmic axis; beside it the twin's number and, in brackets, the paper's. \
-                         The dashed line is the paper. Where the numbers are errors, left of it is better.";
+            let words = "The twins' value of every number in the paper other than 0, as a ratio to the paper's on a \
+                         logarithmic axis, and at the right the twin's number with the paper's in brackets. The dashed \
+                         line is the paper. For errors, left of it is better.";
             self.figure(&picture, words, "");
         }
         for (name, title, picture) in skins(letter)? {
