@@ -93,7 +93,7 @@ class Skin:
             "calibrate", *skin, *self.untouched, "--frames", "frames.csv", "--positions", "positions.csv", "--out", name, *more,
             folder=self.path,
         )  # fmt: skip
-        self.reads_depth = "depth or force of the pokes: not read" not in done.stdout
+        self.reads_depth = "depth or force of the pokes: not estimated" not in done.stdout
 
     def reconstruct(self, frames, rest):
         write(self.path / "judged.csv", frames + (0 if self.rest is None else rest))

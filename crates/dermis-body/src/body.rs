@@ -235,7 +235,7 @@ impl Builder {
     fn patch(&self, text: &PatchText, body: &Body, lines: &[usize]) -> Result<Patch, Error> {
         let name = text.name.get_ref();
         let is_plain = |c: char| c.is_alphanumeric() || "_-.".contains(c);
-        // Names of dots alone are folders in addresses.
+        // Names of dots only would be folders in addresses.
         let is_dots = name.chars().all(|c| c == '.');
         if is_dots || name.len() > 100 || !name.chars().all(is_plain) {
             let expected = "a name of 1 to 100 letters, digits, _, - and ., not of dots alone";

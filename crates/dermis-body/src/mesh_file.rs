@@ -1,5 +1,5 @@
-//! Reads the triangles of mesh files: STL, binary and text, and OBJ. Other formats and everything except corners are
-//! left out: colours, textures, normals.
+//! Reads the triangles of mesh files: STL, binary and text, and OBJ. Other formats are refused, and everything except
+//! corners is ignored: colours, textures, normals.
 
 use std::path::Path;
 

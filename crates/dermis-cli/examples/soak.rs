@@ -211,7 +211,7 @@ fn read_verdicts(socket: &Path) -> Result<String, Failure> {
     Ok(format!("verdicts {verdicts:?}, first byte to verdict p50 {p50_us:.0} us, p99 {p99_us:.0} us"))
 }
 
-/// Runs three viewers, prints the messages to the first one, and judges them at the end.
+/// Runs three viewers, prints the messages to the first one, and checks all three at the end.
 async fn watch(page: SocketAddr, child: &mut Child, seconds: f64, sent: &AtomicU64) -> Result<(), Failure> {
     let mut first = None;
     for _ in 0..100 {

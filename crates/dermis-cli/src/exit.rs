@@ -39,7 +39,7 @@ impl Outcome {
             tracing::error!("{incomplete}");
         }
         if counters.repeated > 0 {
-            tracing::warn!(repeated = counters.repeated, "copies of frames were left out");
+            tracing::warn!(repeated = counters.repeated, "duplicate frames were left out");
         }
         if counters.total() + not_recorded == 0 {
             return if recording_failed || incomplete.is_some() { Outcome::DataLost } else { Outcome::Done };
@@ -127,7 +127,7 @@ fn hint_of_lab(error: &dermis_lab::Error) -> Option<&'static str> {
 
 fn hint_of_skin(error: &dermis_skin::Error) -> Option<&'static str> {
     let is_unknown = matches!(error, dermis_skin::Error::UnknownSkin { .. });
-    is_unknown.then_some("`dermis skins list` lists the built-in skins, `dermis new NAME` begins one of your own")
+    is_unknown.then_some("`dermis skins list` lists the built-in skins, `dermis new NAME` creates your own")
 }
 
 fn hint_of_live(error: &dermis_live::Error) -> Option<&'static str> {
@@ -135,7 +135,7 @@ fn hint_of_live(error: &dermis_live::Error) -> Option<&'static str> {
         dermis_live::Error::Skin(error) => hint_of_skin(error),
         dermis_live::Error::Device(error) => hint_of_device(error),
         dermis_live::Error::Frames { expected, .. } if expected.ends_with("channels") => {
-            Some("`dermis order --baseline FILE` finds out which protocol gives as many numbers, for the skin file")
+            Some("`dermis order --baseline FILE` finds a protocol with this number of readings, for the skin file")
         }
         _ => None,
     }
@@ -144,10 +144,10 @@ fn hint_of_live(error: &dermis_live::Error) -> Option<&'static str> {
 fn hint_of_device(error: &DeviceError) -> Option<&'static str> {
     match error {
         DeviceError::SourceFailed { .. } => {
-            Some("`dermis doctor SKIN --source SOURCE` says what is wrong, `dermis devices` what is there")
+            Some("`dermis doctor SKIN --source SOURCE` explains what is wrong, `dermis devices` lists the ports")
         }
         DeviceError::Foreign { found, .. } if found.contains("Parquet") => {
-            Some("`dermis export FILE.mcap --format csv` or npy writes tables that are read here")
+            Some("`dermis export FILE.mcap --format csv` or npy writes tables that can be read here")
         }
         DeviceError::Foreign { .. } => {
             Some("frames are read from CSV, NumPy, recordings (.mcap), Sciospec .eit and others: see --format")

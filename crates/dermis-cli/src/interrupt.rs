@@ -62,7 +62,7 @@ fn on_signal() {
     let until = std::time::Instant::now() + LAST_WORDS;
     for recording in &recordings {
         if !recording.wait(until.saturating_duration_since(std::time::Instant::now())) {
-            eprintln!("error: a recording was not made whole in time; `dermis recover` makes it so");
+            eprintln!("error: a recording was not completed in time; `dermis recover` completes it");
         }
     }
     std::process::exit(INTERRUPTED);

@@ -48,10 +48,10 @@ pub use commands::{LivePage, sources};
 #[derive(Parser)]
 #[command(name = "dermis", version, propagate_version = true)]
 struct Cli {
-    /// Say more on stderr; twice for details.
+    /// Print more on stderr; twice for details.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Memory that preparing a skin may use, such as 8GB, however long it takes; default: three quarters of the
+    /// Memory that preparing a skin may use, such as 8GB, even if it then takes long; default: three quarters of the
     /// machine's.
     #[arg(long, global = true, value_name = "SIZE", value_parser = dermis_skin::budget::parse_bytes)]
     memory: Option<u64>,
@@ -119,7 +119,7 @@ fn hint_at_new_spellings(arguments: &[OsString]) {
     for (command, old, new) in RENAMED {
         let is_old = |word: &String| word == old || word.starts_with(&format!("{old}="));
         if words.iter().any(|word| word == command) && words.iter().any(is_old) {
-            commands::hint(&format!("{old} is {new} now"));
+            commands::hint(&format!("{old} is now {new}"));
         }
     }
 }
@@ -130,7 +130,7 @@ fn named_files(word: &OsStr) -> impl Iterator<Item = PathBuf> {
     [Some(PathBuf::from(word)), behind].into_iter().flatten()
 }
 
-/// Log lines with time and level, except for what was understood of a file, which stands alone.
+/// Log lines with time and level, except for the line on how a file was understood, which has neither.
 struct Plain<F> {
     format: F,
 }
@@ -150,8 +150,8 @@ where
     }
 }
 
-/// Log levels without `-v`. Of the library behind `--foxglove` this shows viewers that fall behind; it calls every
-/// message to a viewer that has gone an error.
+/// Log levels without `-v`. From the library behind `--foxglove` they show only viewers that fall behind, because it
+/// logs every message to a viewer that has gone as an error.
 const QUIET: &str = "warn,understood=info,foxglove=off,foxglove::websocket::connected_client::send_lossy=info";
 
 /// Sends log lines to stderr, so that stdout holds only results.

@@ -1,5 +1,5 @@
 //! Output to a terminal. Text from files, instruments and recordings may contain control characters, which would move
-//! the cursor, change titles or worse. They are written as `\\x1b` and the like; line ends and tabs stay.
+//! the cursor, change titles or worse. They are written as `\\x1b` and the like; line ends and tabs are kept.
 
 use std::fmt::Write as _;
 use std::io::{self, Write};

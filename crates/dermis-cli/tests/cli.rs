@@ -94,7 +94,7 @@ impl Desk {
         let output = self.run(arguments);
         let message = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
-        // Nothing but what was understood of the files stands before the error.
+        // Only the lines on how the files were understood may precede the error.
         let before_error: Vec<&str> = message.lines().take_while(|line| !line.starts_with("error: ")).collect();
         let is_understood = |line: &&str| line.contains(": ") && line.contains("frame");
         assert!(message.contains("error: ") && before_error.iter().all(is_understood), "{arguments:?}: {message}");
@@ -135,9 +135,9 @@ fn bad_usage_is_refused() {
         (&["solve", "case.json", "--hyperparameter=nan"], "expected a positive number"),
         (
             &["solve", "case.json", "--sigma", "hom", "--voltages", "a.npy", "--jacobian", "a.npy"],
-            "--jacobian a.npy: is --voltages as well",
+            "--jacobian a.npy: is also --voltages",
         ),
-        (&["solve", "case.json", "--sigma", "hom", "--voltages", "case.json"], "is the case as well"),
+        (&["solve", "case.json", "--sigma", "hom", "--voltages", "case.json"], "is also the case"),
         (&["skins", "draw", "skin.toml", "--out", "skin.gif"], "expected a name that ends in .svg, .png or .pdf"),
         (&["skins", "draw", "skin.toml", "--out", "a.png", "--width-px", "9"], "9 is not in 200..=8000"),
         (&["snr", "--frames", "frames.csv", "--format", "docx"], "expected one of csv, lines"),

@@ -1,4 +1,4 @@
-//! `dermis run --foxglove` as a viewer meets it, with a plain client of the protocol `foxglove.sdk.v1`. The content of
+//! `dermis run --foxglove` as a viewer sees it, with a plain client of the protocol `foxglove.sdk.v1`. The content of
 //! the messages is checked by `scripts/check_foxglove.py` with other decoders.
 
 use std::io::{BufRead, BufReader, Read};
@@ -23,7 +23,7 @@ fn run(directory: &Path, arguments: &[&str]) -> Output {
     command.arg("run").args(arguments).current_dir(directory).output().expect("the command starts")
 }
 
-/// A running command, its address, and the rest of what it says on standard error.
+/// A running command, its address, and the rest of its standard error.
 struct Live {
     child: Child,
     address: String,
@@ -52,7 +52,7 @@ impl Live {
         Self { child, address, said }
     }
 
-    /// Waits for its end and returns the exit code and what it said.
+    /// Waits for its end; returns the exit code and its standard error.
     fn ended(mut self) -> (Option<i32>, String) {
         let code = self.child.wait().expect("it ends").code();
         (code, self.said.join().expect("its words"))
@@ -147,18 +147,18 @@ async fn a_viewer_gets_frames_and_late_the_baseline_and_tares() {
     let name = viewer.info["name"].as_str().expect("a name");
     assert_eq!(name, format!("dermis {}: healing-square", env!("CARGO_PKG_VERSION")));
     viewer.subscribe().await;
-    // The frame's clock comes third and its wall clock fifth; the log time is the latter.
+    // The frame's monotonic time is the third field and its wall-clock time the fifth; the log time equals the latter.
     let (log_ns, frame) = viewer.on("/dermis/frames").await;
     let wall_ns = u64::from_le_bytes(frame[36..44].try_into().expect("eight bytes"));
     assert_eq!(wall_ns, log_ns);
     viewer.on("/dermis/scene").await;
-    // The demonstration presses by turns, so that one of several tares finds the skin untouched, unless it is forced.
+    // The demonstration presses on and off, so one of several unforced tares finds the skin untouched.
     let refused = viewer.call("/dermis/tare", "{\"now\": true}").await;
     assert!(refused["message"].as_str().is_some_and(|text| text.contains("unknown field `now`")), "{refused}");
     let done = viewer.call("/dermis/tare", "{\"force\": true}").await;
     assert_eq!((&done["success"], &done["message"]), (&true.into(), &"taring over 32 frames".into()), "{done}");
 
-    // Whoever comes later gets the baseline at once.
+    // A late subscriber gets the baseline at once.
     let mut late = Viewer::connect(&live.address).await;
     late.subscribe().await;
     late.on("/dermis/baselines").await;

@@ -1,5 +1,5 @@
-//! The live page's server as strangers and slow pages meet it: who is let in, which requests are refused and
-//! how, what a page loses if it doesn't keep up, and that a press never outlives its page.
+//! The live page's server facing strangers and slow pages: access, refused requests, the updates lost by a page that
+//! doesn't keep up, and presses that end with their page.
 
 #[path = "page/access.rs"]
 mod access;
@@ -255,7 +255,7 @@ async fn what_no_pipeline_could_do_is_refused_with_the_value_and_the_expectation
         (json!({"choose_channels": [4]}), "channel 4 refused: expected an index below 4"),
         (press(1, 1e6), "x_mm is 1000000, expected -100 to 100"),
         (press(1, 70.0), "press refused: (70.0, 0.0) mm is off the skin"),
-        (json!({"release": {"pointer_id": 9}}), "pointer_id 9 refused: it does not press"),
+        (json!({"release": {"pointer_id": 9}}), "pointer_id 9 refused: it is not pressing"),
         (json!("explode"), "unknown variant `explode`"),
         (press(u64::from(u32::MAX) + 1, 0.0), "expected at most 4294967295"),
     ] {
@@ -391,7 +391,7 @@ async fn a_page_that_does_not_acknowledge_misses_updates_and_others_do_not() {
     }
     assert!(last["frame"].as_u64().is_some_and(|frame| frame <= 60));
     say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;
-    // Once it is back it gets the newest update, unless that was one of the eight.
+    // When it resumes, it gets the newest update, unless that was one of the eight.
     while last["frame"] != 60 {
         last = next_json(&mut stuck, "state").await;
         say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;

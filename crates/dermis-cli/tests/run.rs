@@ -75,7 +75,7 @@ fn a_twin_prints_one_line_a_frame_and_its_recording_replays_the_same_touches() {
     assert!(touched > 20, "only {touched} of 100 lines have touches");
 
     let replay = run(desk.path(), &["--source", "x.mcap", "--speed", "0", "--headless"]);
-    // Frames lost by the live run are missing from its recording too, and reported again.
+    // Frames lost by the live run are also missing from its recording, so the replay reports them too.
     assert_done(&replay);
     assert_same_touches(&lines(&replay), &live);
 }
@@ -126,8 +126,7 @@ fn a_twin_that_is_served_is_run_from_its_address() {
     let lines = lines(&live);
     assert_eq!(lines.len(), 220);
     let touched = lines.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
-    // Like the twin inside the command: a host sees it untouched for as long as it needs to get ready, and then the
-    // demonstration.
+    // Like the twin inside the command, it stays untouched until the host is ready, then starts the demonstration.
     assert!(touched > 20, "only {touched} of 220 lines have touches");
 }
 
@@ -216,7 +215,7 @@ fn a_device_is_asked_and_measures_once() {
     assert!(code == Some(0) && ohms.len() == 16 && ohms.iter().all(|ohm| (ohm - 13.8889).abs() < 1e-3), "{ohms:?}");
     // A twin measures as its skin file says, with its single gain.
     for (arguments, reason) in [
-        (&["twin:healing-square", "--protocol", "adjacent"][..], "does not take a protocol"),
+        (&["twin:healing-square", "--protocol", "adjacent"][..], "does not accept a protocol"),
         (&["twin:healing-square", "--gain", "3"], "cannot take this"),
         (&["frames.csv"], "expected an instrument"),
         (&["twin:healing-square", "--gain", "300"], "a code of 0 to 254"),

@@ -32,7 +32,7 @@ pub struct JointsView {
     pub age_s: Option<f64>,
     /// The problem with their source.
     pub problem: Option<String>,
-    /// Radians or metres; `None` if nobody has told.
+    /// Radians or metres; `None` if no source has given it.
     pub values: BTreeMap<String, Option<f64>>,
 }
 

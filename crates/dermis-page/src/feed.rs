@@ -93,9 +93,8 @@ impl PageFeed {
         self.update.state.demonstrates = demonstrates;
     }
 
-    /// Takes over one frame's results. `now_ns` can be from any clock that never runs backwards, nanoseconds, but
-    /// must be from the same one in all calls. A guard's verdict ages on it, so with a guard it is the host's monotonic
-    /// clock.
+    /// Takes over one frame's results. `now_ns` comes from the same monotonic clock in every call, nanoseconds; with a
+    /// guard, whose verdicts age by it, from the host's monotonic clock.
     pub fn show(&mut self, output: &Output<'_>, now_ns: u64) {
         let update = &mut self.update;
         update.frame = output.sequence;

@@ -1,4 +1,4 @@
-//! Types of messages as TypeScript, from their JSON schemas. Tests alone use it.
+//! Types of messages as TypeScript, from their JSON schemas. Used only by tests.
 
 use std::fmt::Write as _;
 

@@ -19,7 +19,7 @@ const MM: f64 = 1e3;
 const USUAL_AMPLITUDE: f32 = 0.25;
 /// Places on the skin where a typical poke's image is computed; enough for a median.
 const POKED_PLACES: usize = 20;
-/// Smaller peaks are not worth a colour scale.
+/// Peaks below this are too small to set the colour range.
 const LEAST_AMPLITUDE: f32 = 1e-4;
 
 /// The constant properties of a running skin. `press` gives the limits for pressing its twin, if it is one. The
@@ -96,7 +96,7 @@ fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     imager.image(&difference, &mut image).ok()?;
     let height = |value: &f32| if prepared.skin.touch.both_signs { value.abs() } else { *value };
-    // NaN outside the skin doesn't take part in the maximum.
+    // `max` ignores the NaN outside the skin.
     let peak = image.iter().map(height).fold(0.0, f32::max);
     (peak > LEAST_AMPLITUDE).then_some(peak)
 }

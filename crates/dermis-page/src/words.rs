@@ -1,4 +1,4 @@
-//! The words that fields of messages may have, for their schemas. Tests alone use it.
+//! The words that fields of messages may have, for their schemas. Used only by tests.
 
 use dermis_live::stages::damage::ProposalReason;
 use dermis_touch::damage::DamageState;

@@ -26,7 +26,7 @@ impl Line {
         Self { kit, pipeline: Pipeline::new(prepared, &layout, calibration).expect("a pipeline"), frames: 0 }
     }
 
-    /// Runs so many frames and returns the last one's readings and the largest magnitude of its image.
+    /// Runs `frames` frames; returns the last one's readings and the largest magnitude of its image.
     fn run(&mut self, frames: u64) -> (Vec<f64>, f32) {
         let (mut frame, mut values) = (Frame::default(), Vec::new());
         let mut last = (Vec::new(), f32::NAN);
@@ -43,7 +43,7 @@ impl Line {
         last
     }
 
-    /// Presses as the page does at first.
+    /// Presses with the page's initial radius and pressure.
     fn press(&mut self, [x_m, y_m]: [f64; 2]) {
         let press = self.kit.press;
         let scene = self.kit.twin.scene_mut();

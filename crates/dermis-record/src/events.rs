@@ -8,7 +8,7 @@ use dermis_skin::Skin;
 use dermis_touch::damage::DamageEvent;
 use dermis_touch::guard::{GuardReason, GuardReport, GuardVerdict};
 
-/// Event of missing frames, whose number comes with it.
+/// Event of missing frames; its number is their count.
 pub(crate) const GAP: &str = "gap";
 
 /// Finds the events in a stream of frames and their results. Each event goes to a closure that takes its name, a
@@ -37,7 +37,7 @@ impl EventWatch {
         self.last_sequence = Some(frame.sequence);
     }
 
-    /// Takes a frame's results. The first also give the faults and the verdict from before.
+    /// Takes a frame's results. The first call also reports earlier faults and the current verdict.
     pub fn results(&mut self, output: &Output<'_>, mut tell: impl FnMut(&str, &str, &[f64])) {
         for event in output.damage.events {
             let (name, detail, values) = damage_event(event);

@@ -21,7 +21,7 @@ pub(super) trait Destination: Write + Send {
     /// stays.
     fn complete(self: Box<Self>) -> io::Result<()>;
 
-    /// Ends after an error: complete data stay, followed by a note of the failure if there is room.
+    /// Ends after an error: keeps complete data, followed by a note of the failure if there is room.
     fn abandon(self: Box<Self>, _note: &[u8]) {}
 }
 

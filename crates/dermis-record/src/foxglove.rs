@@ -1,6 +1,6 @@
 //! A live server for Foxglove and other viewers that speak its WebSocket protocol (`foxglove.sdk.v1`).
 //!
-//! Topics that a recording has too have the same names, schemas and messages here. In addition there are:
+//! Topics that recordings also have use the same names, schemas and messages here. In addition there are:
 //!
 //! | topic | type | content |
 //! |---|---|---|
@@ -14,7 +14,7 @@
 //! # Losses
 //! Every patch has a queue and a thread in front of the server, so nothing here delays the pipeline. Frames that don't
 //! fit are counted ([`LiveFeed::status`](crate::LiveFeed::status)). Behind that, each client has a queue of
-//! [`CLIENT_QUEUE`] messages. A client that doesn't keep up loses the oldest; it sees the gaps in the frames' numbers.
+//! [`CLIENT_QUEUE`] messages. A client that doesn't keep up loses the oldest, and sees gaps in the frame numbers.
 
 mod address;
 mod channels;

@@ -80,7 +80,7 @@ impl RecordingHead {
         all
     }
 
-    /// Files attached to a recording for people: name, media type, text.
+    /// Files attached to a recording for human readers: name, media type, text.
     pub(super) fn attachments(&self) -> Vec<(&'static str, &'static str, &str)> {
         let mut all = vec![("skin.toml", "application/toml", self.skin_toml.as_str())];
         let calibrations = [("calibration.json", &self.calibration), ("forces.json", &self.forces)];

@@ -1,5 +1,5 @@
-//! Hands on everything from a live pipeline, before and after each frame: raw frames, touches, images, baselines and
-//! events. A recording keeps it; viewers show it.
+//! Passes everything from a live pipeline to a recording or a viewer, before and after each frame: raw frames, touches,
+//! images, baselines and events.
 
 use dermis_device::{Frame, HostStamp};
 
@@ -49,7 +49,7 @@ impl LiveFeed {
         self.handle.status()
     }
 
-    /// Hands on a raw frame; call it before processing. A gap in the sequence numbers becomes an event.
+    /// Passes on a raw frame; call it before processing. A gap in the sequence numbers becomes an event.
     pub fn frame(&mut self, frame: &Frame) {
         let (handle, wall_ns) = (&self.handle, frame.host_wall_ns);
         self.events.frame(frame, |event, detail, values| {
@@ -59,8 +59,8 @@ impl LiveFeed {
         self.handle.offer(frame);
     }
 
-    /// Hands on the results of the frame. New faults, recoveries and verdicts of the guard become events. The first
-    /// frame also brings faults from before the start, and the state of a search for the readout's circuit.
+    /// Passes on the results of the frame. New faults, recoveries and verdicts of the guard become events. The first
+    /// frame also reports faults from before the start, and the state of a search for the readout's circuit.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
         let (handle, wall_ns) = (&self.handle, output.wall_ns);
@@ -69,7 +69,7 @@ impl LiveFeed {
         });
     }
 
-    /// Hands on the current baseline, if there is one.
+    /// Passes on the current baseline, if there is one.
     pub fn baseline(&self, pipeline: &Pipeline, wall_ns: u64) {
         if let Some(record) = pipeline.baseline_records().last() {
             let (values, noise_std) = pipeline.baseline();
@@ -77,17 +77,17 @@ impl LiveFeed {
         }
     }
 
-    /// Tells that a tare was accepted before the next frame.
+    /// Reports that a tare was accepted before the next frame.
     pub fn tare(&self, force: bool, reason: &str) {
         self.event(TARE, reason, &[f64::from(u8::from(force))]);
     }
 
-    /// Tells that another lambda applies from the next frame on.
+    /// Reports that another lambda applies from the next frame on.
     pub fn hyperparameter(&self, lambda: f64) {
         self.event(HYPERPARAMETER, &format!("lambda {lambda:e}"), &[lambda]);
     }
 
-    /// Hands on any other event before the next frame: its name, a description and its numbers.
+    /// Passes on any other event before the next frame: its name, a description and its numbers.
     pub fn event(&self, event: &str, detail: &str, values: &[f64]) {
         self.handle.offer_event(HostStamp::now().wall_ns, event, detail, values);
     }
@@ -97,7 +97,7 @@ impl LiveFeed {
         self.handle.stop()
     }
 
-    /// Ends the feed. An error comes with the numbers of frames saved and lost.
+    /// Ends the feed. An error is returned with the numbers of frames saved and lost.
     pub(super) fn finish(self) -> Result<RecordingSummary, (Error, [u64; 2])> {
         let counts = self.handle.watch();
         self.handle.finish().map_err(|error| {

@@ -10,7 +10,7 @@ use super::live_feed::{HYPERPARAMETER, TARE};
 pub enum LiveCommand {
     /// Take a new baseline: [`Pipeline::tare`].
     Tare {
-        /// Also while something touches the skin.
+        /// Take it even while something touches the skin.
         force: bool,
     },
     /// Change lambda: [`Pipeline::set_hyperparameter`].
@@ -18,12 +18,12 @@ pub enum LiveCommand {
 }
 
 impl LiveCommand {
-    /// Carries out the command between two frames and tells everyone who takes what the pipeline hands out: `tell` gets
-    /// an event's name, a description and its numbers. `by` says who asked for it, for the record. The text says what
-    /// was done, or why it was refused.
+    /// Carries out the command between two frames and reports it through `tell`, which gets an event's name, a
+    /// description and its numbers, and passes them to all feeds. `by` names the requester, for the recording. The text
+    /// says what was done.
     ///
     /// # Errors
-    /// The pipeline refuses the command.
+    /// The reason, if the pipeline refuses the command.
     pub fn carry_out(
         self,
         by: &str,
@@ -77,7 +77,7 @@ impl LiveRequest {
         Self { command, by, answer: Some(Box::new(answer)) }
     }
 
-    /// Carries out the command between two frames, tells of it as [`LiveCommand::carry_out`] does, and answers.
+    /// Carries out the command between two frames, reports it like [`LiveCommand::carry_out`], and answers.
     pub fn carry_out(self, pipeline: &mut Pipeline, tell: impl FnMut(&str, &str, &[f64])) {
         let done = self.command.carry_out(self.by, pipeline, tell);
         self.answer(done);

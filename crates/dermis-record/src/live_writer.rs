@@ -45,17 +45,17 @@ pub(super) struct BaselineNews {
     pub(super) record: ReferenceRecord,
     pub(super) values: Vec<f64>,
     pub(super) noise_std: Vec<f64>,
-    /// Lambda of the images made with it, if known. A recording has it in the skin file.
+    /// Lambda of the images made with it, if known. In a recording, the skin file states it.
     #[cfg_attr(not(feature = "foxglove"), allow(dead_code, reason = "viewers alone read it"))]
     pub(super) hyperparameter: Option<f64>,
 }
 
-/// A receiver of everything that a live pipeline hands out. An error ends it.
+/// A receiver of everything that a live pipeline produces. An error ends it.
 pub(super) trait LiveWriter: Send + 'static {
     /// The view used for images; `None` if it takes no images.
     fn view(&self) -> Option<&SkinView>;
 
-    /// Hands over, before the first message, the count of frames that didn't fit into the queue.
+    /// Shares the count of frames that didn't fit into the queue; called before the first message.
     fn watch(&mut self, _dropped: &Arc<AtomicU64>) {}
 
     /// A raw frame, before it is processed.
@@ -73,13 +73,13 @@ pub(super) trait LiveWriter: Send + 'static {
     /// An event: its name, a description and its numbers.
     fn event(&mut self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> Result<(), Error>;
 
-    /// Nothing has come for a while.
+    /// Called when nothing has come for a while.
     fn rest(&mut self) -> Result<(), Error>;
 
-    /// Frames taken, and the number of them that are safe if the process ends.
+    /// Frames taken, and how many of them survive the end of the process.
     fn taken_and_safe(&self) -> [u64; 2];
 
-    /// There is no more; `dropped` frames didn't fit into the queue.
+    /// Called after the last message; `dropped` frames didn't fit into the queue.
     fn finish(self, dropped: u64) -> Result<RecordingSummary, Error>;
 }
 

@@ -76,7 +76,7 @@ pub struct OtherPlaceEntry {
 pub struct EventEntry {
     /// Name of the event.
     pub event: String,
-    /// Description for people.
+    /// Description for human readers.
     pub detail: String,
     /// Numbers that belong to it.
     pub values: Vec<f64>,
@@ -347,7 +347,7 @@ mod tests {
         assert_eq!((first.other_place, second.other_place), (Some(other), None));
         assert_eq!((second.id, second.phase, second.position_m), (2, TouchPhase::End, [5e-3, 6e-3]));
 
-        // As before alternative positions and headers were added: nothing after the touches.
+        // As written before alternative positions and headers were added: nothing after the touches.
         touches[0].other_place = None;
         write_touches(&mut bytes, stamp, 7, 9, &touches, &[]);
         let header_bytes = 4 + 4 + 4 + "skin".len() + 1;

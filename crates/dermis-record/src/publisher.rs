@@ -1,5 +1,5 @@
-//! The interface of everything that publishes a running patch to other programs: it sees the frames and their results,
-//! the state of the stream, and passes on requests. Nothing here may wait for a reader.
+//! The interface for publishing a running patch to other programs. A publisher sees the frames, their results and the
+//! state of the stream, and passes on requests. Nothing here may wait for a reader.
 
 use dermis_device::Frame;
 use dermis_device::acquire::AcquisitionCounters;
@@ -22,16 +22,16 @@ pub trait Publisher: Send {
     /// Takes the state after a frame.
     fn state(&mut self, pipeline: &Pipeline, counters: AcquisitionCounters);
 
-    /// Takes the reason why no frame comes, if there is one, while none comes.
+    /// Called while no frame comes, with the reason if it is known.
     fn idle(&mut self, problem: Option<&str>);
 
-    /// Takes the net wrenches that belong to the last results: on the patch's link, in the link's frame about its
-    /// origin, and on the body, in the root's. `None` if one is unknown. Bodies have them, single skins don't.
+    /// Takes the net wrenches of the last results: on the patch's link, in the link's frame about its origin, and on
+    /// the body, in the root's; each `None` if unknown. Called for bodies, not for single skins.
     fn wrenches(&mut self, on_link: Option<ForceAndTorque>, on_body: Option<ForceAndTorque>);
 
     /// Takes an event that is not in the results, such as a tare: its name, a description and its numbers.
     fn event(&mut self, event: &str, detail: &str, values: &[f64]);
 
-    /// The next command, if a reader has given one.
+    /// The next command, if a reader has sent one.
     fn take_request(&mut self) -> Option<LiveRequest>;
 }

@@ -72,8 +72,8 @@ pub struct RecorderHandle {
     thread: Option<JoinHandle<Result<RecordingSummary, Error>>>,
 }
 
-/// Ends a recording from anywhere, even if the recording thread is stuck: the queue is written and the file
-/// completed. Frames offered after that are refused.
+/// Ends a recording from any thread, even if the pipeline is stuck: the queue is written and the file completed. Frames
+/// offered after that are refused.
 #[derive(Clone, Debug)]
 pub struct RecordingStop {
     ask: Sender<()>,
@@ -237,8 +237,8 @@ impl RecorderHandle {
         }
     }
 
-    /// Returns a function that gives the numbers of frames saved and lost after [`RecorderHandle::finish`], even for
-    /// a failed recording.
+    /// Returns a function that gives the numbers of saved and lost frames after [`RecorderHandle::finish`], even if the
+    /// recording failed.
     pub(super) fn watch(&self) -> impl FnOnce() -> (u64, u64) + use<> {
         let shared = self.shared.clone();
         move || (shared.safe.load(Ordering::Relaxed), shared.dropped(true))

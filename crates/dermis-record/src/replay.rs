@@ -189,6 +189,6 @@ impl<R: Read + Seek + Send> Source for Replay<R> {
 
     fn incomplete(&self) -> Option<String> {
         let damage = self.recording.damage();
-        (!damage.is_none()).then(|| format!("{} could not be read whole: {damage}", self.recording.path().display()))
+        (!damage.is_none()).then(|| format!("{}: parts could not be read: {damage}", self.recording.path().display()))
     }
 }

@@ -1,9 +1,9 @@
-//! A ROS 2 node, without an installation of ROS: it speaks DDS, the protocol under ROS 2, by itself. Needs the feature
+//! A ROS 2 node that needs no installation of ROS: it speaks DDS, the protocol under ROS 2, directly. Needs the feature
 //! `ros2`.
 //!
-//! [`Ros2Node::open`] joins the domain that `ROS_DOMAIN_ID` names and starts a thread that sends. Each patch has a
-//! publisher ([`Ros2Node::publisher`]) that its pipeline hands frames and results. Messages wait in a bounded queue; if
-//! it is full, they are dropped and counted, and the pipeline goes on.
+//! [`Ros2Node::open`] joins the domain in `ROS_DOMAIN_ID` and starts a sending thread. Each patch has a publisher
+//! ([`Ros2Node::publisher`]) that takes frames and results from its pipeline. Messages wait in a bounded queue; if it
+//! is full, they are dropped and counted, and the pipeline goes on.
 //!
 //! Topics of a single skin are below the node's name, as in recordings: `/dermis/touches`. Those of a body's patches
 //! are below the patch's name: `/dermis/palm/touches`. Positions are metres in the patch's frame, forces act on the

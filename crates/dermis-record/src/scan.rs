@@ -76,7 +76,7 @@ impl Outline {
         Ok(Some(outline))
     }
 
-    /// The outline of one patch of a body, as if it had been recorded by itself. Without a patch nothing changes.
+    /// The outline of one patch of a body, as if it had been recorded alone. Without a patch nothing changes.
     ///
     /// # Errors
     /// No patch is named for a recording of a body, the named patch doesn't exist, or the recording isn't of a body.

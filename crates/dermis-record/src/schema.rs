@@ -26,7 +26,7 @@ pub(super) fn topic_of(topic: &str, patch: Option<&str>) -> String {
     }
 }
 
-/// The topic's name if the patch were recorded by itself. Topics of other patches keep their names.
+/// The topic's name if the patch were recorded alone. Topics of other patches keep their names.
 pub(super) fn topic_alone(topic: &str, patch: Option<&str>) -> String {
     let rest = patch.and_then(|patch| topic.strip_prefix(DERMIS)?.strip_prefix(patch)?.strip_prefix('/'));
     rest.map_or_else(|| topic.to_owned(), |rest| format!("{DERMIS}{rest}"))

@@ -1,5 +1,5 @@
-//! The file behind one recorder, or shared by the recorders of a body's patches, which take turns writing to it. It
-//! is complete once all of them have finished.
+//! The file of one recorder, or of all recorders of a body's patches, which take turns writing to it. It is complete
+//! once all of them have finished.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ pub(super) struct SharedFile {
     flushed: Instant,
     /// Bytes of messages not yet handed to the operating system.
     pending: usize,
-    /// Number of times that everything was handed out.
+    /// Number of flushes to the operating system.
     handed_out: u64,
     /// Number of writers that haven't finished.
     writers: usize,
@@ -55,12 +55,12 @@ impl SharedFile {
         &self.name
     }
 
-    /// Number of times that everything was handed to the operating system.
+    /// Number of flushes to the operating system.
     pub fn handed_out(&self) -> u64 {
         self.handed_out
     }
 
-    /// Writes a message; returns true if everything was handed out after it.
+    /// Writes a message; returns true if it was followed by a flush.
     ///
     /// # Errors
     /// An I/O error; nothing can be written after it.
@@ -72,7 +72,7 @@ impl SharedFile {
         self.flush_if_due()
     }
 
-    /// Hands out the written data if half a second has passed or enough has accumulated; returns true if it did.
+    /// Flushes the written data if half a second has passed or enough has accumulated; returns true if it did.
     ///
     /// # Errors
     /// As for [`SharedFile::write`].

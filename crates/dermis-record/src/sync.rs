@@ -25,7 +25,7 @@ impl Syncer {
         interval: Duration,
         mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
     ) -> io::Result<Self> {
-        // One more request may wait while one is in progress.
+        // One request may wait while another is in progress.
         let (ask, asked) = sync_channel(1);
         let failed = Arc::new(Mutex::new(None));
         let told = failed.clone();

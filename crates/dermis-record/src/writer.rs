@@ -64,9 +64,9 @@ pub struct Recorder {
     drawn: Option<Drawn>,
     bytes: Vec<u8>,
     frames: u64,
-    /// Number of them that the operating system has.
+    /// How many of them have reached the operating system.
     safe_frames: u64,
-    /// Number of hand-outs of the file when `safe_frames` was last updated.
+    /// Number of flushes of the file when `safe_frames` was last updated.
     handed_out: u64,
 }
 
@@ -149,7 +149,7 @@ impl Recorder {
         self.frames
     }
 
-    /// Number of frames that the operating system has; these survive the end of this process.
+    /// Number of frames that have reached the operating system and survive the end of this process.
     #[must_use]
     pub fn safe_frames(&self) -> u64 {
         self.safe_frames
@@ -171,7 +171,7 @@ impl Recorder {
         }
         messages::write_frame(&mut self.bytes, frame);
         self.count_safe();
-        // Count it first, because writing may hand it out at once.
+        // Count it first, because writing may flush it at once.
         self.frames += 1;
         self.write(self.channels.frames, frame.host_wall_ns)
     }
@@ -249,8 +249,8 @@ impl Recorder {
         self.write(self.channels.events, wall_ns)
     }
 
-    /// Hands the written data to the operating system if half a second has passed since this was last done. Writing
-    /// does this by itself; call it when nothing is written for longer.
+    /// Flushes the written data to the operating system if half a second has passed since the last flush. Writing does
+    /// this too; call it when nothing has been written for that long.
     ///
     /// # Errors
     /// An I/O error.
@@ -304,7 +304,7 @@ impl Recorder {
     }
 }
 
-/// Writes metadata, the skin and the channels, and hands them out at once, because a reader needs them most.
+/// Writes metadata, the skin and the channels, and flushes them at once, because a reader needs them most.
 fn write_head(writer: &mut FileWriter, head: &RecordingHead, patch: Option<&str>) -> Result<Channels, McapError> {
     for mut record in head.metadata() {
         record.name = schema::name_of(&record.name, patch);

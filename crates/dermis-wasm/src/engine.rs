@@ -204,7 +204,7 @@ impl Engine {
             Command::Demonstrate(wanted) => {
                 self.twin.demonstrate(wanted).map_err(|error| format!("refused: {error}"))?;
                 self.feed.demonstrate(wanted);
-                let text = if wanted { "the twin shows touches by itself" } else { "nothing but you presses the twin" };
+                let text = if wanted { "the twin shows touches by itself" } else { "only you press the twin" };
                 Ok(Some(text.into()))
             }
             // All channels are sent; the page selects among them.

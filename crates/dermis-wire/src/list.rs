@@ -1,5 +1,4 @@
-//! Numbers as received (little-endian) or in the sender's memory, behind one interface, so that neither side copies
-//! them before it has to.
+//! Numbers as received (little-endian) or in the sender's memory, behind one interface, to avoid copies on either side.
 
 /// A number with a fixed little-endian encoding.
 pub trait Scalar: Copy + PartialEq {

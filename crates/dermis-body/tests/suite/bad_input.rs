@@ -179,7 +179,7 @@ fn a_skin_file_may_say_where_it_is_mounted() {
     let body = Body::open(&folder.path().join("arm.toml")).unwrap();
     let place = body.patches[0].link_from_patch.point_m([0.01, 0.0, 0.0]);
     assert!((place[0] + 0.01).abs() < 1e-15 && (place[2] - 0.02).abs() < 1e-15, "{place:?}");
-    // A pose without a link would apply to whatever link the skin file names.
+    // A pose without a link would apply to the skin file's link.
     let message = message_in(folder.path(), &format!("{mounted}xyz_mm = [1, 0, 0]\n"));
     assert!(message.contains("patch palm: link = left out"), "{message}");
 }

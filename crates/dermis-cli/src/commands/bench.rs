@@ -51,7 +51,7 @@ impl Arguments {
         let time =
             |work: &mut dyn FnMut() -> anyhow::Result<()>| median_of(work, Duration::from_secs_f64(self.seconds));
         if !self.json {
-            writeln!(out, "{:<58} {:>12} {:>12}", "one core but where it says all", "median", "best")?;
+            writeln!(out, "{:<58} {:>12} {:>12}", "one core unless stated", "median", "best")?;
         }
         let mut lines = Lines { out, json: self.json.then(Vec::new) };
         for elements in [5_000, 20_000] {

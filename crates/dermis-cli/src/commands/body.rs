@@ -22,13 +22,13 @@ const CHECK_EXAMPLE: &str = "\
 Example:
   dermis body check arm/arm.toml
 
-Every problem is listed with its file and line. Exit code 1: there are some.";
+Every problem is listed with its file and line. Exit code 1: problems were found.";
 
 const DRAW_EXAMPLE: &str = "\
 Example:
   dermis body draw arm/arm.toml --out arm.png --joint shoulder_yaw=0.5 --joint elbow=1.2
 
-Joints that are not named stand where joints.at in the body file has them, and else at 0 or their nearer limit. Boxes,
+Joints that are not named take the value of joints.at in the body file, or else 0 or the limit nearest to it. Boxes,
 cylinders and spheres are drawn; meshes are not.";
 
 /// Arguments of `dermis body`.
@@ -114,7 +114,7 @@ fn check(file: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if let Some(place) = body.root_from_patch(number, &joints) {
             let [x, y, z] = place.translation_m.map(|m| 1e3 * m + 0.0);
             let [nx, ny, nz] = place.vector([0.0, 0.0, 1.0]).map(|n| (1e3 * n).round() / 1e3 + 0.0);
-            write!(out, "; middle at ({x:.1}, {y:.1}, {z:.1}) mm of {}, facing ({nx}, {ny}, {nz})", body.root())?;
+            write!(out, "; centre at ({x:.1}, {y:.1}, {z:.1}) mm of {}, facing ({nx}, {ny}, {nz})", body.root())?;
         }
         writeln!(out)?;
     }
@@ -168,7 +168,7 @@ fn demo(folder: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     for (name, _) in DEMO_FILES {
         let path = folder.join(name);
         if path.exists() {
-            return Err(UsageError(format!("{}: is there already; expected another folder", path.display())).into());
+            return Err(UsageError(format!("{}: already exists; expected another folder", path.display())).into());
         }
     }
     for (name, text) in DEMO_FILES {

@@ -42,15 +42,16 @@ Examples:
   dermis calibrate ionic-disc --twin --forces forces.json --curve quadratic
   dermis calibrate healing-square --twin --pokes 12 --out c.json
 
-The baseline has one frame for all pokes, or one for each; --differences says that the frames are differences from the
-untouched skin already. --start EARLIER.json takes an earlier calibration into account, of this skin or of another of its
-family: the new pokes decide whether it is pooled with them, a prior, kept unchanged or not used. The positions have the
-columns x_m, y_m (or x_mm, y_mm) and, if the load is known, depth_m, depth_mm or force_n. Rows with the same number in a
-column `group` are touches of one frame. Positions that look mirrored, turned or shifted by a row are reported, and
-positions that have nothing to do with the frames are refused. Of a skin
-of which only the outline is known, --outline-mm and --channels stand for the skin file, which --write-skin writes for
-`run` and `reconstruct`. Without positions, what the readout does to the potentials is found from 20 or more frames of
-unknown touches. Printed are the leave-one-out error, what each part of the locator and physics brought, and where
+The baseline has one frame for all pokes, or one per poke; with --differences the frames already are differences from the
+untouched skin. --start EARLIER.json uses an earlier calibration of this skin or of another of its family: the new pokes
+decide whether its pokes are pooled with them, or it becomes a prior, is kept unchanged or is ignored. The positions have
+the columns x_m, y_m (or x_mm, y_mm) and, if the load is known, depth_m, depth_mm or force_n. Rows with the same number in
+the column `group` are touches in one frame. Positions that look mirrored, rotated or shifted by a row are reported, and
+positions unrelated to the frames are refused. If only the outline of a skin is known, --outline-mm and --channels replace
+the skin file, and --write-skin writes one for `run` and `reconstruct`. Without positions, the readout's circuit is found
+from 20 or more frames of unknown touches.
+
+The report gives the leave-one-out error, the benefit of physics and of each part of the locator, and the places where
 more pokes would help most. A force calibration (--forces) is made from pokes with force_n, or by pressing the skin's twin
 in nine places; `run` and `reconstruct` read it with --forces.";
 
@@ -181,7 +182,9 @@ impl Arguments {
         let skin = self.skin()?;
         if self.twin {
             if self.out.is_none() && self.forces.is_none() {
-                return Err(UsageError("--out, --forces or both are needed: where the calibration goes".into()).into());
+                return Err(
+                    UsageError("--out, --forces or both are needed: where to write the calibration".into()).into()
+                );
             }
             if let Some(path) = &self.out {
                 self.locate_twin(&skin, path, out)?;
@@ -195,9 +198,9 @@ impl Arguments {
             self.learn_circuit(skin, out)?;
             return Ok(Outcome::Done);
         };
-        let frames = self.frames.as_ref().ok_or_else(|| UsageError("--frames is needed: one frame a poke".into()))?;
+        let frames = self.frames.as_ref().ok_or_else(|| UsageError("--frames is needed: one frame per poke".into()))?;
         if self.out.is_none() && self.forces.is_none() {
-            return Err(UsageError("--out is needed: where the calibration goes".into()).into());
+            return Err(UsageError("--out is needed: where to write the calibration".into()).into());
         }
         let differences = baseline_or_differences(self.baseline.as_ref(), self.differences, &skin)?;
         let pokes = read_pokes(positions)?;
@@ -207,7 +210,7 @@ impl Arguments {
         self.check_labels(&prepared, &measured, &pokes)?;
         if let Some(path) = &self.forces {
             let diameter_mm = self.indenter_mm.ok_or_else(|| {
-                UsageError("--forces from files: --indenter-mm is needed, signals depend on the indenter".into())
+                UsageError("--forces from files: --indenter-mm is needed, since signals depend on the indenter".into())
             })?;
             let baselines = measured.baselines.as_ref().ok_or_else(|| {
                 UsageError("--forces: expected frames with a baseline, got differences, which have no scale".into())
@@ -243,15 +246,15 @@ impl Arguments {
         if let Some(rows) = found.lag_rows {
             let (rows, way) = (rows.unsigned_abs(), if rows > 0 { "lag behind" } else { "lead" });
             let unit = if rows == 1 { "row" } else { "rows" };
-            hint(&format!("--positions {way} the frames by {rows} {unit}: shifted, they fit far better"));
+            hint(&format!("--positions {way} the frames by {rows} {unit}: they fit far better when shifted"));
         }
         if let Some(turn) = found.turned {
-            hint(&format!("--positions: {}: the model fits them far better so", turn.words));
+            hint(&format!("--positions: {}: this fits the model far better", turn.words));
         }
         if found.is_unrelated() {
             let text = format!(
-                "positions and frames do not belong together: {:.0} % of shuffled tables fit as well (--trust-labels \
-                 takes them nevertheless)",
+                "positions and frames do not belong together: {:.0} % of shuffled tables fit equally well \
+                 (--trust-labels accepts them anyway)",
                 100.0 * found.p_value.unwrap_or(1.0)
             );
             return Err(UsageError(text).into());
@@ -282,7 +285,7 @@ impl Arguments {
             return Err(UsageError(text.into()).into());
         }
         let Some(baseline) = &self.baseline else {
-            return Err(UsageError("--baseline is needed: relative changes are taken against it".into()).into());
+            return Err(UsageError("--baseline is needed: changes are relative to it".into()).into());
         };
         let prepared = Prepared::new(skin)?;
         let read =
@@ -339,7 +342,7 @@ impl Arguments {
         print_pokes(&calibration, out)?;
         print_experts(skin, &calibration, false, false, out)?;
         self.print(&prepared, &calibration, out)?;
-        writeln!(out, "written: {}; of the twin, not of a skin that was measured", path.display())?;
+        writeln!(out, "written: {}; made from the twin, not from a measured skin", path.display())?;
         Ok(())
     }
 
@@ -392,8 +395,8 @@ impl Arguments {
 
 /// Comment at the top of the file of a skin known only by its outline and channels.
 const STAND_INS: &str = "\
-# A skin of which only outline and number of channels are known: electrodes and pairs stand in for the real ones, and
-# what it reads is learnt from pokes (dermis calibrate).
+# Only the outline and the number of channels of this skin are known. Its electrodes and pairs are placeholders, and its
+# response is learnt from pokes (dermis calibrate).
 ";
 
 fn write_skin(head: &str, skin: &Skin, file: &Path) -> anyhow::Result<()> {

@@ -8,12 +8,12 @@ use dermis_live::calibration::{CircuitFit, circuit_words};
 pub(super) fn print_circuit(fit: &CircuitFit, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "circuits tried: {} on {} frames", fit.tried, fit.frames)?;
     writeln!(out, "score (median correlation of a frame with its best touch) before: {:.3}", fit.score_before)?;
-    writeln!(out, "score after: {:.3}; {:.3} nats a reading likelier", fit.score, fit.gain)?;
+    writeln!(out, "score after: {:.3}; {:.3} nats per reading more likely", fit.score, fit.gain)?;
     writeln!(out, "circuit = {}", circuit_words(fit.circuit.as_ref()))?;
     if let Some(other) = &fit.runner_up {
         writeln!(
             out,
-            "the best that reads other lines: {:.3}, {:.3} nats a reading less likely, with {}",
+            "best circuit that reads other lines: {:.3}, {:.3} nats per reading less likely, with {}",
             other.score,
             other.behind,
             circuit_words(Some(&other.circuit))

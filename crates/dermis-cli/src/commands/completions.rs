@@ -13,9 +13,9 @@ Examples:
   dermis completions bash
   dermis completions man --out man
 
-For bash: dermis completions bash > ~/.local/share/bash-completion/completions/dermis. For zsh: a file _dermis in a folder of
-$fpath. For fish: ~/.config/fish/completions/dermis.fish. Manual pages go into a folder: man -M FOLDER is not needed where it is
-~/.local/share/man/man1.";
+Bash: dermis completions bash > ~/.local/share/bash-completion/completions/dermis. Zsh: save the output as _dermis in a
+folder of $fpath. Fish: save it as ~/.config/fish/completions/dermis.fish. Manual pages: with --out
+~/.local/share/man/man1, man finds them without -M.";
 
 /// Formats that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

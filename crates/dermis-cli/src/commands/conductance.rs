@@ -17,9 +17,9 @@ Examples:
   dermis conductance healing-square --frames rest.csv
   dermis conductance healing-square --frames 'rest.csv#0..1' --out sheet.npy --json
 
-Averages the frames and finds the conductance of the sheet that explains them, with its standard deviation: one number for the
-sheet, and the places that differ from it. The current, the electrodes and their contact impedance are those of the skin file.
-The file's own conductivity is where the search begins and matters no further. sheet.npy is 2 x rows x columns (f64, siemens):
+Averages the frames and fits the conductance of the sheet to them, with its standard deviation: one number for the sheet,
+and the places that differ from it. Current, electrodes and contact impedance are taken from the skin file, whose
+conductivity only starts the search. sheet.npy is 2 x rows x columns (f64, siemens):
 the image and its standard deviation, row 0 at the top, NaN outside.";
 
 /// Arguments of `dermis conductance`.
@@ -70,7 +70,7 @@ fn print(found: &Conductance, thickness_m: Option<f64>, out: &mut dyn Write) -> 
     writeln!(out, "{channels} channels, mean of {frames} frames")?;
     writeln!(
         out,
-        "sheet: {:.4e} S, standard deviation {:.1e} S ({:.4} ohm a square)",
+        "sheet: {:.4e} S, standard deviation {:.1e} S ({:.4} ohm per square)",
         sheet_s,
         sheet_sigma_s,
         1.0 / sheet_s
@@ -80,7 +80,7 @@ fn print(found: &Conductance, thickness_m: Option<f64>, out: &mut dyn Write) -> 
     }
     writeln!(out, "misfit: {:.2} standard deviations of the readings", found.misfit)?;
     if found.regions.is_empty() {
-        return writeln!(out, "no place differs surely");
+        return writeln!(out, "no place differs significantly");
     }
     writeln!(out, "{:>8} {:>8} {:>10} {:>11} {:>9}", "x mm", "y mm", "radius mm", "S", "+- S")?;
     for region in &found.regions {

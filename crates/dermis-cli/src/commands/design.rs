@@ -28,10 +28,10 @@ Examples:
   dermis design healing-square --tolerances --samples 1 --pokes 0
 
 Bounds are Cramer-Rao bounds: no unbiased method does better at this noise. \"Worst\" leaves out the outermost tenth of the
-area. Noise is what the skin file assumes, the same for every channel; --noise-uv says it in microvolts, --snr-db makes it
-proportional to the reading. Several skins, and the candidates of a search, are read by one instrument, that of the first, and
-get the same time for a frame: the more readings, the noisier each. --tolerances builds the skin
-again and again with a workshop's errors, and says what each costs.";
+area. By default the noise is the skin file's, the same for every channel; --noise-uv sets it in microvolts, --snr-db makes it
+proportional to the reading. Several skins, and the candidates of a search, are compared with the first skin's instrument
+and the same time per frame, so that more readings are noisier. --tolerances builds the skin many times with manufacturing
+errors and reports the cost of each error.";
 
 /// Arguments of `dermis design`.
 #[derive(clap::Args)]
@@ -52,7 +52,7 @@ pub struct Arguments {
     /// Places along the longer side of the maps.
     #[arg(long, value_name = "PLACES", default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=128))]
     map: u32,
-    /// Also compute the smallest force, by the mechanics of the skin's twin.
+    /// Also compute the smallest detectable force, with the mechanics of the skin's twin.
     #[arg(long, conflicts_with = "improve")]
     force: bool,
     /// Output folder for the maps, PNG and NPY.
@@ -142,14 +142,14 @@ impl Arguments {
             super::print_json(&report(&sheets, self.amplitude, verdict.as_deref()), out)?;
             return Ok(Outcome::Done);
         }
-        writeln!(out, "touch of {} at its middle; worst / median / best place", self.amplitude)?;
+        writeln!(out, "touch with a peak change of {}; worst / median / best place", self.amplitude)?;
         if let Some(instrument) = instrument {
             let noise = in_words(instrument.noise);
             let (first, readings) = (positions[0].0, instrument.readings);
             writeln!(
                 out,
-                "one instrument for all: {noise} a reading of {first} ({readings} readings a frame); frames of equal time, so that \
-                 noise power grows with the number of readings"
+                "one instrument for all: {noise} per reading of {first} ({readings} readings per frame); frames take equal \
+                 time, so noise power grows with the number of readings"
             )?;
         }
         write_table(out, &sheets)?;
@@ -223,8 +223,8 @@ impl Arguments {
         let skin = Skin::open(name)?;
         let [own, best] = super::with_progress("skins", |progress| improve(&skin, &search, progress))?;
         let millimetres = |summary: Summary| three([summary.worst, summary.median, summary.best].map(|m| 1e3 * m));
-        writeln!(out, "position bound, mm, worst / median / best place, at the same time for a frame")?;
-        for (label, candidate) in [("as it is", &own), ("best", &best)] {
+        writeln!(out, "position bound, mm, worst / median / best place, at equal time per frame")?;
+        for (label, candidate) in [("unchanged", &own), ("best", &best)] {
             let backend = &candidate.skin.backend;
             write!(out, "  {label:<9} {}  ", millimetres(candidate.position_m))?;
             write!(out, "{} electrodes, ", candidate.skin.electrode_shapes().len())?;
@@ -252,7 +252,7 @@ fn in_words(noise: Noise) -> String {
     match noise {
         Noise::Volts(volts) => format!("{:.3} uV", 1e6 * volts),
         Noise::Decibels(db) => format!("{db} dB below"),
-        Noise::Assumed => "what the file assumes".into(),
+        Noise::Assumed => "the noise in the file".into(),
     }
 }
 
@@ -338,7 +338,7 @@ fn write_maps(folder: &Path, sheet: &Sheet) -> anyhow::Result<()> {
         let values = image.iter().map(|value| (value / least).log10()).collect();
         panels.push(Panel {
             name: title.to_string(),
-            quantity: format!("log₁₀ of {title} over its least"),
+            quantity: format!("log₁₀ of {title} / minimum"),
             columns: shape[1],
             values,
             marks: Vec::new(),
@@ -346,7 +346,7 @@ fn write_maps(folder: &Path, sheet: &Sheet) -> anyhow::Result<()> {
             width_mm: Some(1e3 * maps.grid.pixel_m * shape[1] as f64),
         });
     }
-    let picture = Heatmap { title: format!("{name}: before it is built"), panels }.picture();
+    let picture = Heatmap { title: format!("{name}: predicted performance"), panels }.picture();
     let content = draw::png(&picture, 2)?;
     write_atomic(&folder.join(format!("{name}.png")), |file| file.write_all(&content))?;
     Ok(())

@@ -19,8 +19,8 @@ Examples:
   dermis device twin:healing-square
   dermis device twin:healing-square shot --json
 
-Real instruments are serial:/dev/ttyACM0, serial:2341:0043 or tcp:HOST:PORT. What is set here holds until the device is reset,
-set otherwise, or run: `dermis run` sets it to what the skin file says.";
+Real instruments are serial:/dev/ttyACM0, serial:2341:0043 or tcp:HOST:PORT. Settings last until the device is reset or set
+again; `dermis run` sets it as the skin file says.";
 
 /// Longest wait for a requested frame. A slow converter takes seconds for thousands of readings.
 const FRAME: Duration = Duration::from_secs(60);
@@ -98,7 +98,7 @@ impl Arguments {
         let description = control.description();
         for order in wanted {
             if description.as_ref().is_some_and(|known| !known.obeys(&order)) {
-                return Err(UsageError(format!("{selector}: it does not take a {order}")).into());
+                return Err(UsageError(format!("{selector}: does not accept a {order}")).into());
             }
         }
         for order in settings {

@@ -14,8 +14,8 @@ Examples:
   dermis devices
   dermis devices --json
 
-Every port that has a USB device is opened and asked who it is. Opening a port resets many boards; --no-ask only lists.
-Use what is printed as `dermis run SKIN --source SELECTOR`.";
+Opens every port with a USB device and asks the device to identify itself. Opening a port resets many boards; --no-ask
+only lists the ports. Pass a selector that is printed to `dermis run SKIN --source SELECTOR`.";
 
 /// Arguments of `dermis devices`.
 #[derive(clap::Args)]

@@ -75,9 +75,11 @@ impl Arguments {
             return Ok(Some((Box::new(source.unpaced()), None)));
         }
         match self.source.parse::<SourceSelector>().map_err(dermis_lab::Error::from)? {
-            SourceSelector::Twin { .. } => {
-                Err(UsageError(format!("--source {}: name the twin by SKIN, the first word", self.source)).into())
-            }
+            SourceSelector::Twin { .. } => Err(UsageError(format!(
+                "--source {}: expected the name of the twin as SKIN, the first word",
+                self.source
+            ))
+            .into()),
             SourceSelector::File(spec) => {
                 let table = dermis_record::read_frames_of(skin, &spec, self.read.options())?;
                 let playback =
@@ -89,7 +91,7 @@ impl Arguments {
                 let options = StreamOptions { patience, ..StreamOptions::default() };
                 match open_live(&live, options, skin)? {
                     Ok((source, contacts_ohm)) => {
-                        let identity = source.identity().unwrap_or_else(|| "it does not say what it is".into());
+                        let identity = source.identity().unwrap_or_else(|| "it does not identify itself".into());
                         checks.push(Check::good("connection", self.source.as_str()));
                         checks.push(Check::good("handshake", identity));
                         Ok(Some((Box::new(source), contacts_ohm)))
@@ -166,16 +168,16 @@ fn advice_on(reason: &str) -> &'static str {
     if reason.contains("permission") {
         "add yourself to the group that may use the port (sudo usermod -aG dialout $USER), and log in again"
     } else if reason.contains("busy") {
-        "another program has the port: end it"
+        "another program uses the port: close it"
     } else if reason.contains("no such") || reason.contains("not found") || reason.contains("no port") {
-        "look at cable and power; dermis devices lists what is there"
+        "check cable and power; `dermis devices` lists the ports"
     } else if reason.contains("refused") {
-        "nothing listens at that address and port: start the instrument's server, and check the number"
+        "nothing listens at that address and port: start the instrument's server, and check both"
     } else if reason.contains("no answer to the handshake") || reason.contains("sent no frame") {
-        "it is not an instrument of this protocol: append #lines or #floats:CHANNELS for one that sends just numbers, \
-         or @BAUD for another speed"
+        "it does not speak this protocol: append #lines or #floats:CHANNELS if it only sends numbers, or @BAUD for \
+         another speed"
     } else {
-        "look at power, cable and address; dermis devices lists what is there"
+        "check power, cable and address; `dermis devices` lists the ports"
     }
 }
 

@@ -19,11 +19,10 @@ Examples:
   dermis evidence --data data --only golfball --quick
   dermis evidence --data data --only golfball,team7 --quick --out measured.html
 
-DATA holds a folder for each set, as tests/data/README.md of the repository describes; the sets are not part of dermis.
-A set that is not there is stated as missing, with the path that was looked at, and the others go on. Of a page in
-Markdown that exists, what stands between the lines `<!-- evidence:begin -->` and `<!-- evidence:end -->` is replaced.
-Everything takes about ten minutes on two cores, --quick two. Random draws are seeded. Exit code 1: a set
-failed, or none is there.";
+DATA has one folder per set, as described in tests/data/README.md of the repository; the sets are not part of dermis. A
+set that is absent is reported as missing, with the expected path, and the others still run. In an existing Markdown page
+the text between the lines `<!-- evidence:begin -->` and `<!-- evidence:end -->` is replaced. A full run takes about ten
+minutes on two cores, --quick two. Random draws are seeded. Exit code 1: a set failed, or no set is present.";
 
 /// Arguments of `dermis evidence`.
 #[derive(clap::Args)]
@@ -60,7 +59,7 @@ impl Arguments {
         if !data.is_dir() {
             return Err(UsageError(format!("--data {}: expected a folder", data.display())).into());
         }
-        // Check now: ten minutes is a long time to find out that the file cannot be written.
+        // Fail now if the file cannot be written, not after ten minutes of work.
         let file = self.out.as_deref().map(OutFile::checked).transpose()?;
         let extent = if self.quick { Extent::Quick } else { Extent::Full };
         let mut evidence = Evidence { data: data.clone(), extent, sets: Vec::with_capacity(sets.len()) };

@@ -17,9 +17,9 @@ Examples:
   dermis export press.mcap --table touches --out touches.parquet
   dermis export press.mcap#0..60 --out baseline.csv
 
-Tables: frames (number, times in nanoseconds, a column for each channel), touches, baselines, events. NPY holds the readings
-of frames alone: frames x channels. From a file that isn't a recording of dermis (CSV, MATLAB, Excel, a ROS bag, ...) the
-frames are exported, which converts it. Exit code 3: the recording could not be read whole.";
+Tables: frames (number, times in nanoseconds, one column per channel), touches, baselines, events. NPY holds only the
+frames' readings: frames x channels. Any other file (CSV, MATLAB, Excel, a ROS bag, ...) has frames only, and is converted
+to the new format. Exit code 3: part of the recording could not be read.";
 
 /// Arguments of `dermis export`.
 #[derive(clap::Args)]
@@ -49,7 +49,7 @@ impl Arguments {
         if exported.damage.is_none() {
             return Ok(Outcome::Done);
         }
-        tracing::error!("{} could not be read whole: {}", self.file.path.display(), exported.damage);
+        tracing::error!("{}: parts could not be read: {}", self.file.path.display(), exported.damage);
         Ok(Outcome::DataLost)
     }
 
@@ -60,7 +60,7 @@ impl Arguments {
             return Ok(export(&mut Recording::open(&self.file.path)?, self.table, format, &self.out)?);
         }
         if self.table != Table::Frames {
-            let which = if is_recording { "of a selection of frames" } else { "of a file that is no recording" };
+            let which = if is_recording { "of a selection of frames" } else { "of a file that is not a recording" };
             return Err(UsageError(format!("--table: expected frames, the only table {which}")).into());
         }
         Ok(export_frames(&read_frames(&self.file, self.read.options())?, format, &self.out)?)

@@ -20,8 +20,8 @@ Examples:
   dermis info press.mcap --json
   dermis info frames.csv
 
-Reads the whole file, and compares every checksum of a recording. Of a file of frames it says how the file was understood
-and what its channels hold.";
+Reads the whole file and verifies every checksum of a recording. For a file of frames, it reports how the file was
+understood and what its channels hold.";
 
 /// Arguments of `dermis info`.
 #[derive(clap::Args)]
@@ -124,10 +124,10 @@ fn lost_frames(damage: &Damage) -> String {
 fn most_unwritten(found: &Findings) -> String {
     let seconds = found.duration_s();
     if found.frames < 2 || seconds <= 0.0 {
-        return "at most its last second never came into the file".to_owned();
+        return "at most its last second was not written".to_owned();
     }
     let per_s = ((found.frames - 1) as f64 / seconds).ceil();
-    format!("at most its last second, {per_s:.0} frames at its rate, never came into the file")
+    format!("at most its last second, {per_s:.0} frames at its rate, was not written")
 }
 
 fn print_text(recording: &Recording, found: &Findings, out: &mut dyn Write) -> std::io::Result<()> {
@@ -149,12 +149,12 @@ fn print_text(recording: &Recording, found: &Findings, out: &mut dyn Write) -> s
     let damage = recording.damage();
     match recording.frames_dropped() {
         Some(dropped) => writeln!(out, "dropped while recording: {dropped}")?,
-        None => writeln!(out, "dropped while recording: not known")?,
+        None => writeln!(out, "dropped while recording: unknown")?,
     }
     if damage.is_none() {
         writeln!(out, "state: whole")?;
     } else {
-        let end = if damage.cut_off { "the end is missing" } else { "the end is there" };
+        let end = if damage.cut_off { "the end is missing" } else { "the end is present" };
         let Damage { bytes, chunks, messages, .. } = damage;
         let frames = lost_frames(&damage);
         writeln!(
@@ -165,7 +165,7 @@ fn print_text(recording: &Recording, found: &Findings, out: &mut dyn Write) -> s
     if let Some(reason) = recording.stopped() {
         writeln!(out, "stopped: {reason}")?;
     } else if damage.cut_off {
-        writeln!(out, "stopped: killed, or without power; {}", most_unwritten(found))?;
+        writeln!(out, "stopped: killed, or power was lost; {}", most_unwritten(found))?;
     }
     writeln!(out, "messages:")?;
     for (topic, count) in recording.counts() {

@@ -20,7 +20,7 @@ Examples:
 Without options it asks. An outline is disc:DIAMETER, square:SIDE, rectangle:WIDTHxHEIGHT (millimetres) or polygon:FILE.csv
 with columns x_mm, y_mm (or x_m, y_m). Layers: gel (salted gelatin, hydrogel), foam (carbon-filled, conducts better when
 pressed), sandwich (a sheet under a metal layer that touches it where pressed), patches (a sheet under separate patches), liquid (in a tray under
-a membrane). NAME.toml says what every line means; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
+a membrane). NAME.toml explains every line; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
 
 /// Layers available for a new skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -77,7 +77,7 @@ impl Arguments {
         let [file, drawing] = ["toml", "svg"].map(|ending| folder.join(format!("{}.{ending}", self.name)));
         for path in [&file, &drawing] {
             if path.exists() {
-                let text = format!("{}: is there already; expected a new name, or --out FOLDER", path.display());
+                let text = format!("{}: already exists; expected a new name, or --out FOLDER", path.display());
                 return Err(UsageError(text).into());
             }
         }
@@ -92,7 +92,7 @@ impl Arguments {
         };
         let electrodes = match self.electrodes {
             Some(count) => count,
-            None => ask(out, "electrodes, evenly round the rim (4 to 128)", "16", electrode_count)?,
+            None => ask(out, "electrodes, evenly spaced around the rim (4 to 128)", "16", electrode_count)?,
         };
         let layer = match self.layer {
             Some(layer) => layer,
@@ -145,9 +145,7 @@ fn ask<T>(
             if !is_terminal {
                 return Ok(parse(usual)?);
             }
-            return Err(
-                UsageError("nothing was answered; expected answers or options, see dermis new --help".into()).into()
-            );
+            return Err(UsageError("no answer; expected answers or options, see dermis new --help".into()).into());
         }
         let answer = if line.trim().is_empty() { usual } else { line.trim() };
         match parse(answer) {
@@ -255,13 +253,13 @@ fn layer_lines(layer: LayerName) -> [&'static str; 3] {
     match layer {
         LayerName::Gel => [
             "# Salted gelatin or hydrogel. Measure a bar of it: conductivity = length / (resistance x width x thickness).\n\
-             # Pressing thins it, by pressure over the modulus.",
+             # Pressing thins it, by the pressure over the modulus.",
             "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.2, gauge_factor = 1.0, modulus_kpa = 60.0 }",
             "",
         ],
         LayerName::Foam => [
             "# Carbon-filled foam or fabric. Measure a bar of it: conductivity = length / (resistance x width x thickness).\n\
-             # Pressing makes it conduct better, by so many per cent for each kilopascal.",
+             # Pressing raises its conductivity by this percentage per kilopascal.",
             "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.5, gauge_factor = 0.0, \
              pressure_percent_per_kpa = 1.0 }",
             "",
@@ -277,7 +275,7 @@ fn layer_lines(layer: LayerName) -> [&'static str; 3] {
             "",
         ],
         LayerName::Liquid => [
-            "# Salt water in a tray under a stretched membrane; pressing makes it shallower. 0.1 S/m is 0.5 g of salt a litre.",
+            "# Salt water in a tray under a stretched membrane; pressing makes it shallower. 0.1 S/m is 0.5 g of salt per litre.",
             "{ kind = \"liquid\", depth_mm = 10.0, conductivity_s_per_m = 0.1 }",
             "# Depth and salt differ from the file's: each channel is scaled by its own baseline.\ngain = \"channel\"\n",
         ],
@@ -295,17 +293,17 @@ fn skin_file(name: &str, outline: &Outline, count: u32, layer: LayerName, instru
     let instrument = instrument.unwrap_or("none yet");
     format!(
         "# {title}.\n\
-         # What every key means, and which others there are: the book's chapter on the skin file, and `dermis skins schema`.\n\
+         # The book's chapter on the skin file and `dermis skins schema` explain these and all other keys.\n\
          name = {name:?}\n\
          title = {title:?}\n\
          modality = \"eit\"\n\n\
          [frontend]\n\
-         # Seen by who touches it: x to the right, y up, from the middle.\n\
+         # Seen from the side that is touched: x to the right, y up, origin at the centre.\n\
          shape = {shape}\n\
          {about_layer}\n\
          layer = {layer_line}\n\
-         # Evenly round the rim, counter-clockwise; the drawing shows the numbers. start_deg = ... is the angle of number 1,\n\
-         # clockwise = true counts the other way round.\n\
+         # Evenly around the rim, counter-clockwise; the drawing shows the numbers. start_deg = ... is the angle of number 1,\n\
+         # clockwise = true reverses the direction.\n\
          electrodes = {{ rim = {{ count = {count}, width_mm = {width_mm:?} }} }}\n\
          # Assumed. Four-electrode readings hardly depend on it.\n\
          contact_impedance_ohm_m2 = 1e-4\n\n\
@@ -313,13 +311,13 @@ fn skin_file(name: &str, outline: &Outline, count: u32, layer: LayerName, instru
          instrument = {instrument:?}\n\
          # Amplitude of the current.\n\
          current_ma = 1.0\n\
-         # Current through neighbours, voltages of neighbours, the first pair of electrodes first. `dermis order` finds these\n\
+         # Current and voltages between neighbours, beginning with the first pair of electrodes. `dermis order` finds these\n\
          # lines from a file of readings.\n\
          drive = \"adjacent\"\n\
          measure = \"adjacent\"\n\
          # \"rotating\": the readings of each drive begin at its own pair.\n\
          order = \"absolute\"\n\
-         # \"keep\": pairs at driven electrodes are among the readings.\n\
+         # \"keep\": the readings include pairs at driven electrodes.\n\
          driven = \"drop\"\n\
          # \"magnitude\": the instrument gives no sign.\n\
          reads = \"signed\"\n\
@@ -349,17 +347,14 @@ fn next_steps(
     )?;
     writeln!(out, "next:")?;
     writeln!(out, "  dermis run {file}                    press its twin in the browser")?;
-    writeln!(out, "  dermis design {file}                 what it will be able to do")?;
+    writeln!(out, "  dermis design {file}                 predict what it will be able to do")?;
     match instrument {
         Some(source) => {
-            writeln!(out, "  dermis doctor {file} --source {source}    is the instrument well, and in this order?")?;
+            writeln!(out, "  dermis doctor {file} --source {source}    check the instrument and its channel order")?;
             writeln!(out, "  dermis run {file} --source {source}")?;
         }
         None => {
-            writeln!(
-                out,
-                "  dermis order {file} --baseline rest.csv    which order your instrument's readings are in"
-            )?;
+            writeln!(out, "  dermis order {file} --baseline rest.csv    find the order of your instrument's readings")?;
         }
     }
     Ok(())

@@ -18,12 +18,12 @@ Examples:
   dermis order healing-square --baseline rest.csv
   dermis order healing-square --baseline 'rest.csv#0..1' --json
 
-Compares frames of the untouched skin with what the skin's model would read under every protocol that gives as many numbers:
-drives and measurements of every distance, with and without driven electrodes, pairs that read themselves, and the skin file's own
-list of channels; either sign, lists that begin elsewhere, run backwards or rotate with the drive, tables stored by columns, and
-electrodes counted from another one or the other way round. The first is written as lines for [backend] in the skin file, a list
-of channels where no words say it. Without a SKIN, discs with evenly spaced electrodes are tried.
-Exit code 1: nothing fits, or no candidate stands out.";
+Compares frames of the untouched skin with the model's readings under every protocol with the same number of readings:
+drives and measurements at every spacing, with and without driven electrodes, pairs that measure themselves, and the skin
+file's own list of channels; either sign; lists that begin elsewhere, run backwards or rotate with the drive; tables stored
+by columns; electrodes counted from another one or in the other direction. The best order is printed as lines for [backend]
+in the skin file, or as a list of channels if no pattern describes it. Without a SKIN, discs with evenly spaced electrodes
+are tried. Exit code 1: nothing fits, or no candidate stands out.";
 
 /// Arguments of `dermis order`.
 #[derive(clap::Args)]
@@ -89,7 +89,7 @@ fn print_lines(best: &OrderCandidate, out: &mut dyn Write) -> std::io::Result<()
         let same = best.same;
         writeln!(
             out,
-            "{same} other ways to count this body's electrodes and lists give the same numbers; a press decides"
+            "{same} other numberings of electrodes and lists give the same readings; a press tells them apart"
         )?;
     }
     writeln!(out, "\n# for [backend] of the skin file, {} electrodes", best.electrodes)?;

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-/// Prints a hint on stderr for people who used an old or unusual form: the current way to say it.
+/// Prints a hint on stderr: the current form of an old or unusual spelling that the user typed.
 pub(crate) fn hint(text: &str) {
     eprintln!("hint: {text}");
 }

@@ -21,13 +21,13 @@ Examples:
   dermis reconstruct healing-square --baseline rest.csv --frames press.csv --touches t.csv --images i.npy
   dermis reconstruct healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
 
-The baseline has one or more frames, which are averaged, or as many as there are frames: then each frame has its own, and
-frames have nothing to do with each other. Frames that are differences already (--differences) have none. t.csv has the columns
-frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, depth_mm or poke_force_n with a sigma where the
-calibration's pokes had one, and, on a skin calibrated without labels, where else the touch may be: other_x_mm, other_y_mm and
+The frames of the baseline are averaged. If there are as many as frames to image, each frame gets its own baseline, and
+frames are independent of each other. Frames that already are differences (--differences) need none. t.csv has the columns
+frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; depth_mm or poke_force_n with a sigma if the
+calibration's pokes had one; and, on a skin calibrated without labels, an alternative position: other_x_mm, other_y_mm and
 other_probability. A frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
-Missing channels are empty cells or NaN. Exit code 1: the files are written, but the baseline fits the skin better in another
-order of channels; which, and the lines of the skin file that say so, are printed.";
+Missing channels are empty cells or NaN. Exit code 1: the files were written, but the baseline fits the skin better in
+another channel order, which is printed as lines for the skin file.";
 
 /// Arguments of `dermis reconstruct`.
 #[derive(clap::Args)]
@@ -65,7 +65,7 @@ impl Arguments {
     /// Reconstructs all frames and prints a summary.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.touches.is_none() && self.images.is_none() {
-            return Err(UsageError("nothing asked for: give --touches, --images or both".into()).into());
+            return Err(UsageError("nothing to write: give --touches, --images or both".into()).into());
         }
         let skin = self.recorded.skin.open()?;
         let differences = baseline_or_differences(self.baseline.as_ref(), self.differences, &skin)?;
@@ -136,7 +136,7 @@ fn print(report: &Report, differences: bool, out: &mut dyn Write) -> std::io::Re
     writeln!(out, "frames with missing channels: {}", report.frames_with_missing)?;
     if !report.left_out.is_empty() {
         let channels = listed(report.left_out.iter().map(|channel| *channel as usize));
-        writeln!(out, "channels that do not rest while nothing touches the skin, left out: {channels}")?;
+        writeln!(out, "channels that jump while nothing touches the skin, left out: {channels}")?;
     }
     writeln!(out, "channel noise: {}", report.noise_source.describe())?;
     if differences {
@@ -145,7 +145,7 @@ fn print(report: &Report, differences: bool, out: &mut dyn Write) -> std::io::Re
     match report.averaged {
         Some(1) => writeln!(out, "baseline: one frame")?,
         Some(frames) => writeln!(out, "baseline: the mean of {frames} frames")?,
-        None => writeln!(out, "baseline: each frame has its own, as there are as many")?,
+        None => writeln!(out, "baseline: one for each frame")?,
     }
     if let Some(fit) = &report.circuit {
         print_circuit(fit, out)?;

@@ -24,9 +24,9 @@ Examples:
   dermis record healing-square --speed 0 --frames 150 --out press.mcap
   dermis record healing-square --speed 0 --frames 40 --images-per-s 0 --out raw.mcap
 
-Without a source, the skin's digital twin is recorded. The file is called press.partial.mcap until it is whole; what a crash
-leaves of it opens like any other recording, and `dermis recover` makes it whole. Exit code 3: frames were lost, and how many
-was said.";
+Without a source, the skin's digital twin is recorded. The file is called press.partial.mcap until it is complete. If a
+crash leaves it so, it opens like any other recording, and `dermis recover` completes it. Exit code 3: frames were lost;
+their number is printed.";
 
 /// Frames that may queue between source and pipeline.
 const QUEUE: usize = 1024;
@@ -58,7 +58,7 @@ impl Arguments {
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         for (name, value) in [("--seconds", self.seconds), ("--images-per-s", Some(self.images_per_s))] {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value >= 0.0)) {
-                return Err(UsageError(format!("{name} {value}: expected a number that is not negative")).into());
+                return Err(UsageError(format!("{name} {value}: expected 0 or a positive number")).into());
             }
         }
         let (opened, mut pipeline, head) = self.input.open()?;
@@ -73,7 +73,7 @@ impl Arguments {
         drop(acquisition);
         writeln!(out, "{}: {} frames, {} lost", end.path.display(), end.frames, counters.total() + end.lost)?;
         if let Some(error) = &end.error {
-            tracing::error!("the recording is not whole: {error}");
+            tracing::error!("the recording is incomplete: {error}");
         }
         outcome?;
         Ok(Outcome::of_frames(counters, incomplete.as_deref(), end.lost, end.error.is_some()))

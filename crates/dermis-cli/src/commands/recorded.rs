@@ -35,8 +35,8 @@ pub(super) fn baseline_or_differences(
         (Some(_), false) => Ok(false),
         (None, true) => Ok(true),
         (None, false) => {
-            let text = "--baseline is needed: frames of the untouched skin, or --differences where the frames are \
-                        differences from it already";
+            let text = "--baseline is needed: frames of the untouched skin, or --differences if the frames already are \
+                        differences from it";
             Err(UsageError(text.into()))
         }
         (Some(_), true) => {

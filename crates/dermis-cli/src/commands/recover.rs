@@ -11,8 +11,8 @@ const EXAMPLE: &str = "\
 Examples:
   dermis recover broken.partial.mcap --out recovered.mcap
 
-Every chunk whose checksum holds is copied, the rest is passed over and said. Exit code 0: everything in the file was readable
-(a recording that was killed lacks at most its last second, which never came into the file); 3: something was not.";
+Copies every chunk with a valid checksum, and skips and reports the rest. Exit code 0: everything in the file was readable
+(a killed recording lacks at most its last second, which was never written); 3: something was not.";
 
 /// Arguments of `dermis recover`.
 #[derive(clap::Args)]
@@ -33,9 +33,9 @@ impl Arguments {
         let damage = recovered.damage;
         writeln!(out, "{}: {} frames, {} messages", self.out.display(), recovered.frames, recovered.messages)?;
         if let Some(reason) = &recovered.stopped {
-            writeln!(out, "the recording stopped by itself: {reason}")?;
+            writeln!(out, "the recording stopped early: {reason}")?;
         } else if damage.cut_off {
-            writeln!(out, "the end was missing: a recording that was killed lacks at most its last second")?;
+            writeln!(out, "the end was missing: a killed recording lacks at most its last second")?;
         }
         if damage.bytes == 0 && damage.chunks == 0 && damage.messages == 0 {
             return Ok(Outcome::Done);

@@ -19,9 +19,9 @@ Examples:
   dermis replay press.mcap --only-touches
   dermis replay press.mcap --prior laplace --hyperparameter 1e-3 --images laplace.npy --touches laplace.csv
 
-Prints what `dermis run --headless` printed while recording, one JSON line a frame, to the digit; with --images or --touches
-it writes files instead. Electrodes and channels that fail or recover are named on stderr. `dermis run --source press.mcap` shows a recording in the page. Exit code 3: the recording lacks
-frames, and how many was said.";
+Prints the same JSON lines, one per frame, as `dermis run --headless` while recording; with --images or --touches it writes
+files instead. Electrodes and channels that fail or recover are named on stderr. `dermis run --source press.mcap` shows a
+recording in the page. Exit code 3: the recording lacks frames; their number is printed.";
 
 /// Arguments of `dermis replay`.
 #[derive(clap::Args)]
@@ -120,7 +120,7 @@ impl Arguments {
     }
 }
 
-/// Outcome by what is missing.
+/// Logs what is missing; returns [`Outcome::DataLost`] if anything is.
 fn outcome(report: &RerunReport) -> Outcome {
     if report.refused > 0 {
         tracing::warn!(refused = report.refused, "recorded commands were refused this time");

@@ -49,12 +49,12 @@ Examples:
   dermis run arm/arm.toml --headless --frames 50 --speed 0
   dermis run --headless --frames 50 --guard tcp://127.0.0.1:0
 
-In place of a skin a body file runs all skins of a robot (`dermis body demo arm` writes one): every patch by the source
-that the file names. Its page shows the robot in 3-D, with a page for each patch. With --headless it prints JSON lines,
-with touches in the frames of patch, link and root, net wrenches, and once a second a line of health.
+A body file in place of the skin (`dermis body demo arm` writes one) runs all skins of a robot, each with the source that
+the file names. The page shows the robot in 3-D, with a page for each patch. With --headless it prints JSON lines with
+touches in the frames of patch, link and root, net wrenches, and once per second a line of health.
 
 Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is printed
-as `page: http://...`. Pages on other addresses than this machine's own need the token that is part of that address.";
+as `page: http://...`. If other machines can reach the page, the address includes a token that they need.";
 
 /// Frames that may queue between source and pipeline.
 const QUEUE: usize = 64;
@@ -104,8 +104,8 @@ pub struct Arguments {
     #[arg(long)]
     keep_going: bool,
     /// Publish the guard's verdict on every frame (ok, stale, stop) as a line of JSON on this local socket:
-    /// tcp://127.0.0.1:PORT or unix://PATH. The limits are those of [guard] in the skin file; without that table any
-    /// touch stops. Not safety-rated.
+    /// tcp://127.0.0.1:PORT or unix://PATH. The limits are those of [guard] in the skin file; without that table,
+    /// any touch means stop. Not safety-rated.
     #[arg(long, value_name = "ADDRESS")]
     guard: Option<GuardAddress>,
     #[command(flatten)]
@@ -128,7 +128,7 @@ impl Arguments {
         self.classify_by_network(&mut pipeline)?;
         let is_twin = opened.twin.is_some();
         let guard = self.open_guard(&mut pipeline)?;
-        // Files and twins run at a speed of their own.
+        // The clocks of files and twins may run at any speed.
         pipeline.watch_lag(!is_twin && !opened.is_file);
         let limits = pipeline.prepared().skin.guard.or(guard.as_ref().map(|_| GuardSettings::default()));
         let viewers = Viewers::open(&self.viewers, &pipeline, limits)?;
@@ -155,13 +155,13 @@ impl Arguments {
         let name = acquisition.name().to_string();
         let requests = page.as_ref().map(|(_, requests)| requests);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, guard.as_ref(), out);
-        // Its readers are told to stop before the recording is finished, which takes longer.
+        // Tell the guard's readers to stop before finishing the recording, which takes longer.
         drop(guard);
         node.close();
         run.stop_recording();
         run.end_viewers();
         if pipeline.waits() > 0 {
-            tracing::info!(frames = pipeline.waits(), "frames waited for what was not worked out in time");
+            tracing::info!(frames = pipeline.waits(), "processing fell behind; frames were queued");
         }
         let (counters, incomplete) = (acquisition.counters(), acquisition.incomplete());
         drop(acquisition);
@@ -174,7 +174,7 @@ impl Arguments {
             if let Some(problem) = pipeline.take_start_problem() {
                 return Err(problem.into());
             }
-            let rest = if pipeline.hyperparameter().is_none() { ", before there was a baseline" } else { "" };
+            let rest = if pipeline.hyperparameter().is_none() { ", before it had a baseline" } else { "" };
             eprintln!("{name} has ended after {} frames{rest}", pipeline.frames());
         }
         let counters = if is_twin { Outcome::without_twins_frames(counters) } else { counters };
@@ -183,7 +183,7 @@ impl Arguments {
 
     fn run_body(&self, file: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.model.is_some() {
-            return Err(UsageError("--model: of single skins; expected none with a body file".into()).into());
+            return Err(UsageError("--model: only for single skins; expected none with a body file".into()).into());
         }
         let shown = if self.headless {
             Shown::Lines { only_touches: self.only_touches }
@@ -220,7 +220,7 @@ impl Arguments {
         if let Some(model) = built_in
             && let Err(error) = pipeline.set_classifier(Some(&model), ClassPace::Background)
         {
-            tracing::warn!("no classes of pixels: {error}");
+            tracing::warn!("pixels are not classified: {error}");
         }
         Ok(())
     }
@@ -231,7 +231,7 @@ impl Arguments {
         let skin = &pipeline.prepared().skin;
         let name = skin.name.clone();
         if skin.guard.is_none() {
-            super::hint(&format!("{name} has no [guard]: any touch stops"));
+            super::hint(&format!("{name} has no [guard]: the verdict is stop at any touch"));
             pipeline.set_guard(Some(GuardSettings::default()))?;
         }
         let before = pipeline.guard_before_frames(HostStamp::now().monotonic_ns);
@@ -341,7 +341,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
     }
 
     fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
-        // First of all: everything else may wait.
+        // The guard comes first; everything else can wait.
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
             guard.publish(output.sequence, report);
         }

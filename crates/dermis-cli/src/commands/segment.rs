@@ -16,9 +16,9 @@ Examples:
   dermis segment healing-square --baseline rest.csv --frames press.csv --out labels.npy --size 64
 
 labels.npy is rows x columns (frames x rows x columns for several frames), u8, row 0 at the top: 0 background, 1 conductivity
-lowered (damaged, resistive), 2 raised (compressed, conductive). The network of --model labels the frames, or the one that
-ships with the skin; a frame unlike those that it was trained on (novelty score above 1.5) is labelled by thresholds on its
-image, as all are where there is no network.
+lowered (damaged, resistive), 2 raised (compressed, conductive). The network of --model, or the one shipped with the
+skin, labels the frames. Without a network, and for frames unlike its training data (novelty score above 1.5), thresholds
+on the image label them.
 Missing channels are empty cells or NaN.";
 
 /// Arguments of `dermis segment`.
@@ -55,7 +55,7 @@ impl Arguments {
     /// Labels all frames and prints how each was labelled.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if self.out.is_none() && self.probabilities.is_none() {
-            return Err(UsageError("nothing asked for: give --out, --probabilities or both".into()).into());
+            return Err(UsageError("nothing to write: give --out, --probabilities or both".into()).into());
         }
         let skin = self.recorded.skin.open()?;
         if !self.recorded.as_skin && self.recorded.read.options().format.is_none() {

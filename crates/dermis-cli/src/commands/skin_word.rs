@@ -30,7 +30,7 @@ impl SkinWord {
             if let Some(word) = &self.skin {
                 return Err(UsageError(format!("{word} and --skin {option}: expected one skin, as the first word")));
             }
-            hint(&format!("--skin {option} is the first word now, without --skin"));
+            hint(&format!("--skin {option} is now written as the first word, without --skin"));
         }
         Ok(self.skin.clone().or_else(|| self.option.clone()))
     }
@@ -67,11 +67,11 @@ pub(super) fn skin(name: &str) -> anyhow::Result<Skin> {
     let path = Path::new(name);
     let is_source = ["tcp:", "serial:", "twin:", "file:"].iter().any(|scheme| name.starts_with(scheme));
     if path.is_file() && is_recording(path) {
-        let text = format!("{name}: a recording and no skin file; it has its skin in it: dermis run --source {name}");
+        let text = format!("{name}: a recording, not a skin file; it contains its skin: dermis run --source {name}");
         return Err(UsageError(text).into());
     }
     if is_source {
-        let text = format!("{name}: a source and no skin; expected SKIN first, and then --source {name}");
+        let text = format!("{name}: a source, not a skin; expected SKIN first, then --source {name}");
         return Err(UsageError(text).into());
     }
     Ok(Skin::open(name)?)

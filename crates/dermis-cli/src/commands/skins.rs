@@ -20,7 +20,7 @@ const SHOW_EXAMPLE: &str = "\
 Example:
   dermis skins show hydrogel-disc
 
-The output is a whole skin file, defaults included: a start for a skin of your own.";
+The output is a complete skin file, including defaults: a starting point for your own skin.";
 
 const DRAW_EXAMPLE: &str = "\
 Examples:
@@ -128,7 +128,7 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     writeln!(out, "# {width_mm:.1} x {height_mm:.1} mm, {what}")?;
     for (number, moved_mm) in (1..).zip(skin.frontend.electrodes.moved_mm(&skin.outline())) {
         if moved_mm > 0.0 {
-            writeln!(out, "# electrode {number}: put on the rim, {moved_mm:.2} mm from its place")?;
+            writeln!(out, "# electrode {number}: moved to the rim, {moved_mm:.2} mm from its place")?;
         }
     }
     write!(out, "{}", skin.to_toml())?;

@@ -17,11 +17,11 @@ Examples:
   dermis solve case.json --sigma hom --voltages v.npy --jacobian j.npy
   dermis solve case.json --difference hom:incl --prior noser --hyperparameter 0.1 --image x.npy
 
-A mesh of Gmsh (MSH 2.2 or 4.1), whose groups electrode_1, electrode_2, ... are the electrodes, takes the rest from a skin:
+A Gmsh mesh (MSH 2.2 or 4.1) with its electrodes as groups electrode_1, electrode_2, ... takes the rest from a skin:
 dermis solve tank.msh --skin tank.toml --unit mm --sigma hom --voltages v.npy
 
 A conductivity is hom, incl, wave, any other NAME for which the case has sigma_NAME, or a file (NumPy array or text
-column) of one value an element. Arrays are float64: voltages (m,), Jacobian (m, n), image (n,), for m measurements and
+column) with one value per element. Arrays are float64: voltages (m,), Jacobian (m, n), image (n,), for m measurements and
 n elements.";
 
 /// Arguments of `dermis solve`.
@@ -144,7 +144,7 @@ impl Arguments {
             None if is_mesh => {
                 let name = self.case.display();
                 return Err(
-                    UsageError(format!("{name}: a mesh; expected --skin SKIN beside it, for the protocol")).into()
+                    UsageError(format!("{name}: a mesh; expected --skin SKIN with it, for the protocol")).into()
                 );
             }
             None => Case::open(&self.case)?,
@@ -203,7 +203,7 @@ impl Arguments {
             let Some(path) = path else { continue };
             if let Some((other, _)) = taken.iter().find(|(_, other)| *other == path) {
                 let path = path.display();
-                return Err(UsageError(format!("{flag} {path}: is {other} as well; expected a file of its own")));
+                return Err(UsageError(format!("{flag} {path}: is also {other}; expected different files")));
             }
             taken.push((flag, path));
         }

@@ -17,7 +17,7 @@ table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #
 td:first-child,th:first-child{text-align:left;white-space:nowrap}pre{background:#f6f6f6;padding:1em}";
 /// Columns of the table.
 const COLUMNS: [&str; 8] = [
-    "what is wrong",
+    "errors",
     "samples",
     "position error, mm: median",
     "90 % below",
@@ -135,18 +135,18 @@ fn page(report: &ToleranceReport, tolerances: &Tolerances, picture: &Picture) ->
     let map = draw::svg(picture);
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{name}: tolerances</title>\n\
-         <style>{STYLE}</style></head><body>\n<h1>{name}: what a workshop's errors cost</h1>\n<p><b>{verdict}</b></p>\n\
+         <style>{STYLE}</style></head><body>\n<h1>{name}: the cost of manufacturing errors</h1>\n<p><b>{verdict}</b></p>\n\
          <table><tr>{head}</tr>\n{rows}</table>\n\
          <p>{samples} samples of every kind, {presses} presses each, seed {seed}. Every sample is a twin with the errors of its \
-         row; the model that reads it knows nothing of them. Rows with fewer samples say so. A press is missed where no touch is \
-         within a quarter of the shorter side; every other touch is a false one. Amplitudes are compared with those of the same \
+         row; the model that reads it has none. Rows with fewer samples say so. A press is missed if no touch is \
+         within a quarter of the shorter side; every other touch is false. Amplitudes are compared with those of the same \
          presses on the skin as drawn.</p>\n\
-         <h2>Where it goes wrong</h2>\n<p>All errors together; crosses are the places that were pressed. A press that was not seen \
+         <h2>Errors over the skin</h2>\n<p>All errors together; crosses mark the pressed places. A missed press \
          counts as a quarter of the shorter side.</p>\n{map}\n<h2>What was varied</h2>\n<pre>{varied}</pre>\n</body></html>\n"
     )
 }
 
-/// The tolerances that apply to this skin, as a file. Others would look as if they had been tried.
+/// The tolerances that apply to this skin, as a file. Listing others would suggest that they had been tried.
 fn applied(tolerances: &Tolerances, report: &ToleranceReport) -> String {
     let has = |name: &str| report.causes.iter().any(|row| row.name == name);
     let is_applied = |line: &&str| match line.split(' ').next().unwrap_or_default() {

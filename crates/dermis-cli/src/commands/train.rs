@@ -15,8 +15,8 @@ Examples:
   dermis train --set set --out model.json --width 4 --levels 3 --epochs 2 --batch 10 --held-out 0.5
 
 Losses are mean cross-entropies; IoU is the intersection over union of each class on the frames held out. Weights go to
-model.safetensors beside the card (PyTorch loads them as a state_dict). After every pass a checkpoint is written to
-model.checkpoint; the same command goes on from there, and removes it when done.";
+model.safetensors next to the card (PyTorch loads them as a state_dict). After every pass a checkpoint is written to
+model.checkpoint; the same command resumes from it, and removes it when done.";
 
 /// Arguments of `dermis train`.
 #[derive(clap::Args)]
@@ -143,7 +143,7 @@ impl Arguments {
         if let Some(file) = appeared {
             let (file, kept) = (file.display(), kept.display());
             anyhow::bail!(
-                "{file}: another file appeared there meanwhile and was not replaced; the finished model stands at {kept}"
+                "{file}: another file appeared there meanwhile and was not replaced; the finished model is in {kept}"
             );
         }
         summary(&model.card, out)?;
@@ -204,7 +204,7 @@ fn check_first(set: &TrainingSet, first: Option<&Model>) -> anyhow::Result<()> {
     let shown = set.manifest().recipe.get("first_sha256").and_then(|hash| hash.as_str());
     let given = first.map(|model| model.card.weights_sha256.as_str());
     match (shown, given) {
-        (Some(_), None) => anyhow::bail!("the set shows what a first model sees: name it by --first"),
+        (Some(_), None) => anyhow::bail!("the inputs include the output of a first model: expected it with --first"),
         (None, Some(_)) => anyhow::bail!("--first: the set was made without a first model"),
         (Some(shown), Some(given)) if shown != given => {
             anyhow::bail!("--first: the set was made with a model of weights {shown}, not {given}")

@@ -17,11 +17,11 @@ const EXAMPLE: &str = "\
 Examples:
   dermis train-set healing-square --samples 40 --shard 20 --out set
 
-Every shard has a skin of its own (another mesh than the reconstruction's, electrodes a little off their places, contacts of
-other impedances), an instrument of its own (gain, drift, noise) and a set of lost electrodes of its own. The folder has
+Every shard has its own skin (another mesh than the reconstruction's, slightly displaced electrodes, other contact
+impedances), its own instrument (gain, drift, noise) and its own lost electrodes. The folder has
 manifest.json and shard-00000.safetensors, ... with inputs (samples x images x rows x columns, F32) and labels (samples x
-rows x columns, U8: 0 background, 1 conductivity lowered, 2 raised). The same command goes on with a set that was
-interrupted. What is done is a matter of --seed and the other options alone.";
+rows x columns, U8: 0 background, 1 conductivity lowered, 2 raised). The same command resumes a set that was
+interrupted. The set depends only on --seed and the other options.";
 
 /// Arguments of `dermis train-set`.
 #[derive(clap::Args)]
@@ -82,7 +82,7 @@ enum Scenes {
 /// Which electrodes are lost.
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum Lost {
-    /// The first ones in half of the cases, else a run that starts anywhere, or scattered ones.
+    /// The first ones in half of the cases; otherwise a run of neighbours from anywhere, or scattered ones.
     Mixed,
     /// The first ones.
     First,

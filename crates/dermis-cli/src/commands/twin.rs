@@ -20,11 +20,11 @@ Examples:
   dermis twin serve healing-square --tcp 127.0.0.1:0 --frames 10
   dermis twin serve piezo-disc --pty --frames 2
 
-A twin answers and streams as an instrument on a cable does. The address is printed, and how to run the skin from it; port 0
-takes a free one. With --pty it stands at a pseudo-terminal, as a board at a serial port. The twin begins to measure when the
-first host asks for frames, and goes on when hosts come and go.
+A twin answers and streams like an instrument on a cable. The address is printed with the command that runs the skin from
+it; port 0 takes a free one. With --pty it serves on a pseudo-terminal, like a board at a serial port. The twin starts
+measuring when the first host asks for frames, and continues as hosts come and go.
 
-Lines on standard input press it and break it while it runs (X right, Y up, from the middle):
+Lines on standard input press it and break it while it runs (X right, Y up, from the centre):
 ";
 
 /// Arguments of `dermis twin`.
@@ -48,9 +48,9 @@ Examples:
   dermis twin sample ionic-disc --presses random:5 --baseline rest.npy --frames presses.npy --truth truth.csv
   dermis twin sample piezo-disc --presses random:2 --baseline rest.csv --frames frames.csv --repeats 5
 
-A table of presses has columns x_mm, y_mm, one of force_n and pressure_kpa, and, where wanted, radius_mm and group: rows of
-the same group press together. Each press is held for a second; frames carry the instrument's noise. `dermis reconstruct` and
-`dermis calibrate` read what is written, and the truth as positions.";
+A table of presses has the columns x_mm, y_mm, one of force_n and pressure_kpa, and optionally radius_mm and group: rows of
+the same group press together. Each press is held for a second; frames include the instrument's noise. `dermis reconstruct`
+and `dermis calibrate` read the frames, and the truth as positions.";
 
 #[derive(clap::Args)]
 #[command(after_help = SAMPLE_EXAMPLE)]
@@ -73,8 +73,8 @@ struct Sample {
     /// Seed of the noise and of random presses.
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Number of a skin that a workshop builds within the file's `[tolerances]`: the twin then differs from its file,
-    /// each number in another way. Without it the twin is exactly as drawn.
+    /// Give the twin random errors within the file's `[tolerances]`; each number gives different ones. Without this the
+    /// twin matches its file exactly.
     #[arg(long, value_name = "N")]
     built: Option<u64>,
     /// Frames per press.
@@ -115,7 +115,7 @@ impl Sample {
             request.frames.display()
         )?;
         if made.outside_validity > 0 {
-            writeln!(out, "{} presses leave the model's validity: see the skin's chapter", made.outside_validity)?;
+            writeln!(out, "{} presses are beyond the model's validity: see the skin's chapter", made.outside_validity)?;
         }
         Ok(Outcome::Done)
     }
@@ -157,7 +157,7 @@ impl Arguments {
 impl Serve {
     fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         if !self.tcp.ip().is_loopback() && !self.to_network {
-            let text = format!("--tcp {}: others could connect; say --to-network if they may", self.tcp);
+            let text = format!("--tcp {}: others could connect; --to-network allows them to", self.tcp);
             return Err(UsageError(text).into());
         }
         let skin = Skin::open(&self.skin)?;
@@ -216,7 +216,7 @@ fn obey_lines(commands: &TwinCommands, press: &PressRange) {
             Ok(_) => {}
         }
         if line.len() as u64 == MOST_LINE && line.last() != Some(&b'\n') {
-            tracing::warn!("a line of more than {MOST_LINE} bytes was passed over");
+            tracing::warn!("a line of more than {MOST_LINE} bytes was skipped");
             if input.skip_until(b'\n').is_err() {
                 return;
             }

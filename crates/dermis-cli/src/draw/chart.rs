@@ -93,7 +93,7 @@ impl Chart {
         let all = || self.series.iter().flat_map(|series| &series.points);
         let spread = self.series.iter().filter(|series| series.mark == Mark::Repeats).flat_map(|s| repeats(&s.points));
         let ends = spread.filter(|p| p[2].is_finite()).flat_map(|p| [p[1] - p[2], p[1] + p[2]]);
-        // Leave room above bounds, which could not be seen on the frame's own line.
+        // Leave room above bounds, which the frame's line would hide.
         let bounds = self.series.iter().filter(|series| series.mark == Mark::PaperLine);
         let beyond = bounds.flat_map(|series| &series.points).map(|p| 1.05 * p[1]);
         let x = Axis::over(all().map(|p| p[0]), [MARGIN[0], WIDTH - MARGIN[1]], 6);

@@ -131,7 +131,7 @@ impl SkinDrawing<'_> {
         };
         let [right, down] = [layout.centre[0] - centre[0], layout.centre[1] - centre[1]];
         let inward = unit([right, down]);
-        // Near the centre, move numbers of small electrodes outward, or they would meet there.
+        // Near the centre, move numbers of small electrodes outward, or they would overlap.
         let aside = |gap: f64| {
             let is_near = right.hypot(down) < 2.0 * reach(inward, gap) + wide;
             beside(if is_near { inward.map(|component| -component) } else { inward }, gap)

@@ -1,6 +1,6 @@
-//! Access control of the page. A request must name a host that this server goes by (otherwise a site could point its
-//! own name here: DNS rebinding), must come from the page itself if the browser states an origin, and must carry the
-//! token if there is one.
+//! Access control of the page. A request must name one of this server's hosts (otherwise a site could point its own
+//! name here: DNS rebinding), must come from the page itself if the browser states an origin, and must carry the token
+//! if there is one.
 
 use std::fmt;
 use std::hint::black_box;
@@ -124,7 +124,7 @@ impl Access {
         carries.then(|| format!("{}={}; Path=/; HttpOnly; SameSite=Strict", self.cookie, token.0))
     }
 
-    /// The single host that the request names, if this server goes by it.
+    /// The single host that the request names, if it is one of this server's.
     fn authority(&self, headers: &HeaderMap, uri: &Uri) -> Option<Authority> {
         let mut hosts = headers.get_all(header::HOST).iter();
         let (host, None) = (hosts.next()?, hosts.next()) else { return None };
@@ -160,11 +160,11 @@ impl Denial {
     pub(super) fn explanation(self) -> &'static str {
         match self {
             Self::Host => {
-                "Refused: this server does not go by the name in the address. Use the address that dermis printed, or start it with --allow-host NAME.\n"
+                "Refused: this server does not answer to the host name in the address. Use the address that dermis printed, or start it with --allow-host NAME.\n"
             }
             Self::Origin => "Refused: the request does not come from this server's own page.\n",
             Self::Token => {
-                "Refused: the token is missing or wrong. Open the whole address that dermis printed, with ?token= and what follows.\n"
+                "Refused: the token is missing or wrong. Open the whole address that dermis printed, including ?token= and the text after it.\n"
             }
         }
     }

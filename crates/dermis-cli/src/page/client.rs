@@ -70,7 +70,7 @@ struct Allowance {
 /// Serves one page until it leaves or the server stops.
 pub(super) async fn serve(mut socket: WebSocket, shared: &Shared, endpoint: &Endpoint) {
     let Ok(_place) = shared.places.try_acquire() else {
-        return close(&mut socket, close_code::AGAIN, "as many pages as allowed are open: close one").await;
+        return close(&mut socket, close_code::AGAIN, "too many pages are open: close one").await;
     };
     let (answers, unsent) = mpsc::channel(ANSWER_BACKLOG);
     let mut client = Client {
@@ -244,8 +244,8 @@ impl Client<'_> {
                 self.keep_for_later(number, request);
             }
             Err(TrySendError::Full(request)) => {
-                request.reply.refuse("the pipeline is behind: not done, try again");
-                // The page has released its press and won't say so again.
+                request.reply.refuse("the pipeline is busy: nothing was done, try again");
+                // The page has released its press and won't repeat it.
                 if let Some((pointer, false)) = held {
                     self.held.remove(&(number, pointer));
                     tokio::spawn(release(skin.commands.clone(), self.number, pointer));
@@ -285,8 +285,8 @@ impl Client<'_> {
         };
         *pointer = (self.number << 32) | u64::from(number);
         match self.held.contains(&(skin, *pointer)) {
-            true if is_new => Err(format!("press refused: pointer_id {number} presses already")),
-            false if !is_new => Err(format!("pointer_id {number} refused: it does not press")),
+            true if is_new => Err(format!("press refused: pointer_id {number} is already pressing")),
+            false if !is_new => Err(format!("pointer_id {number} refused: it is not pressing")),
             false if self.held.len() >= Command::MOST_PRESSES => {
                 Err(format!("press refused: expected at most {} at once", Command::MOST_PRESSES))
             }
@@ -304,7 +304,7 @@ impl Client<'_> {
     }
 
     fn answer(&self, id: u64, text: String) {
-        // A page with so many unread answers won't miss this one.
+        // Dropped if the page has too many unread answers.
         let _ = self.answers.try_send(Answer { id, ok: false, text });
     }
 
@@ -342,7 +342,7 @@ impl Allowance {
     }
 }
 
-/// A command of a single skin's page: its endpoint has that skin alone.
+/// A command from a single skin's page, whose endpoint has only that skin.
 fn to_only_skin(command: Command) -> BodyCommand {
     BodyCommand::Patch(PatchCommand { number: 0, command })
 }

@@ -68,7 +68,7 @@ impl Listener for Bounded {
                 Ok(_) if !self.make_room() => {}
                 Ok((stream, from)) => {
                     if let Err(error) = stream.set_nodelay(true) {
-                        tracing::debug!("a connection keeps its delay: {error}");
+                        tracing::debug!("cannot set TCP_NODELAY on a connection: {error}");
                     }
                     let is_known = Arc::new(AtomicBool::new(false));
                     let (give_up, asked_to_go) = oneshot::channel();

@@ -77,7 +77,7 @@ pub(super) struct Endpoint {
 pub(super) struct Packet {
     /// Counts updates from 1. Pages acknowledge it; gaps show what a page has missed.
     pub(super) sequence: u64,
-    /// Binary messages. A page gets those whose version it hasn't got in the same slot.
+    /// Binary messages. A page gets those whose version differs from the last one sent to it in the same slot.
     pub(super) parts: Vec<Part>,
     /// The state, JSON; sent last.
     pub(super) state: String,

@@ -44,7 +44,7 @@ pub struct ServerHandle {
 }
 
 const BINARY: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "application/octet-stream")];
-/// Interval between updates of a body's page: as often as a screen of 30 Hz shows one.
+/// Interval between updates of a body's page: 30 per second.
 const BODY_PERIOD: Duration = Duration::from_millis(33);
 /// Time for pages to be closed properly.
 const CLOSING_TIME: Duration = Duration::from_millis(500);
@@ -81,7 +81,7 @@ pub fn serve(
     Binding::new(address, options)?.serve(Site { root: Arc::new(root), patches: BTreeMap::new(), meshes: Vec::new() })
 }
 
-/// An address that is listened on, before anything is served there.
+/// An open port on which nothing is served yet.
 #[derive(Debug)]
 pub struct Binding {
     address: SocketAddr,
@@ -262,7 +262,7 @@ async fn encode(shared: Arc<Shared>, endpoint: Arc<Endpoint>) {
     }
 }
 
-/// Looks at the body once per interval while a page is open, and encodes what it sees once for all pages.
+/// Reads the body's state once per interval while a page is open, and encodes it once for all pages.
 async fn encode_body(endpoint: Arc<Endpoint>, feed: Arc<dyn BodyFeed>) {
     let mut ticks = interval(BODY_PERIOD);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);

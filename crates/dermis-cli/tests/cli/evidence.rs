@@ -89,7 +89,7 @@ fn evidence_fills_the_tables_of_a_page_and_leaves_its_prose() {
     for (name, expected) in [
         ("prose.md", "<!-- evidence:begin -->"),
         ("page.txt", "expected a name that ends in .md, .html or .json"),
-        ("nowhere/page.md", "its folder is not there"),
+        ("nowhere/page.md", "its folder does not exist"),
     ] {
         let message = desk.refused(&[&words[..], &[name]].concat(), 2);
         assert!(message.contains(expected), "{name}: {message}");

@@ -1,4 +1,4 @@
-//! A newcomer's first hour: frames in files, an order that differs from the skin's, exports, a skin of one's own.
+//! A newcomer's first hour: frames in files, an order that differs from the skin's, exports, a new skin.
 
 use std::fs;
 
@@ -35,7 +35,9 @@ fn a_file_of_touched_frames_runs_with_a_baseline_of_its_own_and_says_that_it_end
     }
     let output = desk.run(&run);
     assert_eq!(output.status.code(), Some(0));
-    assert!(text(&output.stderr).contains("hint: the first 32 frames of press.csv are taken for the untouched skin"));
+    assert!(
+        text(&output.stderr).contains("hint: the first 32 frames of press.csv are assumed to show the untouched skin")
+    );
     let refused = desk.refused(&[&run[..], &["--baseline", "none.csv"]].concat(), 2);
     assert!(refused.contains("none.csv"), "{refused}");
 }
@@ -78,7 +80,7 @@ fn every_export_of_frames_is_read_like_the_recording() {
         assert!(said.contains("frames: 88\n"), "{file}: {said}");
         desk.done(&["snr", "--frames", &baseline]);
         let table = fs::read_to_string(desk.path("t.csv")).expect("a table");
-        // An array has no times, which touches are tracked by; the positions are the same.
+        // An array has no times, so tracks differ; the positions are the same.
         let places = |line: &str| {
             let cells: Vec<f64> = line.split(',').take(4).map(|cell| cell.parse().expect("a number")).collect();
             [cells[0], cells[2], cells[3]]
@@ -132,7 +134,7 @@ fn skins_side_by_side_get_one_instrument_and_a_verdict_that_no_noise_turns() {
         |more: &[&str]| desk.done(&[&["design", "s8.toml", "s16.toml", "s32.toml", "--map", "8"], more].concat());
     let verdict = |said: &str| said.lines().last().expect("a line").split(" at ").next().expect("words").to_owned();
     let said = compare(&[]);
-    assert!(said.contains("one instrument for all: ") && said.contains(" a reading of s8 "), "{said}");
+    assert!(said.contains("one instrument for all: ") && said.contains(" per reading of s8 "), "{said}");
     assert!(verdict(&said).contains("places touches best") || verdict(&said).contains("equally well"), "{said}");
     let best = |said: &str| said.lines().last().expect("a line").split_whitespace().next().expect("a name").to_owned();
     for noise in ["0.1", "10"] {
@@ -162,7 +164,7 @@ fn a_skin_of_one_s_own_is_begun_and_never_replaced() {
     desk.done(&["skins", "show", "mine.toml"]);
     for again in ["mine.toml", "mine.svg"] {
         let said = desk.refused(&begin, 2);
-        assert!(said.contains("is there already"), "{again}: {said}");
+        assert!(said.contains("already exists"), "{again}: {said}");
         fs::remove_file(desk.path("mine.toml")).ok();
     }
     fs::remove_file(desk.path("mine.svg")).expect("a file");
@@ -199,7 +201,8 @@ fn earlier_spellings_are_understood_with_a_hint() {
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{said}");
     assert!(
-        said.contains("--skin healing-square is the first word now") && said.contains("--reference is --baseline now"),
+        said.contains("--skin healing-square is now written as the first word")
+            && said.contains("--reference is now --baseline"),
         "{said}"
     );
     let said = desk.refused(&["segment", "--baseline", "rest.csv", "--frames", "press.csv", "--out", "l2.npy"], 2);

@@ -32,8 +32,8 @@ fn errors_mm(desk: &Desk, touches: &str) -> (Vec<f64>, usize) {
     (errors, missed)
 }
 
-/// A third of the presses on `em-8` lie beyond its elements, and some move none of them. The model places presses
-/// that it sees, the pokes those that it doesn't, and both together are no worse than the model alone.
+/// A third of the presses on `em-8` lie beyond its elements, and some move none of them. The model locates the presses
+/// that it sees and the pokes the rest, and both together are no worse than the model alone.
 #[test]
 fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     let desk = Desk::with(&[]);
@@ -46,7 +46,7 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     sample("random:60", "12", ["b2.npy", "f2.npy", "t2.csv"]);
     let pokes = ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "c.json"];
     let said = desk.done(&[&["calibrate", "em-8"], &pokes[..]].concat());
-    assert!(said.contains("placed by the skin's model"), "{said}");
+    assert!(said.contains("located by the skin's model"), "{said}");
     let reconstruct = |frames: &str, more: &[&str]| {
         let files =
             ["reconstruct", "em-8", "--baseline", "b2.npy#0..16", "--frames", frames, "--touches", "touches.csv"];
@@ -62,11 +62,11 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     // Frames at rest that are not in the baseline: a touch in at most one of fifteen.
     reconstruct("b2.npy#16..31", &["--calibration", "c.json"]);
     assert!(rows(&desk, "touches.csv").len() <= 1);
-    // Without physics, and with some pokes that left no signal, noise is still no touch, and a clear press is one.
+    // Without physics, and with some pokes that left no signal, noise still gives no touch and a clear press gives one.
     let alone =
         ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "a.json", "--no-physics"];
     let said = desk.done(&[&["calibrate", "em-8"], &alone[..]].concat());
-    assert!(!said.contains("placed by the skin's model"), "{said}");
+    assert!(!said.contains("located by the skin's model"), "{said}");
     reconstruct("b2.npy#16..31", &["--calibration", "a.json"]);
     assert!(rows(&desk, "touches.csv").len() <= 1);
     reconstruct("f2.npy", &["--calibration", "a.json"]);
@@ -74,9 +74,9 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     assert!(missed <= plain_missed + 2, "{missed} of 60 missed, {plain_missed} by the model");
 }
 
-/// Skins that a workshop builds with its usual errors, straight from `dermis new`. Read by the file alone, the median
-/// error was 0.5 to 0.9 % of the shorter side before the baseline told how the skin was built, and pokes halved it at
-/// best. Four presses in five within one sigma would be too cautious, two in five too bold.
+/// Skins from `dermis new` with the usual manufacturing errors. From the file alone, without fitting these errors to
+/// the baseline, the median error was 0.5 to 0.9 % of the shorter side, and pokes halved it at best. Sigmas are too
+/// large if four presses in five lie within one sigma, and too small if only two in five do.
 #[test]
 fn the_baseline_and_pokes_tell_how_a_skin_was_built() {
     let desk = Desk::with(&[]);

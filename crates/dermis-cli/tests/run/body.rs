@@ -88,7 +88,7 @@ fn touches_of_two_patches_come_in_every_frame_and_replay_from_one_recording() {
                 assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?} {expected:?}");
                 let normal = numbers(&touch["in_root"]["normal"]);
                 assert!((normal[0] - s).abs() < 1e-12 && (normal[2] - c).abs() < 1e-12, "{normal:?}");
-                // The layer's law tells the force, which acts on the skin.
+                // The force follows from the layer's law and acts on the skin.
                 let force_n = touch["force_n"].as_f64().expect("a force");
                 let expected = [-s * force_n, 0.0, -c * force_n];
                 let found = numbers(&touch["in_root"]["force_n"]);
@@ -136,7 +136,7 @@ fn a_patch_that_cannot_start_is_named_and_leaves_the_others_alone_where_asked() 
     // The load on a failed patch is unknown, so the sum is unknown too.
     let last = all.iter().rfind(|line| line["patch"] == "outer").expect("lines");
     assert!(last["body_wrench"]["unknown"].to_string().contains("chest: "), "{last}");
-    assert!(message(&going).contains("elbow stand still: --joints"), "{}", message(&going));
+    assert!(message(&going).contains("joints without a source: elbow"), "{}", message(&going));
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn bodies_are_checked_drawn_and_demonstrated() {
         "{text}"
     );
     assert!(
-        text.contains("outer: healing-square on forearm, from twin; middle at (100.0, 0.0, 330.0) mm of base"),
+        text.contains("outer: healing-square on forearm, from twin; centre at (100.0, 0.0, 330.0) mm of base"),
         "{text}"
     );
     let refused = run(desk.path(), &["arm.toml", "--headless", "--frames", "1"]);
@@ -197,7 +197,7 @@ fn options_of_single_skins_are_refused_with_a_body_and_the_other_way_round() {
         (&["healing-square", "--headless", "--joints", "-"], "expected a body file"),
         (&["arm.toml", "--headless", "--joints", "no.jsonl"], "joint values from no.jsonl"),
         (&["arm.toml", "--headless", "--joints", "page"], "expected another source with --headless"),
-        (&["arm.toml", "--model", "x.json"], "--model: of single skins"),
+        (&["arm.toml", "--model", "x.json"], "--model: only for single skins"),
     ] {
         let output = run(desk.path(), arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", message(&output));

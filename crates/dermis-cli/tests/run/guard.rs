@@ -45,7 +45,7 @@ fn started(directory: &Path, arguments: &[&str], on_stderr: bool, word: &str) ->
         said.clear();
         assert_ne!(input.read_line(&mut said).expect("UTF-8"), 0, "it ended without {word}");
     }
-    // Whatever else it says must not fill the pipe.
+    // Drain the rest of its output so the pipe doesn't fill up.
     std::thread::spawn(move || std::io::copy(&mut input, &mut std::io::sink()));
     (Served(child), said)
 }
@@ -71,7 +71,7 @@ impl Verdicts {
         (read > 0).then(|| serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}")))
     }
 
-    /// Reads until a verdict that is wanted.
+    /// Reads verdicts until one is `wanted`.
     fn until(&mut self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         let begun = Instant::now();
         loop {
@@ -132,7 +132,7 @@ fn a_press_stops_and_silence_is_stale_within_its_limit() {
     assert!(verdicts.next().is_none(), "the socket is closed");
     live.0.wait().expect("it ends");
 
-    // A gentle press is reported in the lines, and is ok.
+    // A gentle press appears in the lines, with the verdict ok.
     let text = std::fs::read_to_string(desk.path().join("lines.jsonl")).expect("lines");
     let gentle = text.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok()).any(|line| {
         line["touches"].as_array().is_some_and(|touches| !touches.is_empty()) && line["guard"]["verdict"] == "ok"

@@ -173,13 +173,13 @@ pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) ->
     }
 }
 
-/// A table's cells without what is known of its columns.
+/// The cells of a table, without the kinds of its columns.
 pub(super) fn numbers_of(table: Table) -> NumberTable {
     let Table { sketch, values, .. } = table;
     NumberTable { columns: sketch.columns, header: sketch.header.map(|(_, names)| names), values }
 }
 
-/// Turns a table of columns from any file format into frames. `notes` are those already made.
+/// Turns a table of columns from any file format into frames. `notes` holds the notes made so far.
 pub(super) fn frames_of(
     mut table: Table,
     mut notes: Vec<String>,

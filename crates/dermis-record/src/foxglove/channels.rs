@@ -1,4 +1,4 @@
-//! The server's channels. Those that a recording has too take their schemas from [`crate::schema`].
+//! The server's channels. Those that recordings also have take their schemas from [`crate::schema`].
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,12 +7,12 @@ use ::foxglove::{ChannelBuilder, Context, Encode, FoxgloveError, PartialMetadata
 
 use crate::schema::{self, Schema, topic_of};
 
-/// Topics of viewers alone.
+/// Topics for viewers only.
 pub(super) const SCENE: &str = "/dermis/scene";
 pub(super) const TRANSFORMS: &str = "/dermis/transforms";
 pub(super) const LOG: &str = "/dermis/log";
 
-/// A channel whose last message goes to every new subscriber, because the next one may be long in coming.
+/// A channel whose last message goes to every new subscriber, because the next one may take long.
 pub(super) struct Kept {
     channel: Arc<RawChannel>,
     /// Log time and content.
@@ -34,7 +34,7 @@ impl Kept {
         *time = wall_ns;
         bytes.clear();
         bytes.extend_from_slice(message);
-        // Sent under the lock, so that a new subscriber gets this message once at least, and never an older one after.
+        // Send under the lock, so that a new subscriber gets this message at least once and no older one after it.
         log(&self.channel, wall_ns, message);
     }
 

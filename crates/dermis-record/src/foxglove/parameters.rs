@@ -12,7 +12,7 @@ use dermis_skin::GuardSettings;
 
 use crate::{LiveCommand, LiveRequest};
 
-/// Who asks, for the record.
+/// The requester, as recorded.
 pub(super) const ASKED: &str = "asked for in Foxglove";
 
 /// Last part of the name of the parameter that can be set.
@@ -49,7 +49,7 @@ impl Running {
 #[derive(Default)]
 struct Known {
     values: BTreeMap<String, Parameter>,
-    /// Parameters that can be set, with the pipelines that do it.
+    /// Parameters that can be set, and the pipelines that set them.
     settable: BTreeMap<String, Sender<LiveRequest>>,
 }
 
@@ -144,7 +144,7 @@ impl ParameterHandler for Parameters {
     }
 }
 
-/// The reply to a client that sets parameters; it goes out when the last part of the work lets go of it.
+/// The reply to a client that sets parameters; sent when the last request that holds it is done.
 struct Reply {
     parameters: Parameters,
     names: Vec<String>,

@@ -1,4 +1,4 @@
-//! Publishes what one patch's pipeline hands out. Runs on the thread behind the patch's queue.
+//! Publishes the output of one patch's pipeline. Runs on the thread behind the patch's queue.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -23,11 +23,11 @@ use crate::messages::{self, Stamp};
 use crate::view::SkinView;
 use crate::writer::RecordingSummary;
 
-/// Interval of counts and of transforms that don't move.
+/// Interval of counts and fixed transforms.
 const BEAT: Duration = Duration::from_secs(1);
-/// Least interval between two warnings about lost frames, so that they don't fill the clients' queues.
+/// Minimum interval between two warnings about lost frames, so that they don't fill the clients' queues.
 const WARN_EVERY: Duration = Duration::from_secs(5);
-/// Least interval between two scenes, nanoseconds: as often as a screen shows one. Begins and ends come at once.
+/// Minimum interval between two scenes, nanoseconds: 30 per second. Touches that begin or end are sent at once.
 const SCENE_EVERY_NS: u64 = 33_000_000;
 
 /// The publishing end of a patch's queue.
@@ -52,10 +52,10 @@ pub(super) struct Publisher {
     pub(super) bytes: Vec<u8>,
 }
 
-/// Frames that viewers don't get.
+/// Frames that viewers miss.
 #[derive(Default)]
 pub(super) struct Losses {
-    /// Missing by their numbers.
+    /// Gaps in the sequence numbers.
     missing: u64,
     /// Not taken by the queue.
     dropped: Arc<AtomicU64>,
@@ -105,7 +105,7 @@ impl Publisher {
         Parameter::float64(format!("{}{name}", self.prefix), value)
     }
 
-    /// Sends what goes out once a second.
+    /// Sends the messages that are due once a second.
     fn beat(&mut self) {
         if self.beaten.is_some_and(|at| at.elapsed() < BEAT) {
             return;

@@ -15,22 +15,22 @@ use dermis_touch::{LoadQuantity, PlaceHypothesis, Touch};
 use super::transforms::{quaternion, time, vector};
 use crate::live_writer::TouchBatch;
 
-/// Length of an arrow per newton, metres. A firm press of a finger, 5 N, is as long as a finger.
+/// Length of an arrow per newton, metres. A finger's firm press of 5 N gets an arrow of 50 mm.
 pub(super) const ARROW_M_PER_N: f64 = 0.01;
-/// Arrows end at this length, metres, so that a large force doesn't leave the picture.
+/// Longest arrow, metres, so that a large force stays in view.
 const LONGEST_ARROW_M: f64 = 0.3;
-/// Share of an arrow that is its head, and diameters of shaft and head as shares of its length.
+/// Length of the head, and diameters of shaft and head, as shares of an arrow's length.
 const HEAD_SHARE: f64 = 0.25;
 const SHAFT_DIAMETER_SHARE: f64 = 0.06;
 const HEAD_DIAMETER_SHARE: f64 = 0.16;
-/// Thickness of discs and ellipses, metres: flat, but not flickering against the skin.
+/// Thickness of discs and ellipses, metres: flat, but thick enough not to flicker against the skin.
 const THICKNESS_M: f64 = 0.3e-3;
 /// Distance of a label from the skin, metres, if there is no arrow.
 const LABEL_HEIGHT_M: f64 = 5e-3;
 /// Height of a label, pixels.
 const LABEL_PIXELS: f64 = 14.0;
-/// Time after which an entity that is not renewed disappears, in frame periods of the skin, and its least value,
-/// seconds. It removes touches whose end a slow client has missed.
+/// Lifetime of an entity that is not renewed, in frame periods of the skin, and its minimum, seconds. It removes
+/// touches whose end a slow client missed.
 const LIFETIME_PERIODS: f64 = 5.0;
 const LEAST_LIFETIME_S: f64 = 1.0;
 /// Frame rate if the skin file gives none, frames per second.

@@ -1,4 +1,4 @@
-//! The last verdict on every patch, and the readers that are told.
+//! The last verdict on every patch, and the readers to send it to.
 
 use std::fmt::Write as _;
 
@@ -74,8 +74,8 @@ impl Board {
         self.readers.clear();
     }
 
-    /// Sends the heartbeats that are due, and every verdict that has become stale. Returns the time until there is
-    /// something to do again, nanoseconds.
+    /// Sends the heartbeats that are due, and every verdict that has become stale. Returns the time until the next of
+    /// them, nanoseconds.
     pub fn tick(&mut self, now_ns: u64) -> u64 {
         for patch in 0..self.rows.len() {
             let Row { report, told: (told_ns, verdict), .. } = &self.rows[patch];

@@ -70,7 +70,7 @@ impl<S: Sending> Reader<S> {
         }
         let sent = write_what_fits(&mut self.stream, line)?;
         if sent > 0 {
-            // Lines are never cut: the rest of one that was begun follows later.
+            // Lines are never truncated: the rest of a partly sent one follows later.
             self.rest.extend_from_slice(&line[sent..]);
         }
         Ok(sent == line.len())

@@ -61,7 +61,7 @@ impl GuardSocket {
         Ok(Self { address, board, stop, thread: Some(thread) })
     }
 
-    /// The address, with the port that was taken.
+    /// The address, with the actual port.
     pub fn address(&self) -> &GuardAddress {
         &self.address
     }
@@ -78,12 +78,12 @@ impl Drop for GuardSocket {
         *lock(stop) = true;
         told.notify_all();
         if let Some(thread) = self.thread.take() {
-            // It does not panic.
+            // The thread does not panic.
             let _ = thread.join();
         }
         lock(&self.board).close(now_ns());
         if let GuardAddress::Unix(path) = &self.address {
-            // Somebody else may have removed it.
+            // Another process may have removed it already.
             let _ = std::fs::remove_file(path);
         }
     }
@@ -94,7 +94,7 @@ fn serve(listener: &Listener, board: &Mutex<Board>, stop: &(Mutex<bool>, Condvar
     let (is_stopped, told) = stop;
     let mut stopped = lock(is_stopped);
     while !*stopped {
-        // One per heartbeat: accepting cannot keep the verdicts waiting.
+        // One per heartbeat, so that accepting never delays the verdicts.
         if let Ok(stream) = listener.accept() {
             lock(board).add(stream, now_ns());
         }
@@ -123,7 +123,7 @@ impl Listener {
             #[cfg(unix)]
             GuardAddress::Unix(path) => {
                 let listener = match UnixListener::bind(path) {
-                    // The socket of a process that was killed: nobody listens there.
+                    // Left behind by a killed process: nothing listens there.
                     Err(error) if error.kind() == ErrorKind::AddrInUse && is_abandoned(path) => {
                         std::fs::remove_file(path)?;
                         UnixListener::bind(path)?

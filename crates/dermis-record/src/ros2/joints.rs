@@ -32,8 +32,8 @@ impl JointReader {
         Ok(Self { reader, _participant: participant })
     }
 
-    /// The next message, if there is one: names and values of joints, radians or metres. An error is a message that
-    /// is no such list.
+    /// The next message, if there is one: names and values of joints, radians or metres. A message that isn't such a
+    /// list is an error.
     pub fn take(&mut self) -> Option<Result<Vec<(String, f64)>, &'static str>> {
         let received = self.reader.take()?;
         Some(read_joints(&received.message).ok_or("expected a sensor_msgs/JointState with as many names as positions"))

@@ -63,7 +63,7 @@ pub(super) fn guard(stamp: Stamp<'_>, sequence: u64, report: &GuardReport) -> Ve
     })
 }
 
-/// `dermis_msgs/Patch`. The noise is that of each cell, as in `cells`.
+/// `dermis_msgs/Patch`. The noise is given for each cell, as in `cells`.
 pub(super) fn patch(
     stamp: Stamp<'_>,
     shape: &PatchShape,
@@ -188,7 +188,7 @@ pub(super) fn participant(guid: [u8; 16], node: &NodeName, writers: &[[u8; 16]],
 }
 
 /// Length of the header that rmw_cyclonedds puts in front of requests and replies: the client's identity and a number.
-/// rmw_fastrtps has both outside of the message.
+/// rmw_fastrtps has both outside the message.
 const CYCLONE_HEADER: usize = 16;
 /// Encapsulation of a message.
 const ENCAPSULATION: usize = 4;
@@ -225,7 +225,7 @@ mod tests {
     use serde::Deserialize;
     use serde::de::DeserializeOwned;
 
-    /// Decodes a message by an implementation that is not ours, and checks that nothing is left over.
+    /// Decodes a message with an independent implementation, and checks that nothing is left over.
     fn decode<T: DeserializeOwned>(message: &[u8]) -> T {
         let (encapsulation, body) = message.split_at(ENCAPSULATION);
         assert_eq!(encapsulation, [0, 1, 0, 0]);

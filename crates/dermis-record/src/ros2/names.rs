@@ -94,7 +94,7 @@ fn check_token(token: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// A valid part of a name, made from any text: other characters than letters and digits become `_`.
+/// A valid part of a name, made from any text: characters other than letters and digits become `_`.
 pub(super) fn token_of(text: &str) -> String {
     let mut token = String::new();
     for c in text.chars() {

@@ -1,4 +1,4 @@
-//! A node and its thread, which sends everything.
+//! A node and its sending thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,13 +19,13 @@ use super::tare::TareService;
 use super::topics::{DIAGNOSTICS, PATCH_TOPICS, TARE, TF, TF_STATIC, Topic, WRENCH};
 use crate::live_request::LiveRequest;
 
-/// Messages that may wait: half a second of a skin with 1,000 frames per second, four messages each.
+/// Messages that may wait: half a second at 1,000 frames per second and four messages per frame.
 const QUEUE: usize = 2048;
-/// Messages behind which no clouds are queued.
+/// With this many messages waiting, no further clouds are queued.
 const QUEUE_FOR_CLOUDS: usize = QUEUE / 8;
-/// Longest wait for a message; requests to services are looked at after it.
+/// Longest wait for a message before requests to services are checked.
 const NAP: Duration = Duration::from_millis(10);
-/// Messages after which requests are looked at even if more are waiting.
+/// Most messages sent before requests are checked, even if more are waiting.
 const MOST_IN_A_ROW: usize = 64;
 /// Interval between messages of diagnostics, nanoseconds.
 const DIAGNOSTICS_EVERY_NS: u64 = 1_000_000_000;
@@ -61,14 +61,14 @@ pub struct NodeHead {
     pub fixed: Vec<NamedTransform>,
 }
 
-/// Numbers of messages in a node's life.
+/// Message counts over a node's lifetime.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Ros2Summary {
     /// Messages sent.
     pub sent: u64,
     /// Messages dropped because the queue was full.
     pub dropped: u64,
-    /// Messages not taken by DDS because a reader acknowledged nothing.
+    /// Messages refused by DDS because a reader acknowledged nothing.
     pub refused: u64,
 }
 
@@ -126,7 +126,7 @@ impl Ros2Node {
         let (items, queue) = bounded(QUEUE);
         let counts = Arc::new(Counts::default());
         let outbox = Outbox { items, dropped: counts.dropped.clone(), most_before_clouds: QUEUE_FOR_CLOUDS };
-        // Topics of links and of the body come first, those of patches after them.
+        // Topics of links and of the body come before those of patches.
         let root = head.root.unwrap_or_default();
         let body_wrench = (!root.is_empty()).then(|| thread.add(&options.node.topic(WRENCH.name), WRENCH));
         let body_wrench = body_wrench.transpose()?;
@@ -162,7 +162,7 @@ impl Ros2Node {
         Ok(Self { publishers, transforms, stop: Some(stop), counts, thread })
     }
 
-    /// The publisher of a patch, by its place in [`NodeHead::patches`]; each can be taken once.
+    /// The publisher of a patch, by its index in [`NodeHead::patches`]; each can be taken once.
     pub fn publisher(&mut self, patch: usize) -> Option<PatchPublisher> {
         self.publishers.get_mut(patch)?.take()
     }
@@ -270,7 +270,7 @@ impl NodeThread {
         self.participant.announce(&mut self.discovery, &self.node, &writers, &readers);
     }
 
-    /// Sends until it is told to stop, and then what is still queued.
+    /// Sends until told to stop, then sends the rest of the queue.
     fn run(mut self, queue: &Receiver<Item>, stopped: &Receiver<()>, counts: &Counts) {
         self.announce();
         loop {
@@ -283,7 +283,7 @@ impl NodeThread {
                 }
                 Err(_) if has_ended => break,
                 Err(RecvTimeoutError::Timeout) => {}
-                // No publisher is left; the services still answer that the skin has ended.
+                // All publishers are gone; the services still answer that the skin has ended.
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(NAP),
             }
             self.services.iter_mut().for_each(TareService::work);
@@ -311,7 +311,7 @@ impl NodeThread {
         let get = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let traffic = Traffic { sent: get(&counts.sent), dropped: get(&counts.dropped), refused: get(&counts.refused) };
         let all: Vec<_> = self.watches.iter_mut().map(|watch| watch.diagnose(now.monotonic_ns, traffic)).collect();
-        // Sent again in a second.
+        // A failure doesn't matter: they are sent again in a second.
         let _ = self.diagnostics.write(messages::diagnostics(now.wall_ns, &all), &self.participant);
     }
 }

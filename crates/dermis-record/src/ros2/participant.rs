@@ -1,5 +1,5 @@
-//! The DDS half of a node: topics by their names in ROS 2, messages as bytes, and the topic that tells other nodes who
-//! publishes what.
+//! The DDS half of a node: topics by their names in ROS 2, messages as bytes, and the discovery topic that lists the
+//! node's endpoints.
 
 use std::convert::Infallible;
 use std::env;
@@ -18,21 +18,21 @@ use super::error::Ros2Error;
 use super::messages;
 use super::names::{NodeName, dds_topic, dds_type};
 
-/// Bytes in front of every message that name its encoding. DDS sends them itself.
+/// Bytes before every message that name its encoding. DDS adds them itself.
 const ENCAPSULATION: usize = 4;
 /// Highest domain whose ports fit into 16 bits (RTPS 2.5, section 9.6.2.3).
 const MOST_DOMAIN: u16 = 232;
-/// Messages that a reader may miss before it is sent the newest instead: the default of ROS 2.
+/// Messages kept for each reader before the oldest is dropped: the default of ROS 2.
 const HISTORY: i32 = 10;
-/// Time for which a topic refuses messages, because a reader acknowledges none, before it starts again without them.
+/// Time for which a topic refuses messages because a reader acknowledges none, before the topic is recreated.
 const STALLED: StdDuration = StdDuration::from_millis(100);
 
 /// Quality of service of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quality {
-    /// Reliable, and the last message is kept for readers that come later.
+    /// Reliable, with the last message kept for late readers.
     Latched,
-    /// Reliable, for readers that are there.
+    /// Reliable, for present readers.
     Reliable,
     /// Best effort: lost messages are not sent again.
     Sensor,
@@ -86,7 +86,7 @@ impl DeserializerAdapter<Payload> for AsIs {
     type Error = Infallible;
     type Decoded = Payload;
 
-    /// Little-endian alone: every computer that runs ROS 2 today sends this.
+    /// Only little-endian: every computer that runs ROS 2 today sends it.
     fn supported_encodings() -> &'static [RepresentationIdentifier] {
         &[RepresentationIdentifier::CDR_LE]
     }
@@ -101,14 +101,14 @@ impl DefaultDecoder<Payload> for AsIs {
     const DECODER: Take = Take;
 }
 
-/// A topic's outcome of one message.
+/// Outcome of sending one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sent {
     /// On its way.
     Yes,
-    /// Refused, because a reader has acknowledged none of the last thousands.
+    /// Refused because a reader has acknowledged none of the last thousands of messages.
     No,
-    /// Refused, and the topic has started again, under a new identity.
+    /// Refused, and the topic has been recreated with a new identity.
     Restarted,
 }
 
@@ -120,7 +120,7 @@ pub(super) struct Writer {
     refuses_since: Option<Instant>,
 }
 
-/// A request to a service, or any other message that came in.
+/// A received message, such as a request to a service.
 pub(super) struct Received {
     /// The message, with its encapsulation.
     pub message: Vec<u8>,
@@ -146,7 +146,7 @@ pub(super) fn domain() -> Result<u16, Ros2Error> {
     domain.ok_or_else(|| Ros2Error::Domain { text: text.into_owned(), most: MOST_DOMAIN })
 }
 
-/// True if the environment asks for this machine alone, in the words of Humble or of later releases.
+/// True if the environment restricts discovery to this machine, with the variables of Humble or of later releases.
 fn is_local() -> bool {
     let says = |name: &str, value: &str| env::var(name).is_ok_and(|text| text.eq_ignore_ascii_case(value));
     says("ROS_LOCALHOST_ONLY", "1") || says("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -207,7 +207,7 @@ impl Participant {
     pub fn announce(&self, to: &mut Writer, node: &NodeName, writers: &[GUID], readers: &[GUID]) {
         let gids = |guids: &[GUID]| guids.iter().map(GUID::to_bytes).collect::<Vec<_>>();
         let message = messages::participant(self.participant.guid().to_bytes(), node, &gids(writers), &gids(readers));
-        // Repeated whenever it changes; there is nobody to tell about a failure.
+        // Sent again at the next change; a failure cannot be reported to anyone.
         let _ = to.write(message, self);
     }
 
@@ -220,7 +220,7 @@ impl Participant {
 
 impl Writer {
     /// Sends a message, given with its encapsulation. Never waits. A reader that acknowledges nothing fills the window
-    /// of unacknowledged messages; then the topic starts again, so that the other readers go on.
+    /// of unacknowledged messages; the topic is then recreated, so that the other readers go on.
     pub fn write(&mut self, message: Vec<u8>, participant: &Participant) -> Sent {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         if self.writer.write(payload, None).is_ok() {
@@ -244,7 +244,7 @@ impl Writer {
         }
     }
 
-    /// Sends the answer to a request.
+    /// Sends the reply to a request.
     pub fn answer(&self, message: Vec<u8>, request: SampleIdentity) {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         let options = WriteOptionsBuilder::new().related_sample_identity(request).build();

@@ -45,8 +45,8 @@ pub struct PatchHead {
 }
 
 impl PatchHead {
-    /// A patch in a frame of reference of this name, mounted as its skin file says. `source` says where its frames come
-    /// from.
+    /// A patch in a frame of reference of this name, mounted as in its skin file. `source` names the source of its
+    /// frames.
     pub fn new(pipeline: &Pipeline, frame_id: &str, source: &str) -> Self {
         let head = Self::unmounted(pipeline, frame_id, source);
         match &pipeline.prepared().skin.mount {
@@ -68,7 +68,7 @@ impl PatchHead {
         }
     }
 
-    /// Publishes the patch below a name of its own.
+    /// Publishes the patch below this name.
     #[must_use]
     pub fn named(self, name: &str) -> Self {
         Self { name: Some(name.to_owned()), ..self }
@@ -198,7 +198,7 @@ impl PatchPublisher {
         self.outbox.send(self.topics.first + topic as usize, message);
     }
 
-    /// Sends the shape again after a new baseline, whose noise it has.
+    /// Sends the shape again after a new baseline, with its noise.
     fn describe(&mut self, pipeline: &Pipeline) {
         let records = pipeline.baseline_records();
         let Some(record) = records.last().filter(|_| records.len() != self.state.baselines) else { return };
@@ -219,7 +219,7 @@ impl PatchPublisher {
         if now_ns < self.state.next_cloud_ns || !output.image.iter().any(|value| value.is_finite()) {
             return;
         }
-        // Keeps the rate, and catches up with at most half a period.
+        // Keep the average rate, catching up by at most half a period.
         let next_ns = self.state.next_cloud_ns.saturating_add(period_ns);
         self.state.next_cloud_ns = next_ns.max(now_ns.saturating_add(period_ns / 2));
         if !self.outbox.has_room() {
@@ -236,8 +236,8 @@ impl PatchPublisher {
         self.send(OfPatch::TouchPoints, points);
     }
 
-    /// Sends the touches and their wrenches. While a fault leaves the touches unknown nothing is sent, except that a
-    /// touch has ended.
+    /// Sends the touches and their wrenches. While a fault leaves the touches unknown, sends a message only if a touch
+    /// has ended.
     fn touches(&self, output: &Output<'_>) {
         let has_ended = !output.ended.is_empty();
         let is_known = self.state.baselines > 0 && output.health.frame.is_none();
@@ -276,7 +276,7 @@ impl Publisher for PatchPublisher {
     }
 
     fn results(&mut self, output: &Output<'_>) {
-        // First of all: everything else may wait.
+        // The guard comes first; everything else can wait.
         if let Some(report) = output.guard {
             self.send(OfPatch::Guard, messages::guard(self.stamp(), output.sequence, &report));
         }

@@ -1,4 +1,4 @@
-//! The shape of a patch, and how to read its values: what `dermis_msgs/Patch` says.
+//! The shape of a patch and the meaning of its values: the content of `dermis_msgs/Patch`.
 
 use dermis_body::Taxels;
 use dermis_live::pipeline::Pipeline;
@@ -28,7 +28,7 @@ impl PatchShape {
     pub fn new(pipeline: &Pipeline, link: Option<String>, source: &str) -> Self {
         let prepared = pipeline.prepared();
         let (skin, grid) = (&prepared.skin, prepared.map.grid());
-        // Without a correction, a calibration by pokes makes images of its own, in shares of its pokes.
+        // A calibration by pokes without a correction makes its own images, in shares of its pokes.
         let by_pokes = pipeline.calibration().is_some_and(|calibration| calibration.correction().is_none());
         let (quantity, unit) = match by_pokes {
             true => ("touch strength", "typical pokes per pixel"),
@@ -55,7 +55,7 @@ pub(crate) struct PatchLimits {
     /// Source of the forces.
     pub force_from: Option<&'static str>,
     pub force_sigma_n: Option<f64>,
-    /// Peak of a touch over the noise of the image, at least.
+    /// Minimum peak of a touch, relative to the noise of the image.
     pub touch_over_noise: f64,
     pub guard: Option<GuardLimits>,
 }

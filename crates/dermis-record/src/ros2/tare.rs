@@ -60,7 +60,7 @@ impl TareService {
     pub fn work(&mut self) {
         while let Some(Received { message, identity }) = self.requests.take() {
             let (tell, outcome) = bounded(1);
-            // Nobody takes an answer that comes too late.
+            // An answer that comes too late has no receiver.
             let answer = move |outcome| drop(tell.try_send(outcome));
             let cyclone = cyclone_header(&message);
             match self.tares.try_send(LiveRequest::new(LiveCommand::Tare { force: false }, REASON, answer)) {

@@ -45,7 +45,7 @@ pub(super) const PATCH_TOPICS: [Topic; 9] = [
 /// The net wrench on a patch, a link or the body.
 pub(super) const WRENCH: Topic = topic("wrench", "geometry_msgs/msg/WrenchStamped", Quality::Reliable);
 
-/// Topics with names of their own.
+/// Topics with fixed names.
 pub(super) const DIAGNOSTICS: Topic = topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Quality::Reliable);
 pub(super) const TF: Topic = topic("/tf", "tf2_msgs/msg/TFMessage", Quality::Reliable);
 pub(super) const TF_STATIC: Topic = topic("/tf_static", "tf2_msgs/msg/TFMessage", Quality::Latched);

@@ -73,8 +73,8 @@ impl LineExtras for Plain {}
 /// `guard` is present if the skin has a guard: `verdict` (`ok`, `stale` or `stop`), `reasons`, and `safety_rated`,
 /// which is always false.
 ///
-/// Numbers have as many digits as it takes to read them back exactly. Every line is flushed, so that a reader sees it
-/// at once. The line is built in reused memory: nothing is allocated once the longest line has been written.
+/// Numbers have enough digits to be read back exactly. Every line is flushed, so that a reader sees it at once. The
+/// line is built in reused memory: nothing is allocated once the longest line has been written.
 #[derive(Debug)]
 pub struct JsonLines<W> {
     out: W,
@@ -82,18 +82,18 @@ pub struct JsonLines<W> {
     lines_for: LinesFor,
     line: String,
     summary: Summary,
-    /// Frames are a recording's: their monotonic times are of another process.
+    /// The frames come from a recording, and their monotonic times from another process.
     of_recording: bool,
 }
 
 impl<W: Write + Send> JsonLines<W> {
-    /// Writes to `out`, which is called `name` in messages.
+    /// Writes to `out`; `name` is only used in messages.
     pub fn new(out: W, name: impl Into<PathBuf>, lines_for: LinesFor) -> Self {
         let (line, summary) = (String::with_capacity(1024), Summary::default());
         Self { out, name: name.into(), lines_for, line, summary, of_recording: false }
     }
 
-    /// For the frames of a recording, whose `monotonic_ns` is null: the process that took it had another origin.
+    /// For the frames of a recording, whose `monotonic_ns` is null because it came from another process's clock.
     #[must_use]
     pub fn of_recording(mut self) -> Self {
         self.of_recording = true;

@@ -11,7 +11,7 @@ use dermis_device::Place;
 
 use crate::Error;
 
-/// A file under construction next to its final name. It disappears if dropped before [`StagedFile::finish`].
+/// A temporary file next to its final name. It is deleted if dropped before [`StagedFile::finish`].
 ///
 /// Links are followed. A target that exists and isn't a regular file (a pipe, a terminal) is written directly.
 #[derive(Debug)]

@@ -63,8 +63,8 @@ impl TouchColumns {
 ///
 /// `frame` counts accepted frames from 0, so it is the index into an [`super::ImageStack`] of the same run, whatever
 /// the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not
-/// filtered), and sigmas are the square roots of their covariance's diagonal. Numbers have as many digits as it takes
-/// to read them back exactly; `NaN` and `inf` are written as such.
+/// filtered), and sigmas are the square roots of their covariance's diagonal. Numbers have enough digits to be read
+/// back exactly; `NaN` and `inf` are written as such.
 #[derive(Debug)]
 pub struct TouchTable {
     path: PathBuf,

@@ -16,10 +16,10 @@ pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std
     let (report, review) = (calibration.leave_one_out(), calibration.review());
     writeln!(out, "pokes: {}", calibration.pokes())?;
     if review.repeated > 0 {
-        writeln!(out, "pokes that repeat another one exactly, left out: {}", review.repeated)?;
+        writeln!(out, "exact repetitions of other pokes, left out: {}", review.repeated)?;
     }
     for (what, channels) in [
-        ("channels that read the same in every poke", &review.dead_channels),
+        ("channels with the same reading in every poke", &review.dead_channels),
         ("channels that jump while nothing touches the skin, left out", &review.unsound_channels),
     ] {
         if !channels.is_empty() {
@@ -43,17 +43,17 @@ pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std
             LoadQuantity::DepthM => "depth",
             LoadQuantity::ForceN => "force",
         };
-        writeln!(out, "{name}: read within {:.0} % (one sigma)", 100.0 * error)?;
+        writeln!(out, "{name}: estimated within {:.0} % (one sigma)", 100.0 * error)?;
     }
     if calibration.has_silent_loads() {
-        writeln!(out, "depth or force of the pokes: not read, frames do not grow with it")?;
+        writeln!(out, "depth or force of the pokes: not estimated, since the frames do not grow with it")?;
     }
     if let Some(drift) = review.drift {
         let mm = |accuracy: Accuracy| format!("{:.2} mm", 1e3 * accuracy.median_m);
         let verdict = if drift.z > DRIFT_Z { "signatures drift" } else { "no drift seen" };
         writeln!(
             out,
-            "time: {verdict}; the first half locates the second within {}, every other poke the rest within {} (median)",
+            "time: {verdict}; median error {} on the second half located by the first, {} on every other poke by the rest",
             mm(drift.later),
             mm(drift.interleaved)
         )?;
@@ -74,11 +74,11 @@ pub(super) fn print_experts(
         print_start(&start, out)?;
     }
     if calibration.is_as_built() {
-        writeln!(out, "touches are placed by the model of the skin as built, which baseline and pokes tell")?;
+        writeln!(out, "touches are located by a model of the skin as built, fitted to baseline and pokes")?;
     } else if calibration.correction().is_some() {
         writeln!(
             out,
-            "touches are placed by the skin's model, corrected by the pokes, and by these where it sees nothing"
+            "touches are located by the skin's model, corrected by the pokes, and by the pokes where it sees nothing"
         )?;
         writeln!(out, "by pokes alone:")?;
     }
@@ -90,11 +90,11 @@ pub(super) fn print_experts(
     writeln!(out, "  from frame to place (kernel regression): {}", expert(report.inverse_used, &report.inverse))?;
     let brought = |part: PriorUse| {
         let used = if part.used { "used" } else { "left out" };
-        format!("{used}; left-out pokes are predicted {:+.3} better with it (mean log density)", part.gain)
+        format!("{used}; improves the prediction of left-out pokes by {:+.3} (mean log density)", part.gain)
     };
     match report.physics {
         Some(part) => writeln!(out, "physics of the skin file: {}", brought(part))?,
-        None if no_physics => writeln!(out, "physics of the skin file: left out, as asked for")?,
+        None if no_physics => writeln!(out, "physics of the skin file: left out, as requested")?,
         None if !skin.backend.wiring.is_known() => writeln!(out, "physics: none, the wiring is unknown")?,
         None if differences => writeln!(out, "physics of the skin file: not tried")?,
         None => {}
@@ -102,7 +102,7 @@ pub(super) fn print_experts(
     for (what, part) in [
         ("map of the sister skin", report.sister_map),
         ("its noise", report.sister_covariance),
-        ("pokes turned as it shows", report.sister_turn),
+        ("pokes rotated to match it", report.sister_turn),
     ] {
         if let Some(part) = part {
             writeln!(out, "{what}: {}", brought(part))?;
@@ -112,7 +112,7 @@ pub(super) fn print_experts(
         let fate = if report.doubtful_left_out { "left out" } else { "kept" };
         writeln!(
             out,
-            "pokes that the others contradict, {fate}: {} (is their position written down right?)",
+            "pokes that contradict the others, {fate}: {} (check their positions)",
             listed(report.doubtful.iter().copied())
         )?;
     }
@@ -131,11 +131,11 @@ fn print_start(start: &StartReview, out: &mut dyn Write) -> std::io::Result<()> 
         StartUse::Nothing => "not used: the new pokes alone are better",
         StartUse::Prior => "used as prior",
         StartUse::Pooled => "used: its pokes are pooled with the new ones",
-        StartUse::Unchanged => "used unchanged: the new pokes improve nothing",
+        StartUse::Unchanged => "used unchanged: the new pokes do not improve it",
     };
     write!(out, "  {used}; median error on the new pokes {:.2} mm", 1e3 * start.chosen_m)?;
     match start.resemblance {
-        Some(share) => writeln!(out, "; resemblance of the sessions {share} (0: nothing in common, 1: no change)"),
+        Some(share) => writeln!(out, "; similarity of the sessions {share} (0: nothing in common, 1: no change)"),
         None => writeln!(out),
     }
 }
@@ -148,7 +148,7 @@ pub(super) fn print_forces(calibration: &ForceCalibration, presses: usize, out: 
     let share = 100.0 * calibration.residual_n / range;
     writeln!(out, "residual: {:.4} N rms, {share:.1} % of the range", calibration.residual_n)?;
     match calibration.saturation_signal {
-        Some(signal) => writeln!(out, "saturated from {:.4} N on", calibration.curve.force_n(signal)),
+        Some(signal) => writeln!(out, "saturated above {:.4} N", calibration.curve.force_n(signal)),
         None => writeln!(out, "no saturation within the range"),
     }
 }

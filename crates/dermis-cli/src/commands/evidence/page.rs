@@ -41,7 +41,7 @@ impl OutFile {
         };
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !folder.is_dir() {
-            return Err(refuse("its folder is not there").into());
+            return Err(refuse("its folder does not exist").into());
         }
         let file = Self { path: path.to_path_buf(), kind };
         if kind == Kind::Markdown {
@@ -66,7 +66,7 @@ impl OutFile {
         let text = std::fs::read_to_string(&self.path).map_err(|error| refuse(&error.to_string()))?;
         let parts = text.split_once(BEGIN).and_then(|(before, rest)| Some((before, rest.split_once(END)?.1)));
         let Some((before, after)) = parts else {
-            return Err(refuse(&format!("expected the lines {BEGIN} and {END}, between which tables go")).into());
+            return Err(refuse(&format!("expected the lines {BEGIN} and {END} around the tables")).into());
         };
         Ok([format!("{before}{BEGIN}\n"), format!("{END}{after}")])
     }

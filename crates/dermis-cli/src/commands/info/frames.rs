@@ -93,7 +93,7 @@ impl Summary {
             writeln!(out, "{name} channels: {}", listed(channels))?;
         }
         if self.repeated_frames > 0 {
-            writeln!(out, "frames equal to the one before: {}", self.repeated_frames)?;
+            writeln!(out, "frames identical to the previous one: {}", self.repeated_frames)?;
         }
         Ok(())
     }

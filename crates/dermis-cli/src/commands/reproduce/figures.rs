@@ -95,8 +95,8 @@ pub(super) fn comparison(letter: &str, reports: &[&Report]) -> Option<Picture> {
             kind: kinds.iter().position(|kind| *kind == row.kind.word()).unwrap_or_default(),
         });
     }
-    let title = format!("Paper {letter}: what it prints, and what its twins give");
-    let (label, kinds) = ("here over paper".into(), kinds.map(String::from).to_vec());
+    let title = format!("Paper {letter}: its numbers and those of the twins");
+    let (label, kinds) = ("twin / paper".into(), kinds.map(String::from).to_vec());
     (!dots.is_empty()).then(|| DotPlot { title, label, kinds, dots }.picture())
 }
 

@@ -86,8 +86,8 @@ impl Page {
              <title>Published skins, replayed on their twins: {papers}</title>\n<style>\n\
              @font-face{{font-family:\"DejaVu Sans\";src:url(data:font/ttf;base64,{font}) format(\"truetype\")}}\n\
              {STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>Published skins, replayed on their twins</h1>\n\
-             <p class=\"lead\">{} experiments of {}, simulated and imaged by dermis {version}, each beside what its \
-             paper prints.</p>\n<p class=\"command\"><code>dermis reproduce {}</code></p>\n</header>",
+             <p class=\"lead\">{} experiments of {}, simulated and imaged by dermis {version}, each next to the \
+             numbers in its paper.</p>\n<p class=\"command\"><code>dermis reproduce {}</code></p>\n</header>",
             ids.len(),
             if letters.len() == 1 { format!("paper {papers}") } else { format!("papers {papers}") },
             ids.join(" ")
@@ -126,7 +126,7 @@ impl Page {
         let _ = writeln!(
             self.text,
             "<p>dermis {version}. Noise and tolerances of a twin come from a seeded generator, so that a replay gives \
-             the same numbers on the same machine. Every experiment begins with a new twin.</p>\n<div \
+             the same numbers on the same machine. Every experiment starts with a new twin.</p>\n<div \
              class=\"scroll\"><table>\n\
              <thead><tr><th>skin<th>paper<th>seed<th>frames/s<th>channels</thead>\n<tbody>"
         );
@@ -156,9 +156,9 @@ impl Page {
             let _ = writeln!(self.text, "<p class=\"source\">{}{doi}</p>", escaped(method.source));
         }
         if let Some(picture) = comparison(letter, &chapter.reports) {
-            let words = "Every number that the paper prints, if it is not 0, and the same of the twins, as the ratio \
-                         of the two on a logarithmic axis; beside it the twin's number and, in brackets, the paper's. \
-                         The dashed line is the paper. Where the numbers are errors, left of it is better.";
+            let words = "The twins' value of every number in the paper other than 0, as a ratio to the paper's on a \
+                         logarithmic axis, and at the right the twin's number with the paper's in brackets. The dashed \
+                         line is the paper. For errors, left of it is better.";
             self.figure(&picture, words, "");
         }
         for (name, title, picture) in skins(letter)? {

@@ -63,7 +63,7 @@ pub(super) fn run(file: &Path, options: &BodyRunOptions, shown: Shown, out: &mut
     }
     if options.joints.is_none() && body.joint_source.is_none() && !body.needed_joints().is_empty() {
         let needed: Vec<&str> = body.needed_joints().into_iter().collect();
-        hint(&format!("{} stand still: --joints SOURCE says where they are", needed.join(", ")));
+        hint(&format!("joints without a source: {}; --joints SOURCE gives them one", needed.join(", ")));
     }
     let busy = busy(format!("preparing {} patches", body.patches.len()));
     let mut page = matches!(shown, Shown::Page { .. }).then(|| PageOfBody::new(body.patches.len()));

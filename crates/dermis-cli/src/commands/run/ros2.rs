@@ -7,7 +7,7 @@ use dermis_record::ros2::{NodeHead, NodeName, PatchHead, Ros2Node, Ros2Options, 
 use super::running::Running;
 use crate::exit::UsageError;
 
-/// The end of the command's help.
+/// Example at the end of the command's help.
 pub const EXAMPLE: &str = "
 
 As a ROS 2 node:
@@ -61,13 +61,13 @@ impl Ros2Arguments {
 }
 
 impl OpenedNode {
-    /// Sends what is queued, leaves the domain, and says what was not sent.
+    /// Sends the queued messages, leaves the domain, and prints a summary.
     pub fn close(self) {
         self.0.map(Ros2Node::close).iter().for_each(print_summary);
     }
 }
 
-/// Says how many messages were sent, and how many were not.
+/// Prints how many messages were sent, dropped and refused.
 pub fn print_summary(summary: &Ros2Summary) {
     let Ros2Summary { sent, dropped, refused } = summary;
     eprintln!("ros2: {sent} messages sent, {dropped} dropped, {refused} refused because a reader had stopped");

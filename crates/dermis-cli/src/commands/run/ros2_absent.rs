@@ -1,4 +1,4 @@
-//! Stands for `ros2.rs` in builds without ROS 2: refuses the option and says what to do.
+//! Replaces `ros2.rs` in builds without ROS 2: refuses the option and explains what to do.
 
 use dermis::body::BodyRunOptions;
 use dermis_live::pipeline::Pipeline;
@@ -6,7 +6,7 @@ use dermis_live::pipeline::Pipeline;
 use super::running::Running;
 use crate::exit::UsageError;
 
-/// The help of the command ends before this.
+/// Adds nothing to the command's help.
 pub const EXAMPLE: &str = "";
 
 /// Options of a node that this build lacks.

@@ -68,7 +68,7 @@ impl Running {
         &self.head.source
     }
 
-    /// Also publishes the run here.
+    /// Adds a publisher of the run.
     #[cfg(feature = "ros2")]
     pub(in crate::commands) fn publish_to(&mut self, publisher: Box<dyn Publisher>) {
         self.publishers.push(publisher);
@@ -88,13 +88,13 @@ impl Running {
         }
     }
 
-    /// Ends the viewers and says what they missed.
+    /// Ends the viewers and reports the frames they missed.
     pub(in crate::commands) fn end_viewers(&mut self) {
         self.viewers.report();
         self.viewers = Viewers::default();
     }
 
-    /// Everything that takes what the pipeline hands out: the recording and the viewers.
+    /// The feeds that receive the pipeline's output: the recording's and the viewers'.
     fn feeds(&self) -> impl Iterator<Item = &LiveFeed> {
         self.recorder.as_deref().into_iter().chain(&self.viewers.feeds)
     }
@@ -217,7 +217,7 @@ impl Running {
             if let Some(better) = &reference.order.better {
                 let text = format!(
                     "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}; \
-                     `dermis order` writes the lines of the skin file that say so",
+                     `dermis order` prints the lines for the skin file",
                     better.description, better.correlation, correlation
                 );
                 tracing::warn!("{text}");
@@ -249,7 +249,7 @@ impl Running {
                 None => reply.refuse("nothing is being recorded"),
             },
             Command::Hyperparameter(value) => self.command(LiveCommand::Hyperparameter(value), reply, pipeline),
-            // All channels are published; the page selects. The twin has had the others.
+            // All channels are published and the page selects. Commands to the twin have been handled already.
             _ => {}
         }
     }
@@ -285,7 +285,7 @@ impl Running {
         self.not_recorded += end.lost;
         if let Some(error) = &end.error {
             self.recording_failed = true;
-            tracing::error!(frames = end.frames, lost = end.lost, "the recording is not whole: {error}");
+            tracing::error!(frames = end.frames, lost = end.lost, "the recording is incomplete: {error}");
         }
         Some(end)
     }

@@ -95,14 +95,14 @@ impl InputArguments {
         let busy = busy(format!("preparing {skin}"));
         let options = self.options();
         if self.as_skin && given.is_none() {
-            return Err(UsageError("--as-skin: expected SKIN as the first word, as which to read".into()).into());
+            return Err(UsageError("--as-skin: expected SKIN as the first word, to read the frames as".into()).into());
         }
         let mut opened = open(&self.source, given.as_deref(), &options)?;
         let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
         match &baseline {
             Some(table) => pipeline.set_baseline(table)?,
             None if opened.is_file => hint(&format!(
-                "the first {TARE_FRAMES} frames of {} are taken for the untouched skin; --baseline FILE[#FRAMES] names others",
+                "the first {TARE_FRAMES} frames of {} are assumed to show the untouched skin; --baseline FILE[#FRAMES] selects others",
                 opened.source.name()
             )),
             None => {}

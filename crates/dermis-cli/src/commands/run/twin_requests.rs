@@ -28,7 +28,7 @@ pub(super) fn carry_out(request: Request, twin: Option<&TwinControl>, feed: &mut
         Command::Demonstrate(wanted) => match command(twin, TwinCommand::Demonstrate(wanted)) {
             Ok(()) => {
                 feed.demonstrate(wanted);
-                let [on, off] = ["the twin shows touches by itself", "nothing but you presses the twin"];
+                let [on, off] = ["the twin shows touches by itself", "only you press the twin"];
                 reply.accept(if wanted { on } else { off });
             }
             Err(refused) => reply.refuse(format!("refused: {refused}")),

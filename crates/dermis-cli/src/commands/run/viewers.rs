@@ -61,13 +61,13 @@ impl Viewers {
         self.requests.iter().flat_map(Receiver::try_iter).collect()
     }
 
-    /// Says how many frames the viewers did not get.
+    /// Reports how many frames the viewers missed.
     pub fn report(&self) {
         tell_not_shown(self.feeds.iter().map(|feed| feed.status().dropped).sum());
     }
 }
 
-/// Warns that viewers did not get some frames. Recordings and results are complete.
+/// Warns that viewers missed frames, while recordings and results are complete.
 pub fn tell_not_shown(frames: u64) {
     if frames > 0 {
         tracing::warn!(frames, "frames were not shown to live viewers because of load");

@@ -11,11 +11,10 @@ pub(super) struct ChannelColumn {
     pub(super) channels: usize,
 }
 
-/// Finds the column that counts from 0 or 1 to the number of channels, again and again. A reading
-/// never does that. One frame alone needs the name `channel`, since a column that counts once may
-/// number the rows.
+/// Finds the column that counts from 0 or 1 to the number of channels, again and again. Readings never do that. With a
+/// single frame the column must be called `channel`, since a column that counts once may number the rows.
 pub(super) fn channel_column(table: &Table, readings: &[usize]) -> Option<ChannelColumn> {
-    // Next to the channel stands a reading, or both parts of one.
+    // The other columns are one reading, or both parts of a complex one.
     let parts = readings.iter().filter(|&&column| table.name(column).and_then(part_of).is_some()).count();
     if readings.len() != 2 && !(readings.len() == 3 && parts == 2) {
         return None;

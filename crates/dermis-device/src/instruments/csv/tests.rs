@@ -250,7 +250,7 @@ fn one_reading_per_row_with_its_channel_is_a_long_table() {
         "{}",
         table.understood()
     );
-    // A frame cut short is no such table: two columns of readings remain.
+    // A truncated frame isn't such a table: two columns of readings remain.
     assert_eq!(read_for(&format!("time_s,channel,voltage\n{}", rows(11)), &[]).unwrap().channels(), 2);
     let complex = read_for("frame,ch,re,im\n0,0,1,2\n0,1,3,4\n0,2,5,6\n1,0,7,8\n1,1,9,1\n1,2,2,3\n", &[]).unwrap();
     assert_eq!((complex.frames(), complex.channels()), (2, 3));

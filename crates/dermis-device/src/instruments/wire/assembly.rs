@@ -46,7 +46,7 @@ impl Assembly {
     }
 }
 
-/// Appends readings to a frame. Values given once per frame come from its first readings.
+/// Appends readings to a frame. Values that exist once per frame are taken from the first part.
 pub(super) fn fill(out: &mut Frame, readings: &WireFrame<'_>) {
     let began_ns = *out.device_time_ns.get_or_insert(readings.device_time_ns);
     out.gain.get_or_insert(readings.gain);

@@ -56,7 +56,7 @@ fn a_touch_is_one_entity_from_its_begin_to_its_end() {
     assert_eq!((ids, found.deletions.len()), (vec!["touch-1", "touch-2"], 0));
     assert_near(position(found.entities[0].cylinders[0].pose), [5e-3, 0.0, 0.0]);
 
-    // One ends in this frame. The end of the other was lost on the way.
+    // One ends in this frame; the end of the other was lost.
     let ended = touch(1, TouchPhase::End, 5.0, 0.0);
     let found = scene.update(&batch(&[], &[ended]));
     let gone: Vec<(&str, i32)> = found.deletions.iter().map(|gone| (gone.id.as_str(), gone.r#type)).collect();
@@ -130,7 +130,7 @@ fn forces_outside_their_range_and_other_places_say_so() {
         pressed.force = Some(force);
         assert_eq!(scene.update(&batch(&[pressed], &[])).entities[0].texts[0].text, text);
     }
-    // A force beyond measure leaves the arrow in the picture.
+    // The arrow of a huge force stays in view.
     pressed.force = Some(ForceReading::Saturated { from_n: 1e6 });
     let arrow = scene.update(&batch(&[pressed], &[])).entities[0].arrows[0];
     assert!((arrow.shaft_length + arrow.head_length - LONGEST_ARROW_M).abs() < 1e-12);

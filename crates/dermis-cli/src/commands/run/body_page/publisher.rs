@@ -48,7 +48,7 @@ pub(super) struct PagePublisher {
 }
 
 impl PagePublisher {
-    /// Announces on both pages; the body's gets the name of the patch with it.
+    /// Announces on both pages, on the body's with the name of the patch.
     fn announce(&self, level: Level, text: &str) {
         self.hub.announce(level, text);
         let name = &self.watch.body().patches[self.number].name;
@@ -159,7 +159,7 @@ impl Publisher for PagePublisher {
                     );
                     continue;
                 }
-                // All channels are published; the page selects. The twin has had the others.
+                // All channels are published and the page selects. Commands to the twin have been handled already.
                 _ => continue,
             };
             return Some(LiveRequest::new(command, "asked for in the page", |done| match done {
