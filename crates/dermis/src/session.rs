@@ -47,7 +47,7 @@ pub struct SessionOptions {
     pub calibration: Option<PathBuf>,
     /// A force calibration made by `dermis calibrate --forces`.
     pub forces: Option<PathBuf>,
-    /// Time without a frame after which the session yields an error. It goes on waiting when called again.
+    /// Time without a frame after which the session yields an error. Calling it again continues to wait.
     pub patience: Duration,
 }
 
@@ -212,7 +212,7 @@ impl Session {
     /// after the last frame of a file.
     ///
     /// # Errors
-    /// The source fails, or is silent for longer than the session's patience; it goes on waiting when called again.
+    /// The source fails, or is silent for longer than the session's patience; calling this again continues to wait.
     pub fn next_output(&mut self) -> Result<Option<Output<'_>>, Error> {
         if !self.receive()? {
             return Ok(None);
