@@ -1,4 +1,4 @@
-//! Properties of every skin file: its twin uses all of its numbers, no other has its name or size, and it can be
+//! Properties of every skin file: its twin uses all of its numbers, it keeps its own name and size, and it can be
 //! written and read back.
 
 use dermis_device::{Frame, HostStamp, Layout};
