@@ -102,7 +102,7 @@ mod tests {
     #[test]
     fn a_wide_and_weak_press_is_the_narrow_and_strong_one_that_it_was() {
         let fresh = Press { position_m: [0.01, 0.0], radius_m: 0.01, load: 1.0, ..Press::default() };
-        // Load and radius trade off: the square of the radius times the load stays.
+        // Load and radius trade off: the load times the square of the radius is constant.
         let mut covariance = [[0.0; 4]; 4];
         (0..2).for_each(|axis| covariance[axis][axis] = 1e-8);
         let load = (-0.4_f64).exp();

@@ -286,9 +286,9 @@ impl Estimator {
         found
     }
 
-    /// The best-supported explanation that extends this one: with a press where the residual suggests it, a few
-    /// in a row, since two may be needed where one explains nothing; with as many that are all placed
-    /// before the first fit; with one press split in two; or with the hints.
+    /// The best-supported explanation that extends this one. It has a press where the residual suggests it; or a few in
+    /// a row, since two may be needed where one explains nothing; or as many that are all placed before the first fit;
+    /// or one press split in two; or the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let mut found: Vec<Explanation> = Vec::new();
         if self.fit.is_joint() {
@@ -326,8 +326,8 @@ impl Estimator {
         of.cost.residual + penalty * Evidence::model_scale(&of.cost)
     }
 
-    /// True if a quick fit may become an explanation. How definite its presses are is for the full fit to say: what
-    /// the linear response leaves of strong presses widens their covariances.
+    /// True if a quick fit may become an explanation. Only the full fit decides how definite its presses are, since the
+    /// residual of strong presses under the linear response widens their covariances.
     fn is_promising(&self, of: &Explanation) -> bool {
         of.presses.iter().all(|press| self.may_be(press)) && self.overlapping(&of.presses).is_none()
     }

@@ -21,11 +21,11 @@ use crate::Error;
 
 /// Largest frame searched, in readings.
 const MOST_READINGS: usize = 1 << 16;
-/// Most candidates in the answer.
+/// Maximum number of candidates in the answer.
 const LISTED: usize = 10;
 /// Correlation above which two predictions count as the same, apart from mesh error.
 const SAME: f64 = 0.9998;
-/// Most fits considered for the answer.
+/// Maximum number of fits considered for the answer.
 const MOST_RANKED: usize = 2500;
 /// Minimum correlation for a match.
 pub const LEAST: f64 = 0.9;

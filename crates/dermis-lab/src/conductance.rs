@@ -34,7 +34,7 @@ const MODEL_ERROR: f64 = 1e-3;
 const SPREAD: f64 = 0.35;
 /// Prior deviation of the mean, as good as the uniform fit.
 const MEAN_SPREAD: f64 = 0.3;
-/// Most steps.
+/// Maximum number of steps.
 const STEPS: usize = 10;
 /// Stop after a step that changes no element by more than this.
 const SMALLEST_STEP: f64 = 1e-3;
@@ -44,7 +44,7 @@ const LARGEST_STEP: f64 = 0.7;
 const LEAST_CORRELATION: f64 = 0.8;
 /// Minimum number of frames for estimating the noise of their mean.
 const ENOUGH_FRAMES: usize = 4;
-/// Most channels: the covariance takes 8 bytes per pair.
+/// Maximum number of channels: the covariance takes 8 bytes per pair.
 const MOST_CHANNELS: usize = 6000;
 
 /// Result of [`conductance`].

@@ -1,5 +1,5 @@
-//! The examination behind `dermis doctor`. It runs a series of checks on frames of an untouched skin; each answer
-//! says in plain words what was found and what to do about it.
+//! The examination behind `dermis doctor`. It runs a series of checks on frames of an untouched skin. Each answer
+//! states in plain words what was found and what to do about it.
 
 mod wiring;
 
@@ -32,7 +32,7 @@ const MOST_MISMATCH: f64 = 0.05;
 const POOR_TIMES: f64 = 5.0;
 /// Range that counts as a factor of a thousand, allowing for errors of conductance and current in the skin file.
 const THOUSAND: [f64; 2] = [250.0, 4000.0];
-/// Most channels named in one answer.
+/// Maximum number of channels named in one answer.
 const MOST_NAMED: usize = 8;
 
 /// Outcome of a check.
@@ -89,8 +89,8 @@ struct Seen {
     at_end: Vec<usize>,
 }
 
-/// Examines up to `most` frames of a source, waiting up to `patience` for each, and returns the checks in the order
-/// in which they are worth reading.
+/// Examines up to `most` frames of a source, waiting up to `patience` for each, and returns the checks in the order in
+/// which to read them.
 ///
 /// The skin must not be touched. `contacts_ohm` holds the contact impedances measured by the instrument, if it can
 /// measure them.

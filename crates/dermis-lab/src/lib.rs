@@ -1,5 +1,5 @@
-//! Work done at a desk rather than on a robot: twins as instruments, design, diagnosis, offline images, calibration,
-//! training sets and the published experiments.
+//! Offline work: twins as instruments, design, diagnosis, offline images, calibration, training sets and the published
+//! experiments.
 //!
 //! ```
 //! use dermis_lab::design::{Maps, Noise, Summary};

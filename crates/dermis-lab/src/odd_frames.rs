@@ -12,7 +12,7 @@ const FLIPPED: f64 = -0.5;
 /// Limit of the ratio of voltages, model to baseline, in either direction, beyond which the units are reported as
 /// suspicious.
 const OTHER_UNIT: f64 = 1e4;
-/// Most frames named in a message; the rest are counted.
+/// Maximum number of frames named in a message; the rest are counted.
 const MOST_NAMED: usize = 8;
 
 /// The fault of a frame compared with its baseline, if any (NaN: missing).

@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use dermis_twin::Treatment;
 use dermis_twin::instrument::Fault;
 
-/// Most presses and faults queued for the next frame.
+/// Maximum number of presses and faults queued for the next frame.
 pub const MOST_WAITING: usize = 256;
-/// Most treatments queued while others are being prepared.
+/// Maximum number of treatments queued while others are being prepared.
 pub const MOST_TREATMENTS: usize = 64;
 
 /// A command to a running twin.

@@ -27,10 +27,11 @@ pub const BASELINE_FRAMES: usize = 32;
 const HELD_S: f64 = 1.0;
 /// Rest before a press, seconds: far longer than any cover remembers.
 const REST_S: f64 = 1e5;
-/// Most presses, and most frames, in one request.
+/// Maximum number of presses in one request.
 const MOST_PRESSES: usize = 1_000_000;
+/// Maximum number of frames in one request.
 const MOST_FRAMES: usize = 10_000_000;
-/// Most readings in total; at 8 bytes each, 16 GiB.
+/// Maximum number of readings in total; at 8 bytes each, 16 GiB.
 const MOST_READINGS: usize = 2_000_000_000;
 /// Random presses stay within this share of the outline about its centre.
 const INSIDE_SHARE: f64 = 0.85;

@@ -63,10 +63,11 @@ pub struct TwinSource {
     values: Vec<f64>,
 }
 
-/// Most pointers that may press at once, and most faults at once.
+/// Maximum number of pointers that may press at once.
 const MOST_POINTERS: usize = 32;
+/// Maximum number of faults at once.
 const MOST_FAULTS: usize = 256;
-/// Most notices waiting for a reader.
+/// Maximum number of notices waiting for a reader.
 const NOTICES: usize = 64;
 /// Time that a host may need to prepare its operators while frames already arrive.
 const READY: Duration = Duration::from_secs(5);

@@ -17,8 +17,9 @@ use crate::weights::Tensors;
 pub const CARD_FORMAT: &str = "dermis-model-1";
 /// Prefix of the tensor names of a first network.
 const FIRST: &str = "first.";
-/// Maximum sizes of cards and weights.
+/// Maximum size of a card.
 const LARGEST_CARD_BYTES: u64 = 1 << 20;
+/// Maximum size of a weights file.
 const LARGEST_WEIGHTS_BYTES: u64 = 1 << 30;
 
 /// Model card: purpose, training and quality.

@@ -1,7 +1,7 @@
-//! Novelty score: how unlike the training set a frame is. The image means of the coarsest level's channels are
-//! compared with those of the training set by Mahalanobis distance (Lee et al., NeurIPS 2018, with one Gaussian for
-//! all classes). A score above 1 is farther out than all but a thousandth of the held-out frames; use the first-step
-//! image instead.
+//! Novelty score: how unlike the training set a frame is. The image means of the coarsest level's channels are compared
+//! with those of the training set by Mahalanobis distance (Lee et al., NeurIPS 2018, with one Gaussian for all
+//! classes). All but a thousandth of the held-out frames score below 1. For a frame above 1, use the first-step image
+//! instead.
 
 use crate::LearnError;
 use crate::weights::Tensors;

@@ -1,4 +1,5 @@
-//! The skin as it was built: how far it is from its file, learned from its baseline and from pokes at known positions.
+//! The skin as it was built: its differences from its file, learned from its baseline and from pokes at known
+//! positions.
 //!
 //! The file's `[tolerances]` are the prior: positions and widths of electrodes, contact impedances and a smooth random
 //! conductivity, all normal with known deviations. Baseline and pokes condition it. The result is a skin whose model is

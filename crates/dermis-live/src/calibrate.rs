@@ -26,10 +26,11 @@ const SEVERAL_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.1);
 const UNSEEN_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.5);
 /// Lower bound on the variance of a position, m^2: a micrometre squared.
 const LEAST_VARIANCE_M2: f64 = 1e-12;
-/// Minimum number of pokes that tell how a skin was built, and number of parts in which they are left out.
+/// Minimum number of pokes for learning how a skin was built.
 const FEWEST_FOR_BUILD: usize = 8;
+/// Number of parts in which these pokes are left out.
 const FOLDS: usize = 4;
-/// Largest number of pokes, evenly drawn, that tell how a skin was built: they determine a hundred parameters many
+/// Largest number of pokes, evenly drawn, for learning how a skin was built: they determine a hundred parameters many
 /// times.
 const MOST_FOR_BUILD: usize = 120;
 /// Share of coordinates within one standard deviation.
@@ -94,7 +95,7 @@ fn learned_as_built(
     let count = chosen.len();
     let places_m: Vec<[f64; 2]> = chosen.iter().map(|&i| pokes.positions_m[i]).collect();
     differences = chosen.iter().map(|&i| std::mem::take(&mut differences[i])).collect();
-    // Pokes that are no spots only tell how good the skin is that their baseline describes.
+    // Pokes that are no spots only show how good the skin is that their baseline describes.
     let taught = if teaches { count } else { 0 };
     let learned = BuildFit::new(prepared, &reference, &differences[..taught], &places_m[..taught])?;
     let teachers = |rows: &[usize]| if teaches { rows.to_vec() } else { Vec::new() };

@@ -64,9 +64,9 @@ pub struct Pipeline {
     levels: Option<LevelStage>,
     /// `None` if the readout's circuit need not be found.
     circuit: Option<CircuitStage>,
-    /// Learns how the skin was built, unless a calibration says so.
+    /// Learns how the skin was built, unless a calibration gives it.
     building: Option<BuildLearning>,
-    /// Draws errors of the workshop, after a baseline that is not the first.
+    /// Draws errors of the workshop after a baseline that is not the first.
     errors: Beside<()>,
     /// A network that classifies pixels, if any.
     classes: Option<ClassStage>,

@@ -216,7 +216,7 @@ impl Prepared {
         self.workshop_error.get().is_some()
     }
 
-    /// Errors of touches on skins built within the file's tolerances, worked out by `draw` once.
+    /// Errors of touches on skins built within the file's tolerances, computed by `draw` once.
     pub(crate) fn workshop_error(
         &self,
         draw: impl FnOnce() -> Option<Arc<WorkshopError>>,
@@ -278,7 +278,6 @@ fn electric_model(
     Ok((voltages, jacobian))
 }
 
-/// Sheet conductance of every element at rest, siemens.
 /// A mesh of the sheet as drawn with its electrodes where they are as built, and the conductance of its elements,
 /// siemens. `body` has the outline and the electrodes as drawn.
 ///
@@ -298,6 +297,7 @@ pub(crate) fn sheet_as_built(
     Ok((body.mesh, sheet_s))
 }
 
+/// Sheet conductance of every element at rest, siemens.
 fn conductances_s(skin: &Skin, body: &SkinBody, build: Option<&Build>) -> Vec<f64> {
     let (mesh, conductance) = (&body.mesh.mesh, skin.sheet_conductance_s());
     let relative = |element: usize| {

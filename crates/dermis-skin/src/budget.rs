@@ -44,8 +44,9 @@ const POKE_FRAMES: f64 = 4.0;
 const TRIANGLE: f64 = 600.0;
 /// Extra triangles that each electrode adds to those of the sheet.
 const ELECTRODE_TRIANGLES: f64 = 250.0;
-/// Factorisation of an element's system: bytes, and operations to solve it, per tetrahedron of its mesh.
+/// Bytes per tetrahedron of an element's mesh to factor its system.
 const BODY_FACTOR: f64 = 6000.0;
+/// Operations per tetrahedron of an element's mesh to factor and solve its system.
 const BODY_OPERATIONS: f64 = 1e7;
 /// Operations to place a triangle, per electrode and outline vertex that affects its size.
 const MESHING: f64 = 400.0;

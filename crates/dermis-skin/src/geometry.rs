@@ -20,8 +20,9 @@ pub struct SkinBody {
     pub mesh: ElectrodedMesh,
 }
 
-/// Fingertip radius as a share of the shorter side, and its minimum and maximum, metres.
+/// Fingertip radius as a share of the shorter side.
 const FINGER_SHARE: f64 = 0.08;
+/// Minimum and maximum fingertip radius, metres.
 const FINGER_M: [f64; 2] = [3e-3, 11e-3];
 
 impl Skin {

@@ -10,7 +10,7 @@ use crate::health::HealthSettings;
 
 /// Frame periods after which a frame is stale, if the file doesn't say.
 const STALE_PERIODS: f64 = 5.0;
-/// The same, if the period is unknown, or shorter than a busy desktop system keeps to.
+/// Minimum of that age, which a busy desktop system can still keep; also used if the frame rate is unknown.
 const LEAST_STALE_MS: f64 = 100.0;
 /// Longest time in the table: a minute.
 const MOST_MS: f64 = 60_000.0;

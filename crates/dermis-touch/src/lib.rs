@@ -35,7 +35,7 @@
 //! | [`Baseline`] | the reference of difference data: start, tare, drift |
 //! | [`PlaceHypotheses`] | two positions that explain a frame about equally well, followed over a press |
 //! | [`health`], [`damage`] | faulty channels and electrodes; damage as opposed to touch |
-//! | [`guard`] | one verdict per frame: go on, stop, or nobody can tell |
+//! | [`guard`] | one verdict per frame: go on, stop, or unknown |
 //! | [`locator`], [`force`] | positions and forces from calibrations, with their uncertainty |
 //! | [`measure`], [`rhythm`], [`RunningStats`] | the measures that laboratories report; spectra; noise |
 //!

@@ -184,7 +184,7 @@ impl MeshSizes {
             ElectrodeShape::Point { .. } | ElectrodeShape::RimPoint { .. } => f64::INFINITY,
         };
         let narrowest_m = skin.electrode_shapes().iter().map(width).fold(f64::INFINITY, f64::min);
-        // Elements much smaller than the skin's would only cost time.
+        // Elements that are tiny compared to the skin would only cost time.
         let natural_m = narrowest_m.max(side_m / 1000.0).min(element_m);
         Self { element_m, electrode_m: skin.twin.electrode_element_mm.map_or(natural_m, |mm| (mm * MM).min(element_m)) }
     }

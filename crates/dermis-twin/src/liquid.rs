@@ -116,7 +116,7 @@ impl LiquidSkin {
     ///
     /// # Errors
     /// Invalid parameters, electrodes that do not fit the protocol, a mesh that cannot be built, a membrane too slack
-    /// to hang from, or an open tank that gravity does not hold.
+    /// to hold the liquid when it hangs underneath, or an open tank that gravity does not hold.
     pub fn new(options: LiquidOptions) -> Result<Self, TwinError> {
         options.cover.check()?;
         options.memory.as_ref().map_or(Ok(()), Memory::check)?;

@@ -21,8 +21,9 @@ use crate::pressed_twin::PressedTwin;
 const WINDOW: u64 = 8;
 /// Maximum number of messages waiting for the page; further ones are dropped.
 const MOST_MESSAGES: usize = 256;
-/// Maximum time that the twin advances after a pause, frames; the page was not being viewed.
+/// Maximum time that the twin advances over a pause in which the page was not viewed, frame periods.
 const LONGEST_PAUSE: u64 = 4;
+/// Interval between messages that the engine is alive.
 const ALIVE_NS: u64 = 1_000_000_000;
 
 /// A message to the page.
@@ -107,7 +108,7 @@ impl Engine {
         }
     }
 
-    /// Sends a sign of life without running a frame, while the page is not being viewed.
+    /// Reports that the engine is alive, without running a frame, while the page is not being viewed.
     pub fn rest(&mut self) {
         self.send_alive();
     }

@@ -2,7 +2,7 @@
 //! memory. The page writes into the buffer returned by `dermis_input` and reads from the buffer filled by
 //! `dermis_next`. A panic leaves its text in the latter before the module traps.
 
-// Exported names and one imported one: nothing else here is unsafe, and no pointer is dereferenced.
+// Only the exported names and one import are unsafe here; no pointer is dereferenced.
 #![allow(unsafe_code)]
 
 use std::cell::RefCell;
@@ -13,9 +13,11 @@ use dermis_live::instant::set_clock;
 
 use crate::engine::{Engine, Message};
 
-/// Results of `dermis_next`.
+/// Result of `dermis_next`: no message.
 const NOTHING: u32 = 0;
+/// Result of `dermis_next`: a text message.
 const TEXT: u32 = 1;
+/// Result of `dermis_next`: a binary message.
 const BINARY: u32 = 2;
 
 /// Skin shown in the page.
@@ -71,7 +73,7 @@ pub extern "C" fn dermis_step() {
     with_engine(|engine| engine.step(now_ns()));
 }
 
-/// Sends a sign of life without running a frame.
+/// Reports that the engine is alive, without running a frame.
 #[unsafe(no_mangle)]
 pub extern "C" fn dermis_rest() {
     with_engine(Engine::rest);

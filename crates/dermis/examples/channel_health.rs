@@ -1,6 +1,6 @@
-//! Measures the figures of the book's chapter on channel health on the twins: false alarms, frames until a fault is
-//! detected, time to go on without the lost channels, positions of touches with electrodes lost, and their
-//! theoretical bounds.
+//! Reproduces the numbers in the book's chapter on channel health with the twins: false alarms, frames until a fault is
+//! detected, time until the pipeline runs without the lost channels, and errors of touches with electrodes lost, with
+//! their theoretical bounds.
 //!
 //! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [twins] [frames]`
 
@@ -114,7 +114,7 @@ fn false_alarms(name: &str, frames: u64) -> Outcome<(u64, u64)> {
     Ok((alarms, pressed))
 }
 
-/// Number of frames from the onset of a fault until all of it is known, and the longest time for a frame meanwhile.
+/// Frames from a fault's onset until all of it is identified, and the longest processing time of a frame in between.
 fn onset(name: &str, fault: &str, known: impl Fn(Health<'_>) -> bool) -> Outcome<(Option<u64>, f64)> {
     let frame_s = 1.0 / Skin::open(name)?.backend.frames_per_s.unwrap_or(50.0);
     let from = 80;
@@ -261,7 +261,8 @@ fn computed_s() -> f64 {
     1e-9 * tasks.filter_map(nanoseconds).sum::<f64>()
 }
 
-/// Measures the time to go on without two electrodes: operator and image noise, and the refinement of touches.
+/// Measures the time until the pipeline runs without two electrodes: operator and image noise, and the refinement of
+/// touches.
 fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
     let Presses { rig, reconstructor, model, .. } = presses;
     let noise = &rig.reference().noise;
@@ -288,7 +289,7 @@ fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
     Ok(())
 }
 
-/// Median, 95 %, maximum, and how many exceed the goal for two lost electrodes.
+/// Median, 95th percentile and maximum, and how many exceed the goal for two lost electrodes.
 fn spread(mut ratios: Vec<f64>) -> String {
     ratios.sort_by(f64::total_cmp);
     let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share) as usize];

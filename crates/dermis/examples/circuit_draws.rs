@@ -1,5 +1,5 @@
-//! Measures how well the circuit of the measured gel skin is found from a few presses at unknown positions. Presses
-//! are drawn at random; each draw is judged on all other presses, whose positions are used for nothing else.
+//! Measures how well the circuit of the measured gel skin is found from a few presses at unknown positions. Presses are
+//! drawn at random. Each draw is judged on all other presses, whose positions serve only for that.
 //!
 //! ```sh
 //! cargo run --release -p dermis --example circuit_draws -- DIR [DRAWS [PRESSES ...]]

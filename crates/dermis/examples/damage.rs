@@ -15,11 +15,13 @@ use dermis_twin::physics::Cut;
 use dermis_twin::{AnyTwin, TwinKit};
 use dermis_twin::{Frontend, Heating, Treatment};
 
-/// Side of a panel and the space around it, pixels.
+/// Side of a panel, pixels.
 const SIDE: f64 = 220.0;
+/// Space around a panel, pixels.
 const GAP: f64 = 14.0;
-/// Values at which the colours saturate.
+/// Drop below the intact skin at which the colour saturates.
 const FALL: f32 = 0.2;
+/// Rise above the intact skin at which the colour saturates.
 const RISE: f32 = 0.8;
 
 /// An image with its name, and the ends of the cuts fitted in it.

@@ -14,11 +14,12 @@ use dermis_skin::Skin;
 
 /// Seconds between frames.
 const PERIOD_S: f64 = 8.0;
-/// Side of a panel and the space around it, pixels.
+/// Side of a panel, pixels.
 const SIDE: f64 = 220.0;
+/// Space around a panel, pixels.
 const GAP: f64 = 14.0;
 
-/// An image with its name, and the ends of the damages in it.
+/// An image with its name, and the ends of each damage in it.
 struct Panel {
     name: String,
     image: Vec<f32>,

@@ -27,7 +27,7 @@ pub fn main() -> Result<(), Error> {
     };
     sample(&request, |_, _| {})?;
 
-    // From here on the same as with measured files.
+    // From here on, the code is the same for measured files.
     let (rest, pressed) = (read(&FileSpec::all(&baseline), None)?, read(&FileSpec::all(&frames), None)?);
     let prepared = Prepared::new(skin)?; // Mesh, forward model, Jacobian.
     let rest: Vec<Vec<f64>> = rest.rows().map(<[f64]>::to_vec).collect();

@@ -1,6 +1,6 @@
-//! An instrument of your own: anything that delivers frames is a [`Source`]. This one is a board that hasn't been
-//! built yet, played by a skin's twin; yours reads its port where this one steps the twin. `cargo run --release -p
-//! dermis --example own_instrument`
+//! An instrument of your own: anything that delivers frames is a [`Source`]. This one stands for a board that hasn't
+//! been built yet, and steps a skin's twin where yours would read its port.
+//! `cargo run --release -p dermis --example own_instrument`
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Runs a body: every patch has a thread that takes its frames and one that turns them into touches, and none waits
-//! for another. A patch that fails, stalls or is unplugged is reported in the table of health; the rest go on.
+//! Runs a body: each patch has one thread that receives its frames and one that turns them into touches, and no patch
+//! waits for another. If a patch fails, stalls or is unplugged, the health table says so and the others keep running.
 
 #[cfg(feature = "foxglove")]
 mod foxglove;

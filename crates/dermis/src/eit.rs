@@ -96,7 +96,7 @@ pub use dermis_tomo::{
     quality::peak_m,
 };
 
-/// No example: rules for lambda, whose variants are their own explanation.
+/// No example: rules for lambda, whose variants explain themselves.
 pub use dermis_tomo::inverse::Hyperparameter;
 
 /// No example: GREIT and total variation take the problem of [`ForwardModel`]'s example.

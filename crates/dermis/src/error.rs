@@ -162,7 +162,7 @@ pub enum Error {
 }
 
 impl From<LiveError> for Error {
-    /// An error that has a variant of its own gets it, whichever crate passed it on.
+    /// Errors of lower crates become the variant of their own, whichever crate passed them on.
     fn from(error: LiveError) -> Self {
         match error {
             LiveError::Skin(error) => Self::Skin(error),

@@ -1,8 +1,8 @@
 //! Tomographic tactile skins, from skin file to touches.
 //!
-//! A tomographic skin is a conductive sheet with a few electrodes at its rim. Currents are driven and voltages
-//! measured there, and the changes of the voltages reveal where and how hard the skin is touched. A [`Skin`] is its
-//! file; a [`Session`] reads one.
+//! A tomographic skin is a conductive sheet with a few electrodes at its rim. An instrument drives currents and
+//! measures voltages there, and changes of the voltages reveal where and how hard the skin is touched. A [`Skin`] is
+//! the skin's file; a [`Session`] reads its touches.
 //!
 //! ```
 //! use dermis::{Session, Skin};
@@ -42,15 +42,15 @@
 //! | [`offline`] | files of frames to images and touches |
 //! | [`learn`] | networks that label images |
 //! | [`eit`] | meshes, forward models and inverse operators, as in EIDORS and pyEIT |
-//! | [`Error`] | what goes wrong |
+//! | [`Error`] | the error of every function here |
 //!
-//! `examples/` has a program of less than 60 lines for each way in: `first_touch`, `own_skin`, `own_instrument`,
+//! `examples/` has a program of less than 60 lines for each way to start: `first_touch`, `own_skin`, `own_instrument`,
 //! `offline_images`, `train_and_use`.
 //!
 //! # Other crates
 //!
-//! This crate exports the types that most programs need. Each is defined in one of the crates below, which have more,
-//! and which can be used together with this one.
+//! This crate exports the types that most programs need. Each is defined in one of the crates below, which contain more
+//! and can be used together with this one.
 //!
 //! | crate | purpose |
 //! |---|---|

@@ -47,7 +47,7 @@ pub struct SessionOptions {
     pub calibration: Option<PathBuf>,
     /// A force calibration made by `dermis calibrate --forces`.
     pub forces: Option<PathBuf>,
-    /// Time without a frame after which the session yields an error. It goes on waiting when called again.
+    /// Time without a frame after which the session yields an error. Calling it again continues to wait.
     pub patience: Duration,
 }
 
@@ -119,9 +119,9 @@ pub struct SkinFrame {
 }
 
 impl Session {
-    /// Opens a source for a skin: `twin` (the skin's own), `twin:NAME`, a file of frames or a recording
-    /// (`press.mcap`, `frames.csv#0..60`), `tcp:HOST:PORT`, `serial:PORT[@BAUD]` or `serial:VID:PID[:SERIAL]`; after
-    /// a port `#lines` or `#floats:CHANNELS` for instruments that send just numbers.
+    /// Opens a source for a skin: `twin` (the skin's own), `twin:NAME`, a file of frames or a recording (`press.mcap`,
+    /// `frames.csv#0..60`), `tcp:HOST:PORT`, `serial:PORT[@BAUD]` or `serial:VID:PID[:SERIAL]`. Append `#lines` or
+    /// `#floats:CHANNELS` to a port if the instrument sends plain numbers.
     ///
     /// # Errors
     /// The text is not a valid source, the source cannot be opened, or its frames do not hold the skin's channels.
@@ -144,7 +144,7 @@ impl Session {
         };
         let forces = options.forces.as_deref().map(|path| load_forces(path, &skin)).transpose()?;
         let mut pipeline = Pipeline::new(Prepared::new(skin)?, source.layout(), calibration)?;
-        // Files and twins run at a speed of their own.
+        // Lag means nothing for files and twins, which run at their own speed.
         pipeline.watch_lag(twin.is_none() && !is_file);
         forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
         baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
@@ -212,7 +212,7 @@ impl Session {
     /// after the last frame of a file.
     ///
     /// # Errors
-    /// The source fails, or is silent for longer than the session's patience; it goes on waiting when called again.
+    /// The source fails, or is silent for longer than the session's patience; calling this again continues to wait.
     pub fn next_output(&mut self) -> Result<Option<Output<'_>>, Error> {
         if !self.receive()? {
             return Ok(None);

@@ -123,8 +123,8 @@ const FRAMES_PER_S: f64 = 20.0;
 pub struct SourceOptions {
     /// Speed of files and of the twin: 1 in real time, 2 twice as fast, 0 as fast as frames are taken.
     pub speed: f64,
-    /// Leave an instrument on the wire as it is set, instead of setting it to the skin's protocol, current and
-    /// frequency.
+    /// Use an instrument on the wire with its present settings, instead of setting it to the skin's protocol, current
+    /// and frequency.
     pub as_set: bool,
     /// Accept a recording of another skin as one of this skin.
     pub as_skin: bool,
@@ -249,8 +249,8 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
     Ok(OpenedSource { source, twin: None, is_file: true, waits: true })
 }
 
-/// Opens an instrument. One on the wire is set up for the skin as far as possible, unless it should stay as it is
-/// set. A Sciospec instrument is always told its injections, because its channels follow from them alone.
+/// Opens an instrument. An instrument on the wire is set up for the skin as far as possible, unless the options say not
+/// to. A Sciospec instrument always gets its injections, because they alone determine its channels.
 fn instrument(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<StreamSource, Error> {
     let (SourceSelector::Tcp { instrument, .. } | SourceSelector::Serial { instrument, .. }) = selector else {
         return Ok(open_stream_greeted(selector, StreamOptions::default(), "")?);

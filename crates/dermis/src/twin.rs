@@ -27,7 +27,7 @@ pub use dermis_twin::from_skin::press_range;
 /// # Ok::<(), dermis::Error>(())
 /// ```
 pub use dermis_lab::twin_commands::TwinCommand;
-/// No example here: the queue of commands and its refusals are in [`TwinCommand`]'s.
+/// No example here: [`TwinCommand`]'s shows the queue of commands and how it refuses one.
 pub use dermis_lab::twin_commands::{CommandRefused, TwinCommands};
 
 /// No example: a pad on a skin that heals, given as `Treatment::Heat`.

@@ -14,9 +14,11 @@ use crate::whitening::Whitening;
 /// Places of the logarithms of pressure and radius among the parameters of a press.
 const LOG_PRESSURE: usize = 2;
 const LOG_RADIUS: usize = 3;
-/// Largest number of steps of a fit, and of one that only compares explanations; initial damping.
+/// Largest number of steps of a fit.
 const STEPS: usize = 15;
+/// Largest number of steps of a fit that only compares explanations.
 const QUICK_STEPS: usize = 8;
+/// Initial damping.
 const DAMPING: f64 = 1e-3;
 /// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
 /// than ten times this.
@@ -25,8 +27,9 @@ const CONVERGED: f64 = 2e-3;
 const LONGEST: f64 = 0.5;
 /// Error of the force as a share of it, from the meshes: 0.1 on twins of two skins with patches.
 const FORCE_SHARE: f64 = 0.12;
-/// Number of proposals for one more press, and their distance from each other in typical radii.
+/// Number of proposals for one more press.
 const PROPOSALS: usize = 3;
+/// Distance of these proposals from each other, in typical radii.
 const APART: f64 = 2.0;
 
 /// Fits presses to frames with these weights.

@@ -15,11 +15,13 @@ pub(super) const LONGEST_LOG: f64 = 0.7;
 pub(super) const LOG_DEVIATIONS: [f64; 2] = [1.0, 0.35];
 /// Pressures beyond this many deviations from the usual one are not tried: contact is saturated, or open.
 const MOST_DEVIATIONS: f64 = 4.0;
-/// Number of rings over which a contact is integrated, and steps from a reported press to the parameters of the fit.
+/// Number of rings over which a contact is integrated.
 const RINGS: usize = 48;
+/// Number of steps from a reported press to the parameters of the fit.
 const INVERSE_STEPS: usize = 30;
-/// Largest area in contact, in areas of a typical press per press, and the least number of presses that it is for.
+/// Largest area in contact, in areas of a typical press per press.
 const MOST_TYPICAL: f64 = 6.0;
+/// Least number of presses that this area allows for.
 const FEWEST: usize = 3;
 /// Operations of a solution besides the factorisation: pressures, derivatives and right-hand sides take a millisecond.
 const LEAST_WORK: f64 = 1.2e6;

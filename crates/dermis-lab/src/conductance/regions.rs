@@ -18,7 +18,7 @@ const LEAST_DIFFERENCE: f64 = 0.05;
 const CORE: f64 = 0.7;
 /// A region reaches to where its difference falls to this share of the maximum.
 const RIM: f64 = 0.5;
-/// Most regions in a report.
+/// Maximum number of regions in a report.
 const MOST: usize = 12;
 
 /// A region that differs from the sheet around it.

@@ -10,7 +10,7 @@ use dermis_skin::{Modality, Reads};
 const MARGIN: f64 = 0.02;
 /// Largest share of the stated wiring's unexplained part that may remain.
 const LEFT: f64 = 0.3;
-/// Most electrodes for which pairs are tried.
+/// Maximum number of electrodes for which pairs are tried.
 const MOST_ELECTRODES: usize = 64;
 
 /// Two electrodes whose exchange explains a baseline.

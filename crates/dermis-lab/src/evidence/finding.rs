@@ -10,7 +10,7 @@ use serde::Serialize;
 pub struct Figure {
     /// Name, as in "median".
     pub name: String,
-    /// The value; over several draws their mean.
+    /// The value, or its mean over several draws.
     pub value: f64,
     /// Its unit; "of 500" for a count; empty for a ratio.
     pub unit: String,

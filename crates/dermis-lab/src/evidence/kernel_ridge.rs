@@ -10,7 +10,7 @@ use faer::{Mat, Side};
 const LENGTHS: [f64; 5] = [0.1, 0.2, 0.35, 0.6, 1.0];
 /// Ridges to try.
 const RIDGES: [f64; 6] = [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1];
-/// Most pokes used to choose length scale and ridge.
+/// Maximum number of pokes used to choose length scale and ridge.
 const MOST_TO_CHOOSE: usize = 800;
 
 /// A fitted regression.

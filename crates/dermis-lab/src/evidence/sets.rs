@@ -49,7 +49,7 @@ impl Set {
         SETS.iter().find(|set| set.name == name)
     }
 
-    /// Runs dermis on the set, which lies in the folder of its name inside `data`. `tell` is called with each step.
+    /// Runs dermis on the set, which is in the folder of its name inside `data`. `tell` is called with each step.
     pub fn measure(&self, data: &Path, extent: Extent, tell: &mut dyn FnMut(&str)) -> SetReport {
         let begun = Instant::now();
         let mut bench = Bench::new(data.join(self.name), extent, tell);

@@ -92,7 +92,7 @@ pub struct Segmented {
     pub method: Method,
 }
 
-/// Most pixels per side; more would be a typing error.
+/// Maximum number of pixels per side; a larger number is a typing error.
 const MOST_PIXELS: usize = 4096;
 
 /// Labels all frames and writes the requested files. `progress` gets the number of steps done and the total.

@@ -16,12 +16,14 @@ use dermis_skin::{Layer, SandwichLayer, Skin};
 
 /// The lightest and the hardest touch, as shares of the skin's nominal pressure.
 const PRESSURES: [f64; 2] = [0.1, 2.5];
-/// Largest deviation of a sample's contact law from the skin file's: a factor on its pressures, its saturation and
-/// the length over which pressure spreads, and another on its exponent.
+/// Maximum factor by which a sample's contact law deviates from the skin file's in its pressures, its saturation and
+/// the length over which pressure spreads.
 const LAW_FACTOR: f64 = 2.0;
+/// Maximum factor on the exponent of the contact law.
 const EXPONENT_FACTOR: f64 = 1.3;
-/// Width of a cut as a share of the stroke that labels it, and the decades by which its conductance is reduced.
+/// Range of the width of a cut, as a share of the stroke that labels it.
 const CUT_WIDTH: [f64; 2] = [0.02, 0.3];
+/// Maximum decades by which the conductance of a cut is reduced further.
 const CUT_DECADES: f64 = 3.0;
 /// Range of conductivity factors that a scene's touches are drawn from.
 const FACTORS: [f64; 2] = [1.2, 5.0];

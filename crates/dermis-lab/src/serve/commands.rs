@@ -7,7 +7,7 @@ use crate::twin_source::TwinCommand;
 use dermis_skin::TwinAction;
 use dermis_twin::PressRange;
 
-/// The available commands, for people.
+/// The available commands, as help text.
 pub const WORDS: &str = "\
 press X_MM Y_MM FORCE_N [RADIUS_MM]   press there, or go on pressing there
 release                               let go

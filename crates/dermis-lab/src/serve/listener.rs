@@ -14,7 +14,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const MUTE: Duration = Duration::from_secs(5);
 /// Drop a silent host that requests no frames after this time.
 const IDLE: Duration = Duration::from_secs(60);
-/// Most hosts on a socket at once.
+/// Maximum number of hosts on a socket at once.
 const MOST_HOSTS: usize = 8;
 /// Bytes per read.
 const CHUNK: usize = 4096;
@@ -100,7 +100,8 @@ impl Host {
         Self { stream, said, waiting: Vec::new(), took: now, spoke, since: now, gone: false }
     }
 
-    /// True if the host wastes its place: it has never sent anything, or it has long been silent and takes no frames.
+    /// True if the host should be disconnected: it has never sent anything, or it has long been silent and takes no
+    /// frames.
     pub(super) fn is_mute(&self, device: &WireDevice) -> bool {
         let mute = match self.spoke {
             None => self.since.elapsed() > MUTE,

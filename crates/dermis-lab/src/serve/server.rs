@@ -63,7 +63,7 @@ pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
     })
 }
 
-/// A host with its own device end of the link. All guests get the same frames.
+/// A connected host, with its own device state machine. All guests get the same frames.
 struct Guest {
     host: Host,
     device: WireDevice,
@@ -79,7 +79,7 @@ struct Guest {
 /// NaN for an open one.
 ///
 /// # Errors
-/// The twin cannot go on, or the port fails.
+/// The twin or the port fails.
 pub fn serve(
     door: &mut Door,
     mut twin: TwinSource,

@@ -427,8 +427,7 @@ impl Bench {
     ) -> Result<(Reconstructor, Reference), Error> {
         let (positions_m, frames): (Vec<[f64; 2]>, Vec<Vec<f64>>) = poked.iter().cloned().unzip();
         let pokes = Pokes { positions_m, further_m: Vec::new(), loads: None };
-        // Drop a frame if the numbers are equal, or the baselines would be taken as belonging to the pokes one by
-        // one.
+        // With as many baseline frames as pokes, each would be taken as the baseline of one poke. Drop one.
         let baseline = if frames.len() == baseline.len() { &baseline[1..] } else { baseline };
         let mut calibration = Calibration::fit(&self.prepared, baseline, &frames, &pokes)?;
         calibration.try_model(seen, &self.prepared)?;

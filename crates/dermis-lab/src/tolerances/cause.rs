@@ -1,25 +1,25 @@
-//! The causes of a workshop's errors.
+//! The causes of manufacturing errors.
 
 use dermis_skin::{Layer, Skin, Tolerances};
 
 /// One thing that goes wrong; see [`Tolerances`] for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Electrodes lie elsewhere.
+    /// Electrodes are displaced.
     ElectrodePlaces,
-    /// Electrodes are wider or narrower.
+    /// Electrodes are too wide or too narrow.
     ElectrodeWidths,
-    /// Electrodes touch the sheet better or worse.
+    /// Electrodes make better or worse contact with the sheet.
     ContactImpedance,
     /// The sheet conducts unevenly.
     Conductivity,
     /// The sheet is thicker or thinner.
     Thickness,
-    /// The layer answers pressure otherwise.
+    /// The layer responds differently to pressure.
     ContactLaw,
-    /// Coils lie elsewhere.
+    /// Coils are displaced.
     CoilPlaces,
-    /// Elements stand higher or lower.
+    /// Elements are too high or too low.
     ElementHeights,
     /// Springs are stiffer or softer.
     Stiffness,
@@ -32,7 +32,7 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// For people.
+    /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::ElectrodePlaces => "electrode places",

@@ -160,8 +160,8 @@ struct Task {
     samples: usize,
 }
 
-/// Studies a skin with these tolerances. `progress` gets the number of samples done and the total, and
-/// returns whether to go on.
+/// Studies a skin with these tolerances. `progress` gets the number of samples done and the total, and returns whether
+/// to continue.
 ///
 /// # Errors
 /// A number is out of range, the skin cannot be meshed or solved, or [`Error::Interrupted`] because `progress`

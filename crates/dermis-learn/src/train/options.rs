@@ -52,8 +52,9 @@ impl Default for TrainOptions {
 }
 
 /// Single-precision values kept per image value on its way through a block, including gradients: convolution, norm,
-/// Softsign. Two blocks on the way down and two on the way up.
+/// Softsign.
 const OF_A_BLOCK: f64 = 4.0;
+/// Blocks per level: two on the way down and two on the way up.
 const BLOCKS: f64 = 4.0;
 /// Copies of every weight: value, gradient, Adam's two moments, best value.
 const OF_A_WEIGHT: f64 = 5.0;

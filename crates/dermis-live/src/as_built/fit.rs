@@ -23,14 +23,15 @@ use crate::stages::workshop_error::WorkshopError;
 const STEPS: usize = 3;
 /// Steps of the fit of a poke's load and radius.
 const SPOT_STEPS: usize = 6;
-/// Share of a poke's response that the model of a spot leaves at first; then what it leaves is measured.
+/// Share of a poke's response that the model of a spot is first assumed to leave. Later the share is measured.
 const LEFT_AT_FIRST: f64 = 0.02;
 /// Error of the model at rest, as a share of its largest voltage, on meshes unlike the instrument's.
 const REST_ERROR: f64 = 0.001;
-/// Largest relative loss of conductance under a press, smallest load, and largest change of a radius's logarithm in a
-/// step.
+/// Largest relative loss of conductance under a press.
 const MOST_LOST: f64 = 0.95;
+/// Smallest load.
 const LEAST_LOAD: f64 = 1e-6;
+/// Largest change of a radius's logarithm in a step.
 const MOST_RADIUS_STEP: f64 = 0.4;
 /// Added to the normal equations of nuisances, which may be nearly alike, relative to their norms.
 const NEARLY_ALIKE: f64 = 1e-9;

@@ -1,4 +1,4 @@
-//! What a baseline alone tells about how a skin was built.
+//! How a skin was built, as far as its baseline shows.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ const MOST_MISFIT: f64 = 2.0;
 /// Largest number of channels. With more, the changes of all responses would take gigabytes.
 const MOST_CHANNELS: usize = 2000;
 
-/// True if pokes can tell how a skin was built: presses are spots on its sheet, read without a circuit between.
+/// True if pokes can show how a skin was built: presses are spots on its sheet, read without a circuit between.
 pub(crate) fn is_wanted(prepared: &Prepared) -> bool {
     let has_spots = matches!(prepared.skin.frontend.layer, Layer::Sheet(_) | Layer::Liquid(_));
     has_spots && is_electric(prepared)
@@ -32,7 +32,7 @@ fn is_electric(prepared: &Prepared) -> bool {
     prepared.channels() <= MOST_CHANNELS && skin.fits_touches() && skin.backend.wiring.is_known()
 }
 
-/// True if the baseline of this skin, as drawn, tells how it was built.
+/// True if the baseline of this skin, as drawn, shows how it was built.
 pub(crate) fn learns_from_rest(drawn: &Prepared) -> bool {
     (is_wanted(drawn) || is_electric(drawn) && fits_contacts(drawn)) && !drawn.is_as_built() && baseline_is_known(drawn)
 }
@@ -42,7 +42,7 @@ pub(crate) fn is_off(reference: &Reference) -> bool {
     reference.misfit >= AS_DRAWN
 }
 
-/// The skin as built, as far as its baseline tells. `None` if the baseline fits the skin as drawn, if no skin within
+/// The skin as built, as far as its baseline shows. `None` if the baseline fits the skin as drawn, if no skin within
 /// the tolerances explains it, or if presses on the skin are not spots.
 ///
 /// The size of the errors comes from the skin itself: where its baseline is nearer to the file than the tolerances

@@ -39,7 +39,7 @@ impl Pipeline {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
     }
 
-    /// Source of the touches' forces; `None` if nothing tells them.
+    /// Source of the touches' forces; `None` if they are unknown.
     pub fn force_source(&self) -> Option<ForceSource> {
         let choices = &self.choices;
         if let Some(forces) = &choices.forces {

@@ -22,7 +22,7 @@ pub(crate) struct BuildLearning {
     drawn: Arc<Prepared>,
     coming: Beside<Result<Option<Box<Learned>>, Error>>,
     is_learning: bool,
-    /// Waits for a sound frame.
+    /// The result, until a sound frame comes.
     ready: Option<Box<Learned>>,
 }
 
@@ -35,7 +35,7 @@ pub(crate) struct Learned {
 }
 
 impl BuildLearning {
-    /// `None` for a skin whose baseline does not tell how it was built.
+    /// `None` for a skin whose baseline does not show how it was built.
     pub fn of(drawn: &Arc<Prepared>) -> Option<Self> {
         let learning = || Self { drawn: drawn.clone(), coming: Beside::new(), is_learning: false, ready: None };
         learns_from_rest(drawn).then(learning)

@@ -79,7 +79,7 @@ impl Drift {
         self.age_s > 0.0
     }
 
-    /// How much each channel counts, with this noise (model volts).
+    /// Weights of the channels, with this noise (model volts).
     pub fn weights(&self, noise: &[f64]) -> Weights {
         let (own, share) = (CHANNEL_PER_S * self.age_s, ELECTRODE_PER_S * self.age_s);
         let deviations = noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect();
@@ -89,7 +89,7 @@ impl Drift {
     }
 }
 
-/// How much the channels count: their noise and drift, model volts.
+/// Weights of the channels: their noise and drift, model volts.
 #[derive(Debug)]
 pub(crate) struct Weights {
     /// Standard deviations of the channels: their noise combined with their own drift.

@@ -27,8 +27,7 @@ const LEAST_PART: f64 = 0.15;
 const LEAST_APART_CELLS: f64 = 1.25;
 /// Maximum number of rounds for assigning elements to presses.
 const MOST_ROUNDS: usize = 12;
-/// Maximum share of the travel at which forces are evaluated, since springs near their end say little about the
-/// force.
+/// Maximum share of the travel at which forces are evaluated, since springs near their end hardly show the force.
 const MOST_SHARE: f64 = 0.98;
 /// Standard deviation of a press's position about the centroid of forces, in cells: the effect of how a round face
 /// covers cells.

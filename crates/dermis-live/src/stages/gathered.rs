@@ -1,4 +1,4 @@
-//! Gathers frames that arrive faster than a fit takes: their mean is fitted instead.
+//! Gathers frames that arrive faster than they can be fitted. Their mean is fitted instead.
 
 use dermis_touch::Contact;
 
@@ -40,8 +40,8 @@ impl Gathered {
         Some(mean)
     }
 
-    /// Keeps the contacts of a fit for the frames that follow. The fit took `spent_ns`: as much time passes before the
-    /// next one, so that fits take half of a core at most.
+    /// Keeps the contacts of a fit for the frames that follow. The fit took `spent_ns`, and the next one waits at least
+    /// as long, so that fits take half of a core at most.
     pub fn keep(&mut self, time_ns: u64, spent_ns: u64, contacts: &[Contact]) {
         (self.fitted_ns, self.until_ns) = (Some(time_ns), time_ns.saturating_add(spent_ns));
         self.contacts.clear();
@@ -81,7 +81,7 @@ mod tests {
             mean
         };
         assert_eq!(add(0, 1.0), Some(vec![1.0]));
-        // A fit of 20 ms: as much time passes before the next.
+        // After a fit of 20 ms, the next one waits at least as long.
         assert_eq!((1..20).find_map(|ms| add(ms, 2.0)), None);
         assert_eq!(add(20, 2.0), Some(vec![2.0]));
     }

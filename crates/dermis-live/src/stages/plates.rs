@@ -16,16 +16,17 @@ use crate::stages::spot_model::{LARGEST_RADIUS, MOST_SPOTS, SMALLEST_RADIUS, TYP
 
 /// Share of a frame's energy that the model of contact leaves unexplained, on twins: 0 to 0.002.
 const CONTACT_ERROR: f64 = 0.0005;
-/// Number of elements of the mesh for fits, and of the one on which explanations are compared.
+/// Number of elements of the mesh for fits.
 const ELEMENTS: usize = 4000;
+/// Number of elements of the mesh on which explanations are compared.
 const COARSE_ELEMENTS: usize = 1500;
 /// Largest number of channels for fits of contact with patches. Skins with more keep smooth spots.
 const MOST_CHANNELS: usize = 2000;
 /// Contact under presses as they are proposed, as a share of the saturated contact.
 const PROPOSED_CONTACT: f64 = 0.8;
-/// Distance between the positions at which presses are proposed: in pitches on patches, as a share of the shorter side
-/// elsewhere.
+/// Distance between the positions at which presses are proposed, on patches, in pitches.
 const PROPOSED_EVERY: f64 = 0.5;
+/// The same elsewhere, as a share of the shorter side.
 const PROPOSED_SHARE: f64 = 0.1;
 /// Least spread of pressure, in pitches.
 const LEAST_SPREAD: f64 = 0.05;

@@ -15,8 +15,7 @@ use crate::stages::spot_model::{Membrane, spot_model_under};
 
 /// Share of a frame's energy that the model of a press leaves unexplained, on twins. Up to 0.002 on gels, foams and
 /// liquids; more for deep dents with the linear model; 0.002 to 0.006 in open tanks, whose surface takes the shape of
-/// the indenter; 0.007 to 0.07 for smooth spots on separate patches, because a
-/// patch conducts as a whole.
+/// the indenter; 0.007 to 0.07 for smooth spots on separate patches, because a patch conducts as a whole.
 const SPOTS_ERROR: f64 = 0.001;
 const IN_PROPORTION_ERROR: f64 = 0.005;
 const TANK_ERROR: f64 = 0.005;

@@ -99,14 +99,14 @@ impl Presses {
         Ok(())
     }
 
-    /// A fit under the current weights, in place of any that is being made.
+    /// Makes a fit under the current weights. A fit that is being made is dropped.
     fn fit(&mut self) -> Result<AgedFit, Error> {
         self.coming.cancel();
         let fit = self.model.fit(self.drift.weights(&self.noise), &self.left_out)?;
         Ok((fit, self.drift.is_aged()))
     }
 
-    /// Takes up the current weights at once.
+    /// Uses the current weights at once.
     fn reweigh(&mut self) -> Result<(), Error> {
         let (fit, is_aged) = self.fit()?;
         if let Some(stage) = &mut self.stage {
@@ -115,7 +115,7 @@ impl Presses {
         Ok(())
     }
 
-    /// Orders a fit under the current weights.
+    /// Orders a fit under the current weights, in the background.
     fn reweigh_soon(&mut self, time_ns: u64) {
         let (model, left_out) = (self.model.clone(), self.left_out.clone());
         let (weights, is_aged) = (self.drift.weights(&self.noise), self.drift.is_aged());

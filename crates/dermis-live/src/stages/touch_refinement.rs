@@ -18,15 +18,15 @@ use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
 /// ended but are still part of the baseline.
 const CLEARLY_EXPLAINED: f64 = 0.005;
-/// Presses that have ended are accepted as the explanation of a frame if they leave less than this share of its
-/// energy (with real gels and wrong geometries, a press leaves up to a third), and less than this share of the
-/// residual of present presses. The second condition becomes "less than the residual" if the explanation needs fewer
-/// presses.
+/// Presses that have ended are accepted as the explanation of a frame if they leave less than this share of its energy.
+/// With real gels and wrong geometries, a press leaves up to a third.
 const GONE_UNEXPLAINED: f64 = 0.3;
+/// They must also leave less than this share of the residual of present presses, or just less than that residual if the
+/// explanation needs fewer presses.
 const BETTER: f64 = 0.5;
-/// Number of frames in a row that must show that presses have ended before the baseline is corrected, and the maximum
-/// number of frames between searches that fail.
+/// Number of frames in a row that must show that presses have ended before the baseline is corrected.
 const GONE_FRAMES: u32 = 3;
+/// Maximum number of frames between searches that fail.
 const MOST_GONE_WAIT: u32 = 64;
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
@@ -38,7 +38,8 @@ const FAR_PITCHES: f64 = 0.5;
 /// Reject fits that leave more than this share of a frame's energy where images join presses: the skin has changed in
 /// another way. The image's contacts then begin no touch.
 const MOST_UNEXPLAINED: f64 = 0.3;
-/// A peak this many times as high as the image's lowest value is deep begins a touch all the same: a press on a cut.
+/// If a peak is this many times as high as the image's lowest value is deep, it begins a touch nevertheless: a press on
+/// a cut.
 const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;

@@ -177,7 +177,7 @@ fn sensitivity(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>) -> Vec<f64> {
     diagonal
 }
 
-/// An unknown that no channel sees would have no prior at all; it gets that of the least visible unknown.
+/// An unknown that no channel sees would have no prior; it gets the value of the least visible unknown.
 fn visible(diagonal: Vec<f64>) -> Vec<f64> {
     let largest = diagonal.iter().copied().fold(0.0, f64::max);
     diagonal.into_iter().map(|d| if d > 1e-12 * largest { d } else { 1e-12 * largest.max(1e-300) }).collect()
@@ -247,7 +247,7 @@ fn mixture(
 /// Relative ridge on the diagonal of a sparse R before its inversion: the Laplacian alone does not see constants.
 /// Small enough to change images by less than 1e-5, large enough for the factorisation.
 const SPARSE_RIDGE: f64 = 1e-6;
-/// The same for a Gaussian covariance that has to be inverted: its smallest eigenvalues underflow.
+/// Relative ridge on a Gaussian covariance before its inversion, because its smallest eigenvalues underflow.
 const COVARIANCE_JITTER: f64 = 1e-6;
 
 impl PriorMatrix {

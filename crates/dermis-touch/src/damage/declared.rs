@@ -61,9 +61,9 @@ impl DamageMonitor {
     }
 
     /// Updates position, extent and depth of a known damage site from an image of its remainder, made by another
-    /// operator. Nothing else changes. `left` is the share of its worst state that the image shows. If the image
-    /// shows only this site, the deepest region is used, otherwise the nearest. If no region is deep enough, position
-    /// and extent stay.
+    /// operator. Nothing else changes. `left` is the share of its worst state that the image shows. If the image shows
+    /// only this site, the deepest region is used, otherwise the nearest. If no region is deep enough, position and
+    /// extent are unchanged.
     ///
     /// # Errors
     /// [`TouchError::Length`].

@@ -1,4 +1,4 @@
-//! Thresholds and times for damage to be found and to heal.
+//! Thresholds and times for finding damage and following its healing.
 
 use serde::{Deserialize, Serialize};
 

@@ -14,7 +14,7 @@ pub enum DamageState {
     Covered,
     /// Less of it is left than before.
     Healing,
-    /// Nothing is left of it but a scar at most.
+    /// Gone, except perhaps for a scar.
     Healed,
 }
 
@@ -112,7 +112,7 @@ pub enum DamageEvent {
     Covered(Damage),
     /// Nothing presses on it any more, and it is visible again.
     Uncovered(Damage),
-    /// Nothing is left of it but a scar at most.
+    /// It is gone, except perhaps for a scar.
     Healed(Damage),
 }
 

@@ -3,13 +3,13 @@
 /// Limits of a guard. Times are nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardLimits {
-    /// Force of a touch that stops, newtons.
+    /// Force at which a touch stops the machine, newtons.
     pub force_n: Option<f64>,
-    /// Mean pressure of a touch that stops, pascals: its force over its fitted area.
+    /// Mean pressure at which a touch stops the machine, pascals: its force over its fitted area.
     pub pressure_pa: Option<f64>,
-    /// True if any touch stops.
+    /// True if any touch stops the machine.
     pub any_touch: bool,
-    /// True if damage stops.
+    /// True if damage stops the machine.
     pub damage: bool,
     /// Age at which a frame is stale.
     pub stale_after_ns: u64,

@@ -5,7 +5,7 @@
 pub enum GuardVerdict {
     /// The frame is recent and trusted, and no limit is exceeded.
     Ok,
-    /// Nobody can tell: no recent frame, or one that is not trusted. Treat it as a stop.
+    /// Unknown: no recent frame, or one that is not trusted. Treat it as a stop.
     Stale,
     /// A limit is exceeded, or may be.
     Stop,
@@ -29,9 +29,9 @@ impl GuardVerdict {
 pub enum GuardReason {
     /// Something touches the skin.
     Touch,
-    /// A touch is as strong as the limit.
+    /// A touch reaches the force limit.
     Force,
-    /// A touch presses as hard as the limit.
+    /// A touch reaches the pressure limit.
     Pressure,
     /// A touch has no force that can be compared with the limit.
     ForceUnknown,

@@ -192,7 +192,7 @@ fn baselines_that_are_missing_or_untrusted_are_stale() {
 #[test]
 fn late_frames_are_stale() {
     assert_is(judged(LIMITS, |frame| frame.now_ns += 60 * MS), GuardVerdict::Stale, GuardReason::Late);
-    // A pause: the next frame is fresh, but nobody knows what happened before it.
+    // A pause: the next frame is fresh, but what happened before it is unknown.
     let paused = judged(LIMITS, |frame| {
         frame.frame_ns += 100 * MS;
         frame.now_ns += 100 * MS;

@@ -28,11 +28,13 @@ const FLIPPED: [f64; 2] = [0.1, 10.0];
 /// resting frame if that is larger. Presses change voltages only by factors of several.
 const OUT_OF_RANGE: f64 = 100.0;
 const LEAST_OF_FRAME: f64 = 0.1;
-/// A reading has vanished below this share of its resting value, or within this many standard deviations of zero.
+/// A reading has vanished below this share of its resting value.
 const BLANK: f64 = 0.02;
+/// It has also vanished within this many standard deviations of zero.
 const BLANK_DEVIATIONS: f64 = 3.0;
-/// Share of the channels at the largest magnitude in a saturated frame, and the relative tolerance for being there.
+/// Share of the channels at the largest magnitude in a saturated frame.
 const SATURATED_SHARE: f64 = 0.5;
+/// Relative tolerance for being at that magnitude.
 const AT_THE_END: f64 = 1e-3;
 /// A resting value within this many standard deviations of zero has neither a reliable sign nor size.
 const LEAST_REST: f64 = 10.0;

@@ -219,8 +219,8 @@ impl Spread {
 
     /// Fits both terms. `far` holds examples located from other parts of the skin, and `near` examples located from all
     /// the others. `far` bounds the extrapolation: 68 % of its errors are within one sigma. Below that bound, the
-    /// extrapolation that predicts `near` best is used, since a frame from an unknown part of the skin often resembles touches where
-    /// the map is well known. The factor is raised for the number of quantities the examples `chose`.
+    /// extrapolation that predicts `near` best is used, since a frame from an unknown part of the skin often resembles
+    /// touches where the map is well known. The factor is raised for the number of quantities the examples `chose`.
     pub(super) fn fit(near: &[Trial], far: &[Trial], chose: f64) -> Self {
         let alone = Self::factor_for(near, 0.0);
         let needed = |t: &Trial, axis: usize| {

@@ -23,8 +23,9 @@ pub struct PressRange {
     pub initial_pressure_pa: f64,
 }
 
-/// The demonstration was designed for a square of this half width and this pressure.
+/// Half width of the square that the demonstration was designed for.
 const DEMO_HALF_WIDTH_M: f64 = 0.05;
+/// Pressure that the demonstration was designed for.
 const DEMO_PRESSURE_PA: f64 = 80e3;
 
 impl PressRange {

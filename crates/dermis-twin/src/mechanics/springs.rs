@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
 
-/// Maximum distance between the points at which an indenter's pressure on a cell is sampled, metres, and minimum
-/// number of points along a cell.
+/// Maximum distance between the points at which an indenter's pressure on a cell is sampled, metres.
 const SAMPLE_M: f64 = 3e-3;
+/// Minimum number of these points along a cell.
 const LEAST_SAMPLES: f64 = 4.0;
 /// Smoothing of the pressure relative to that distance, so that the sum equals the force.
 const SMOOTHING: f64 = 2.5 / 3.0;

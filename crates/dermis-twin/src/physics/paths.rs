@@ -10,12 +10,14 @@ use dermis_tomo::sparse::SparseError;
 
 use super::sheet_body::triangles_of;
 
-/// Step along a cut for finding its nearest nodes, and their maximum distance, both in mean edge lengths.
+/// Step along a cut for finding its nearest nodes, in mean edge lengths.
 const STEP: f64 = 0.25;
+/// Maximum distance of these nodes from the cut, in mean edge lengths.
 const REACH: f64 = 0.9;
-/// Maximum deviation of a path from its cut, and penalty on deviations: an edge counts as longer by one plus this
-/// factor times the squared deviation. Both in mean edge lengths.
+/// Maximum deviation of a path from its cut, in mean edge lengths.
 const FARTHEST: f64 = 1.5;
+/// Penalty on deviations: an edge's length is multiplied by one plus this times the squared deviation in mean edge
+/// lengths.
 const STRAYING: f64 = 4.0;
 /// Minimum share of a cut's length that its edges must follow.
 const FOLLOWED: f64 = 0.8;

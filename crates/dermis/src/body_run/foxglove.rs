@@ -1,4 +1,4 @@
-//! The server of a running body for Foxglove: every patch below its name, the poses of all links and patches, and the
+//! The Foxglove server of a running body: every patch under its own name, the poses of all links and patches, and the
 //! joint values.
 
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use super::joints::{JointFeed, JointsState};
 use super::patch::Viewer;
 use crate::error::Error;
 
-/// Minimum interval between poses: as often as a screen shows one.
+/// Minimum interval between poses, about a frame on a screen.
 const POSES_EVERY: Duration = Duration::from_millis(33);
 /// Interval at which poses that don't change are repeated.
 const REPEAT_EVERY: Duration = Duration::from_secs(1);
@@ -41,7 +41,7 @@ impl Drop for BodyServer {
     }
 }
 
-/// Opens the server, if there is an address, for the patches that are ready: their numbers, pipelines and limits.
+/// Opens the server, if there is an address, for the patches that are ready: their numbers, pipelines and guard limits.
 pub(super) fn open<'a>(
     address: Option<&FoxgloveAddress>,
     body: &Arc<Body>,
@@ -66,7 +66,7 @@ pub(super) fn open<'a>(
     Ok((Some(BodyServer { server, poses: Some(poses) }), viewers))
 }
 
-/// Publishes poses and joint values whenever they change, and once a second, until the body stops.
+/// Publishes poses and joint values when they change, and at least once a second, until the body stops.
 fn publish_poses(server: &FoxgloveServer, body: &Body, joints: &JointFeed, stop: &AtomicBool) {
     let mut last: Option<(JointValues, Instant)> = None;
     while !stop.load(Ordering::Relaxed) {
@@ -103,7 +103,7 @@ fn poses(body: &Body, values: &JointValues) -> Vec<FramePose> {
     links.chain(body.patches.iter().enumerate().map(patch)).collect()
 }
 
-/// Frame of a patch: its name, unless a link has that.
+/// Name of a patch's frame: the patch's own name, with `/skin` after it if a link has the same name.
 fn patch_frame(body: &Body, number: usize) -> String {
     let name = &body.patches[number].name;
     frame_beside(name, body.kinematics.link(name).is_some())
@@ -113,10 +113,10 @@ fn frame_beside(name: &str, is_taken: bool) -> String {
     if is_taken { format!("{name}/skin") } else { name.to_owned() }
 }
 
-/// Pose of a single skin on its link, if its file gives one. The skin's frame has the skin's name, unless the link has
-/// that.
+/// Pose of a single skin on its link, if its file gives one. The frame has the skin's name, with `/skin` after it if
+/// the link has the same name.
 ///
-/// No example: for the server of the feature `foxglove` alone.
+/// No example: only useful with a server of the feature `foxglove`.
 pub fn mount_pose(skin: &Skin) -> Option<FramePose> {
     let mount = skin.mount.as_ref()?;
     let xyz_mm_rpy_deg = mount_transform(mount.xyz_mm, mount.rpy_deg);

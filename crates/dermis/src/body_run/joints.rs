@@ -1,4 +1,4 @@
-//! Joint values of a running body: from JSON lines on standard input, in a file or on a socket, from a topic of ROS 2,
+//! Joint values of a running body: from JSON lines on standard input, in a file or on a socket, from a ROS 2 topic,
 //! from a demonstration, from sliders on the page, or from the body file.
 
 use std::collections::BTreeSet;
@@ -19,15 +19,15 @@ use crate::error::Error;
 const SWEEP_S: f64 = 12.0;
 /// Amplitude of the demonstration for a joint without limits, radians or metres.
 const SWEEP_REACH: f64 = 1.0;
-/// Unknown joints that are named; a few are enough to see what is wrong.
+/// Maximum number of unknown joints to name; a few are enough to see what is wrong.
 const MOST_UNKNOWN: usize = 8;
-/// Wait between looks at a topic.
+/// Polling interval of a ROS 2 topic.
 #[cfg(feature = "ros2")]
 const TOPIC_NAP: Duration = Duration::from_millis(2);
 /// Delay before reconnecting a lost socket.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Prefix of a source that is a topic of ROS 2.
+/// Prefix of a source that is a ROS 2 topic.
 const ROS2: &str = "ros2:";
 
 /// The newest joint values.
@@ -86,7 +86,7 @@ enum Kind {
     Sweep,
     /// Set by hand, from the page.
     Page,
-    /// A topic of ROS 2.
+    /// A ROS 2 topic.
     Ros2,
 }
 
@@ -101,9 +101,8 @@ pub struct JointFeed {
 
 impl JointFeed {
     /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `ros2:/TOPIC`, `sweep` (a demonstration: every joint
-    /// moves to and fro between its limits), `page` (set by [`JointFeed::set`]) or a file of lines, at the pace of
-    /// their
-    /// `time_s`. Without a source the joints stay at `joints.at` or, where that is missing, at rest.
+    /// moves back and forth between its limits), `page` (set by [`JointFeed::set`]) or a file of lines, played at the
+    /// pace of their `time_s`. Without a source the joints stay at `joints.at` or, where that is missing, at rest.
     ///
     /// # Errors
     /// The file or topic cannot be opened.
@@ -204,7 +203,7 @@ impl JointFeed {
         (!parts.is_empty()).then(|| parts.join("; "))
     }
 
-    /// Follows a topic of ROS 2.
+    /// Follows a ROS 2 topic.
     #[cfg(feature = "ros2")]
     fn subscribe(self, topic: &str, stop: Arc<AtomicBool>) -> Result<(), Error> {
         let name = format!("{ROS2}{topic}");
@@ -223,14 +222,14 @@ impl JointFeed {
         thread.spawn(work).map(drop).map_err(failed)
     }
 
-    /// Without ROS 2 there is no such topic.
+    /// Fails: built without ROS 2.
     #[cfg(not(feature = "ros2"))]
     fn subscribe(self, topic: &str, _stop: Arc<AtomicBool>) -> Result<(), Error> {
         let source = io::Error::other("this dermis was built without the feature ros2");
         Err(Error::Joints { name: format!("{ROS2}{topic}"), source })
     }
 
-    /// Takes values of joints, radians or metres.
+    /// Stores joint values, radians or metres.
     #[cfg(feature = "ros2")]
     fn assign(&self, joints: &[(String, f64)], name: &str) {
         let mut told = self.told();
@@ -278,7 +277,7 @@ impl JointFeed {
         }
     }
 
-    /// Takes lines until the end.
+    /// Reads lines until the input ends.
     fn follow(&self, mut input: impl BufRead, paced: bool, name: &str, stop: &AtomicBool) {
         let (mut line, mut number) = (Vec::new(), 0u64);
         let mut first: Option<(f64, Instant)> = None;
@@ -322,7 +321,7 @@ impl JointFeed {
     }
 }
 
-/// The values, and the rest position for the joints that nobody has told.
+/// The values, with joints of unknown value at rest.
 pub(super) fn rest_where_unknown(body: &Body, told: &JointValues) -> JointValues {
     let kinematics = &body.kinematics;
     let mut values = kinematics.at_rest();

@@ -26,8 +26,7 @@ pub(super) struct BodyExtras<'a> {
 
 impl LineExtras for BodyExtras<'_> {
     fn line(&self, line: &mut String) {
-        // Writing to a String cannot fail. Names are letters, digits and a few signs, but those of links can be
-        // anything.
+        // Writing to a String cannot fail. Names are escaped because those of links can contain any character.
         let text = |name: &str| serde_json::Value::from(name).to_string();
         let _ =
             write!(line, ",\"patch\":{},\"link\":{},\"root\":{}", text(self.patch), text(self.link), text(self.root));

@@ -23,13 +23,14 @@ use super::report::{PatchHealth, PatchReport, PatchState, TouchInFrames};
 
 /// Wait for a frame between checks of the stop flag.
 const NAP: Duration = Duration::from_millis(50);
-/// A patch is silent after this many frame periods of its skin without a frame, but not before the minimum time.
+/// A patch is silent after this many frame periods of its skin without a frame.
 const SILENT_PERIODS: f64 = 10.0;
+/// Minimum time without a frame before a patch is silent.
 const LEAST_SILENCE: Duration = Duration::from_millis(500);
 /// Frame rate if the skin file gives none, frames per second.
 const FRAMES_PER_S: f64 = 20.0;
 
-/// A row of the table of health, updated by a patch's thread and readable by anyone.
+/// A row of the health table, updated by a patch's thread and readable by anyone.
 #[derive(Clone, Debug)]
 pub(super) struct SharedHealth(Arc<Mutex<PatchHealth>>);
 
@@ -66,7 +67,7 @@ impl SharedHealth {
     }
 }
 
-/// A viewer of one patch: what it is shown, and what it asks for.
+/// A viewer of one patch: the feed it is shown and the commands it sends.
 #[cfg_attr(not(feature = "foxglove"), allow(dead_code, reason = "there are no viewers"))]
 pub(super) struct Viewer {
     pub patch: usize,
@@ -95,8 +96,9 @@ pub(super) struct PatchThread {
     /// Commands of viewers.
     pub requests: Vec<Receiver<LiveRequest>>,
     pub publishers: Vec<Box<dyn Publisher>>,
-    /// True if every patch on the link, and on the body, can tell forces; otherwise a sum of none means nothing.
+    /// True if every patch on the link measures forces. Otherwise a net wrench without touches would mean nothing.
     pub link_tells_forces: bool,
+    /// The same for all patches of the body.
     pub body_tells_forces: bool,
     pub lines: bool,
     pub most_frames: Option<u64>,
@@ -187,7 +189,7 @@ impl PatchThread {
         }
     }
 
-    /// Everything that takes what the pipeline hands out.
+    /// Everything that receives the raw frames and the results.
     fn feeds(&mut self) -> impl Iterator<Item = &mut LiveFeed> {
         self.recording.as_deref_mut().into_iter().chain(&mut self.feeds)
     }
@@ -221,7 +223,7 @@ impl PatchThread {
         self.publishers.iter_mut().for_each(|publisher| publisher.frame(frame));
         let patch = &self.body.patches[self.number];
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
-        // First of all: everything else may wait.
+        // Before anything else, because the robot waits for the verdict.
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
             guard.publish(output.sequence, report);
         }
@@ -296,8 +298,8 @@ impl PatchThread {
         Ok(())
     }
 
-    /// Queues a report; false if the queue is full. Sources that wait for their frames to be taken wait here too, until
-    /// the body stops and no report is read any more.
+    /// Queues a report; false if the queue is full. For sources that can wait, this waits for room, until the body
+    /// stops or nobody reads reports any more.
     fn publish(&self, report: PatchReport) -> bool {
         if !self.waits {
             return self.reports.try_send(report).is_ok();

@@ -1,4 +1,4 @@
-//! Reports of a running body: each frame of each patch, and the table of health.
+//! Reports of a running body: each frame of each patch, and the health table.
 
 use dermis_body::SpatialTouch;
 use dermis_touch::Touch;
@@ -31,7 +31,7 @@ pub struct PatchReport {
     pub line: Vec<u8>,
 }
 
-/// A touch, in every frame.
+/// A touch in every frame of reference.
 ///
 /// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Copy, Debug)]
@@ -76,7 +76,7 @@ impl PatchState {
     }
 }
 
-/// One row of the table of health.
+/// One row of the health table.
 ///
 /// No example here: part of the reports of [`BodyRun`](crate::BodyRun).
 #[derive(Clone, Debug, PartialEq)]

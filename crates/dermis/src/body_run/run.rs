@@ -37,7 +37,7 @@ const QUEUE: usize = 64;
 /// Reports that may queue for their reader.
 const REPORTS: usize = 1024;
 
-/// Time in which lines about a patch that was not started are valid, nanoseconds. They never say `ok`.
+/// How long a guard line about a patch that was not started stays valid, nanoseconds. Such a line never says `ok`.
 const UNSTARTED_STALE_NS: u64 = 1_000_000_000;
 
 /// Minimum interval between recorded joint values: the rate of a fast robot's joint states.
@@ -52,7 +52,7 @@ pub struct BodyRunOptions {
     pub source: SourceOptions,
     /// Source of joint values, overriding the body file's; see [`BodyRun::start`].
     pub joints: Option<String>,
-    /// If true, a patch that cannot be started is marked as failed in the table of health; otherwise it is an error.
+    /// If true, a patch that cannot be started is marked as failed in the health table; otherwise it is an error.
     pub keep_going: bool,
     /// Records every patch and the joint values into this file.
     pub record: Option<PathBuf>,
@@ -134,7 +134,7 @@ impl BodyRun {
         Self::start_with(body, options, &mut |_, _| None)
     }
 
-    /// Like [`BodyRun::start`], with a publisher of the caller's own for every patch that `open` gives one.
+    /// As [`BodyRun::start`], and gives each patch the publisher that `open` returns for it, if any.
     ///
     /// # Errors
     /// As [`BodyRun::start`].
@@ -245,7 +245,7 @@ impl BodyRun {
         Ok(run)
     }
 
-    /// Opens what publishes the body, and makes the publishers of every ready patch.
+    /// Opens the ROS 2 node, if requested, and returns the publishers of each ready patch.
     #[cfg(feature = "ros2")]
     fn open_publishers(
         &mut self,
@@ -263,7 +263,7 @@ impl BodyRun {
         Ok(publishers)
     }
 
-    /// Without the features that publish there is nothing to open.
+    /// No publishers: built without ROS 2.
     #[cfg(not(feature = "ros2"))]
     fn open_publishers(
         &mut self,
@@ -335,7 +335,7 @@ impl BodyRun {
     fn end(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..).chain(self.joint_threads.drain(..)) {
-            // A panic is already in the table of health.
+            // A panic is already in the health table.
             let _ = thread.join();
         }
         #[cfg(feature = "foxglove")]
@@ -408,7 +408,7 @@ fn open_patch(
     head.skin_toml = Skin { mount: None, guard, ..patch.skin.clone() }.to_toml();
     let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration)?;
     pipeline.set_guard(guard)?;
-    // Files and twins run at a speed of their own.
+    // Lag means nothing for files and twins, which run at their own speed.
     pipeline.watch_lag(opened.twin.is_none() && !opened.is_file);
     let residual_n = forces.as_ref().map(|forces| forces.residual_n);
     forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;

@@ -81,7 +81,7 @@ impl BodyWatch {
         self.joints.set(joint, value)
     }
 
-    /// The values, with joints that nobody has told at rest: a posture to draw.
+    /// The values, with joints of unknown value at rest: a posture to draw.
     pub fn posture(&self, values: &JointValues) -> JointValues {
         rest_where_unknown(&self.body, values)
     }

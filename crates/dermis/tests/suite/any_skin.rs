@@ -1,5 +1,5 @@
-//! Properties of every skin file: its twin uses all of its numbers, its name and size belong to it alone, and it can
-//! be written and read back.
+//! Properties of every skin file: its twin uses all of its numbers, it keeps its own name and size, and it can be
+//! written and read back.
 
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_live::pipeline::Pipeline;

@@ -1,5 +1,5 @@
-//! Files with unknown channel order: whatever was done to the numbers is found, for any skin, and the lines that the
-//! search prints read them correctly. The numbers come from a twin on a mesh other than the search's.
+//! Files with unknown channel order: the search finds any rearrangement, on any skin, and the lines that it prints read
+//! the file correctly. The readings come from a twin whose mesh differs from the search's.
 
 use std::path::Path;
 

@@ -282,7 +282,7 @@ fn the_circuit_of_the_measured_gel_skin_is_found_while_it_is_pressed() {
     let mut skin = learner();
     // The gel creeps from press to press.
     skin.touch.drift_time_constant_s = 1.0;
-    // Readings of thousands; frames that repeat to the bit would count as frozen.
+    // Readings are in the thousands; bit-identical frames would count as frozen.
     let mut stream = Stream::new(skin, 500_000_000, 1e-3);
     for n in 0..32 {
         stream.run(before.row(n).unwrap(), 1);

@@ -1,4 +1,4 @@
-//! The examination names the fault: each fault of a twin gives its sentence, and a sound twin gives none.
+//! The examination finds each fault of a twin and names it, and finds none on a sound twin.
 
 use std::collections::VecDeque;
 use std::time::Duration;

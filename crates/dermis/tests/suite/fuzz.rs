@@ -147,7 +147,7 @@ fn hyperparameters_that_cannot_be_used_are_refused_and_channels_may_fail_meanwhi
             system.take(&Step::Frames(40));
             assert_eq!(system.pipeline.hyperparameter(), Some(usual), "{skin} went on with {lambda:e}");
         }
-        // One is hardly usable, the other uses almost nothing of the data.
+        // One hardly regularises, the other ignores almost all of the data.
         for lambda in [1e-6 * usual, 1e6 * usual] {
             system.take(&Step::Hyperparameter(lambda));
             system.take(&Step::Frames(40));

@@ -12,8 +12,9 @@ use dermis_twin::AnyTwin;
 const PERIOD_NS: u64 = 40_000_000;
 /// Frames until a press is established: the fade-in, and the minimum duration of a touch.
 const SETTLE: usize = 15;
-/// Radius and pressure of a firm fingertip.
+/// Radius of a firm fingertip.
 const RADIUS_M: f64 = 0.01;
+/// Pressure of a firm fingertip.
 const PRESSURE_PA: f64 = 80e3;
 
 /// The twin with the noise and converter of its file, followed by the pipeline of the built-in skin.

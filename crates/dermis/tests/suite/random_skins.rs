@@ -1,5 +1,5 @@
-//! Skins that nobody has tuned: outline, size, layer, electrodes, protocol and presses are drawn by seed and read
-//! with the skin file as it is. The assertions hold over the whole draw.
+//! Skins that nobody has tuned: outline, size, layer, electrodes, protocol and presses are drawn from a seed, and
+//! frames are read with the skin file as it is. The assertions hold over the whole draw.
 
 use dermis_lab::twin_sample::random_presses;
 use dermis_skin::Skin;

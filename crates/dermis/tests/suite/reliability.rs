@@ -22,8 +22,9 @@ use crate::own_clock::{EventConnect, Events, Timeless};
 /// No wait takes this long, however busy the machine is.
 const LIMIT: Duration = Duration::from_secs(480);
 const CONNECTIONS: u64 = 100;
-/// Frames per connection; the first connection also has the baseline's frames.
+/// Frames per connection.
 const BROUGHT: u64 = 12;
+/// Additional frames of the first connection, for the baseline.
 const BASELINE: u64 = 40;
 /// Frames taken by the device while it is unplugged: 0.42 s.
 const MISSED: u64 = 21;

@@ -41,8 +41,8 @@ fn a_ring_is_closed_has_a_hole_and_a_touch_inside_is_found_from_every_reference(
     assert!(value(&report, "ring: weakest place over its mean") > 0.8, "{:?}", report.rows);
     assert!(value(&report, "ring: hole over its mean") < 0.5, "{:?}", report.rows);
     for name in ["rest", "the light ring", "the pressed ring"] {
-        // Measured: 7.2, 7.0 and 0.1 mm. The published bound for single touches is 6 mm, and here a ring is pressed
-        // as well.
+        // Measured: 7.2, 7.0 and 0.1 mm. The published bound for single touches is 6 mm, but here a ring is pressed
+        // too.
         assert!(value(&report, &format!("touch inside, from {name}: nearest contact")) < 7.5, "{:?}", report.rows);
     }
 }

@@ -74,7 +74,7 @@ fn drain(source: &mut StreamSource, seen: &mut Vec<Frame>) {
     }
 }
 
-/// The first frame that meets the condition. Waiting is only in vain if the twin never gets there.
+/// Waits for the first frame that meets the condition. Panics if none of many frames does.
 fn until(source: &mut StreamSource, what: &str, is_expected: impl Fn(&Frame) -> bool) -> Frame {
     for _ in 0..10_000 {
         let frame = collect(source, 1).pop().expect("a frame");

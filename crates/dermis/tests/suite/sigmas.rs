@@ -8,9 +8,11 @@ use dermis_skin::Skin;
 use dermis_twin::from_skin::press_range;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
-/// Presses of each twin, with 0.6 to 1.4 times the usual radius and 0.3 to 2 times the usual pressure.
+/// Number of presses of each twin.
 const PRESSES: usize = 200;
+/// Range of radii, relative to the usual one.
 const RADII: [f64; 2] = [0.6, 1.4];
+/// Range of pressures, relative to the usual one.
 const PRESSURES: [f64; 2] = [0.3, 2.0];
 
 /// Errors in x and y, mm, each with its standard deviation, and the number of frames with as many touches as presses.
@@ -25,7 +27,7 @@ fn between([low, high]: [f64; 2], n: usize, step: f64) -> f64 {
     low * (high / low).powf((n as f64 * step).fract())
 }
 
-/// Random presses, several at once, with their discs half as far apart again as needed.
+/// Random presses, several at once, with centres at least 1.5 times the sum of their radii apart.
 fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>> {
     let usual = press_range(skin);
     let places = random_presses(&skin.outline(), &usual, 8 * PRESSES, seed).unwrap();
@@ -194,7 +196,7 @@ const SKINS: [&str; 12] = [
     "em-16-square",
 ];
 
-/// Contact saturates, so that pressure and radius trade off, most on a sandwich: its sigmas tell.
+/// Contact saturates, so pressure and radius trade off, most of all on a sandwich. The sigmas must say so.
 #[test]
 fn forces_follow_from_the_law_of_contact() {
     for (layer, most_share) in [("patches", 0.2), ("sandwich", 0.5)] {

@@ -62,7 +62,7 @@ fn errors(name: &str, radius_m: f64, forces_n: &[f64]) -> Errors {
             plain.process(time_ns, &image, None).unwrap();
             let seen = plain.contacts()[0].centroid_m;
             let refined = rig.touches(&image).unwrap()[0];
-            // A press across patches may stay where the image has it.
+            // A press across patches may keep the image's position.
             assert!(refined.radius_m.is_some() || name.starts_with("piezo"), "{name}: not refined at {place:?}");
             all.image_mm.push(distance_mm(seen, place));
             all.refined_mm.push(distance_mm(refined.centroid_m, place));
@@ -114,8 +114,8 @@ fn the_sandwich_places_presses_four_times_as_well_as_its_image() {
 
 #[test]
 fn a_press_under_a_membrane_has_its_force_whatever_its_radius() {
-    // A narrow press makes the deeper dent for its force, and large dents are not linear. Measured: 2.5 to 5 % too low,
-    // since 5 % of a load acts late.
+    // A narrow press makes a deeper dent for its force, and the response to large dents is nonlinear. Measured: 2.5 to
+    // 5 % too low, since 5 % of a load acts late.
     let mut rig = Rig::new("ionic-disc").unwrap();
     for (radius_m, force_n) in [(0.005, 0.2), (0.01, 0.4), (0.01, 1.0), (0.02, 1.0)] {
         let frame = rig.mean_frame(&[press([0.02, -0.03], radius_m, force_n)], 1).unwrap();
@@ -129,8 +129,7 @@ fn a_press_under_a_membrane_has_its_force_whatever_its_radius() {
 
 #[test]
 fn patches_are_placed_no_worse() {
-    // A 10 mm patch conducts as a whole, so its centre isn't the indenter's, which a fit of a smooth spot cannot
-    // know.
+    // A 10 mm patch conducts as a whole, so its centre isn't the indenter's. A fit of a smooth spot cannot know this.
     check("piezo-disc", 0.011, &[0.3, 1.0], 1.1);
 }
 

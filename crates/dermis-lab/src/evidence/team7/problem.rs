@@ -7,8 +7,9 @@ use dermis_mit::{MitError, Segment};
 /// Places along the measured lines, mm.
 pub const X_MM: [f64; 17] =
     [0.0, 18.0, 36.0, 54.0, 72.0, 90.0, 108.0, 126.0, 144.0, 162.0, 180.0, 198.0, 216.0, 234.0, 252.0, 270.0, 288.0];
-/// y of the lines A1-B1 and A2-B2, mm; both at z = 34 mm.
+/// y of the lines A1-B1 and A2-B2, mm.
 const LINES_Y_MM: [f64; 2] = [72.0, 144.0];
+/// z of both lines, mm.
 const LINES_Z_MM: f64 = 34.0;
 const AMPERE_TURNS: f64 = 2742.0;
 const CONDUCTIVITY_S_PER_M: f64 = 3.526e7;

@@ -25,7 +25,7 @@ pub(super) struct Array {
     pub(super) name: &'static str,
     pub(super) press_n: f64,
     pub(super) elements: usize,
-    /// Frames to average when several elements have to be told apart.
+    /// Frames to average when several elements must be distinguished.
     frames: usize,
 }
 

@@ -17,7 +17,7 @@ const TO_MM: [f64; 2] = [31.0, 30.0];
 const MIDDLE_MM: [f64; 2] = [23.0, 24.0];
 /// Places next to the cut.
 const BESIDE_MM: [[f64; 2]; 6] = [[-25.0, 0.0], [0.0, -25.0], [-20.0, -20.0], [25.0, -15.0], [-12.0, 28.0], [0.0, 0.0]];
-/// Time that a press is held before it is read, and that its place then rests, seconds.
+/// How long a press is held before it is read, and how long the skin then rests, seconds.
 const HELD_S: f64 = 0.8;
 /// Time for a damage to be confirmed, seconds.
 const BELIEF_S: f64 = 4.0;

@@ -4,8 +4,9 @@ use crate::LearnError;
 use crate::shape::TensorSpec;
 use crate::weights::Tensors;
 
-/// Adam's decay rates and epsilon, from the paper.
+/// Adam's decay rates, from the paper.
 const DECAY: [f64; 2] = [0.9, 0.999];
+/// Adam's epsilon, from the paper.
 const ADAM_EPSILON: f64 = 1e-8;
 
 /// A tensor learned by gradient descent, with the gradient of the last batch and Adam's moments.

@@ -38,10 +38,10 @@ pub struct FitOutcome {
 
 /// Number of parameters of a spot.
 pub(super) const OF_SPOT: usize = 4;
-/// Largest number of steps of a fit in proportion, and of one with large changes, whose derivatives are those of the
-/// linear model and which therefore converges slowly: of 180 presses on a liquid 7 needed more than 12 steps, none more
-/// than 40.
+/// Maximum number of steps of a linear fit.
 const MOST_STEPS: usize = 12;
+/// Maximum number of steps of a fit with large changes. It uses the derivatives of the linear model and so converges
+/// slowly: of 180 presses on a liquid, 7 needed more than 12 steps, none more than 40.
 const MOST_STEPS_BEYOND: usize = 40;
 /// A fit has converged when no spot moves by more than this share of its radius, and the logarithm of no radius
 /// changes by more than ten times this.
@@ -53,8 +53,9 @@ const LOG_RADIUS_DEVIATION: f64 = 0.7;
 const NOISE_UNKNOWN: f64 = 0.3;
 /// Prior standard deviation of the uniform change. Without a prior it would be confounded with wide spots.
 pub(super) const UNIFORM_DEVIATION: f64 = 0.2;
-/// Rules of the fit. Convergence is decided by `CONVERGED`.
+/// Rules of the linear fit. Convergence is decided by `CONVERGED`.
 const PARAMS: Params = Params::until_settled(1e-4, MOST_STEPS);
+/// Rules of a fit with large changes.
 const PARAMS_BEYOND: Params = Params::until_settled(1e-4, MOST_STEPS_BEYOND);
 
 /// Working memory of a fit.

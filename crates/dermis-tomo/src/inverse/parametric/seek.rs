@@ -14,8 +14,9 @@ const RADII: [f64; 3] = [0.0, 0.35, 0.7];
 /// The filter uses every n-th position of the table along each side.
 const STRIDE: usize = 2;
 
-/// Largest number of positions proposed, and their least distance in typical radii.
+/// Maximum number of positions proposed.
 const PROPOSALS: usize = 3;
+/// Minimum distance between proposed positions, in typical radii.
 const APART: f64 = 2.5;
 
 /// A position where one more spot would lower the cost.

@@ -4,8 +4,9 @@ use super::batch::{Batch, Peak};
 use super::pair::Explained;
 use super::{PairSearch, SelfCalibration, TouchTemplates};
 
-/// Maximum number of frames used, evenly spaced, and number of rounds.
+/// Maximum number of frames used, evenly spaced.
 const MOST_FRAMES: usize = 240;
+/// Number of rounds of explaining and reweighting.
 const ROUNDS: usize = 4;
 
 /// Explanation of a calibration frame.
@@ -15,11 +16,11 @@ enum By {
 }
 
 impl SelfCalibration {
-    /// Reweights the channels with the frames of the fit, assuming that some of them contain two touches. A channel
-    /// is not penalised for what a single touch cannot explain in those frames. Two touches are at least `apart_m`
-    /// apart. `are_two` decides whether a frame has two touches, given the share of its energy left by the best
-    /// single place, the share left by the best two, and the strength of the weaker touch relative to the stronger.
-    /// Nothing changes if no frame has two.
+    /// Reweights the channels with the frames of the fit, assuming that some of them contain two touches, at least
+    /// `apart_m` apart. In those frames, channels are not penalised for what a single touch cannot explain. `are_two`
+    /// decides whether a frame has two touches, given the share of its energy left by the best single place, the share
+    /// left by the best two, and the strength of the weaker touch relative to the stronger. Nothing changes if no frame
+    /// has two.
     pub fn weigh_with_pairs(
         &mut self,
         templates: &TouchTemplates,

@@ -5,9 +5,9 @@ use super::features::{Border, Features, Sizes};
 
 /// Growth of the element size per unit distance from an electrode.
 const GRADING: f64 = 0.35;
-/// Number of edges along an interior line, and the edge length at its ends, where the fields of a slit are singular,
-/// as a share of the line.
+/// Number of edges along an interior line.
 const LINE_EDGES: f64 = 10.0;
+/// Edge length at the ends of a line, where the fields of a slit are singular, as a share of the line.
 const LINE_END: f64 = 3e-3;
 
 /// A region where elements must be small.

@@ -26,7 +26,7 @@ use dermis_twin::from_skin::treatment_of;
 use super::figures::{FIGURES, State, some};
 use super::steps::{Spoilt, Step};
 
-/// Time in which a recording must end once told to, even on a busy machine.
+/// Maximum time for a recording to end once told to, even on a busy machine.
 const ENDED_WITHIN: Duration = Duration::from_secs(60);
 /// Memory allowed beyond the budget, which only covers the start, for queues, recording and page of a running system,
 /// bytes.
