@@ -20,7 +20,7 @@ impl<'py> Doubles<'py> {
     /// Takes anything that NumPy can convert to real numbers; `what` names it in errors.
     pub fn of(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Self> {
         let array = match value.cast::<PyArrayDyn<f64>>() {
-            // Subclasses of NumPy's arrays may mean more than their numbers, as masked arrays do.
+            // Subclasses of NumPy's arrays may carry more than numbers, such as a mask.
             Ok(array) if value.is_exact_instance_of::<PyUntypedArray>() && is_plain(array) => array.clone(),
             _ => converted::<f64>(what, value, "float64", "real numbers", "fiu")?,
         };

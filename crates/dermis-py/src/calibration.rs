@@ -47,7 +47,7 @@ pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
 ///     Shape (n,): depth or force of each poke; give at most one of them.
 /// groups : array_like, optional
 ///     Shape (m,): for frames with several touches. Then `positions_m` (and loads) have a row for each touch; touches
-///     with the same number are of one frame, and frames are in the order in which numbers first appear.
+///     with the same number belong to one frame, and frames are in the order in which numbers first appear.
 /// start : Calibration, optional
 ///     An earlier calibration, of this skin or of another of its family. The new pokes decide how it is used.
 ///
@@ -123,8 +123,8 @@ impl PyCalibration {
         self.calibration.pokes()
     }
 
-    /// True if the skin's model places touches, corrected by the pokes, and the pokes place only those that the model
-    /// does not see; False if left-out pokes are clearly closer when placed by the pokes alone.
+    /// True if touches are located by the skin's model, corrected by the pokes, and by the pokes only where the model
+    /// sees nothing; False if the pokes alone locate left-out pokes clearly better.
     #[getter]
     fn by_model(&self) -> bool {
         self.calibration.correction().is_some()

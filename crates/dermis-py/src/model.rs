@@ -66,7 +66,7 @@ impl PyModel {
             return Ok(forward);
         }
         let made = ForwardModel::new(self.prepared.body.mesh.clone(), self.protocol().clone())?;
-        // If another thread was faster, both models are the same.
+        // If another thread was faster, its model is the same.
         Ok(self.forward.get_or_init(|| Arc::new(made)))
     }
 
@@ -329,7 +329,7 @@ impl PyModel {
     /// Parameters
     /// ----------
     /// baseline : array_like
-    ///     Shape (k,) or (n, k): the untouched skin; with 8 frames or more their scatter is taken as the noise.
+    ///     Shape (k,) or (n, k): the untouched skin; from 8 frames on, their scatter gives the noise.
     /// frames : array_like
     ///     Shape (n, k) or (k,): readings in the skin's order, NaN where missing.
     /// prior : str or dict, optional

@@ -230,7 +230,7 @@ def test_one_pipeline_from_several_threads(skin):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_session_in_a_forked_process_while_a_thread_uses_it():
-    """The holder of the session's lock at the fork can no longer release it, so nothing may wait for it."""
+    """A lock of the session that another thread held at the fork is never released, so nothing may wait for it."""
     with dermis.open("twin:healing-square") as session:
         busy = threading.Thread(target=lambda: [next(session) for _ in range(400)])
         busy.start()

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["features", "points", "windows"]
 
 _MOST_BYTES = 8 << 30
-"""Most memory that a result may take: longer recordings are cut by episode."""
+"""Maximum size of a result in bytes; split longer recordings into episodes."""
 
 _TIE_S = 1e-9
-"""Times closer than a nanosecond are one: a frame on the edge of a slot belongs to the slot that ends there."""
+"""Times within a nanosecond count as equal, so that a frame on the edge of a slot belongs to the slot that ends
+there."""
 
 
 def windows(
