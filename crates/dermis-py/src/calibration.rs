@@ -70,7 +70,7 @@ pub fn calibrate(
 ) -> PyResult<PyCalibration> {
     let prepared = prepared_of(skin)?;
     let channels = prepared.channels();
-    let of = format!("one reading a channel of skin {}", prepared.skin.name);
+    let of = format!("one reading per channel of skin {}", prepared.skin.name);
     let baselines = Doubles::rows("baselines", baselines, channels, &of)?.0.to_rows()?;
     let frames = Doubles::rows("frames", frames, channels, &of)?.0.to_rows()?;
     let positions = Doubles::rows("positions_m", positions_m, 2, "x and y of a poke")?.0.finite("positions_m")?;
@@ -83,7 +83,7 @@ pub fn calibrate(
     };
     let loads = match loads {
         Some((what, quantity, values)) => {
-            let values = Doubles::vector(what, values, positions_m.len(), "one a poke")?.finite(what)?;
+            let values = Doubles::vector(what, values, positions_m.len(), "one per poke")?.finite(what)?;
             Some((quantity, values.values()?.to_vec()))
         }
         None => None,
@@ -91,7 +91,7 @@ pub fn calibrate(
     let touches = positions_m.len();
     let mut pokes = Pokes { positions_m, further_m: Vec::new(), loads };
     if let Some(groups) = groups {
-        let groups = Doubles::vector("groups", groups, touches, "one a touch")?.finite("groups")?;
+        let groups = Doubles::vector("groups", groups, touches, "one per touch")?.finite("groups")?;
         pokes = pokes.grouped(groups.values()?);
     }
     let earlier: Vec<Calibration> = start.iter().map(|start| start.calibration.clone()).collect();

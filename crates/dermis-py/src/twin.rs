@@ -193,10 +193,7 @@ impl PyTwin {
                     return Ok(PyFrame::timed(sequence, at_s, values, twin.instrument().imaginary_v()));
                 }
             }
-            Err(Fault::new(
-                Kind::Source,
-                format!("the twin's instrument has lost {MOST_LOST} frames one after another"),
-            ))
+            Err(Fault::new(Kind::Source, format!("the twin's instrument has lost {MOST_LOST} frames in a row")))
         })
     }
 

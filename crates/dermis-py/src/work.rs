@@ -62,7 +62,7 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         let said = said.unwrap_or("no message");
-        Err(Fault::new(Kind::Internal, format!("a fault in dermis itself, which is worth a report: {said}")))
+        Err(Fault::new(Kind::Internal, format!("a bug in dermis, please report it: {said}")))
     })
 }
 

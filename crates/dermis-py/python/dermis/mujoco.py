@@ -388,7 +388,7 @@ def _check_unique(patches: list[Patch], model: Any) -> None:
             number = _number(f"patch {patch.name!r}: ", model, "geom", patch.geom)
             if number in geoms:
                 other = geoms[number]
-                expected = "expected one patch a geom; a body can carry several"
+                expected = "expected one patch per geom; a body can carry several"
                 raise InputError(f"patch {patch.name!r}: geom = {patch.geom!r} already has patch {other!r}: {expected}")
             geoms[number] = patch.name
 
