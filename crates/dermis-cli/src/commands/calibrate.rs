@@ -67,7 +67,7 @@ pub struct Arguments {
     /// Number of channels of that skin.
     #[arg(long, value_name = "N", requires = "outline_mm")]
     channels: Option<usize>,
-    /// Output skin file for --outline-mm, which also names the skin; without --positions, output skin file with the
+    /// Output skin file for --outline-mm, whose name becomes the skin's; without --positions, output skin file with the
     /// circuit found.
     #[arg(long, value_name = "FILE.toml")]
     write_skin: Option<PathBuf>,
