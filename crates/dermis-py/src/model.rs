@@ -82,8 +82,8 @@ impl PyModel {
         }
     }
 
-    /// The model whose Jacobian is that of the readings at a conductivity: with a circuit, the model with the
-    /// effective patterns.
+    /// The model that has the Jacobian of the readings at a conductivity: with a circuit, the one with the effective
+    /// patterns.
     fn effective(&self, sigma: &[f64]) -> Result<Arc<ForwardModel>, Fault> {
         let forward = self.forward()?;
         match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
