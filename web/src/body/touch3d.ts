@@ -5,8 +5,7 @@ import * as THREE from "three";
 import type { BodyTouch } from "./protocol";
 
 const MM = 1e-3;
-/** Length of an arrow, metres per newton (a light touch shows on a robot of 1 m), and its shortest and longest length.
-/** */
+/** Length of an arrow, metres per newton: a light touch is visible on a robot of 1 m. Then its limits, metres. */
 const ARROW_M_PER_N = 0.04;
 const SHORTEST_M = 0.03;
 const LONGEST_M = 0.4;
