@@ -88,7 +88,7 @@ pub struct PySession {
 /// calibration, forces : str or os.PathLike, optional
 ///     Files made by ``dermis calibrate``.
 /// as_set : bool
-///     Leave an instrument on the wire as it is set.
+///     Keep the settings of an instrument on the wire.
 /// as_skin : bool
 ///     Accept a recording and calibrations of another skin as `skin`'s.
 ///
