@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Connects to `dermis run --foxglove` as a viewer that knows nothing of dermis, and checks what it is shown.
+"""Connects to `dermis run --foxglove` as a viewer that knows nothing of dermis, and checks what it receives.
 
     check_foxglove.py DERMIS [--keep capture.mcap]
 
@@ -147,7 +147,7 @@ def definitions(channel):
 
 
 class Process:
-    """A command that says where it listens."""
+    """A running command that prints its address."""
 
     def __init__(self, arguments, folder, word):
         self.lines = []
@@ -214,7 +214,7 @@ def gel(folder):
 
 
 def check_what_is_advertised(viewer, recording):
-    """Names and definitions are those of a recording."""
+    """Names and definitions are the same as in a recording."""
     from mcap.reader import make_reader
 
     served = {c["topic"]: (c["schemaName"], c["schemaEncoding"], c["encoding"]) for c in viewer.channels.values()}
@@ -400,7 +400,7 @@ def check_a_stalled_viewer(live, viewer):
         other.socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         other.subscribe()
         stalled.append(other)
-    # The library reads on by itself until its buffer is full.
+    # The library keeps reading until its buffer is full.
     time.sleep(1)
     crowded = rate(10)
     for name, (done, shown, messages, cpu) in (("alone", alone), ("with three stalled viewers", crowded)):
@@ -414,7 +414,7 @@ def check_a_stalled_viewer(live, viewer):
 
 
 def check_capture(viewer, path):
-    """What was shown, written to a file with the same channels, is read by other readers."""
+    """The messages, written to a file with the same channels, are readable by other readers."""
     from mcap.reader import make_reader
     from mcap.writer import Writer
     from mcap_protobuf.decoder import DecoderFactory as Protobuf
@@ -442,7 +442,7 @@ def check_capture(viewer, path):
 
 
 def check_body(dermis, folder):
-    """Every patch of a body is below its name, and its links move."""
+    """Every patch of a body has its topics below its name, and the links move."""
     subprocess.run([dermis, "body", "demo", "arm"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     run = [dermis, "run", "arm/arm.toml", "--headless", "--joints", "sweep", "--foxglove", "127.0.0.1:0"]
     live = Process(run, folder, "foxglove:")

@@ -164,7 +164,7 @@ def write_fixture(folder):
     optimiser = torch.optim.Adam(net.parameters(), lr=1e-2)
     for _ in range(30):
         image = torch.randn(8, 2, 16, 24)
-        # Something to learn: where the first image is high, and where the second is low.
+        # Labels to learn: where the first image is high, and where the second is low.
         truth = torch.where(image[:, 0] > 1, 2, torch.where(image[:, 1] < -1, 1, 0))
         optimiser.zero_grad()
         loss = torch.nn.functional.cross_entropy(net(image), truth)

@@ -155,7 +155,7 @@ def check_shape(late, patch, cloud):
 def check_skin(program):
     with tempfile.TemporaryDirectory() as folder:
         text = (ROOT / "skins/examples/gel-pad.toml").read_text()
-        # 32 frames of a tare then fit between two presses that the twin demonstrates.
+        # The 32 frames of a tare then fit between two presses of the demonstration.
         text = text.replace("frames_per_s = 25.0", f"frames_per_s = {RATE}")
         text += '\n[guard]\nforce_n = 0.5\n\n[mount]\nlink = "forearm"\nxyz_mm = [10, 20, 30]\nrpy_deg = [0, 0, 90]\n'
         skin = Path(folder) / "gel-pad.toml"
@@ -266,7 +266,7 @@ def check_node(listener, name):
     diagnoses = [status for array in listener.found["/diagnostics"] for status in array.status]
     running = [(status, {pair.key: pair.value for pair in status.values}) for status in diagnoses if status.level < 2]
     best, values = max(running, key=lambda pair: int(pair[1]["frames"]))
-    # A slow machine drops frames of the twin, and says so.
+    # A slow machine drops frames of the twin and reports it.
     calm = (best.level, best.message) == (0, "running") or (best.level == 1 and "frames lost" in best.message)
     require(best.name == "pad: gel-pad" and best.hardware_id == values["source"] == "twin:gel-pad" and calm, f"diagnosis: {best}")
     require(float(values["frames_per_s"]) > 1 and values["messages_dropped"] == "0" and values["lost"] == "0", f"diagnosis: {values}")
@@ -295,7 +295,7 @@ def check_body(program):
         require(listener.listen(lambda: any(message.wrench.force.z for message in found[net]), 60), "no net wrench of the palm")
         names = set(patches())
         statics = {t.child_frame_id: t.header.frame_id for t in found["/tf_static"][-1].transforms}
-        # A link is called palm too.
+        # A link is also called palm.
         frame = lambda patch: f"{patch}_skin" if patch in ("palm", "forearm") else patch
         require(all(statics.get(frame(patch)) == line["link"] for patch, line in patches().items()), f"mounts: {statics}")
         moving = {t.child_frame_id for message in found["/tf"] for t in message.transforms}
@@ -339,7 +339,7 @@ listener.listen(lambda: False, 600)
 
 
 def check_stalled(program):
-    """A reader that is stopped in the middle costs neither frames nor the messages of others."""
+    """A reader that is stopped in mid-stream costs neither frames nor the messages of other readers."""
     run = Dermis(program, "healing-square", "--ros2", "--ros2-clouds-per-s=25")
     listener = Listener(DomainParticipant(DOMAIN)).add("/dermis/touches", "dermis_msgs/msg/Touches", RELIABLE)
     touches = listener.found["/dermis/touches"]

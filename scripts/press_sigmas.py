@@ -1,9 +1,9 @@
 """Checks standard deviations: random presses on a skin's twin, errors in units of sigma: `scripts/press-anywhere
 --sigmas`.
 
-Single presses, pairs and triples, with discs half as far apart again as necessary, one frame each. Radii are 0.6 to
-1.4 times the usual one and pressures 0.3 to 2 times, both uniform in their logarithms; places are anywhere within 85
-% of the outline.
+Single presses, pairs and triples, with discs 1.5 times the necessary distance apart, one frame each. Radii are 0.6 to
+1.4 times the usual one and pressures 0.3 to 2 times, both uniform in their logarithms; places are anywhere within 85 %
+of the outline.
 """
 
 import itertools

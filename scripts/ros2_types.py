@@ -1,5 +1,5 @@
-"""Types of ROS 2 for Eclipse Cyclone DDS, made from the definitions: those of ROS as rosbags has them, and those of dermis as
-the files in crates/dermis-record/dermis_msgs have them. A message that dermis writes differently can't be read."""
+"""ROS 2 types for Eclipse Cyclone DDS, made from the definitions of ROS in rosbags and those of dermis in
+crates/dermis-record/dermis_msgs. A message that doesn't match its definition can't be read."""
 
 import dataclasses
 import types as python_types
@@ -76,7 +76,7 @@ def discovery_types():
 
 
 def trigger_types():
-    """Request and reply of `std_srvs/Trigger` as rmw_cyclonedds sends them: behind a header of its own."""
+    """Request and reply of `std_srvs/Trigger` as rmw_cyclonedds sends them, with its own header."""
     header = {"client": idl.uint64, "number": idl.int64}
     request = struct("std_srvs/srv/Trigger_Request", {**header, "structure_needs_at_least_one_member": idl.uint8})
     reply = struct("std_srvs/srv/Trigger_Response", {**header, "success": bool, "message": str})

@@ -172,7 +172,7 @@ def regress(told):
     if told.kind not in ("place", "depth") or told.targets.shape[1] == (1 if told.kind == "place" else 2):
         return None  # Presses along a line have no known place.
     skin = Skin(told, told.kind)
-    # dermis reports when the frames don't grow with depth, and then reads none.
+    # dermis reports when the frames don't grow with depth, and then estimates none.
     return skin if told.kind == "place" or skin.reads_depth else None
 
 

@@ -89,9 +89,8 @@ pub trait Board {
     /// Volts per count at the current gain.
     fn scale_v(&self) -> f32;
 
-    /// Measures with four electrodes: where the current enters, where it leaves, whose voltage is read, and against
-    /// which ([`dermis_wire::NO_ELECTRODE`] for ground). Call it again with the same arguments until the reading is
-    /// there.
+    /// Measures with four electrodes: current in, current out, voltage and its reference ([`dermis_wire::NO_ELECTRODE`]
+    /// for ground). Call it again with the same arguments until the reading is ready.
     ///
     /// # Errors
     /// `WouldBlock` while it is measuring; [`Failure::Bus`].

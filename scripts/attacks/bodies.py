@@ -1,4 +1,4 @@
-"""A body of sixteen skins: its load on a quiet computer, and three skins that fail beside thirteen that must not care."""
+"""A body of sixteen skins: its load on an idle computer, and three failing skins that must not affect the others."""
 
 import math
 import os
@@ -11,11 +11,11 @@ from .tools import Page, attack, check, serve
 
 SKINS = 16
 RATE = 100
-# Frames of two presses that go round the skin, sent again and again.
+# Places of two presses that circle the skin, and frames per place.
 PLACES, REPEATS = 100, 10
-# How long a failing instrument sends frames first: unplugged, it comes back this often.
+# Time for which a failing instrument sends frames before its fault, seconds.
 SOUND_S = 1
-# What sixteen skins may take: shares of two processors, milliseconds and megabytes.
+# Limits for sixteen skins: share of two processors, latency (99th percentile) and memory.
 MOST_LOAD, MOST_P99_MS, MOST_MB = 0.6, 5.0, 600
 
 
@@ -44,7 +44,7 @@ def pressed_lines(ground):
 
 
 class Beat:
-    """Sends frames to all guests of sound instruments at the skins' rate, in one thread."""
+    """Sends frames from the working instruments to their hosts at the skins' rate, in one thread."""
 
     def __init__(self, ground, lines):
         self.lines, self.guests, self.ended = lines, [], threading.Event()
@@ -52,7 +52,7 @@ class Beat:
         threading.Thread(target=self._send, daemon=True).start()
 
     def talk(self, connection, _, ended):
-        """Serves a guest until it leaves."""
+        """Serves a host until it disconnects."""
         guest = [connection, self.random.randrange(len(self.lines))]
         self.guests.append(guest)
         while not ended.is_set() and guest in self.guests:
@@ -72,7 +72,7 @@ class Beat:
 
 
 def failing(lines, then):
-    """An instrument that sends frames for a while, and then does something else."""
+    """An instrument that sends frames for a while and then fails."""
 
     def talk(connection, _, ended):
         begun = time.monotonic()
@@ -114,7 +114,7 @@ def processor_s(pid):
 
 
 def run_body(ground, lines, seconds, faulty):
-    """Runs sixteen skins, with these senders in place of the last ones; returns figures of the others."""
+    """Runs sixteen skins, the last ones with these faulty senders; returns figures of the others."""
     ends, ports, body = [], [], 'name = "many"\n'
     beat = Beat(ground, lines)
     senders = [beat.talk] * (SKINS - len(faulty)) + [failing(lines, then) for then in faulty]

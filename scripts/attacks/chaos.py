@@ -12,7 +12,7 @@ from .tools import Ground, Page, attack, check, connect
 from .wire import HELLO, START
 
 MINUTE_S = 60.0
-# Most that a killed recording may lack, seconds.
+# Longest part that a killed recording may lack, seconds.
 PROMISED_S = 1.0
 
 
@@ -41,7 +41,7 @@ class Session:
         return next(s["p99_us"] for s in states[-1][1]["latency"] if s["stage"] == "total") * 1e-3
 
     def stages_p99_ms(self):
-        """The same for each stage; time in none of them goes into damage, health and baselines."""
+        """The same for each stage; the remaining time goes into damage, health and baselines."""
         stages = self.pages[0].states[-1][1]["latency"]
         return ", ".join(f"{s['stage']} {s['p99_us'] * 1e-3:.1f}" for s in stages if s["stage"] != "total")
 

@@ -10,7 +10,7 @@ import time
 
 from .tools import Page, attack, check
 
-# Most that a killed recording may lack, seconds.
+# Longest part that a killed recording may lack, seconds.
 PROMISED_S = 1.0
 OURS = b"somebody else's\n"
 

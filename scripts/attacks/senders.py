@@ -1,4 +1,4 @@
-"""Instruments that send invalid data, and hosts that say nothing."""
+"""Instruments that send invalid data, and silent hosts."""
 
 import math
 import random

@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 ATTACKS = {}
-# Rust's messages for panics and aborts, and fatal signals that nobody sent.
+# Rust's messages for panics and aborts, and fatal signals that the attack didn't send.
 PANIC = re.compile(r"panicked at|RUST_BACKTRACE|stack overflow|memory allocation of \d+ bytes failed")
 FATAL = {-signal.SIGSEGV, -signal.SIGABRT, -signal.SIGBUS, -signal.SIGILL, -signal.SIGFPE, 101}
 
@@ -381,8 +381,8 @@ def open_descriptors(pid):
 
 
 def serve(talk, most=None):
-    """A socket that serves each guest by `talk(connection, number)` in a thread; returns its port and a way to close
-    it."""
+    """A socket that serves each client by `talk(connection, number)` in a thread; returns its port and a function that
+    closes it."""
     listener = socket.create_server(("127.0.0.1", 0), backlog=64)
     ended = threading.Event()
     count = [0]

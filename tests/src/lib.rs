@@ -40,8 +40,8 @@ pub fn oracle_text(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Compares a committed file that is written from code with what the code says now, or writes it if `DERMIS_BLESS` is
-/// set. `path` is relative to the repository, and `expected` makes the text from the one found.
+/// Compares a committed file that is generated from code with its current text, or writes it if `DERMIS_BLESS` is set.
+/// `path` is relative to the repository; `expected` makes the current text from the one found.
 ///
 /// # Panics
 /// If the file differs, with the first line that does, or can't be written.

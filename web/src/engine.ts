@@ -68,7 +68,7 @@ class Engine {
   private next(): void {
     const period_ms = this.isHidden ? REST_MS : 1000 / FRAMES_PER_S;
     const now = performance.now();
-    // Missed frames are not made up for: the skin's clock follows the page's.
+    // Don't catch up on missed frames: the skin's clock follows the page's.
     this.due = Math.max(this.due + period_ms, now);
     setTimeout(() => this.guarded(() => this.run()), this.due - now);
   }

@@ -190,7 +190,7 @@ function chooseTool(tool: Tool): void {
   treater.choose(tool);
 }
 
-/** Makes the slider follow the pipeline, except while somebody moves it. */
+/** Makes the slider follow the pipeline, except while the user moves it. */
 function followHyperparameter(value: number): void {
   if (!scene || performance.now() - sliderTouchedAt < 1000 || !(value > 0)) return;
   setText("hyperparameter-value", value.toExponential(2));

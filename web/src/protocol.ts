@@ -1,5 +1,5 @@
 // The messages between the page and the server, version 1; docs/src/page-protocol.md describes them. Those in JSON have
-// the types of messages.ts, which is written from the server's own.
+// the types in messages.ts, which is generated from the server's types.
 
 export type {
   Alive,

@@ -13,7 +13,7 @@ export interface Settings {
   /** Height of the panels below, pixels. */
   bottom: number | null;
   theme: Theme;
-  /** True if the panels below are folded away; null: as the window has room. */
+  /** True if the panels below are folded away; null: depends on the window's height. */
   folded: boolean | null;
 }
 

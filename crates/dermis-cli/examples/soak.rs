@@ -1,4 +1,4 @@
-//! A load test of the whole of `dermis run`. An instrument on a socket sends 208 channels at a fixed rate; image,
+//! A load test of the complete `dermis run`. An instrument on a socket sends 208 channels at a fixed rate; image,
 //! touches, recording and page follow, with three viewers, one of which never reads, and a reader of the guard's
 //! verdicts.
 //!

@@ -98,7 +98,7 @@ impl Viewer {
         self.socket.send(Message::text(message.to_string())).await.expect("it reads");
     }
 
-    /// Subscribes to all channels; their numbers are those of the channels.
+    /// Subscribes to all channels, with the channels' numbers as subscription ids.
     async fn subscribe(&mut self) {
         let one = |channel: &Value| json!({ "id": channel["id"], "channelId": channel["id"] });
         let subscriptions: Vec<Value> = self.channels.iter().map(one).collect();

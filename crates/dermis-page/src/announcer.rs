@@ -8,7 +8,7 @@ use dermis_skin::Skin;
 
 use crate::message::{Level, Notice};
 
-/// Announces once whatever begins or ends with a frame.
+/// Announces everything that begins or ends with a frame, once.
 #[derive(Debug)]
 pub struct Announcer {
     health: HealthWatch,

@@ -169,7 +169,7 @@ pub struct ClassImage {
     pub lowered: Vec<f32>,
     /// `rows * cols` probabilities of raised conductivity: compression.
     pub raised: Vec<f32>,
-    /// Distance of the frame from the network's training data; above 1 the frame is unlike them. NaN if unknown.
+    /// Distance of the frame from the network's training data; above 1.5 the frame is unlike them. NaN if unknown.
     pub novelty: f32,
     /// True if thresholds on the image replaced the network.
     pub falls_back: bool,

@@ -38,8 +38,7 @@ def tasks():
 
 
 def watched(stop, seen, kill):
-    """Records the largest memory of a worker (Linux: memory it shares with nobody) and of all; kills one on
-    request."""
+    """Records the peak memory of one worker (on Linux, its unshared memory) and of all; kills one on request."""
     while not stop.wait(0.05):
         for process in tasks():
             try:

@@ -1,6 +1,6 @@
 """Steps per second of 16 MuJoCo environments with a skin each, on two processes.
 
-In each a ball rolls over the skin; a step is 10 ms, and the skin makes frames at its own rate. Usage:
+A ball rolls over the skin in each; a step is 10 ms, and the skin makes frames at its own rate. Usage:
 
     python benches/mujoco_envs.py [SKIN ...]
 """

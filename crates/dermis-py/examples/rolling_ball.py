@@ -27,7 +27,7 @@ SECONDS = 2.0
 
 
 def roll() -> tuple[dermis.Skin, list[list[float]], Any]:
-    """Rolls the ball, and returns for each frame time, the ball's place and force, and the touch's."""
+    """Rolls the ball; returns for each frame the time, and position and force of the ball and of the touch."""
     mujoco = import_module("mujoco")
     model = mujoco.MjModel.from_xml_string(SCENE)
     data = mujoco.MjData(model)

@@ -20,7 +20,7 @@ impl<'py> Doubles<'py> {
     /// Takes anything that NumPy can convert to real numbers; `what` names it in errors.
     pub fn of(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Self> {
         let array = match value.cast::<PyArrayDyn<f64>>() {
-            // Subclasses of NumPy's arrays may mean more than their numbers, as masked arrays do.
+            // Subclasses of NumPy's arrays may carry more than numbers, such as a mask.
             Ok(array) if value.is_exact_instance_of::<PyUntypedArray>() && is_plain(array) => array.clone(),
             _ => converted::<f64>(what, value, "float64", "real numbers", "fiu")?,
         };
@@ -121,11 +121,11 @@ fn converted<'py, T: Element>(
     let refuse = |got: String| PyErr::from(Fault::input(what, expected, got));
     let masked = numpy.getattr("ma")?.getattr("MaskedArray")?;
     if value.is_instance(&masked)? {
-        return Err(refuse("a masked array; .filled(numpy.nan) says that masked values are missing".into()));
+        return Err(refuse("a masked array; .filled(numpy.nan) marks masked values as missing".into()));
     }
     let plain = numpy.call_method1(intern!(py, "asarray"), (value,)).map_err(|error| {
         if error.is_instance_of::<pyo3::exceptions::PyException>(py) {
-            refuse(format!("{}, which is no array ({})", type_name(value), error.value(py)))
+            refuse(format!("{}, which is not an array ({})", type_name(value), error.value(py)))
         } else {
             error
         }

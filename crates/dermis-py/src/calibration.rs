@@ -47,7 +47,7 @@ pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
 ///     Shape (n,): depth or force of each poke; give at most one of them.
 /// groups : array_like, optional
 ///     Shape (m,): for frames with several touches. Then `positions_m` (and loads) have a row for each touch; touches
-///     with the same number are of one frame, and frames are in the order in which numbers first appear.
+///     with the same number belong to one frame, and frames are in the order in which numbers first appear.
 /// start : Calibration, optional
 ///     An earlier calibration, of this skin or of another of its family. The new pokes decide how it is used.
 ///
@@ -70,7 +70,7 @@ pub fn calibrate(
 ) -> PyResult<PyCalibration> {
     let prepared = prepared_of(skin)?;
     let channels = prepared.channels();
-    let of = format!("one reading a channel of skin {}", prepared.skin.name);
+    let of = format!("one reading per channel of skin {}", prepared.skin.name);
     let baselines = Doubles::rows("baselines", baselines, channels, &of)?.0.to_rows()?;
     let frames = Doubles::rows("frames", frames, channels, &of)?.0.to_rows()?;
     let positions = Doubles::rows("positions_m", positions_m, 2, "x and y of a poke")?.0.finite("positions_m")?;
@@ -83,7 +83,7 @@ pub fn calibrate(
     };
     let loads = match loads {
         Some((what, quantity, values)) => {
-            let values = Doubles::vector(what, values, positions_m.len(), "one a poke")?.finite(what)?;
+            let values = Doubles::vector(what, values, positions_m.len(), "one per poke")?.finite(what)?;
             Some((quantity, values.values()?.to_vec()))
         }
         None => None,
@@ -91,7 +91,7 @@ pub fn calibrate(
     let touches = positions_m.len();
     let mut pokes = Pokes { positions_m, further_m: Vec::new(), loads };
     if let Some(groups) = groups {
-        let groups = Doubles::vector("groups", groups, touches, "one a touch")?.finite("groups")?;
+        let groups = Doubles::vector("groups", groups, touches, "one per touch")?.finite("groups")?;
         pokes = pokes.grouped(groups.values()?);
     }
     let earlier: Vec<Calibration> = start.iter().map(|start| start.calibration.clone()).collect();
@@ -123,8 +123,8 @@ impl PyCalibration {
         self.calibration.pokes()
     }
 
-    /// True if the skin's model places touches, corrected by the pokes, and the pokes place only those that the model
-    /// does not see; False if left-out pokes are clearly closer when placed by the pokes alone.
+    /// True if touches are located by the skin's model, corrected by the pokes, and by the pokes only where the model
+    /// sees nothing; False if the pokes alone locate left-out pokes clearly better.
     #[getter]
     fn by_model(&self) -> bool {
         self.calibration.correction().is_some()

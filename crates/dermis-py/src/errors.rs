@@ -15,7 +15,7 @@ use pyo3::types::PyType;
 const MOST_SHOWN: usize = 2000;
 const MOST_ECHOED: usize = 200;
 
-/// The exception that an error becomes.
+/// The exception that represents an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A skin file or something derived from it.
@@ -91,7 +91,7 @@ impl Fault {
     }
 }
 
-/// Text for people: control characters except line ends are escaped, and long text is cut in the middle.
+/// Text for a message: control characters except line ends are escaped, and the middle of long text is left out.
 fn shown(text: &str, most: usize) -> String {
     let count = text.chars().count();
     let escaped = |text: &mut dyn Iterator<Item = char>| -> String {

@@ -78,7 +78,7 @@ impl PyGrid {
     ///     Shape (rows, columns).
     fn to_pixels<'py>(&self, py: Python<'py>, values: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let elements = self.map.element_count();
-        let values = Doubles::vector("values", values, elements, "one value an element")?;
+        let values = Doubles::vector("values", values, elements, "one value per element")?;
         let image = self.map.to_pixels(values.values()?).map_err(Fault::from)?;
         array2(py, image, self.rows(), self.columns())
     }

@@ -1,6 +1,5 @@
-//! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. Parts that need no
-//! speed are written in Python, in `python/dermis`; every name here is documented there, in `_dermis.pyi` and
-//! `__init__.py`.
+//! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. Parts that needn't be
+//! fast are written in Python, in `python/dermis`; `_dermis.pyi` and `__init__.py` there list every name in this crate.
 
 mod arrays;
 mod calibration;

@@ -119,7 +119,7 @@ impl PyCoils {
                 let distance_m = coil.distance_m(centre_m);
                 if !distance_m.is_finite() || distance_m <= body.radius_m {
                     let expected =
-                        format!("all wire farther than the body's radius, {} m, from its middle", body.radius_m);
+                        format!("all wire farther from the body's centre than its radius, {} m", body.radius_m);
                     return Err(Fault::input("centre_m", expected, format!("coil {} at {distance_m} m", number + 1)));
                 }
             }

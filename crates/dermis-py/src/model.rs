@@ -59,14 +59,14 @@ impl PyModel {
     /// The model of the conducting sheet, built on first use.
     fn forward(&self) -> Result<&Arc<ForwardModel>, Fault> {
         if self.prepared.skin.modality == Modality::Mit {
-            let expected = "a skin of electrodes; of coils there are model.voltages() at rest and model.pixel_jacobian";
+            let expected = "a skin with electrodes; with coils, only model.voltages() at rest and model.pixel_jacobian";
             return Err(Fault::input("conductivity", expected, format!("skin {}", self.prepared.skin.name)));
         }
         if let Some(forward) = self.forward.get() {
             return Ok(forward);
         }
         let made = ForwardModel::new(self.prepared.body.mesh.clone(), self.protocol().clone())?;
-        // If another thread was faster, both models are the same.
+        // If another thread was faster, its model is the same.
         Ok(self.forward.get_or_init(|| Arc::new(made)))
     }
 
@@ -82,8 +82,8 @@ impl PyModel {
         }
     }
 
-    /// The model whose Jacobian is that of the readings at a conductivity: with a circuit, the model with the
-    /// effective patterns.
+    /// The model that has the Jacobian of the readings at a conductivity: with a circuit, the one with the effective
+    /// patterns.
     fn effective(&self, sigma: &[f64]) -> Result<Arc<ForwardModel>, Fault> {
         let forward = self.forward()?;
         match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
@@ -98,7 +98,7 @@ impl PyModel {
 
     fn sigma_of<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Doubles<'py>> {
         match sigma {
-            Some(sigma) => Doubles::vector("sigma", sigma, self.element_count(), "one conductivity an element"),
+            Some(sigma) => Doubles::vector("sigma", sigma, self.element_count(), "one conductivity per element"),
             None => Doubles::of("sigma", self.sigma.bind(py).as_any()),
         }
     }
@@ -285,7 +285,7 @@ impl PyModel {
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let sigma = self.sigma_of(py, Some(sigma))?;
-        let cotangent = Doubles::vector("cotangent", cotangent, self.prepared.channels(), "one weight a channel")?;
+        let cotangent = Doubles::vector("cotangent", cotangent, self.prepared.channels(), "one weight per channel")?;
         let (sigma, cotangent) = (sigma.values()?, cotangent.finite("cotangent")?);
         let cotangent = cotangent.values()?;
         Ok(array1(py, run(py, || Ok(self.effective(sigma)?.solve(sigma)?.vjp(cotangent)?))?))
@@ -329,7 +329,7 @@ impl PyModel {
     /// Parameters
     /// ----------
     /// baseline : array_like
-    ///     Shape (k,) or (n, k): the untouched skin; with 8 frames or more their scatter is taken as the noise.
+    ///     Shape (k,) or (n, k): the untouched skin; from 8 frames on, their scatter gives the noise.
     /// frames : array_like
     ///     Shape (n, k) or (k,): readings in the skin's order, NaN where missing.
     /// prior : str or dict, optional
@@ -351,8 +351,8 @@ impl PyModel {
         hyperparameter: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let channels = self.prepared.channels();
-        let baseline = Doubles::rows("baseline", baseline, channels, "one reading a channel")?.0.to_rows()?;
-        let (frames, single) = Doubles::rows("frames", frames, channels, "one reading a channel")?;
+        let baseline = Doubles::rows("baseline", baseline, channels, "one reading per channel")?.0.to_rows()?;
+        let (frames, single) = Doubles::rows("frames", frames, channels, "one reading per channel")?;
         let frames = frames.to_rows()?;
         let prepared = self.with_choices(prior, hyperparameter)?;
         let grid = prepared.map.grid();

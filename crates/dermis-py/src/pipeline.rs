@@ -172,7 +172,7 @@ impl PyPipeline {
             }
             return self.work(py, |running| self.result(&mut running.pipeline, &frame.frame, frame.time_s));
         }
-        let of = format!("one reading a channel of skin {}", self.skin.name);
+        let of = format!("one reading per channel of skin {}", self.skin.name);
         let values = Doubles::vector("frame", frame, self.channels, &of)?;
         let values = values.values()?;
         if let Some(channel) = values.iter().position(|value| value.is_infinite()) {
@@ -260,7 +260,7 @@ pub fn _seconds_of_frames(
     count: usize,
 ) -> PyResult<f64> {
     let pipeline = pipeline.get();
-    let of = format!("one reading a channel of skin {}", pipeline.skin.name);
+    let of = format!("one reading per channel of skin {}", pipeline.skin.name);
     let frames = Doubles::rows("frames", frames, pipeline.channels, &of)?.0;
     let values = frames.values()?;
     run(py, || {

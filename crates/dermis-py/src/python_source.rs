@@ -10,7 +10,7 @@ use pyo3::types::PyTuple;
 
 use crate::arrays::type_name;
 
-/// Delay before asking a function again that had no frame.
+/// Delay before calling a function again that had no frame.
 const NAP: Duration = Duration::from_millis(2);
 
 /// Frames of a Python object, taken in the session's own thread.

@@ -88,7 +88,7 @@ pub struct PySession {
 /// calibration, forces : str or os.PathLike, optional
 ///     Files made by ``dermis calibrate``.
 /// as_set : bool
-///     Leave an instrument on the wire as it is set.
+///     Keep the settings of an instrument on the wire.
 /// as_skin : bool
 ///     Accept a recording and calibrations of another skin as `skin`'s.
 ///
@@ -119,15 +119,15 @@ pub fn open(
     }
     let given = skin.map(skin_of).transpose()?;
     if as_skin && given.is_none() {
-        return Err(Fault::input("as_skin", "a skin as which to read", "none").into());
+        return Err(Fault::input("as_skin", "a skin to read the frames as", "none").into());
     }
     let path = source.extract::<PathBuf>().ok();
     let own = match &path {
         Some(_) => None,
         None => {
-            let skin = given.clone().ok_or_else(|| {
-                Fault::input("skin", "a skin beside a source of your own, to know its channels", "none")
-            })?;
+            let skin = given
+                .clone()
+                .ok_or_else(|| Fault::input("skin", "a skin with a source of your own, for its channels", "none"))?;
             let channels = skin.protocol().map_err(Fault::from)?.channel_count();
             let made = PythonSource::new(source, channels).map_err(|_| {
                 let expected = "a text, a path, an iterable of frames, or a function that returns one";

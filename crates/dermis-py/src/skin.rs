@@ -52,7 +52,7 @@ impl PySkin {
         &self.skin.name
     }
 
-    /// One line for people.
+    /// Title, in one line.
     #[getter]
     fn title(&self) -> &str {
         &self.skin.title
@@ -129,7 +129,7 @@ impl PySkin {
         }
     }
 
-    /// Tells which points lie on the skin, its rim included and its holes excluded.
+    /// True for points on the skin, including its rim but not its holes.
     ///
     /// Parameters
     /// ----------

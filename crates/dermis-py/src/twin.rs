@@ -38,8 +38,7 @@ struct Running {
 /// seed : int, optional
 ///     Seed of the instrument's noise; default: the skin file's. The same seed gives identical bits.
 /// fade_s : float
-///     Time in which a press fades in and out, seconds. With 0 the skin carries exactly the loads of the moment, as
-///     those of a simulator.
+///     Time in which a press fades in and out, seconds. With 0 loads act at once, as needed for a simulator.
 #[pyclass(frozen, module = "dermis", name = "Twin")]
 pub struct PyTwin {
     skin: Skin,
@@ -81,7 +80,7 @@ impl PyTwin {
         let of = skin.clone();
         let kit = run_interruptibly(py, "twin", move || {
             let mut kit = TwinKit::of(&of)?;
-            // Any step of time is longer than the shortest fade.
+            // Every time step is longer than the shortest fade.
             let options = SceneOptions { fade_s: fade_s.max(f64::MIN_POSITIVE), ..SceneOptions::default() };
             *kit.twin.scene_mut() = Scene::new(options, None)?.on(kit.twin.frontend().extent())?;
             Ok(kit)
@@ -194,10 +193,7 @@ impl PyTwin {
                     return Ok(PyFrame::timed(sequence, at_s, values, twin.instrument().imaginary_v()));
                 }
             }
-            Err(Fault::new(
-                Kind::Source,
-                format!("the twin's instrument has lost {MOST_LOST} frames one after another"),
-            ))
+            Err(Fault::new(Kind::Source, format!("the twin's instrument has lost {MOST_LOST} frames in a row")))
         })
     }
 

@@ -1,5 +1,5 @@
-//! Runs work for Python: without the interpreter lock, with panics turned into exceptions, with Ctrl-C handled, and
-//! on threads that exist. A forked process has none of its parent's threads, so it gets its own.
+//! Runs work for Python: without the interpreter lock, with panics turned into exceptions and Ctrl-C handled. A forked
+//! process has none of its parent's threads, so it gets its own.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -62,7 +62,7 @@ fn guarded<T>(work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         let said = said.unwrap_or("no message");
-        Err(Fault::new(Kind::Internal, format!("a fault in dermis itself, which is worth a report: {said}")))
+        Err(Fault::new(Kind::Internal, format!("a bug in dermis, please report it: {said}")))
     })
 }
 
@@ -90,7 +90,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Counts one more step. Returns an error once nobody waits for the rest.
+    /// Counts one more step. Returns an error once the result is no longer wanted.
     pub fn step(&self) -> Result<(), Fault> {
         self.done.fetch_add(1, Ordering::Relaxed);
         if self.stopped.load(Ordering::Relaxed) {
@@ -184,7 +184,7 @@ pub fn run_interruptibly<T: Send + 'static>(
     py.detach(|| wait(&lock(&receiver), &Progress::default(), Bar::new(label, None)))
 }
 
-/// Operations per second that every machine of this century manages on one core.
+/// Operations per second on one core: a low estimate for any current machine.
 const OPERATIONS_PER_S: f64 = 1e9;
 /// Work that takes longer than this, in seconds, runs where Ctrl-C is handled; starting a thread costs a hundredth of
 /// it.

@@ -16,14 +16,14 @@ from dermis import eit
 @pytest.mark.parametrize(
     ("sigma", "words"),
     [
-        (np.ones(3), r"sigma: expected shape \(\d+,\), one conductivity an element, got shape \(3,\)"),
+        (np.ones(3), r"sigma: expected shape \(\d+,\), one conductivity per element, got shape \(3,\)"),
         (np.ones((2, 2)), r"got shape \(2, 2\)"),
         (np.ones(0), r"got shape \(0,\)"),
         (3.0, r"got shape \(\)"),
         ("copper", "expected real numbers, got an array of <U6"),
         ([None, None], "expected real numbers, got an array of object"),
         (object(), "expected real numbers, got an array of object"),
-        ([[1.0], [1.0, 2.0]], "which is no array"),
+        ([[1.0], [1.0, 2.0]], "which is not an array"),
         (np.ones(4, complex), "expected real numbers, got an array of complex128"),
         (np.ones(4, bool), "expected real numbers, got an array of bool"),
         (np.ma.masked_array([1.0, 2.0], [True, False]), "a masked array"),
@@ -88,7 +88,7 @@ def test_threads_are_a_number_of_threads(disc):
 
 def test_frames_of_another_skin(skin):
     pipe = dermis.Pipeline(skin)
-    with pytest.raises(dermis.InputError, match=r"shape \(208,\), one reading a channel of skin healing-square"):
+    with pytest.raises(dermis.InputError, match=r"shape \(208,\), one reading per channel of skin healing-square"):
         pipe.process(np.ones(64))
     with pytest.raises(dermis.InputError, match="208 readings"):
         pipe.process(dermis.Frame(np.ones(3)))
@@ -230,7 +230,7 @@ def test_one_pipeline_from_several_threads(skin):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_session_in_a_forked_process_while_a_thread_uses_it():
-    """The holder of the session's lock at the fork can no longer release it, so nothing may wait for it."""
+    """A lock of the session that another thread held at the fork is never released, so nothing may wait for it."""
     with dermis.open("twin:healing-square") as session:
         busy = threading.Thread(target=lambda: [next(session) for _ in range(400)])
         busy.start()

@@ -1,4 +1,4 @@
-"""Contacts of a simulator become frames and touches, and what is wrong with them is named. No simulator is needed."""
+"""Contacts of a simulator become frames and touches; invalid ones are refused with a reason. Needs no simulator."""
 
 import doctest
 

@@ -1,4 +1,4 @@
-"""Skins as observations of Gymnasium environments: spaces, values, vectors of environments, and what is refused."""
+"""Skins as observations of Gymnasium environments: spaces, values, vectors of environments, and invalid input."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_observations_are_in_their_space(square):
 
 
 def test_gymnasiums_own_checker_is_content(square):
-    # The checker resets with one seed twice, and noise goes on.
+    # The checker resets twice with one seed, but the noise continues.
     check_env(touching(square, observe="touches"), skip_render_check=True)
 
 

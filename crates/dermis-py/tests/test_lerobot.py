@@ -75,7 +75,7 @@ def test_point_sets_keep_the_strongest_and_pad_the_rest():
         ({"slots": 2.0}, "slots = 2.0"),
         ({"rate_hz": 0}, "rate_hz = 0: expected a number above 0"),
         ({"rate_hz": np.nan}, "rate_hz = nan"),
-        ({"sequence": [1, 2]}, "expected one number a frame"),
+        ({"sequence": [1, 2]}, "expected one number per frame"),
         ({"slots": 10**12}, "GiB: expected at most 8"),
     ],
 )

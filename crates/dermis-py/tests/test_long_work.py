@@ -109,7 +109,7 @@ LONG = [
 ]
 
 
-# Processes started in a shell's background ignore the signal of Ctrl-C and pass that on.
+# Processes started in a shell's background ignore Ctrl-C, and so do their children.
 LISTEN = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 CHILD = LISTEN + """
 import sys, tempfile

@@ -1,4 +1,4 @@
-"""Skins in MuJoCo: signs and frames against its own contacts, errors of place and force, and what is refused."""
+"""Skins in MuJoCo: signs and frames against its own contacts, errors of position and force, and invalid input."""
 
 import doctest
 
@@ -183,7 +183,7 @@ def test_frames_come_at_the_skins_own_rate(liquid):
     sensor = SkinSensor(model, data, Patch("palm", liquid, geom="plate", xyz_mm=TOP))
     readings = run(model, data, sensor, 1.0)
     np.testing.assert_allclose([reading.time_s for reading in readings], np.arange(17) / 16)
-    # A caller that comes late gets them all.
+    # A late caller gets all of them.
     for _ in range(500):
         mujoco.mj_step(model, data)
     assert len(sensor.update()) == 16 and sensor.update() == []

@@ -1,5 +1,4 @@
-"""EIDORS' values (computed with EIDORS 3.10 in Octave), compared as in the Rust tests: nothing is lost through
-Python."""
+"""EIDORS' values (computed with EIDORS 3.10 in Octave), compared as in the Rust tests: Python loses nothing."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Sessions and recordings in Rerun: files that its own tools read back, and what is refused."""
+"""Sessions and recordings in Rerun: files that its own tools read back, and invalid input."""
 
 import shutil
 import subprocess
@@ -29,7 +29,7 @@ def pressed():
 
 
 def cells(path, entity, part):
-    """A component of an entity in a file, as Rerun's own reader gives it: one value a frame, in order of frames."""
+    """A component of an entity in a file, from Rerun's own reader: one value per frame, in order of frames."""
     rows = []
     for chunk in reader.RrdReader(str(path)).stream():
         if chunk.entity_path != f"/{entity}":
@@ -66,7 +66,7 @@ def test_a_file_holds_the_results(pressed, tmp_path):
 
     colours = cells(path, "skin/surface", "vertex_colors")
     assert len(colours) == sum(result.ready for result in results)
-    # The mesh is there once.
+    # The mesh is logged once.
     (vertices,), (triangles,) = (cells(path, "skin/surface", part) for part in ("vertex_positions", "triangle_indices"))
     assert len(colours[-1]) == len(vertices)
     vertices, triangles = np.array(vertices), np.array(triangles)
@@ -76,7 +76,7 @@ def test_a_file_holds_the_results(pressed, tmp_path):
     # Counter-clockwise as seen from outside; pixels on the rim are cut off there.
     assert area.min() > -1e-9 and area.sum() == pytest.approx(np.pi * 0.087**2, rel=0.03)
     assert np.hypot(*vertices[:, :2].T).max() < 0.0871
-    # Red as the image is positive at a touch, and strongest there.
+    # The image is positive at a touch, so red, and strongest there.
     red, green = (np.array(colours[-1]) >> shift & 255 for shift in (24, 16))
     strongest = np.argmin(green)
     assert red[strongest] > green[strongest] + 50
@@ -199,5 +199,5 @@ def test_what_is_wrong_is_named(pressed, tmp_path):
         save(results, tmp_path / "none" / "x.rrd", skin=skin)
     with pytest.raises(dermis.FileError, match="none.mcap"):
         save(tmp_path / "none.mcap", path)
-    # What failed leaves no file.
+    # A failure leaves no file.
     assert list(tmp_path.iterdir()) == []

@@ -159,7 +159,7 @@ def test_importing_needs_numpy_alone_and_no_time():
 
 
 def test_stubs_name_what_there_is():
-    """Every name and member of the compiled half is in its stubs, and the other way round."""
+    """Every name and member of the compiled half is in its stubs, and vice versa."""
     import ast
     from pathlib import Path
 

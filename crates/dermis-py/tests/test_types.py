@@ -22,7 +22,7 @@ def test_stubs(tmp_path):
 
 def test_examples_under_pyright():
     pyright = shutil.which("pyright", path=str(Path(sys.executable).parent))
-    # The package of that name downloads the program when it is first run.
+    # The pyright package downloads the program at its first run.
     if pyright is None or subprocess.run([pyright, "--version"], capture_output=True).returncode != 0:
         pytest.skip("pyright is not installed")
     run = subprocess.run([pyright, "--pythonpath", sys.executable, "-p", PROJECT], capture_output=True, text=True)

@@ -18,7 +18,7 @@ pub enum Error {
         address: String,
         /// Error from the operating system.
         source: std::io::Error,
-        /// What to do, after a semicolon, or nothing.
+        /// Advice after a semicolon, or nothing.
         advice: &'static str,
     },
 }

@@ -33,7 +33,7 @@
 //! | [`recover`](fn@recover) | a complete recording from a broken one |
 //! | [`guard_socket`] | a guard's verdicts as lines on a socket |
 //! | `foxglove` | a live server for Foxglove, with the feature of this name |
-//! | [`Publisher`], `ros2` | a running patch for other programs, as it happens |
+//! | [`Publisher`], `ros2` | a running patch for other programs, live |
 //!
 //! # Channels
 //! All messages are CDR, and the file contains their definitions (`ros2msg`).

@@ -387,7 +387,7 @@ mod tests {
     use super::super::{Recorder, Recording, RecordingHead};
     use super::*;
 
-    /// A disk with room for a number of bytes, which can be made to hang.
+    /// A disk with limited space that can be made to hang.
     #[derive(Clone)]
     struct Disk {
         room: usize,

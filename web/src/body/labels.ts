@@ -1,5 +1,5 @@
-// Names and forces over the robot: text of the page, so that it stays readable at every zoom. A name stands off its
-// skin along the normal and keeps clear of others.
+// Names and forces over the robot, as text of the page, so that they stay readable at every zoom. A name is placed off
+// its skin along the normal, clear of other names.
 
 import type { Vector3 } from "three";
 import { write } from "../rows";
@@ -24,7 +24,7 @@ interface Box {
   height: number;
 }
 
-/** True if a skin with this outward normal shows its back. On a skin seen from the side, arrows are seen well. */
+/** True if a skin with this outward normal shows its back. Arrows on a skin seen from the side stay visible. */
 const isAway = (at: Vector3, outward: Vector3, stage: Stage) => outward.dot(stage.camera.position.clone().sub(at).normalize()) < -0.2;
 
 const overlap = (a: Box, b: Box) => Math.abs(a.x - b.x) < (a.width + b.width) / 2 + GAP && Math.abs(a.y - b.y) < (a.height + b.height) / 2 + GAP;
@@ -54,7 +54,7 @@ export class Labels {
     this.place.replaceChildren(this.svg, ...this.names.map(({ box }) => box));
   }
 
-  /** Texts and colours. */
+  /** Sets texts and colours. */
   tell(state: BodyState, robot: Robot): void {
     this.names.forEach(({ box, line }, number) => {
       const patch = state.patches[number];
@@ -76,7 +76,7 @@ export class Labels {
     this.names.forEach(({ box }, number) => box.classList.toggle("pointed", number === patch));
   }
 
-  /** Moves everything to where it stands in the picture that is about to be drawn. */
+  /** Moves everything to its position in the next picture. */
   move(robot: Robot, stage: Stage): void {
     const { clientWidth: width, clientHeight: height } = stage.canvas;
     const taken: Box[] = [];
@@ -90,7 +90,7 @@ export class Labels {
       line.style.display = isSeen ? "" : "none";
       if (!from || !to) return;
       if (sizes[0] === 0 || sizes[0] !== box.offsetWidth) [sizes[0], sizes[1]] = [box.offsetWidth, box.offsetHeight];
-      // Off the skin in the direction of its normal as seen; upwards if that points at the viewer.
+      // Along the projected normal, or upwards if it points at the viewer.
       const [dx, dy] = [to.x - from.x, to.y - from.y];
       const length = Math.hypot(dx, dy);
       const [ux, uy] = length > 12 ? [dx / length, dy / length] : [0, -1];

@@ -193,7 +193,7 @@ bindControls();
 bindTheme();
 countShown();
 
-/** For tests and for the curious: where things are in the window and in the root's frame. */
+/** For tests and debugging: positions in the window and in the root's frame. */
 Object.assign(window, {
   dermisBody: {
     state: () => state,

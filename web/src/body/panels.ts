@@ -7,7 +7,7 @@ import type { Robot } from "./robot";
 const MOST_MESSAGES = 50;
 /** Columns of the list of patches. */
 const PATCH_CELLS = 7;
-/** A slider that somebody has moved keeps its value for this long, until the server tells the same. */
+/** A slider that the user has moved keeps its value for this long, until the server reports the same value. */
 const HOLD_MS = 600;
 
 const find = <T extends HTMLElement = HTMLElement>(id: string) => document.getElementById(id) as T;
@@ -28,7 +28,7 @@ export class Panels {
   private scene: BodyScene | null = null;
   private patchRows: HTMLTableRowElement[] = [];
   private readonly sliders = new Map<string, { input: HTMLInputElement; movedAt: number }>();
-  /** A patch's row is pointed at. */
+  /** Called when the pointer enters a patch's row, or with -1 when it leaves. */
   pointed: (patch: number) => void = () => {};
 
   constructor(private readonly connection: () => BodyConnection) {}
@@ -111,7 +111,7 @@ export class Panels {
       const p99 = patch.latency_p99_ms === null ? "–" : patch.latency_p99_ms.toFixed(patch.latency_p99_ms < 10 ? 1 : 0);
       const texts = [patch.fps > 0 ? patch.fps.toFixed(1) : "–", p99, String(patch.lost), scale];
       texts.forEach((text, index) => write(row.cells[index + 3], text));
-      // Twins skip frames that the computer is too slow for; an instrument's are lost.
+      // A twin skips frames if the computer is too slow; an instrument's frames are lost.
       row.classList.toggle("lossy", patch.lost > 0 && !this.scene!.patches[number].running?.is_twin);
     });
     find("patches").parentElement!.classList.toggle("no-guard", state.patches.every(({ guard }) => guard === null));
@@ -186,7 +186,7 @@ export class Panels {
       const row = find("joints").querySelector<HTMLElement>(`tr[data-joint=${CSS.escape(joint.name)}]`);
       const { input, movedAt } = this.sliders.get(joint.name)!;
       if (value !== null && performance.now() - movedAt > HOLD_MS) {
-        // A continuous joint turns on; its slider shows the angle within one turn.
+        // A continuous joint turns without limit; its slider shows the angle within one turn.
         const shown = joint.limits ? value : Math.atan2(Math.sin(value), Math.cos(value));
         input.value = String(shown);
       }

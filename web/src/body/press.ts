@@ -1,5 +1,4 @@
-// Presses on twins: the pointer's ray meets a skin, and the twin is pressed there. Elsewhere the pointer turns the
-// view.
+// Presses on twins: a twin is pressed where the pointer's ray hits its skin. Elsewhere the pointer rotates the view.
 
 import * as THREE from "three";
 import type { Command, Point } from "../protocol";

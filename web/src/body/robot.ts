@@ -1,11 +1,11 @@
-// The robot in space: links as the URDF file shapes them, carrying their skins. The server places the links, so that
-// only one program knows the kinematics.
+// The robot in space: links with the shapes of the URDF file, carrying their skins. The server computes the poses of
+// the links, so that only one program knows the kinematics.
 
 import * as THREE from "three";
 import type { BodyScene, BodyState, Pose, Shape, Vector } from "./protocol";
 import { type Look, Skin3d } from "./skin3d";
 
-/** Sides of a drawn circle: inside the true one by less than skins are above their link, up to a radius of 0.3 m. */
+/** Sides of a drawn circle: up to a radius of 0.3 m it deviates by less than a skin's height above its link. */
 const SIDES = 64;
 /** Edges sharper than this are drawn as lines, degrees. */
 const EDGE_DEG = 30;
@@ -15,7 +15,7 @@ function put(object: THREE.Object3D, [x, y, z, ...turn]: Pose): void {
   object.quaternion.set(...turn);
 }
 
-/** Fetches a mesh into `geometry`, and says so when it is there. */
+/** Fetches a mesh into `geometry`, then calls `loaded`. */
 async function load(geometry: THREE.BufferGeometry, address: string, [x, y, z]: Vector, loaded: () => void): Promise<void> {
   const answer = await fetch(address);
   if (!answer.ok) return;
@@ -45,7 +45,7 @@ export class Robot {
   readonly links: THREE.Group[];
   /** Called when a mesh has been fetched. */
   loaded: () => void = () => {};
-  /** Links as a ray meets them. */
+  /** Meshes of the links, for ray casting. */
   readonly solids: THREE.Mesh[] = [];
   private readonly known = new THREE.MeshStandardMaterial({ roughness: 0.75, metalness: 0.05, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
   private readonly unknown = new THREE.MeshStandardMaterial({ roughness: 0.75, transparent: true, opacity: 0.3, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });

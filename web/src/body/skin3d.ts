@@ -28,9 +28,9 @@ const PRESS_COLOUR = new THREE.MeshBasicMaterial({ color: 0xffffff, side: THREE.
 
 export class Skin3d {
   readonly group = new THREE.Group();
-  /** What a ray meets. */
+  /** The mesh for ray casting. */
   readonly mesh: THREE.Mesh;
-  /** Middle of the skin and its normal there, in the patch's frame. */
+  /** Centre of the skin and its normal there, in the patch's frame. */
   readonly middle = new THREE.Vector3();
   readonly normal = new THREE.Vector3(0, 0, 1);
   readonly range = new Range();
@@ -81,7 +81,7 @@ export class Skin3d {
       [this.pixels, this.flipped] = [new Uint32Array(0), new Uint32Array(0)];
       [this.texture, this.outside] = [null, null];
     }
-    // Without light, so that a colour is the one in the legend.
+    // Unlit, so that colours match the legend.
     this.material = new THREE.MeshBasicMaterial({ map: this.texture, transparent: true });
     this.mesh = new THREE.Mesh(geometry, this.material);
     this.mesh.userData.skin = this;
@@ -99,7 +99,7 @@ export class Skin3d {
     this.group.quaternion.set(...turn);
   }
 
-  /** Finds the point of the surface nearest to the sheet's origin: there the name is attached. */
+  /** Finds the point of the surface nearest to the sheet's origin, where the name is attached. */
   private place(): void {
     const { positions_mm, normals, sheet_mm } = this.patch.surface;
     let nearest = Infinity;
@@ -162,12 +162,12 @@ export class Skin3d {
     }
   }
 
-  /** Labels of the touches: where they stand in the root's frame, and their text. */
+  /** Labels of the touches: positions in the root's frame, and texts. */
   labels(): { key: string; at: THREE.Vector3; outward: THREE.Vector3; text: string }[] {
     return [...this.touches].map(([id, touch]) => ({ key: `${this.number}:${id}`, at: touch.labelAt(), outward: touch.outward(), text: touch.text }));
   }
 
-  /** Place on the flattened sheet of a ray's hit. */
+  /** Position of a ray's hit on the flattened sheet. */
   sheetOf(hit: THREE.Intersection): Point | null {
     const grid = this.patch.running?.grid;
     if (!hit.uv || !grid) return null;

@@ -8,7 +8,7 @@ import type { Robot } from "./robot";
 export const VIEWS = { fit: [1, -0.6, 0.5], front: [1, 0, 0.0001], left: [0, 1, 0.0001], back: [-1, 0, 0.0001], above: [0.0001, 0, 1] } as const;
 export type ViewName = keyof typeof VIEWS;
 
-/** Share of the view's height and width that the robot fills at most: names stand around it. */
+/** Largest share of the view's height and width filled by the robot; the rest is for names. */
 const FILL = 0.92;
 /** Size of a cell of space, metres, and most cells to remember. */
 const SEEN_M = 0.05;
@@ -58,7 +58,7 @@ export class Stage {
   private robot: Robot | null = null;
   /** Places where the robot has been, one per cell of space. */
   private readonly seen = new Map<string, THREE.Vector3>();
-  /** The view that follows the robot until somebody moves the camera. */
+  /** The view that follows the robot until the user moves the camera. */
   private followed: ViewName | null = "fit";
 
   constructor(private readonly place: HTMLElement) {
@@ -83,7 +83,7 @@ export class Stage {
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f98, 1.5), this.light, fill, this.grid);
     new ResizeObserver(() => this.resize()).observe(place);
     place.addEventListener("keydown", (event) => this.key(event));
-    // A drag selects no text.
+    // Keep a drag from selecting text.
     this.canvas.addEventListener("mousedown", (event) => {
       event.preventDefault();
       place.focus({ preventScroll: true });
@@ -109,7 +109,7 @@ export class Stage {
     this.followed = "fit";
   }
 
-  /** The robot has moved. The view widens with it, unless somebody has moved the camera. */
+  /** The robot has moved. The view widens to include it, unless the user has moved the camera. */
   moved(): void {
     const before = this.seen.size;
     for (const point of this.robot?.corners() ?? []) {
@@ -147,10 +147,10 @@ export class Stage {
       return grid;
     };
     const axes = new THREE.AxesHelper(AXES_M);
-    // Seen through the link that they are in.
+    // Visible through the link around them.
     Object.assign(axes.material, { depthTest: false, transparent: true, opacity: 0.9 });
     axes.renderOrder = 2;
-    // Only the ground shows shadows: on the robot they would hide what a skin says.
+    // Only the ground shows shadows; on the robot they would obscure the colours of a skin.
     const ground = new THREE.Mesh(new THREE.PlaneGeometry(4 * half, 4 * half), new THREE.ShadowMaterial({ opacity: 0.13 }));
     ground.position.z = Math.min(box.min.z, 0) - 2e-3;
     ground.receiveShadow = true;

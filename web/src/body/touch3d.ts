@@ -5,11 +5,11 @@ import * as THREE from "three";
 import type { BodyTouch } from "./protocol";
 
 const MM = 1e-3;
-/** Length of an arrow, metres per newton: a light touch is seen on a robot of a metre. And the shortest and longest. */
+/** Length of an arrow, metres per newton: a light touch is visible on a robot of 1 m. Then its limits, metres. */
 const ARROW_M_PER_N = 0.04;
 const SHORTEST_M = 0.03;
 const LONGEST_M = 0.4;
-/** Radius of a touch that tells none, millimetres. */
+/** Radius drawn for a touch without one, millimetres. */
 const USUAL_RADIUS_MM = 5;
 /** Height of the disc over the skin, metres. */
 const ABOVE_M = 2.5e-3;
@@ -41,7 +41,7 @@ export class Touch3d {
     this.group.add(this.flat, this.arrow);
   }
 
-  /** Frees what the graphics card holds. */
+  /** Frees graphics memory. */
   dispose(): void {
     for (const material of [this.fill, this.edge, this.red]) material.dispose();
   }
@@ -73,7 +73,7 @@ export class Touch3d {
     return Z.clone().transformDirection(this.group.matrixWorld);
   }
 
-  /** Where its label stands, in the root's frame. */
+  /** Position of its label in the root's frame. */
   labelAt(): THREE.Vector3 {
     return this.group.localToWorld(new THREE.Vector3(0, 0, this.length_m + 0.004));
   }

@@ -20,7 +20,7 @@ const EXAMPLE: &str = "\
 Example:
   dermis bench --seconds 0.2";
 
-/// Forward solves in the line that times many.
+/// Number of forward solves in the line that runs many in parallel.
 const MANY: usize = 256;
 
 /// Arguments of `dermis bench`.

@@ -67,7 +67,7 @@ pub struct Arguments {
     /// Number of channels of that skin.
     #[arg(long, value_name = "N", requires = "outline_mm")]
     channels: Option<usize>,
-    /// Output skin file for --outline-mm, which also names the skin; without --positions, output skin file with the
+    /// Output skin file for --outline-mm, whose name becomes the skin's; without --positions, output skin file with the
     /// circuit found.
     #[arg(long, value_name = "FILE.toml")]
     write_skin: Option<PathBuf>,
@@ -280,8 +280,8 @@ impl Arguments {
     /// Finds the readout's circuit from frames whose touches are unknown.
     fn learn_circuit(&self, skin: Skin, out: &mut dyn Write) -> anyhow::Result<()> {
         if self.out.is_some() || self.forces.is_some() || self.outline_mm.is_some() || !self.start.is_empty() {
-            let text = "--positions is needed: a calibration by pokes wants to know where they were (without, only the \
-                        circuit of a skin file can be found: SKIN, --frames, --baseline and --write-skin)";
+            let text = "--positions is needed: the position of every poke (without it, only a readout circuit can be found, \
+                        with SKIN, --frames, --baseline and --write-skin)";
             return Err(UsageError(text.into()).into());
         }
         let Some(baseline) = &self.baseline else {

@@ -19,8 +19,8 @@ Examples:
 
 Averages the frames and fits the conductance of the sheet to them, with its standard deviation: one number for the sheet,
 and the places that differ from it. Current, electrodes and contact impedance are taken from the skin file, whose
-conductivity only starts the search. sheet.npy is 2 x rows x columns (f64, siemens):
-the image and its standard deviation, row 0 at the top, NaN outside.";
+conductivity is only the starting value. sheet.npy is 2 x rows x columns (f64, siemens): the image and its standard
+deviation, row 0 at the top, NaN outside.";
 
 /// Arguments of `dermis conductance`.
 #[derive(clap::Args)]

@@ -32,7 +32,7 @@ pub struct Arguments {
     /// The instrument, or a skin's twin.
     #[arg(value_name = "SELECTOR")]
     selector: String,
-    /// What the instrument should do.
+    /// Action for the instrument to carry out.
     #[arg(value_enum, default_value_t = Action::Describe)]
     action: Action,
     /// Measure with the protocol, current and frequency of a skin.

@@ -116,7 +116,7 @@ fn measure(set: &Set, data: &std::path::Path, extent: Extent) -> SetReport {
         report(&anyhow::anyhow!("{}: {error}", set.name));
     }
     for path in &found.missing {
-        eprintln!("missing: {}: {} is not there", set.name, path.display());
+        eprintln!("missing: {}: {} does not exist", set.name, path.display());
     }
     found
 }

@@ -56,7 +56,7 @@ impl LivePage {
     /// Call this when no frame arrived.
     ///
     /// # Errors
-    /// None caused by the pipeline.
+    /// [`dermis_page::UpdateError`], which the pipeline never causes.
     pub fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
         self.run.wait(acquisition)
     }

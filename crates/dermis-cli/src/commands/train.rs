@@ -204,7 +204,9 @@ fn check_first(set: &TrainingSet, first: Option<&Model>) -> anyhow::Result<()> {
     let shown = set.manifest().recipe.get("first_sha256").and_then(|hash| hash.as_str());
     let given = first.map(|model| model.card.weights_sha256.as_str());
     match (shown, given) {
-        (Some(_), None) => anyhow::bail!("the inputs include the output of a first model: expected it with --first"),
+        (Some(_), None) => {
+            anyhow::bail!("the inputs include the output of a first model: expected that model with --first")
+        }
         (None, Some(_)) => anyhow::bail!("--first: the set was made without a first model"),
         (Some(shown), Some(given)) if shown != given => {
             anyhow::bail!("--first: the set was made with a model of weights {shown}, not {given}")

@@ -133,13 +133,13 @@ struct Serve {
     /// Serve on a pseudo-terminal, like a serial port.
     #[arg(long, conflicts_with = "tcp")]
     pty: bool,
-    /// Switch off the touches that the twin shows by itself.
+    /// Switch off the demonstration, touches that the twin shows when nothing presses it.
     #[arg(long)]
     no_demo: bool,
     /// Allow an address that others on the network can reach; there is no password.
     #[arg(long)]
     to_network: bool,
-    /// Stop after this many frames, which are taken even if nobody connects.
+    /// Stop after this many frames, which are counted even if no host connects.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
 }

@@ -138,7 +138,7 @@ impl Connection {
         if !matches!(self.state, State::Head { .. }) {
             return false;
         }
-        // If the listener has been dropped, nobody will ask for the place.
+        // After the listener has been dropped, the place is never asked for.
         if let Some(asked) = &mut self.asked_to_go
             && let Poll::Ready(asked) = Pin::new(asked).poll(context)
         {

@@ -1,6 +1,6 @@
-//! Connects the pipeline to the pages. The pipeline leaves its latest update here and goes on; the server takes it
-//! when it can. Three buffers are exchanged under a lock that is held only for swapping pointers, so neither side
-//! waits for the other. An update that isn't taken in time is overwritten and counted.
+//! Connects the pipeline to the pages. The pipeline leaves its latest update here and continues; the server takes it
+//! when it can. Three buffers are exchanged under a lock that is held only for swapping pointers, so neither side waits
+//! for the other. An update that isn't taken in time is overwritten and counted.
 
 use std::mem;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -93,7 +93,7 @@ impl Hub {
 
     /// Sends a notice to every page once.
     pub fn announce(&self, level: Level, text: impl Into<String>) {
-        // Without a page nobody receives it, which is not a failure.
+        // Without a page it has no receiver, which is not a failure.
         let _ = self.inner.notices.send(Notice { level, text: text.into() });
     }
 

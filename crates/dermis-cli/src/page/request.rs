@@ -23,7 +23,7 @@ pub struct Reply {
 }
 
 impl Reply {
-    /// A reply that nobody reads, for requests that don't come from a page.
+    /// A reply without a reader, for requests that don't come from a page.
     pub fn unheard() -> Self {
         Self { id: 0, answers: None }
     }

@@ -235,7 +235,7 @@ fn run(runtime: &Runtime, listener: TcpListener, shared: Arc<Shared>, site: Site
             served = axum::serve(listener, router(shared.clone(), site)).with_graceful_shutdown(stopped) => served,
             () = deadline => Ok(()),
         };
-        // Pages are separate tasks, no longer connections of the server. Each frees its place once it has been told.
+        // Pages are separate tasks, no longer connections of the server. Each frees its place after closing.
         let places = u32::try_from(shared.options.most_clients).unwrap_or(u32::MAX);
         let _ = tokio::time::timeout(CLOSING_TIME, shared.places.acquire_many(places)).await;
         served

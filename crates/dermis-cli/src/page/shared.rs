@@ -15,7 +15,7 @@ pub struct PageOptions {
     pub token: Option<Token>,
     /// Additional host names by which the server is reached, without port.
     pub allowed_hosts: Vec<String>,
-    /// Most pages connected at once; any further page is told so.
+    /// Most pages connected at once; any further page is refused with a message.
     pub most_clients: usize,
     /// Most connections open at once, including pages. Above that, connections that have sent nothing yet are cut
     /// off.

@@ -81,7 +81,7 @@ fn evidence_fills_the_tables_of_a_page_and_leaves_its_prose() {
     assert!(filled.starts_with("# Mine\n\nBefore.\n\n<!-- evidence:begin -->\n"), "{filled}");
     assert!(filled.ends_with("<!-- evidence:end -->\n\nAfter.\n") && !filled.contains("old"), "{filled}");
     assert!(filled.contains("### `golfball`: ") && filled.contains("ball at (0, 0)"), "{filled}");
-    assert!(filled.contains("Missing: `DIR/team7/team7_Bz_gauss_50hz.csv` is not there."), "{filled}");
+    assert!(filled.contains("Missing: `DIR/team7/team7_Bz_gauss_50hz.csv` does not exist."), "{filled}");
     for name in ["new.md", "new.html", "new.json"] {
         desk.done(&[&words[..], &[name]].concat());
         assert!(fs::read_to_string(desk.path(name)).expect("a file").contains("golfball"), "{name}");

@@ -1,4 +1,4 @@
-"""Progress of long work, shown by tqdm if it is installed and somebody is watching."""
+"""Progress of long work, shown by tqdm if it is installed and the output is a terminal or a notebook."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Carried:
     height_mm : numpy.ndarray
         Shape (m,). Distances from the skin's surface, positive outside.
     force_n : numpy.ndarray
-        Shape (m,). Forces into the skin, above 0. Friction is not felt.
+        Shape (m,). Forces into the skin, above 0. Friction is ignored.
     """
 
     index: NDArray[np.intp]
@@ -121,10 +121,10 @@ def contacts_to_frame(
     reach_mm: float = _REACH_MM,
     dt_s: float | None = None,
 ) -> Frame:
-    """The next frame of a twin under these contacts, and no others.
+    """The next frame of a twin under exactly these contacts.
 
-    Each contact presses a disc of the given radius with its normal force. The twin's mechanics spread it under the
-    cover, its fields and its instrument make the frame. Make the twin with ``fade_s=0``, otherwise loads fade in and
+    Each contact presses a disc of the given radius with its normal force. The twin's mechanics spread the load under
+    the cover; its fields and instrument make the frame. Make the twin with ``fade_s=0``, otherwise loads fade in and
     out over 80 ms.
 
     Parameters
@@ -268,9 +268,9 @@ class SkinReading:
     frame : Frame
         The frame, as an instrument would send it.
     result : Result
-        What the pipeline makes of it: image, touches, health.
+        The pipeline's result: image, touches, health.
     contacts : Carried
-        The contacts that pressed: the truth.
+        The contacts that pressed: the ground truth.
     """
 
     patch: str
@@ -335,7 +335,7 @@ class SimulatedSkin:
         self.twin = Twin(self.skin, seed, fade_s=0.0)
         self.pipeline = Pipeline(skin if isinstance(skin, Model) else self.skin, calibration=calibration, forces=forces)
         if radius_mm is not None:
-            # Refuses a disc that the skin cannot carry now rather than at the first contact.
+            # Refuse a disc that is too large now rather than at the first contact.
             self.twin.press(*self._a_place_mm(), radius_mm, 0.0)
             self.twin.release()
         self._settle()
@@ -389,7 +389,7 @@ class SimulatedSkin:
         self._settle()
 
     def _settle(self) -> None:
-        """Frames at rest until the pipeline has its baseline, and past those that it is made of."""
+        """Steps at rest until the pipeline has its baseline, for a few frames more than it averages."""
         frames = 0
         while not self.pipeline.ready or frames < 34:
             if frames == _MOST_WARM_UP:

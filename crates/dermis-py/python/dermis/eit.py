@@ -93,7 +93,7 @@ def _metres(nodes: np.ndarray, elements: np.ndarray, unit: str | None) -> np.nda
         width = float(np.ptp(nodes[np.unique(elements)], axis=0).max())
         if width > _WIDEST_M:
             raise InputError(
-                f"mesh: {width:g} m wide: is it in millimetres? unit=\"mm\" takes it so, unit=\"m\" takes it as it stands"
+                f"mesh: {width:g} m wide: is it in millimetres? if so, use unit=\"mm\", else unit=\"m\""
             )
     return nodes
 

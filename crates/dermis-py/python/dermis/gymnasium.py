@@ -22,7 +22,7 @@ _KINDS = ("frame", "change", "taxels", "touches")
 
 
 class SkinObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Adds what patches of skin feel to the observations of an environment on MuJoCo.
+    """Adds the readings of skin patches to the observations of a MuJoCo environment.
 
     Observations become a dictionary: those of the environment under ``state`` (or its own keys, if it has a dictionary
     already), and for each patch a dictionary under ``skin``:
@@ -56,7 +56,7 @@ class SkinObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
     Raises
     ------
     InputError
-        The environment isn't MuJoCo's, a patch is wrong, or `observe` has an unknown word.
+        The environment isn't MuJoCo's, a patch is invalid, or `observe` has an unknown word.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class SkinObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
         observation : dict
             The first observation.
         info : dict
-            The environment's.
+            Info from the environment.
         """
         observation, info = self.env.reset(seed=seed, options=options)
         self.sensor.reset()
@@ -178,7 +178,7 @@ class SkinObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
             elif kind == "change":
                 result[kind] = np.nan_to_num(reading.result.compensated)
             elif kind == "taxels":
-                # Without an image, as when the frames as a whole are wrong, all taxels are 0.
+                # Without an image, for instance during a fault of whole frames, all taxels are 0.
                 result[kind] = np.nan_to_num(reading.result.image[self._inside[patch]])
             else:
                 result[kind] = self._touches(patch)

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["features", "points", "windows"]
 
 _MOST_BYTES = 8 << 30
-"""Most memory that a result may take: longer recordings are cut by episode."""
+"""Maximum size of a result in bytes; split longer recordings into episodes."""
 
 _TIE_S = 1e-9
-"""Times closer than a nanosecond are one: a frame on the edge of a slot belongs to the slot that ends there."""
+"""Times within a nanosecond count as equal, so that a frame on the edge of a slot belongs to the slot that ends
+there."""
 
 
 def windows(
@@ -76,7 +77,7 @@ def windows(
     times, moments = _times("time_s", time_s), _times("at_s", at_s)
     if values.ndim < 2 or len(values) != len(times):
         raise _input_error(
-            f"readings of shape {values.shape} with {len(times)} times: expected one row a time, frames x channels"
+            f"readings of shape {values.shape} with {len(times)} times: expected one row per time, frames x channels"
         )
     if not (isinstance(slots, (int, np.integer)) and not isinstance(slots, bool) and slots > 0):
         raise _input_error(f"slots = {slots!r}: expected a whole number above 0")
@@ -91,7 +92,7 @@ def windows(
         numbers = np.asarray(sequence)
         if numbers.shape != times.shape:
             raise _input_error(
-                f"sequence of shape {numbers.shape} with {len(times)} frames: expected one number a frame"
+                f"sequence of shape {numbers.shape} with {len(times)} frames: expected one number per frame"
             )
         own = np.r_[True, numbers[1:] != numbers[:-1]] if len(numbers) else np.zeros(0, bool)
         values, times = values[own], times[own]
@@ -99,7 +100,7 @@ def windows(
     if len(back):
         n = int(back[0]) + 1
         raise _input_error(
-            f"time_s[{n}] = {times[n]:.9g} after {times[n - 1]:.9g}: expected times that do not run back"
+            f"time_s[{n}] = {times[n]:.9g} after {times[n - 1]:.9g}: expected times that do not decrease"
         )
     edges = moments[:, None] - np.arange(slots, -1, -1) / rate_hz
     # Count the frames up to each edge. The last one before the end of a slot belongs to it, if it lies after its
@@ -176,7 +177,7 @@ def features(name: str, *, slots: int, channels: int, unit: str) -> dict[str, di
 def _times(name: str, values: ArrayLike) -> NDArray[np.float64]:
     times = np.asarray(values, dtype=np.float64)
     if times.ndim != 1:
-        raise _input_error(f"{name} of shape {times.shape}: expected one time after the other")
+        raise _input_error(f"{name} of shape {times.shape}: expected a one-dimensional array")
     bad = np.flatnonzero(~np.isfinite(times))
     if len(bad):
         raise _input_error(f"{name}[{bad[0]}] = {times[bad[0]]}: expected finite seconds")

@@ -1,9 +1,8 @@
 """Skins in MuJoCo: contacts press a skin's twin, and its pipeline finds the touches.
 
-:class:`SkinSensor` covers geoms or bodies of a model with patches of skin. MuJoCo's contact points and forces pass
-through the layer into pressure, the twin makes the frames that an instrument would send, noise included, and the
-pipeline makes touches, in the frame of the patch, its mount, or the world. :mod:`dermis.contacts` is the same without
-MuJoCo.
+:class:`SkinSensor` covers geoms or bodies of a model with patches of skin. The layer turns MuJoCo's contact points and
+forces into pressure, the twin makes the frames that an instrument would send, including noise, and the pipeline finds
+touches, in the frame of the patch, its mount, or the world. :mod:`dermis.contacts` does the same without MuJoCo.
 
 MuJoCo is imported only when a sensor is made.
 """
@@ -25,7 +24,7 @@ from .errors import InputError, SkinError
 __all__ = ["Patch", "SkinSensor"]
 
 _TIE_S = 1e-9
-"""A frame that is due within a nanosecond is due: sums of time steps are not exact."""
+"""Tolerance for due frames, because sums of time steps are not exact."""
 
 _MOST_MM = 1e5
 """Largest offset of a mount."""
@@ -148,7 +147,7 @@ class SkinSensor:
         The patches, with different names. A geom carries one patch; a body may carry several, and a contact counts for
         the nearest.
     seed : int
-        Seed of the instruments' noise; each patch gets one of its own.
+        Seed of the instruments' noise; each patch derives its own from it.
 
     Raises
     ------
@@ -273,7 +272,7 @@ class SkinSensor:
         patch : str
             Name of the patch.
         frame : str
-            ``"patch"``, ``"mount"`` (the geom or body) or ``"world"``, as it is now.
+            ``"patch"``, ``"mount"`` (the geom or body) or ``"world"``, at its current pose.
 
         Returns
         -------
@@ -291,7 +290,7 @@ class SkinSensor:
         raise InputError(f"frame = {frame!r}: expected 'patch', 'mount' or 'world'")
 
     def contacts(self, patch: str) -> Carried:
-        """MuJoCo's present contacts on a patch, whether or not a frame is due: the truth to compare with.
+        """MuJoCo's current contacts on a patch, whether or not a frame is due: the ground truth.
 
         Parameters
         ----------
@@ -306,7 +305,7 @@ class SkinSensor:
         return self._contacts()[self._of(patch).patch.name]
 
     def pose(self, patch: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where a patch is in the world.
+        """Pose of a patch in the world.
 
         Parameters
         ----------
@@ -348,7 +347,7 @@ class SkinSensor:
         wrench = np.zeros(6)
         for index in np.flatnonzero(self._covered[geoms].any(axis=1)):
             self._mujoco.mj_contactForce(self._model, self._data, int(index), wrench)
-            # The rows of a contact's frame are its axes in the world; the force is that on the second geom.
+            # The rows of a contact's frame are its axes in the world; the force acts on the second geom.
             force = wrench[:3] @ np.asarray(contact.frame[index]).reshape(3, 3)
             for side, sign in ((0, -1.0), (1, 1.0)):
                 if self._covered[geoms[index, side]]:
@@ -389,7 +388,7 @@ def _check_unique(patches: list[Patch], model: Any) -> None:
             number = _number(f"patch {patch.name!r}: ", model, "geom", patch.geom)
             if number in geoms:
                 other = geoms[number]
-                expected = "expected one patch a geom; a body can carry several"
+                expected = "expected one patch per geom; a body can carry several"
                 raise InputError(f"patch {patch.name!r}: geom = {patch.geom!r} already has patch {other!r}: {expected}")
             geoms[number] = patch.name
 

@@ -1,9 +1,9 @@
 """Distributes work that would take one machine too long over a Ray cluster (https://ray.io). Ray is imported only
 here.
 
-Seeds belong to samples and shards, not to workers, so results are identical bits whatever the number of workers.
-Tasks lost with their worker are run again. The output of a task appears under its name only when complete, so nothing
-is lost and nothing duplicated.
+Seeds belong to samples and shards, not to workers, so results are bit-identical for any number of workers. Tasks lost
+with their worker are run again. The output of a task appears under its name only when complete, so nothing is lost and
+nothing duplicated.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ entity                    content
 ========================  ===========================================================================================
 
 Lengths are in metres, in the patch's frame. The timelines are those of the frames: ``frame`` (sequence number),
-``time`` (seconds on the source's clock) and ``wall`` (the host's wall clock when the frame came in, also in recordings).
+``time`` (seconds on the source's clock) and ``wall`` (the host's wall clock when the frame arrived, also in
+recordings).
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def save(
     Raises
     ------
     InputError
-        An argument is invalid, or the source is none.
+        An argument or the source is invalid.
     FileError
         The file cannot be written.
     ImportError
@@ -170,7 +171,7 @@ def log(
     source : Session, Recording, str, os.PathLike, or iterable of Result
         As for :func:`save`.
     stream : rerun.RecordingStream, optional
-        Where to log to; default: the one set up by ``rerun.init``.
+        Stream to log to; default: the one set up by ``rerun.init``.
     skin : Skin or str, optional
         The skin, if the source doesn't name it.
     entity : str
@@ -192,7 +193,7 @@ def log(
     Raises
     ------
     InputError
-        An argument is invalid, or the source is none.
+        An argument or the source is invalid.
     ImportError
         rerun-sdk is not installed.
 
@@ -220,7 +221,7 @@ class SkinLog:
     skin : Skin or str
         The skin.
     stream : rerun.RecordingStream, optional
-        Where to log to; default: the one set up by ``rerun.init``.
+        Stream to log to; default: the one set up by ``rerun.init``.
     entity : str
         Entity of the skin.
     root_from_patch : array_like, optional
@@ -275,9 +276,9 @@ class SkinLog:
         Parameters
         ----------
         result : Result
-            Of the skin's pipeline or session.
+            A result of the skin's pipeline or session.
         wall_ns : int, optional
-            Its wall clock; default: the result's, which in a replay is that of the replay.
+            Its wall-clock time; default: the result's, which in a replay is the time of the replay.
         """
         rr = self._rerun
         if not isinstance(result, Result):
@@ -297,11 +298,11 @@ class SkinLog:
         Parameters
         ----------
         results : iterable of Result
-            A session, or any other.
+            A session, or any other iterable.
         frames : int, optional
             Stop after this many.
         wall_ns : mapping, optional
-            Wall clock of frames by their sequence numbers; default: the results'.
+            Wall-clock times of frames by their sequence numbers; default: the results'.
 
         Returns
         -------
@@ -361,7 +362,7 @@ class SkinLog:
         self._rerun.log(path, archetype, static=static, recording=self._stream)
 
     def _draw_rest(self, root_from_patch: ArrayLike | None) -> None:
-        """What never changes: mount and rim."""
+        """Logs what never changes: mount and rim."""
         rr = self._rerun
         if root_from_patch is not None:
             transform = _transform(root_from_patch)
@@ -388,7 +389,7 @@ class SkinLog:
         image = np.asarray(result.image, dtype=np.float64)
         inside = np.isfinite(image)
         if not inside.any():
-            # The frames as a whole are wrong, and no image is made of them.
+            # Whole frames are faulty and give no image.
             return
         peak = float(np.abs(image[inside]).max())
         if self._full_scale is None:
@@ -486,7 +487,7 @@ class _PixelMesh:
 def _results(
     source: Any, skin: Skin | str | None, frames: int | None
 ) -> tuple[Iterable[Result], Skin, dict[int, int]]:
-    """The results of a source, the skin that they are of, and if it is a recording, the wall clock of its frames."""
+    """The results of a source, their skin, and for a recording the wall-clock times of its frames."""
     if frames is not None and (isinstance(frames, bool) or not isinstance(frames, (int, np.integer)) or frames < 0):
         raise InputError(f"frames = {frames!r}: expected a whole number, 0 or more")
     if isinstance(source, Recording):
@@ -504,7 +505,7 @@ def _results(
 
 
 def _recorded_wall_ns(source: str) -> dict[int, int]:
-    """The wall clock at which a recording's frames came in, by sequence number; empty for other sources."""
+    """The wall-clock times at which a recording's frames arrived, by sequence number; empty for other sources."""
     if ".mcap" not in source:
         return {}
     try:

@@ -256,7 +256,7 @@ def save(network: UNet, folder: str | Path, out: str | Path, *, input_scale: Any
     code = run_command(arguments)
     weights.unlink(missing_ok=True)
     if code != 0:
-        raise Error(f"{out}: the network could not be judged (exit code {code}); the command has said why on stderr")
+        raise Error(f"{out}: the network could not be evaluated (exit code {code}); the reason is on stderr")
 
 
 def _progress(steps: Any) -> Any:

@@ -35,11 +35,11 @@ pub fn voltages_of_rows<'py>(
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let sigmas = Doubles::of("sigmas", sigmas)?;
     let &[count, columns] = sigmas.shape() else {
-        let expected = format!("shape (n, {elements}), one conductivity an element");
+        let expected = format!("shape (n, {elements}), one conductivity per element");
         return Err(Fault::input("sigmas", expected, shape_text(sigmas.shape())).into());
     };
     if columns != elements {
-        let expected = format!("shape (n, {elements}), one conductivity an element");
+        let expected = format!("shape (n, {elements}), one conductivity per element");
         return Err(Fault::input("sigmas", expected, shape_text(sigmas.shape())).into());
     }
     if threads == Some(0) || threads.is_some_and(|threads| threads > 1024) {
@@ -89,7 +89,7 @@ impl PyForwardModel {
     }
 
     fn sigma<'py>(&self, sigma: &Bound<'py, PyAny>) -> PyResult<Doubles<'py>> {
-        Doubles::vector("sigma", sigma, self.elements(), "one conductivity an element")
+        Doubles::vector("sigma", sigma, self.elements(), "one conductivity per element")
     }
 
     /// Computes something from the solution at a conductivity.
@@ -241,7 +241,7 @@ impl PyForwardModel {
         sigma: &Bound<'py, PyAny>,
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let cotangent = Doubles::vector("cotangent", cotangent, self.channels(), "one weight a channel")?;
+        let cotangent = Doubles::vector("cotangent", cotangent, self.channels(), "one weight per channel")?;
         let cotangent = cotangent.finite("cotangent")?;
         let cotangent = cotangent.values()?;
         Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.vjp(cotangent)?))?))

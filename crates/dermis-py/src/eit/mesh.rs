@@ -56,7 +56,11 @@ impl Numbering {
             Some(&own) if own != u32::MAX => Ok(own),
             Some(_) => {
                 let expected = "nodes of elements";
-                Err(Fault::input(&format!("electrode {index}"), expected, format!("node {node}, which is in none")))
+                Err(Fault::input(
+                    &format!("electrode {index}"),
+                    expected,
+                    format!("node {node}, which belongs to no element"),
+                ))
             }
             None => {
                 let expected = format!("nodes 0 to {}", self.own.len() - 1);

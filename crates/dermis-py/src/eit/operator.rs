@@ -228,7 +228,7 @@ impl PyOperator {
             None => return Err(Fault::input("mesh", "the mesh of the elements, which this prior needs", "None").into()),
         };
         let data = match data {
-            Some(data) => Doubles::rows("data", data, channels, "one difference a channel")?.0.to_rows()?,
+            Some(data) => Doubles::rows("data", data, channels, "one difference per channel")?.0.to_rows()?,
             None => Vec::new(),
         };
         let rule = rule_of(hyperparameter, signal)?;
@@ -317,7 +317,7 @@ impl PyOperator {
         signal: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let data = match data {
-            Some(data) => Doubles::rows("data", data, self.channels(), "one difference a channel")?.0.to_rows()?,
+            Some(data) => Doubles::rows("data", data, self.channels(), "one difference per channel")?.0.to_rows()?,
             None => Vec::new(),
         };
         let rule = rule_of(hyperparameter, signal)?;
@@ -328,7 +328,7 @@ impl PyOperator {
     }
 
     fn __call__<'py>(&self, py: Python<'py>, differences: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        let (rows, single) = Doubles::rows("differences", differences, self.channels(), "one difference a channel")?;
+        let (rows, single) = Doubles::rows("differences", differences, self.channels(), "one difference per channel")?;
         let rows = rows.finite("differences")?;
         let (channels, unknowns) = (self.channels(), self.operator.matrix.nrows());
         let (values, operator) = (rows.values()?.to_vec(), Arc::clone(&self.operator));

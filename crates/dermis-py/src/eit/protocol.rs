@@ -122,7 +122,7 @@ impl PyProtocol {
         let (stimulations, measurements) = (rows("stimulations", stimulations)?, rows("measurements", measurements)?);
         let (of, shape) = indices("stimulation_of", stimulation_of, stimulations.len(), "stimulations")?;
         if shape != [measurements.len()] {
-            let expected = format!("shape ({},), one a measurement", measurements.len());
+            let expected = format!("shape ({},), one per measurement", measurements.len());
             return Err(Fault::input("stimulation_of", expected, shape_text(&shape)).into());
         }
         let of: Vec<usize> = of.iter().map(|&stimulation| stimulation as usize).collect();

@@ -104,14 +104,14 @@ impl CommonChannels {
     }
 }
 
-/// A channel as in recordings.
+/// A channel with a recording's schema.
 fn recorded(context: &Arc<Context>, schema: &Schema, patch: Option<&str>) -> Result<Arc<RawChannel>, FoxgloveError> {
     let definition = ::foxglove::Schema::new(schema.name, "ros2msg", schema.text().into_bytes());
     let channel = ChannelBuilder::new(topic_of(schema.topic, patch)).context(context);
     channel.message_encoding("cdr").schema(definition).build_raw()
 }
 
-/// A channel of Foxglove's own messages.
+/// A channel for one of Foxglove's own message types.
 fn shown<T: Encode>(context: &Arc<Context>, topic: &str) -> Result<Arc<RawChannel>, FoxgloveError> {
     let channel = ChannelBuilder::new(topic).context(context).schema(T::get_schema());
     channel.message_encoding(T::get_message_encoding()).build_raw()

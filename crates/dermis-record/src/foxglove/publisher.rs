@@ -57,7 +57,7 @@ pub(super) struct Publisher {
 pub(super) struct Losses {
     /// Gaps in the sequence numbers.
     missing: u64,
-    /// Not taken by the queue.
+    /// Dropped because the queue was full.
     dropped: Arc<AtomicU64>,
     /// The numbers in the last warning, and its time.
     told: [u64; 2],

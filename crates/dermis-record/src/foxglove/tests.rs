@@ -1,4 +1,4 @@
-//! The channels are those of recordings, and the layout names only what is served.
+//! The channels match those of recordings, and the layout names only served topics.
 
 use std::collections::BTreeSet;
 use std::net::TcpListener;

@@ -53,7 +53,8 @@ pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std
         let verdict = if drift.z > DRIFT_Z { "signatures drift" } else { "no drift seen" };
         writeln!(
             out,
-            "time: {verdict}; median error {} on the second half located by the first, {} on every other poke by the rest",
+            "time: {verdict}; median error {} when the first half locates the second, {} when every other poke locates \
+             the rest",
             mm(drift.later),
             mm(drift.interleaved)
         )?;
@@ -90,7 +91,7 @@ pub(super) fn print_experts(
     writeln!(out, "  from frame to place (kernel regression): {}", expert(report.inverse_used, &report.inverse))?;
     let brought = |part: PriorUse| {
         let used = if part.used { "used" } else { "left out" };
-        format!("{used}; improves the prediction of left-out pokes by {:+.3} (mean log density)", part.gain)
+        format!("{used}; changes the log density of left-out pokes by {:+.3} on average", part.gain)
     };
     match report.physics {
         Some(part) => writeln!(out, "physics of the skin file: {}", brought(part))?,

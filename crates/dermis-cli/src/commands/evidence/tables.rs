@@ -134,7 +134,7 @@ impl Evidence {
         for (set, report) in &self.sets {
             let _ = write!(text, "\n### `{}`: {}\n\n{}.\n\n", set.name, set.title, set.source);
             for path in &report.missing {
-                let _ = write!(text, "Missing: `{}` is not there.\n\n", self.named(path));
+                let _ = write!(text, "Missing: `{}` does not exist.\n\n", self.named(path));
             }
             if let Some(error) = &report.failed {
                 let _ = write!(text, "Failed: {}\n\n", cell(&error.to_string()));
@@ -168,7 +168,7 @@ impl Evidence {
                 escaped(&self.command(set))
             });
             for path in &report.missing {
-                let _ = writeln!(text, "<p>Missing: <code>{}</code> is not there.</p>", escaped(&self.named(path)));
+                let _ = writeln!(text, "<p>Missing: <code>{}</code> does not exist.</p>", escaped(&self.named(path)));
             }
             if let Some(error) = &report.failed {
                 let _ = writeln!(text, "<p>Failed: {}</p>", escaped(&error.to_string()));
@@ -268,7 +268,7 @@ mod tests {
             text.contains("- **known or assumed**: the <outline>\n- **plain method**: ridge: median 3.00 mm\n"),
             "{text}"
         );
-        assert!(text.contains("Missing: `DIR/ktc/a.csv` is not there."), "{text}");
+        assert!(text.contains("Missing: `DIR/ktc/a.csv` does not exist."), "{text}");
         let html = evidence().html();
         assert!(
             html.contains("<li><b>known or assumed</b>: the &lt;outline&gt;</li>") && html.contains("<h2 id=\"ktc\">"),

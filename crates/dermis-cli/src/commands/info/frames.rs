@@ -8,7 +8,7 @@ use serde::Serialize;
 /// Channels listed by number; more are counted.
 const MOST_LISTED: usize = 12;
 
-/// What a file of frames holds. Readings are in the file's unit, scaled by units in its header.
+/// Content of a file of frames. Readings are in the file's unit, scaled by units in its header.
 #[derive(Debug, PartialEq, Serialize)]
 pub(super) struct Summary {
     file: String,

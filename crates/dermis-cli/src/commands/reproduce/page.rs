@@ -1,5 +1,5 @@
 //! One page for all replayed experiments: contents, methods, tables, figures with captions, downloads. Pictures and
-//! styles are embedded, so the page can be sent by itself; downloads lie in the folders next to it.
+//! styles are embedded, so the page can be sent as a single file; downloads are in the folders next to it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

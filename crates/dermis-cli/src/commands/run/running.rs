@@ -199,7 +199,7 @@ impl Running {
         Ok(())
     }
 
-    /// Reports a failed recording at once; the stream goes on.
+    /// Reports a failed recording at once; the stream continues.
     fn notice_failure(&mut self) {
         if let Some(error) = self.recorder.as_mut().and_then(LiveRecording::new_failure) {
             tracing::error!("the recording has stopped: {error}");
@@ -262,7 +262,7 @@ impl Running {
         }
     }
 
-    /// Tells the recording, the viewers and the publishers of an event before the next frame.
+    /// Passes an event before the next frame to the recording, the viewers and the publishers.
     fn tell(&mut self, event: &str, detail: &str, values: &[f64]) {
         self.feeds().for_each(|feed| feed.event(event, detail, values));
         self.publishers.iter_mut().for_each(|publisher| publisher.event(event, detail, values));

@@ -35,7 +35,7 @@ pub struct InputArguments {
     baseline: Option<FileSpec>,
     #[command(flatten)]
     read: ReadArguments,
-    /// Leave an instrument on the wire as it is set; without this it is set to the skin file's protocol and current.
+    /// Keep the settings of an instrument on the wire; without this it gets the skin file's protocol and current.
     #[arg(long)]
     as_set: bool,
     /// Accept a recording and calibrations of another skin as SKIN's.
