@@ -60,14 +60,10 @@ impl SpatialTouch {
     }
 }
 
-/// The force of a touch, if it can be trusted: from a force calibration (`residual_n` is the root mean square of its
-/// errors), by the law of the layer, or from a calibration by pokes of known force. `None` outside the calibrated
-/// range.
-pub fn trusted_force(touch: &Touch, residual_n: Option<f64>) -> Option<ForceEstimate> {
-    if let Some(force_n) = touch.force.and_then(ForceReading::valid_n) {
-        return Some(ForceEstimate { force_n, sigma_n: residual_n? });
-    }
-    if let Some(ForceReading::FromLaw { force_n, sigma_n }) = touch.force {
+/// The force of a touch, if it can be trusted: from a force calibration, by the law of the layer, or from a calibration
+/// by pokes of known force. `None` for the end of a calibrated range.
+pub fn trusted_force(touch: &Touch) -> Option<ForceEstimate> {
+    if let Some(ForceReading::Valid { force_n, sigma_n } | ForceReading::FromLaw { force_n, sigma_n }) = touch.force {
         let is_sound = force_n.is_finite() && sigma_n.is_finite();
         return is_sound.then_some(ForceEstimate { force_n: force_n.max(0.0), sigma_n });
     }

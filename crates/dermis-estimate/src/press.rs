@@ -169,9 +169,9 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Change of the channels by these presses, volts.
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
 
-    /// Footprint of a press as reported.
-    fn footprint(&self, press: &Press) -> Footprint {
-        Footprint { radius_m: press.radius_m, force_n: None }
+    /// Footprints of the presses that explain the frame taken.
+    fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
+        presses.iter().map(|press| Footprint { radius_m: press.radius_m, force_n: None }).collect()
     }
 
     /// Largest change of the skin per unit of load under a press like this one.

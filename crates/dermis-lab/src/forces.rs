@@ -1,17 +1,19 @@
 //! Force calibration: turns presses of known force, on a twin or from recorded frames, into a file that live and
-//! offline runs use to report forces. The signal is the height of the touch's peak in the image. If several places
-//! were pressed, a gain map over the surface brings them onto one calibration line (as in paper I).
+//! offline runs use to report forces. It corrects the forces by the layer's law, if the skin file states one. Otherwise
+//! the signal is the height of the touch's peak in the image; if several places were pressed, a gain map over the
+//! surface brings them onto one calibration line (as in paper I).
 
 use dermis_live::imager::Imager;
 use dermis_live::reference::{Reference, are_pairs, check_frames};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample, GainMap};
+use dermis_touch::{Contact, TouchError};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
 use crate::Error;
-use crate::twin_bench::Rig;
+use crate::twin_bench::{Rig, uncalibrated};
+use dermis_live::as_built;
 use dermis_live::calibration::{LoadQuantity, Pokes};
 use dermis_live::prepare::Prepared;
-use dermis_live::stages::touches::TouchStage;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
 
@@ -73,6 +75,7 @@ pub fn press_twin(
     positive("forces at a place", plan.steps as f64)?;
     let (frontend, instrument, _) = TwinKit::of(skin)?.twin.into_parts();
     let mut rig = Rig::from_parts(skin.clone(), frontend, instrument)?;
+    rig.set_indenter(0.5 * plan.indenter_m)?;
     let places = places(rig.prepared().half_width_m());
     let all = places.len() * plan.steps;
     let mut samples = Vec::with_capacity(all);
@@ -82,8 +85,7 @@ pub fn press_twin(
             let shape = Shape::Disc { radius_m: 0.5 * plan.indenter_m };
             let frame = rig.mean_frame(&[Indenter { centre_m: *place, shape, load: Load::ForceN(force_n) }], FRAMES)?;
             let image = rig.image(&frame)?;
-            let strongest = rig.touches(&image)?.first().map(|contact| contact.peak_value);
-            samples.extend(strongest.map(|signal| ForceSample { position_m: *place, force_n, signal }));
+            samples.extend(rig.touches(&image)?.first().map(|contact| sample(*place, force_n, contact)));
             progress(k * plan.steps + step, all);
         }
     }
@@ -101,8 +103,8 @@ fn places(half_width_m: f64) -> Vec<[f64; 2]> {
     std::iter::once([0.0, 0.0]).chain(ring(0.3, 0.3)).chain(ring(0.6, 0.3 + std::f64::consts::FRAC_PI_4)).collect()
 }
 
-/// Signals of pokes with known force: the strongest touch in each frame's image. `baselines` holds one frame for all
-/// pokes or one for each. Frames are in the protocol's order.
+/// Samples of pokes with known force: the strongest touch of each frame. `baselines` holds one frame for all pokes or
+/// one for each. Frames are in the protocol's order. `indenter_m` is the indenter's diameter, metres.
 ///
 /// # Errors
 /// The pokes have no forces, the counts disagree, or no frame shows a touch.
@@ -111,6 +113,7 @@ pub fn force_samples(
     baselines: &[Vec<f64>],
     frames: &[Vec<f64>],
     pokes: &Pokes,
+    indenter_m: f64,
 ) -> Result<Vec<ForceSample>, Error> {
     check_frames("poke", frames, prepared.channels())?;
     let Some((LoadQuantity::ForceN, forces)) = &pokes.loads else {
@@ -124,25 +127,44 @@ pub fn force_samples(
         let (expected, got) = (format!("{}, one a frame", frames.len()), forces.len().to_string());
         return Err(Error::Live(dermis_live::Error::Frames { what: "forces of pokes".into(), expected, got }));
     }
-    let reference = Reference::of(prepared, baselines)?;
+    // Every frame counts by itself.
+    let mut skin = prepared.skin.clone();
+    skin.touch.least_frames = 1;
+    let mut prepared = Prepared::new(skin)?;
     let paired = are_pairs(baselines, frames);
+    let of = |prepared: &Prepared| if paired { Reference::of_pairs } else { Reference::of }(prepared, baselines);
+    let mut reference = of(&prepared)?;
+    if let Some(built) = as_built::from_rest(&prepared, &reference)? {
+        prepared = built;
+        reference = of(&prepared)?;
+    }
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
     let differences: Vec<Vec<f64>> =
         frames.iter().enumerate().map(|(k, frame)| reference.difference(frame, own(k))).collect();
-    let mut imager = Imager::new(prepared, &reference, &differences)?;
-    let mut stage = TouchStage::new(prepared, imager.noise_image())?;
+    if !paired {
+        reference.estimate_noise(&differences);
+    }
+    let imager = Imager::new(&prepared, &reference, &differences)?;
+    let mut reconstructor = uncalibrated(&prepared, &reference, imager)?;
+    reconstructor.set_indenter(Some(0.5 * indenter_m))?;
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     let mut samples = Vec::with_capacity(frames.len());
     for (k, difference) in differences.iter().enumerate() {
-        imager.image(difference, &mut image)?;
         let time_ns = k as u64 * 1_000_000_000;
-        stage.forget(time_ns);
-        stage.process(time_ns, &image, None)?;
+        reconstructor.image(difference, &mut image)?;
+        reconstructor.forget(time_ns);
+        reconstructor.follow_touches(time_ns, &image, None)?;
         let (position_m, force_n) = (pokes.positions_m[k], forces[k]);
-        let strongest = stage.contacts().first().map(|contact| contact.peak_value);
-        samples.extend(strongest.map(|signal| ForceSample { position_m, force_n, signal }));
+        let strongest = reconstructor.touches.contacts().first();
+        samples.extend(strongest.map(|contact| sample(position_m, force_n, contact)));
     }
     seen(samples, frames.len())
+}
+
+/// A press of known force that shows as this contact.
+fn sample(position_m: [f64; 2], force_n: f64, contact: &Contact) -> ForceSample {
+    let by_law = contact.force.and_then(|force| Some([force.nearest_n()?, force.sigma_n()?]));
+    ForceSample { position_m, force_n, signal: contact.peak_value, by_law }
 }
 
 fn seen(samples: Vec<ForceSample>, presses: usize) -> Result<Vec<ForceSample>, Error> {
@@ -156,16 +178,27 @@ fn seen(samples: Vec<ForceSample>, presses: usize) -> Result<Vec<ForceSample>, E
     Ok(samples)
 }
 
-/// Fits a calibration. With presses at several places it also fits a gain map over the surface: smooth from six
-/// places on, otherwise interpolated. The gain of a place is the slope of its signals through the origin.
+/// Fits a calibration: a correction of the layer's law, if most presses have a force by it, and a curve. With presses at
+/// several places the curve has a gain map over the surface: smooth from six places on, otherwise interpolated. The gain
+/// of a place is the slope of its signals through the origin.
 ///
 /// # Errors
-/// There are too few samples for the curve, or the curve doesn't rise.
+/// Too few samples. Without a law: the curve doesn't rise.
 pub fn fit_forces(
     samples: &[ForceSample],
     kind: CurveKind,
     scope: CalibrationScope,
 ) -> Result<ForceCalibration, Error> {
+    let curve = gain_of(samples).and_then(|gain| ForceCalibration::fit(kind, samples, gain, scope.clone()));
+    let with_law = samples.iter().filter(|sample| sample.by_law.is_some()).count();
+    if 2 * with_law <= samples.len() {
+        return Ok(curve?);
+    }
+    Ok(ForceCalibration::fit_law(samples, curve.ok(), scope)?)
+}
+
+/// Gain over the places of presses.
+fn gain_of(samples: &[ForceSample]) -> Result<Option<GainMap>, TouchError> {
     let mut slopes: Vec<([f64; 2], f64, f64)> = Vec::new();
     for sample in samples {
         let known = slopes.iter().position(|(place, ..)| *place == sample.position_m).unwrap_or(slopes.len());
@@ -177,13 +210,12 @@ pub fn fit_forces(
     }
     let (positions, gains): (Vec<[f64; 2]>, Vec<f64>) =
         slopes.iter().map(|(place, product, square)| (*place, product / square)).unzip();
-    let gain = match positions.len() {
+    Ok(match positions.len() {
         0 | 1 => None,
         // If all places lie on one conic, the smooth map is undetermined.
         SMOOTH_GAIN.. => {
             Some(GainMap::quadratic(&positions, &gains).or_else(|_| GainMap::inverse_distance(&positions, &gains))?)
         }
         _ => Some(GainMap::inverse_distance(&positions, &gains)?),
-    };
-    Ok(ForceCalibration::fit(kind, samples, gain, scope)?)
+    })
 }

@@ -237,7 +237,7 @@ fn reconstruct_to(
     let refinement_of_touches =
         if is_refined { Refinement::new(&prepared, &reference.noise)?.taking_time() } else { Refinement::none() };
     let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
-    reconstructor.touches.set_forces(forces.clone());
+    reconstructor.set_forces(forces.clone())?;
     reconstructor.take_reference(&prepared, &reference);
     let grid = prepared.map.grid();
     let load = calibration.and_then(Calibration::load_quantity);

@@ -77,13 +77,7 @@ impl Rig {
         let reference = Reference::of(&prepared, &rest)?;
         let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
         let imager = Imager::new(&prepared, &reference, &data)?;
-        let is_refined = Refinement::is_wanted(&prepared, None);
-        let refinement = match is_refined {
-            true => Refinement::new(&prepared, &reference.noise)?.taking_time(),
-            false => Refinement::none(),
-        };
-        let mut reconstructor = Reconstructor::new(&prepared, imager, None, refinement)?;
-        reconstructor.take_reference(&prepared, &reference);
+        let reconstructor = uncalibrated(&prepared, &reference, imager)?;
         Ok(Self { frontend, instrument, prepared, frame_s, reference, reconstructor, frames: 0 })
     }
 
@@ -181,8 +175,19 @@ impl Rig {
     }
 
     /// Sets or removes the calibration that gives touches their forces.
-    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
-        self.reconstructor.touches.set_forces(forces);
+    ///
+    /// # Errors
+    /// As [`Reconstructor::set_forces`].
+    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) -> Result<(), Error> {
+        Ok(self.reconstructor.set_forces(forces)?)
+    }
+
+    /// Estimates forces by the layer's law for a round indenter of this radius, metres.
+    ///
+    /// # Errors
+    /// As [`Reconstructor::set_indenter`].
+    pub fn set_indenter(&mut self, radius_m: f64) -> Result<(), Error> {
+        Ok(self.reconstructor.set_indenter(Some(radius_m))?)
     }
 
     /// An image panel with the indenters' positions marked.
@@ -222,6 +227,17 @@ impl Rig {
         }
         values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len().max(1) as f64
     }
+}
+
+/// A reconstructor of unrelated frames without a calibration.
+pub(crate) fn uncalibrated(prepared: &Prepared, reference: &Reference, imager: Imager) -> Result<Reconstructor, Error> {
+    let refinement = match Refinement::is_wanted(prepared, None) {
+        true => Refinement::new(prepared, &reference.noise)?.taking_time(),
+        false => Refinement::none(),
+    };
+    let mut reconstructor = Reconstructor::new(prepared, imager, None, refinement)?;
+    reconstructor.take_reference(prepared, reference);
+    Ok(reconstructor)
 }
 
 /// An image panel of a skin, with places marked.

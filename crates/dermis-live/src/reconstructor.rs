@@ -1,6 +1,7 @@
 //! Difference data to touches: image, contacts, refinement, tracks. Used for live and for recorded frames.
 
 use dermis_touch::ContactStrength;
+use dermis_touch::force::ForceCalibration;
 
 use crate::Error;
 use crate::calibration::PlacementFinder;
@@ -81,6 +82,24 @@ impl Reconstructor {
     /// As [`PlacementFinder::place`].
     pub fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
         self.placement.as_mut().map_or(Ok(None), |finder| finder.place(time_ns, difference))
+    }
+
+    /// Estimates forces by a calibration from now on, or no longer.
+    ///
+    /// # Errors
+    /// Channels without noise.
+    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) -> Result<(), Error> {
+        self.set_indenter(forces.as_ref().and_then(ForceCalibration::indenter_m))?;
+        self.touches.set_forces(forces);
+        Ok(())
+    }
+
+    /// Estimates forces by the layer's law for a round indenter of this radius (metres) from now on, or for any.
+    ///
+    /// # Errors
+    /// As [`Reconstructor::set_forces`].
+    pub fn set_indenter(&mut self, radius_m: Option<f64>) -> Result<(), Error> {
+        self.refinement.set_indenter(radius_m)
     }
 
     /// Tracks the touches in an image of the last frame. If a calibration leaves locating to the model, `placement`

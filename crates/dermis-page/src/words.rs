@@ -32,7 +32,7 @@ pub fn frame_faults(_: &mut SchemaGenerator) -> Schema {
 pub fn force_ranges(_: &mut SchemaGenerator) -> Schema {
     use ForceReading::{AboveRange, BelowRange, FromLaw, NotFinite, Saturated, Valid};
     let (force_n, sigma_n) = (0.0, 0.0);
-    let within = [Valid { force_n }, BelowRange { least_n: 0.0 }, AboveRange { most_n: 0.0 }];
+    let within = [Valid { force_n, sigma_n }, BelowRange { least_n: 0.0 }, AboveRange { most_n: 0.0 }];
     let others = [Saturated { from_n: 0.0 }, FromLaw { force_n, sigma_n }, NotFinite];
     let words = within.into_iter().chain(others).map(|force| Some(force.range()));
     let words: Vec<Option<&str>> = words.chain([None]).collect();

@@ -91,9 +91,10 @@ pub struct PatchesLayer {
     /// Bare sheet between neighbouring patches. Default 1 (assumed).
     #[serde(default = "one")]
     pub gap_mm: f64,
-    /// Number of contact cells along the side of a patch in the twin's discretisation.
-    #[serde(default = "PatchesLayer::cells")]
-    pub cells_per_side: usize,
+    /// Number of contact cells along the side of a patch in the twin. Default: 5, or fewer on a skin with many
+    /// patches.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cells_per_side: Option<usize>,
     /// Contact between sheet and patches.
     #[serde(default = "ContactLaw::patches")]
     pub contact: ContactLaw,
@@ -285,7 +286,9 @@ impl Layer {
                 checker.within(&key("thickness_mm"), layer.thickness_mm, 1e-6, 1e3)?;
                 checker.within(&key("pitch_mm"), layer.pitch_mm, 0.1, 1e3)?;
                 checker.within(&key("gap_mm"), layer.gap_mm, 0.0, 0.9 * layer.pitch_mm)?;
-                checker.count(&key("cells_per_side"), layer.cells_per_side, 1, 16)?;
+                if let Some(cells) = layer.cells_per_side {
+                    checker.count(&key("cells_per_side"), cells, 1, 16)?;
+                }
                 layer.contact.check(checker)?;
                 checker.within(&key("smoothing_mm"), layer.smoothing_mm, 1e-3, 1e3)?;
                 check_memory(layer.memory, checker)
@@ -349,10 +352,6 @@ impl PatchesLayer {
 
     fn pitch() -> f64 {
         10.0
-    }
-
-    fn cells() -> usize {
-        3
     }
 
     fn smoothing() -> f64 {

@@ -320,6 +320,9 @@ fn sandwich_options(skin: &Skin, layer: &SandwichLayer, sheet: Sheetlike) -> San
 }
 
 fn patches(layer: &PatchesLayer, sheet: Sheetlike) -> PatchedOptions {
+    let (pitch_m, gap_m) = (layer.pitch_mm * MM, layer.gap_mm * MM);
+    let natural = || PatchLayout::natural_cells(pitch_m, gap_m, &sheet.outline);
+    let cells_per_side = layer.cells_per_side.unwrap_or_else(natural);
     PatchedOptions {
         outline: sheet.outline,
         electrodes: sheet.electrodes,
@@ -329,11 +332,7 @@ fn patches(layer: &PatchesLayer, sheet: Sheetlike) -> PatchedOptions {
         conductance: sheet.conductance,
         element_size_m: sheet.sizes.element_m,
         electrode_element_size_m: sheet.sizes.electrode_m,
-        patches: PatchLayout {
-            pitch_m: layer.pitch_mm * MM,
-            gap_m: layer.gap_mm * MM,
-            cells_per_side: layer.cells_per_side,
-        },
+        patches: PatchLayout { pitch_m, gap_m, cells_per_side },
         cover: cover(layer.smoothing_mm),
         contact: ContactLaw::from(&layer.contact),
         memory: memory(layer.memory),

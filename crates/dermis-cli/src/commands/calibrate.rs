@@ -215,9 +215,9 @@ impl Arguments {
             let baselines = measured.baselines.as_ref().ok_or_else(|| {
                 UsageError("--forces: expected frames with a baseline, got differences, which have no scale".into())
             })?;
-            let samples = force_samples(&prepared, baselines, &measured.frames, &pokes)?;
-            let count = measured.frames.len();
-            self.write_forces(&prepared.skin, &samples, count, 1e-3 * diameter_mm, path, out)?;
+            let indenter_m = 1e-3 * diameter_mm;
+            let samples = force_samples(&prepared, baselines, &measured.frames, &pokes, indenter_m)?;
+            self.write_forces(&prepared.skin, &samples, measured.frames.len(), indenter_m, path, out)?;
         }
         let Some(path) = &self.out else { return Ok(Outcome::Done) };
         let spinner = spinner("fitting the calibration");

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
 
-use super::model::{Contacts, LOG_DEVIATIONS, LONGEST_LOG, PlateModel};
+use super::model::{Contacts, LONGEST_LOG, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed};
 use crate::evidence::{Evidence, NOISE_UNKNOWN};
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
@@ -25,8 +25,8 @@ const DAMPING: f64 = 1e-3;
 const CONVERGED: f64 = 2e-3;
 /// Largest move in one step, in radii.
 const LONGEST: f64 = 0.5;
-/// Error of the force as a share of it, from the meshes: 0.1 on twins of two skins with patches.
-const FORCE_SHARE: f64 = 0.12;
+/// Error of the force as a share of it, from the meshes, on twins of three skins with patches.
+const FORCE_SHARE: f64 = 0.09;
 /// Number of proposals for one more press.
 const PROPOSALS: usize = 3;
 /// Distance of these proposals from each other, in typical radii.
@@ -44,6 +44,9 @@ pub struct PlateFit {
     units: Vec<f32>,
     lengths: Vec<f64>,
     error_share: f64,
+    prior: SizePrior,
+    /// Radius of the indenter whose forces are reported, if it is known, metres.
+    indenter_m: Option<f64>,
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
@@ -86,7 +89,7 @@ impl PlateFit {
             lengths.push(length);
         }
         let (at, error_share) = (State::nothing(Vec::new()), model.options.error_share);
-        let deviations = deviations.to_vec();
+        let (deviations, prior) = (deviations.to_vec(), model.prior(None));
         let (volts, frame, covariances) = (Vec::new(), Vec::new(), Vec::new());
         Self {
             model,
@@ -96,6 +99,8 @@ impl PlateFit {
             units,
             lengths,
             error_share,
+            prior,
+            indenter_m: None,
             frame,
             at,
             covariances,
@@ -104,6 +109,13 @@ impl PlateFit {
             most_work: f64::INFINITY,
             joint: None,
         }
+    }
+
+    /// The same fit, which reports forces for an indenter of this radius (metres), if it is known.
+    #[must_use]
+    pub fn with_indenter(mut self, radius_m: Option<f64>) -> Self {
+        self.indenter_m = radius_m;
+        self
     }
 
     /// The state of these presses, with their residual; `None` if their contacts cannot be solved, or beyond the bound
@@ -338,9 +350,18 @@ impl PressFit for PlateFit {
         self.error_share = self.model.options.error_share + share;
     }
 
-    fn footprint(&self, press: &Press) -> Footprint {
-        let pressed = self.model.pressed(press);
-        Footprint { radius_m: self.model.contact_radius_m(&pressed), force_n: self.force_n(press, &pressed) }
+    fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
+        // A frame tells pressure and radius of an indenter apart only roughly. The fit with its radius given serves its
+        // force alone: other objects touch the skin, too.
+        let prior = std::mem::replace(&mut self.prior, self.model.prior(self.indenter_m));
+        let is_refitted = self.indenter_m.is_some() && self.fit(presses, Effort::Full).is_some();
+        self.prior = prior;
+        let refitted = if is_refitted { self.presses() } else { presses.to_vec() };
+        let footprint = |(press, refitted): (&Press, &Press)| Footprint {
+            radius_m: self.model.contact_radius_m(&self.model.pressed(press)),
+            force_n: self.force_n(refitted, &self.model.pressed(refitted)),
+        };
+        presses.iter().zip(&refitted).map(footprint).collect()
     }
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
@@ -374,7 +395,7 @@ struct FitUnderWay<'a> {
 
 impl FitUnderWay<'_> {
     fn cost_of(&self, state: &State) -> f64 {
-        state.residual.iter().map(|v| v * v).sum::<f64>() + self.fit.model.prior(&state.presses)
+        state.residual.iter().map(|v| v * v).sum::<f64>() + self.fit.prior.penalty(&state.presses)
     }
 }
 
@@ -400,7 +421,7 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Failed> {
-        let PlateFit { model, whitening, at, .. } = &*self.fit;
+        let PlateFit { model, whitening, prior, at, .. } = &*self.fit;
         let columns: Vec<Vec<f64>> = model
             .derivatives(&at.presses, &at.contacts, at.effort)
             .iter()
@@ -420,7 +441,7 @@ impl Problem for FitUnderWay<'_> {
             }
         }
         for (k, press) in at.presses.iter().enumerate() {
-            let priors = [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(model.off(press)).zip(LOG_DEVIATIONS);
+            let priors = [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.off(press)).zip(prior.deviations);
             for ((parameter, off), deviation) in priors {
                 let at = OF_PRESS * k + parameter;
                 normal[at * n + at] += deviation.powi(-2);

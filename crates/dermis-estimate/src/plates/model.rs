@@ -11,8 +11,9 @@ use crate::press::{Effort, Press};
 
 /// Largest change of a logarithm in one step.
 pub(super) const LONGEST_LOG: f64 = 0.7;
-/// Prior standard deviations of the logarithms of pressure and radius.
-pub(super) const LOG_DEVIATIONS: [f64; 2] = [1.0, 0.35];
+/// Prior standard deviations of the logarithms of pressure and radius, and of the radius of an indenter that is known.
+const LOG_DEVIATIONS: [f64; 2] = [1.0, 0.35];
+const LOG_INDENTER: f64 = 0.02;
 /// Pressures beyond this many deviations from the usual one are not tried: contact is saturated, or open.
 const MOST_DEVIATIONS: f64 = 4.0;
 /// Number of rings over which a contact is integrated.
@@ -351,16 +352,33 @@ impl PlateModel {
         }
     }
 
-    /// Deviations of pressure and radius from their priors, in standard deviations.
-    pub(super) fn off(&self, press: &Pressed) -> [f64; 2] {
-        [
-            (press.log_pressure - self.options.usual_pa.ln()) / LOG_DEVIATIONS[0],
-            (press.log_radius - self.options.usual_radius_m.ln()) / LOG_DEVIATIONS[1],
-        ]
+    /// The prior of presses by any indenter, or by one of this radius (metres).
+    pub(super) fn prior(&self, indenter_m: Option<f64>) -> SizePrior {
+        let PlateOptions { usual_pa, usual_radius_m, .. } = self.options;
+        let [of_pressure, of_radius] = LOG_DEVIATIONS;
+        SizePrior {
+            middle: [usual_pa.ln(), indenter_m.unwrap_or(usual_radius_m).ln()],
+            deviations: [of_pressure, if indenter_m.is_some() { LOG_INDENTER } else { of_radius }],
+        }
+    }
+}
+
+/// Prior of the logarithms of pressure and radius: a hard press on a small disc may look like a soft one on a large disc.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SizePrior {
+    middle: [f64; 2],
+    pub deviations: [f64; 2],
+}
+
+impl SizePrior {
+    /// Deviations of pressure and radius from their middle, in standard deviations.
+    pub fn off(&self, press: &Pressed) -> [f64; 2] {
+        let logs = [press.log_pressure, press.log_radius];
+        [0, 1].map(|k| (logs[k] - self.middle[k]) / self.deviations[k])
     }
 
-    /// Penalty of pressures and radii: a hard press on a small disc may look like a soft one on a large disc.
-    pub(super) fn prior(&self, presses: &[Pressed]) -> f64 {
+    /// Penalty of pressures and radii.
+    pub fn penalty(&self, presses: &[Pressed]) -> f64 {
         presses.iter().flat_map(|press| self.off(press)).map(|off| off * off).sum()
     }
 }

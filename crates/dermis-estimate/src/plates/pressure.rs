@@ -5,9 +5,10 @@ use std::sync::LazyLock;
 
 /// Parameters of a press: x, y, logarithm of the pressure, logarithm of the radius.
 pub(super) const OF_PRESS: usize = 4;
-/// Contact below this share of the saturated one is left out, and the rest lowered by as much. The faint edge of a
-/// press covers many cells and carries little current.
-const FAINT: f64 = 0.02;
+/// Contact below this share of the saturated contact is left out, and contact above `FULL` times as much is complete. The
+/// faint edge of a press covers many cells and carries little current.
+const FAINT: f64 = 0.01;
+const FULL: f64 = 3.0;
 
 /// Conductance of the contact between sheet and plates: `g_max x / (1 + x)` with `x = ((p - p_t) / p_ref)^n` above the
 /// threshold `p_t`.
@@ -34,8 +35,17 @@ impl PlateLaw {
         }
         let x = (above / self.reference_pa).powf(self.exponent);
         let g = self.saturation_s_per_m2 / (1.0 + 1.0 / x);
+        let slope = g * self.exponent / (above * (1.0 + x));
         let faint = FAINT * self.saturation_s_per_m2;
-        if g <= faint { [0.0; 2] } else { [g - faint, g * self.exponent / (above * (1.0 + x))] }
+        // The smooth step t^2 (3 - 2 t) from the faint contact on.
+        match (g / faint - 1.0) / (FULL - 1.0) {
+            t if t <= 0.0 => [0.0; 2],
+            t if t >= 1.0 => [g, slope],
+            t => {
+                let (share, steep) = (t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / (faint * (FULL - 1.0)));
+                [g * share, slope * (share + g * steep)]
+            }
+        }
     }
 }
 

@@ -23,7 +23,7 @@ impl Pipeline {
             return Err(Error::Frames { what, expected, got: "backend.circuit = \"learn\"".into() });
         }
         if let State::Running(running) = &mut self.state {
-            running.reconstructor.touches.set_forces(Some(forces.clone()));
+            running.reconstructor.set_forces(Some(forces.clone()))?;
         }
         self.choices.forces = Some(forces);
         Ok(())
@@ -42,8 +42,8 @@ impl Pipeline {
     /// Source of the touches' forces; `None` if they are unknown.
     pub fn force_source(&self) -> Option<ForceSource> {
         let choices = &self.choices;
-        if let Some(forces) = &choices.forces {
-            return Some(ForceSource::Calibration { residual_n: forces.residual_n });
+        if choices.forces.is_some() {
+            return Some(ForceSource::Calibration);
         }
         if self.load_quantity() == Some(LoadQuantity::ForceN) {
             return Some(ForceSource::Pokes);

@@ -4,10 +4,7 @@
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ForceSource {
     /// A force calibration.
-    Calibration {
-        /// Root mean square of its errors, newtons.
-        residual_n: f64,
-    },
+    Calibration,
     /// A calibration with pokes of known force.
     Pokes,
     /// The law of the layer in the skin file.
@@ -18,14 +15,9 @@ impl ForceSource {
     /// The source in one word.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Calibration { .. } => "calibration",
+            Self::Calibration => "calibration",
             Self::Pokes => "pokes",
             Self::Law => "law",
         }
-    }
-
-    /// Root mean square of the errors of a force calibration, newtons.
-    pub fn residual_n(self) -> Option<f64> {
-        if let Self::Calibration { residual_n } = self { Some(residual_n) } else { None }
     }
 }

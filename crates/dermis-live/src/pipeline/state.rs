@@ -90,7 +90,7 @@ impl Starting {
         }
         let refinement = std::mem::replace(&mut self.refinement, Refinement::none());
         let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
-        reconstructor.touches.set_forces(choices.forces.clone());
+        reconstructor.set_forces(choices.forces.clone())?;
         reconstructor.refinement.leave_out(prepared, &[], &reference.noise)?;
         reconstructor.take_reference(prepared, &reference);
         Ok(Running { reference, reconstructor })

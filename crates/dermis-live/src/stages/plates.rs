@@ -20,6 +20,9 @@ const CONTACT_ERROR: f64 = 0.0005;
 const ELEMENTS: usize = 4000;
 /// Number of elements of the mesh on which explanations are compared.
 const COARSE_ELEMENTS: usize = 1500;
+/// Number of elements for fits under patches, whose edges the mesh doesn't follow: with 4,000, forces on a rectangle of
+/// 200 mm x 100 mm are off by 14 % instead of 9 %.
+const ELEMENTS_UNDER_PATCHES: usize = 6000;
 /// Largest number of channels for fits of contact with patches. Skins with more keep smooth spots.
 const MOST_CHANNELS: usize = 2000;
 /// Contact under presses as they are proposed, as a share of the saturated contact.
@@ -166,7 +169,8 @@ impl Plates {
             error_share: CONTACT_ERROR,
         };
         let mut sheets = Vec::new();
-        for elements in [COARSE_ELEMENTS, ELEMENTS] {
+        let fine = if self.squares.is_some() { ELEMENTS_UNDER_PATCHES } else { ELEMENTS };
+        for elements in [COARSE_ELEMENTS, fine] {
             if !go_on() {
                 return Ok(None);
             }

@@ -85,11 +85,12 @@ impl PressModel {
         }
     }
 
-    /// A fit under these weights, without the channels left out.
+    /// A fit under these weights, without the channels left out. Forces are those of an indenter of this radius (metres),
+    /// if it is known.
     ///
     /// # Errors
     /// The wrong number of channels, or none left: see [`SpotModel::without`].
-    pub fn fit(&self, weights: Weights, left_out: &[u32]) -> Result<Box<dyn PressFit>, Error> {
+    pub fn fit(&self, weights: Weights, left_out: &[u32], indenter_m: Option<f64>) -> Result<Box<dyn PressFit>, Error> {
         let Weights { mut deviations, mut nuisances } = weights;
         match self {
             Self::Spots { whole, error_share, grid, inside, .. } => {
@@ -102,7 +103,8 @@ impl PressModel {
             Self::Plates { model, uniform } => {
                 left_out.iter().for_each(|&channel| deviations[channel as usize] = f64::INFINITY);
                 nuisances.push(uniform.clone());
-                Ok(Box::new(PlateFit::new(model.clone(), &deviations, &nuisances)))
+                let fit = PlateFit::new(model.clone(), &deviations, &nuisances);
+                Ok(Box::new(fit.with_indenter(indenter_m)))
             }
         }
     }

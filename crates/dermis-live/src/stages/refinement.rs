@@ -52,6 +52,8 @@ struct Presses {
     /// Share of a press's energy that the model leaves because the skin is not as drawn.
     built_share: f64,
     evidence: Evidence,
+    /// Radius of the indenter, if it is known, metres.
+    indenter_m: Option<f64>,
     /// The sheet and its cuts, if presses are fitted to a sheet that can be cut.
     cut: Option<CutModels>,
 }
@@ -84,6 +86,7 @@ impl Presses {
             drift: Drift::new(prepared),
             coming: Beside::new(),
             built_share: 0.0,
+            indenter_m: None,
             evidence: Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma },
             cut: plates.map(|plates| CutModels { plates, cuts: Vec::new(), coming: Beside::new() }),
         }
@@ -102,7 +105,7 @@ impl Presses {
     /// Makes a fit under the current weights. A fit that is being made is dropped.
     fn fit(&mut self) -> Result<AgedFit, Error> {
         self.coming.cancel();
-        let fit = self.model.fit(self.drift.weights(&self.noise), &self.left_out)?;
+        let fit = self.model.fit(self.drift.weights(&self.noise), &self.left_out, self.indenter_m)?;
         Ok((fit, self.drift.is_aged()))
     }
 
@@ -117,12 +120,12 @@ impl Presses {
 
     /// Orders a fit under the current weights, in the background.
     fn reweigh_soon(&mut self, time_ns: u64) {
-        let (model, left_out) = (self.model.clone(), self.left_out.clone());
+        let (model, left_out, indenter_m) = (self.model.clone(), self.left_out.clone(), self.indenter_m);
         let (weights, is_aged) = (self.drift.weights(&self.noise), self.drift.is_aged());
         self.coming.begin(time_ns.saturating_add(READY_NS), move |wanted| {
             let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
             wanted.go_on()?;
-            Some(model.fit(weights, &left_out).map(|fit| (fit, is_aged)))
+            Some(model.fit(weights, &left_out, indenter_m).map(|fit| (fit, is_aged)))
         });
     }
 
@@ -236,6 +239,16 @@ impl Refinement {
         presses.reweigh()
     }
 
+    /// Estimates forces for an indenter of this radius (metres) from now on.
+    ///
+    /// # Errors
+    /// No positive noise.
+    pub(crate) fn set_indenter(&mut self, radius_m: Option<f64>) -> Result<(), Error> {
+        let By::Presses(presses) = &mut self.by else { return Ok(()) };
+        presses.indenter_m = radius_m;
+        if presses.stage.is_some() { presses.reweigh() } else { Ok(()) }
+    }
+
     /// Continues without these channels, with this noise of the others (model volts). An empty list restores all
     /// channels.
     ///
@@ -332,7 +345,7 @@ impl Refinement {
         if !self.knows_releases() || (0..).zip(change).any(missing) {
             return None;
         }
-        let fit = presses.model.fit(presses.drift.weights(&presses.noise), &presses.left_out).ok()?;
+        let fit = presses.model.fit(presses.drift.weights(&presses.noise), &presses.left_out, None).ok()?;
         let mut estimator = Estimator::new(fit, presses.evidence, false);
         if self.takes_time {
             estimator.take_time();

@@ -1,6 +1,6 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Footprint, Press, PressFit};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::force::ForceReading;
@@ -412,7 +412,8 @@ impl SpotStage {
         self.of_image.append(contacts);
         // In a tank, weak presses may be side lobes of a strong one.
         let strongest = estimate.presses.first().map_or(0.0, Press::strength);
-        for (press, sigma) in estimate.presses.iter().zip(&estimate.evidence) {
+        let footprints = self.estimator.fit_mut().footprints(&estimate.presses);
+        for ((press, sigma), footprint) in estimate.presses.iter().zip(&estimate.evidence).zip(footprints) {
             if self.is_tank && press.strength() / strongest < LOBE {
                 continue;
             }
@@ -429,8 +430,7 @@ impl SpotStage {
             let largest = self.estimator.fit_mut().largest_change(press);
             let nearest = self.of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied();
             let area_m2 = nearest.map_or(std::f64::consts::PI * press.radius_m.powi(2), |contact| contact.area_m2);
-            let Footprint { radius_m, force_n } = self.estimator.fit_mut().footprint(press);
-            let by_contact = force_n.map(|[force_n, sigma_n]| (force_n, sigma_n));
+            let by_contact = footprint.force_n.map(|[force_n, sigma_n]| (force_n, sigma_n));
             let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity));
             let c = &press.covariance;
             let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
@@ -447,7 +447,7 @@ impl SpotStage {
             contacts.push(Contact {
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
                 significance: *sigma,
-                radius_m: Some(radius_m),
+                radius_m: Some(footprint.radius_m),
                 force: by_contact.or_else(by_law).map(from_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,

@@ -216,17 +216,18 @@ impl TouchStage {
     /// # Errors
     /// A time before the last one.
     pub fn track_contacts(&mut self, time_ns: u64) -> Result<(), Error> {
+        if let Some(forces) = &self.forces {
+            self.contacts.iter_mut().for_each(|contact| {
+                let by_law = contact.force.and_then(|force| Some([force.nearest_n()?, force.sigma_n()?]));
+                contact.force = forces.read(contact.centroid_m, contact.peak_value, by_law);
+            });
+        }
         if !self.is_placed {
             let model_error = &self.model_error;
             self.contacts.iter_mut().for_each(|contact| contact.model_variance_m2 += model_error.variance_m2(contact));
             if let Some(built) = &self.built {
                 self.contacts.iter_mut().for_each(|contact| widen(contact, built));
             }
-        }
-        if let Some(forces) = &self.forces {
-            self.contacts.iter_mut().for_each(|contact| {
-                contact.force = Some(forces.read(contact.centroid_m, contact.peak_value));
-            });
         }
         self.track(time_ns)
     }

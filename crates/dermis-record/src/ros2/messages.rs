@@ -95,7 +95,6 @@ pub(super) fn patch(
         (0..cells.len()).for_each(|index| cdr.f32(sigmas.get(index).copied().unwrap_or(f32::NAN)));
         let force_from = limits.force_from.unwrap_or_default();
         cdr.string(force_from);
-        cdr.f64(limits.force_sigma_n.unwrap_or(f64::NAN));
         cdr.f64(limits.touch_over_noise);
         let guard = limits.guard.as_ref();
         cdr.f64(guard.and_then(|guard| guard.force_n).unwrap_or(f64::NAN));

@@ -250,8 +250,7 @@ impl PatchPublisher {
         if !is_known || self.head.limits.force_from.is_none() {
             return;
         }
-        let residual_n = self.head.limits.force_sigma_n;
-        let (known, unknown) = presses(output.touches, |touch: &Touch| trusted_force(touch, residual_n));
+        let (known, unknown) = presses(output.touches, trusted_force);
         let surface = self.head.skin.surface();
         let of = |press: &Press| Wrench::of(press, &surface, &Transform::IDENTITY, ORIGIN);
         let mut net = Wrench::none_about(ORIGIN);

@@ -54,7 +54,6 @@ impl PatchShape {
 pub(crate) struct PatchLimits {
     /// Source of the forces.
     pub force_from: Option<&'static str>,
-    pub force_sigma_n: Option<f64>,
     /// Minimum peak of a touch, relative to the noise of the image.
     pub touch_over_noise: f64,
     pub guard: Option<GuardLimits>,
@@ -65,7 +64,6 @@ impl PatchLimits {
         let source = pipeline.force_source();
         Self {
             force_from: source.map(|source| source.name()),
-            force_sigma_n: source.and_then(|source| source.residual_n()),
             touch_over_noise: pipeline.prepared().skin.touch.begin_sigma,
             guard: pipeline.guard_limits(),
         }

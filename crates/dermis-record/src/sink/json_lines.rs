@@ -347,7 +347,7 @@ mod tests {
             let touch = lines(&bytes)[0]["touches"][0].clone();
             (touch["force_n"].clone(), touch["force_range"].clone())
         };
-        assert_eq!(of(Valid { force_n: 0.25 }), (json!(0.25), json!("within")));
+        assert_eq!(of(Valid { force_n: 0.25, sigma_n: 0.01 }), (json!(0.25), json!("within")));
         assert_eq!(of(Saturated { from_n: 2.0 }), (json!(2), json!("saturated")));
         assert_eq!(of(NotFinite), (Value::Null, json!("none")));
     }

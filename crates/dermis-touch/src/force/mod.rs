@@ -1,14 +1,18 @@
-//! Force from a touch's signal: a calibration curve (linear, quadratic or monotone), a gain map that equalises the
-//! skin, and the range in which they hold. A reading outside the calibrated range says so. A calibration belongs to
-//! one skin and one indenter area, which are saved with it.
+//! Force of a touch from a calibration by presses of known force. Where the layer's law gives a force, the calibration
+//! corrects it ([`LawCorrection`]). Elsewhere it is a curve of the touch's signal ([`SignalCurve`]). A reading outside
+//! the calibrated range says so. A calibration belongs to one skin and one indenter area, which are saved with it.
 //!
 //! Forces in newtons, positions in metres in the skin's frame, signals in any one unit.
 
 mod curve;
 mod gain;
+mod law;
+mod signal;
 
 pub use curve::{Curve, CurveKind};
 pub use gain::GainMap;
+pub use law::LawCorrection;
+pub use signal::SignalCurve;
 
 use serde::{Deserialize, Serialize};
 
@@ -24,6 +28,8 @@ pub struct ForceSample {
     pub force_n: f64,
     /// Signal.
     pub signal: f64,
+    /// Force by the layer's law and its standard deviation, newtons, if the law gives one.
+    pub by_law: Option<[f64; 2]>,
 }
 
 /// The skin and indenter that a calibration is valid for.
@@ -44,17 +50,13 @@ pub struct CalibrationScope {
 pub struct ForceCalibration {
     /// Skin, indenter, date.
     pub scope: CalibrationScope,
-    /// Force against compensated signal.
-    pub curve: Curve,
-    /// Gain over the surface, if compensated.
-    pub gain: Option<GainMap>,
-    /// Range of compensated signals in the calibration.
-    pub valid_signal: [f64; 2],
+    /// Correction of the forces by the layer's law, if it states one.
+    pub law: Option<LawCorrection>,
+    /// Forces of touches without a force by the law; `None` if no curve rises with the signals of the presses.
+    pub signal: Option<SignalCurve>,
     /// Range of forces in the calibration, newtons.
     pub valid_force_n: [f64; 2],
-    /// Compensated signal above which the curve is too flat to distinguish forces, if any.
-    pub saturation_signal: Option<f64>,
-    /// RMS error of the curve over the samples, newtons.
+    /// Root mean square error, newtons: of presses left out by the law, or of the presses fitted by the curve.
     pub residual_n: f64,
     /// Number of samples fitted.
     pub samples: usize,
@@ -69,6 +71,8 @@ pub enum ForceReading {
     Valid {
         /// The force.
         force_n: f64,
+        /// Its standard deviation.
+        sigma_n: f64,
     },
     /// Weaker than the weakest calibrated press.
     BelowRange {
@@ -87,7 +91,7 @@ pub enum ForceReading {
     },
     /// The signal is not a finite number.
     NotFinite,
-    /// Not calibrated: estimated from the layer's force law in the skin file, newtons.
+    /// Not calibrated, or outside the calibrated range: estimated from the layer's force law in the skin file, newtons.
     FromLaw {
         /// The force.
         force_n: f64,
@@ -100,14 +104,14 @@ impl ForceReading {
     /// The force, if it is reliable.
     #[must_use]
     pub fn valid_n(self) -> Option<f64> {
-        if let Self::Valid { force_n } = self { Some(force_n) } else { None }
+        if let Self::Valid { force_n, .. } = self { Some(force_n) } else { None }
     }
 
     /// The force, or the end of the range that it exceeds ([`ForceReading::range`] says which).
     #[must_use]
     pub fn nearest_n(self) -> Option<f64> {
         match self {
-            Self::Valid { force_n } => Some(force_n),
+            Self::Valid { force_n, .. } => Some(force_n),
             Self::BelowRange { least_n } => Some(least_n),
             Self::AboveRange { most_n } => Some(most_n),
             Self::Saturated { from_n } => Some(from_n),
@@ -116,14 +120,14 @@ impl ForceReading {
         }
     }
 
-    /// Standard deviation, newtons. Known only for forces from the layer's force law.
+    /// Standard deviation, newtons; `None` for the end of a range.
     #[must_use]
     pub fn sigma_n(self) -> Option<f64> {
-        if let Self::FromLaw { sigma_n, .. } = self { Some(sigma_n) } else { None }
+        if let Self::Valid { sigma_n, .. } | Self::FromLaw { sigma_n, .. } = self { Some(sigma_n) } else { None }
     }
 
-    /// Position of the signal in the calibration: `within`, `below`, `above`, `saturated` or `none`; `law` if there
-    /// is no calibration and the layer's force law gives the force.
+    /// Position of the signal in the calibration: `within`, `below`, `above`, `saturated` or `none`; `law` if the
+    /// layer's force law gives the force beyond any calibration.
     #[must_use]
     pub fn range(self) -> &'static str {
         match self {
@@ -151,44 +155,45 @@ impl ForceCalibration {
     ) -> Result<Self, TouchError> {
         check_samples(samples)?;
         check_area(scope.indenter_area_m2)?;
-        let compensate = |s: &ForceSample| s.signal / gain.as_ref().map_or(1.0, |map| map.gain_at(s.position_m));
-        let mut points: Vec<(f64, f64)> = samples.iter().map(|s| (compensate(s), s.force_n)).collect();
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let curve = Curve::fit(kind, &points)?;
-        let valid_signal = [points[0].0, points[points.len() - 1].0];
-        curve.check_rising(valid_signal)?;
-        let squares: f64 = points.iter().map(|(signal, force)| (curve.force_n(*signal) - force).powi(2)).sum();
-        Ok(Self {
-            saturation_signal: curve.saturation(valid_signal),
-            valid_force_n: valid_signal.map(|signal| curve.force_n(signal)),
-            residual_n: (squares / points.len() as f64).sqrt(),
-            samples: points.len(),
-            scope,
-            curve,
-            gain,
-            valid_signal,
+        let curve = SignalCurve::fit(kind, samples, gain)?;
+        let (valid_force_n, residual_n) = (curve.valid_force_n(), curve.residual_n);
+        Ok(Self { scope, law: None, signal: Some(curve), valid_force_n, residual_n, samples: samples.len() })
+    }
+
+    /// Fits a correction of the layer's law to the presses that have a force by it. The curve of a calibration without
+    /// the law, if there is one, serves touches without a force by the law.
+    ///
+    /// # Errors
+    /// Fewer than two such presses, values that are not finite, forces or an indenter area that are not positive.
+    pub fn fit_law(samples: &[ForceSample], curve: Option<Self>, scope: CalibrationScope) -> Result<Self, TouchError> {
+        check_samples(samples)?;
+        check_area(scope.indenter_area_m2)?;
+        let (law, residual_n) = LawCorrection::fit(samples)?;
+        let forces_n = || samples.iter().filter(|sample| sample.by_law.is_some()).map(|sample| sample.force_n);
+        let valid_force_n = [forces_n().fold(f64::INFINITY, f64::min), forces_n().fold(0.0, f64::max)];
+        let signal = curve.and_then(|curve| curve.signal);
+        Ok(Self { scope, law: Some(law), signal, valid_force_n, residual_n, samples: forces_n().count() })
+    }
+
+    /// The force of a touch with this force by the layer's law (with its standard deviation, newtons), or otherwise with
+    /// this signal; `None` if the calibration covers neither.
+    #[must_use]
+    pub fn read(&self, position_m: [f64; 2], signal: f64, by_law: Option<[f64; 2]>) -> Option<ForceReading> {
+        let (Some(law), Some(by_law)) = (&self.law, by_law) else {
+            return self.signal.as_ref().map(|curve| curve.read(position_m, signal));
+        };
+        let [force_n, sigma_n] = law.read(position_m, by_law);
+        let [least_n, most_n] = self.valid_force_n;
+        Some(match (least_n..=most_n).contains(&force_n) {
+            true => ForceReading::Valid { force_n, sigma_n },
+            false => ForceReading::FromLaw { force_n, sigma_n },
         })
     }
 
-    /// The force for a signal at a position.
+    /// Radius of the round indenter with the calibration's area, metres, if the calibration corrects the law.
     #[must_use]
-    pub fn read(&self, position_m: [f64; 2], signal: f64) -> ForceReading {
-        let signal = signal / self.gain.as_ref().map_or(1.0, |map| map.gain_at(position_m));
-        if !signal.is_finite() {
-            return ForceReading::NotFinite;
-        }
-        if signal < self.valid_signal[0] {
-            return ForceReading::BelowRange { least_n: self.valid_force_n[0] };
-        }
-        if let Some(from) = self.saturation_signal
-            && signal >= from
-        {
-            return ForceReading::Saturated { from_n: self.curve.force_n(from) };
-        }
-        if signal > self.valid_signal[1] {
-            return ForceReading::AboveRange { most_n: self.valid_force_n[1] };
-        }
-        ForceReading::Valid { force_n: self.curve.force_n(signal) }
+    pub fn indenter_m(&self) -> Option<f64> {
+        self.law.as_ref().map(|_| (self.scope.indenter_area_m2 / std::f64::consts::PI).sqrt())
     }
 
     /// Checks a loaded calibration, and that it is for this skin.
@@ -200,11 +205,8 @@ impl ForceCalibration {
             return Err(TouchError::OtherSkin { expected: skin.to_owned(), got: self.scope.skin.clone() });
         }
         check_area(self.scope.indenter_area_m2)?;
-        let [low, high] = self.valid_signal;
-        require(low.is_finite() && high.is_finite() && low < high, "valid_signal", high, "finite and ascending")?;
-        self.curve.check()?;
-        self.gain.as_ref().map_or(Ok(()), GainMap::check)?;
-        self.curve.check_rising(self.valid_signal)
+        self.law.as_ref().map_or(Ok(()), LawCorrection::check)?;
+        self.signal.as_ref().map_or(Ok(()), SignalCurve::check)
     }
 }
 

@@ -43,7 +43,7 @@ fn compare(value: Option<f64>, limit: f64, [above, unknown]: [GuardReason; 2], r
 /// most the range's lower end; above it, or where the skin saturates, it has no bound.
 fn largest_force_n(touch: &Touch) -> Option<f64> {
     match touch.force {
-        Some(ForceReading::Valid { force_n } | ForceReading::FromLaw { force_n, .. }) => Some(force_n),
+        Some(ForceReading::Valid { force_n, .. } | ForceReading::FromLaw { force_n, .. }) => Some(force_n),
         Some(ForceReading::BelowRange { least_n }) => Some(least_n),
         Some(ForceReading::AboveRange { .. } | ForceReading::Saturated { .. } | ForceReading::NotFinite) => None,
         None => touch.load.filter(|load| load.quantity == LoadQuantity::ForceN).map(|load| load.value),

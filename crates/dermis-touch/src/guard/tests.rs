@@ -88,8 +88,8 @@ fn only_forces_known_to_be_below_the_limit_are_ok() {
     use ForceReading::{AboveRange, BelowRange, FromLaw, NotFinite, Saturated, Valid};
     let (force, unknown) = (Some(GuardReason::Force), Some(GuardReason::ForceUnknown));
     let table = [
-        (Some(Valid { force_n: 4.9 }), None),
-        (Some(Valid { force_n: 5.0 }), force),
+        (Some(Valid { force_n: 4.9, sigma_n: 0.1 }), None),
+        (Some(Valid { force_n: 5.0, sigma_n: 0.1 }), force),
         (Some(FromLaw { force_n: 4.9, sigma_n: 1.0 }), None),
         (Some(FromLaw { force_n: 5.1, sigma_n: 1.0 }), force),
         (Some(BelowRange { least_n: 0.5 }), None),
@@ -97,7 +97,7 @@ fn only_forces_known_to_be_below_the_limit_are_ok() {
         (Some(AboveRange { most_n: 2.0 }), unknown),
         (Some(Saturated { from_n: 2.0 }), unknown),
         (Some(NotFinite), unknown),
-        (Some(Valid { force_n: f64::NAN }), unknown),
+        (Some(Valid { force_n: f64::NAN, sigma_n: 0.1 }), unknown),
         (None, unknown),
     ];
     for (reading, expected) in table {
@@ -120,7 +120,7 @@ fn only_forces_known_to_be_below_the_limit_are_ok() {
 fn pressures_need_a_force_and_a_fitted_radius() {
     let limits = GuardLimits { force_n: None, pressure_pa: Some(10e3), ..LIMITS };
     let of = |force_n, radius_m| {
-        let force = Some(ForceReading::Valid { force_n });
+        let force = Some(ForceReading::Valid { force_n, sigma_n: 0.1 });
         of_touch(limits, Touch { radius_m, ..touch(force) })
     };
     // 1 N on a disc of 5 mm radius is 12.7 kPa.
@@ -132,7 +132,7 @@ fn pressures_need_a_force_and_a_fitted_radius() {
 
 #[test]
 fn any_touch_and_damage_stop_if_asked_for() {
-    let gentle = touch(Some(ForceReading::Valid { force_n: 0.1 }));
+    let gentle = touch(Some(ForceReading::Valid { force_n: 0.1, sigma_n: 0.1 }));
     assert_eq!(of_touch(LIMITS, gentle).verdict, GuardVerdict::Ok);
     assert_is(of_touch(GuardLimits { any_touch: true, ..LIMITS }, gentle), GuardVerdict::Stop, GuardReason::Touch);
     assert_eq!(judged(LIMITS, |frame| frame.is_damaged = true).verdict, GuardVerdict::Ok);
@@ -245,7 +245,7 @@ fn an_image_that_is_repeated_is_stale_after_the_limit() {
 
 #[test]
 fn a_stop_lasts_for_the_hold_time_and_through_faults_that_follow() {
-    let strong = [touch(Some(ForceReading::Valid { force_n: 9.0 }))];
+    let strong = [touch(Some(ForceReading::Valid { force_n: 9.0, sigma_n: 0.1 }))];
     let (mut guard, time_ns) = running(LIMITS);
     guard.judge(&GuardFrame { touches: &strong, ..sound(time_ns) });
     let after = |guard: &mut Guard, k: u64| guard.judge(&sound(time_ns + k * PERIOD_NS));
@@ -317,7 +317,7 @@ proptest! {
             // Frames are judged one after another.
             now_ns = (frame_ns + drawn.wait_ns).max(now_ns);
             let touches: Vec<Touch> =
-                drawn.force.map(|force_n| touch(Some(ForceReading::Valid { force_n }))).into_iter().collect();
+                drawn.force.map(|force_n| touch(Some(ForceReading::Valid { force_n, sigma_n: 0.1 }))).into_iter().collect();
             let kind = FrameFaultKind::Flipped;
             let fault = frame_fault.then_some(FrameFault { kind, since_ns: 0, since_sequence: 0 });
             let mut readings = [1e-3; 208];

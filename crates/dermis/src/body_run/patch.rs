@@ -83,7 +83,6 @@ pub(super) struct PatchThread {
     /// True if the source can wait for its frames to be taken; reports then wait too.
     pub waits: bool,
     pub pipeline: Pipeline,
-    pub residual_n: Option<f64>,
     pub joints: JointFeed,
     pub loads: Arc<Loads>,
     pub health: SharedHealth,
@@ -214,8 +213,6 @@ impl PatchThread {
     }
 
     fn frame(&mut self, frame: &Frame, lines: &mut JsonLines<Vec<u8>>) -> Result<(), Error> {
-        let residual_n = self.residual_n;
-        let force = |touch: &Touch| trusted_force(touch, residual_n);
         let is_ready_before = self.pipeline.reference().is_some();
         let baselines = self.pipeline.baseline_records().len();
         // Hand on the raw frame before it is processed.
@@ -236,7 +233,7 @@ impl PatchThread {
         let joints = self.joints.at(HostStamp::now().monotonic_ns);
         let is_known = joints.state != JointsState::Stale;
         let known = is_known.then_some(&joints.values);
-        self.loads.set(self.number, &patch.name, &output, is_ready, force);
+        self.loads.set(self.number, &patch.name, &output, is_ready, trusted_force);
         let (on_link, on_body) = (self.loads.on_link(&self.body, patch.link), self.loads.on_body(&self.body, known));
         let link = on_link.wrench.filter(|_| self.link_tells_forces).map(force_and_torque);
         let whole = on_body.wrench.filter(|_| self.body_tells_forces).map(force_and_torque);
@@ -254,12 +251,12 @@ impl PatchThread {
                 joints: &joints,
                 on_link: &on_link,
                 on_body: &on_body,
-                force: &force,
+                force: &trusted_force,
             };
             lines.accept_with(&output, &extras)?;
         }
         let in_frames = |touch: &Touch| {
-            let in_patch = SpatialTouch::of(touch, &surface, force(touch));
+            let in_patch = SpatialTouch::of(touch, &surface, trusted_force(touch));
             TouchInFrames {
                 touch: *touch,
                 in_patch,

@@ -201,8 +201,8 @@ impl BodyRun {
         let mut publishers = run.open_publishers(options, &ready)?;
         let watch = run.watch();
         for ((number, opened), publishers) in ready.iter().zip(&mut publishers) {
-            let (number, pipeline, residual_n) = (*number, &opened.pipeline, opened.residual_n);
-            let patch = StartingPatch { number, pipeline, twin: run.twins[number].as_ref(), residual_n };
+            let (number, pipeline) = (*number, &opened.pipeline);
+            let patch = StartingPatch { number, pipeline, twin: run.twins[number].as_ref() };
             publishers.extend(open(&watch, patch));
         }
         let silent_links: Vec<usize> = (ready.iter())
@@ -211,7 +211,7 @@ impl BodyRun {
             .collect();
         // Started last, so that no frame waits for another patch to be prepared.
         for (((number, opened), recording), publishers) in ready.into_iter().zip(recordings).zip(publishers) {
-            let OpenedPatch { source, waits, pipeline, residual_n, .. } = opened;
+            let OpenedPatch { source, waits, pipeline, .. } = opened;
             let (feeds, requests) =
                 viewers.extract_if(.., |viewer| viewer.patch == number).map(|v| (v.feed, v.requests)).unzip();
             let thread = PatchThread {
@@ -220,7 +220,6 @@ impl BodyRun {
                 acquisition: Acquisition::spawn(source, QUEUE, waits),
                 waits,
                 pipeline,
-                residual_n,
                 joints: run.joints.clone(),
                 loads: loads.clone(),
                 health: run.health[number].clone(),
@@ -354,7 +353,6 @@ struct OpenedPatch {
     source: Box<dyn dermis_device::Source>,
     waits: bool,
     pipeline: Pipeline,
-    residual_n: Option<f64>,
     /// The guard's limits in use.
     #[cfg_attr(not(feature = "foxglove"), allow(dead_code, reason = "viewers alone read it"))]
     guard: Option<GuardSettings>,
@@ -410,10 +408,9 @@ fn open_patch(
     pipeline.set_guard(guard)?;
     // Lag means nothing for files and twins, which run at their own speed.
     pipeline.watch_lag(opened.twin.is_none() && !opened.is_file);
-    let residual_n = forces.as_ref().map(|forces| forces.residual_n);
     forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
     baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
-    let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, residual_n, guard, head };
+    let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, guard, head };
     Ok((opened_patch, opened.twin))
 }
 

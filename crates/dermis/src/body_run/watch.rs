@@ -33,8 +33,6 @@ pub struct StartingPatch<'a> {
     pub pipeline: &'a Pipeline,
     /// Control over its twin, if it is one.
     pub twin: Option<&'a TwinControl>,
-    /// Root mean square of the errors of its force calibration, newtons, if it has one.
-    pub residual_n: Option<f64>,
 }
 
 /// Opens the publisher of a patch, if it gets one. The publisher moves to the patch's thread.

@@ -147,9 +147,19 @@ pub(super) fn print_forces(calibration: &ForceCalibration, presses: usize, out: 
     writeln!(out, "presses seen: {} of {presses}", calibration.samples)?;
     writeln!(out, "force: {least:.4} to {most:.4} N on {:.1} mm^2", 1e6 * calibration.scope.indenter_area_m2)?;
     let share = 100.0 * calibration.residual_n / range;
+    if let Some(law) = &calibration.law {
+        let factor = law.weights[0].exp();
+        writeln!(out, "the layer's law is used, corrected by a factor of {factor:.3} in the middle of the skin")?;
+        return writeln!(
+            out,
+            "error: {:.4} N rms of presses left out, {share:.1} % of the range",
+            calibration.residual_n
+        );
+    }
     writeln!(out, "residual: {:.4} N rms, {share:.1} % of the range", calibration.residual_n)?;
-    match calibration.saturation_signal {
-        Some(signal) => writeln!(out, "saturated above {:.4} N", calibration.curve.force_n(signal)),
+    let saturated = calibration.signal.as_ref().and_then(|signal| Some((signal, signal.saturation_signal?)));
+    match saturated {
+        Some((signal, from)) => writeln!(out, "saturated above {:.4} N", signal.curve.force_n(from)),
         None => writeln!(out, "no saturation within the range"),
     }
 }

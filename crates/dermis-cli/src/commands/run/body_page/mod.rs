@@ -35,7 +35,7 @@ impl PageOfBody {
 
     /// The publisher of a patch, for its thread.
     pub fn publisher(&mut self, watch: &BodyWatch, patch: StartingPatch<'_>) -> Box<dyn Publisher> {
-        let StartingPatch { number, pipeline, twin, residual_n } = patch;
+        let StartingPatch { number, pipeline, twin } = patch;
         let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);
         let mut feed = PageFeed::new(pipeline);
         feed.demonstrate(twin.is_some());
@@ -50,7 +50,6 @@ impl PageOfBody {
             watch: watch.clone(),
             board,
             twin: twin.cloned(),
-            residual_n,
             feed,
             announcer: Announcer::new(&pipeline.prepared().skin),
             hub,

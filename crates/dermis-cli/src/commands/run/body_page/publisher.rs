@@ -32,7 +32,6 @@ pub(super) struct PagePublisher {
     pub watch: BodyWatch,
     pub board: Arc<PatchBoard>,
     pub twin: Option<TwinControl>,
-    pub residual_n: Option<f64>,
     pub feed: PageFeed,
     pub announcer: Announcer,
     /// The patch's own page.
@@ -69,7 +68,7 @@ impl PagePublisher {
         let root_from_patch: Option<Transform> = known.and_then(|joints| body.root_from_patch(self.number, joints));
         let view = |touch: &Touch| {
             // A touch that has ended exerts no force.
-            let force = (touch.phase != TouchPhase::End).then(|| trusted_force(touch, self.residual_n)).flatten();
+            let force = (touch.phase != TouchPhase::End).then(|| trusted_force(touch)).flatten();
             let in_patch = SpatialTouch::of(touch, &surface, force);
             BodyTouchView {
                 id: touch.id,
