@@ -48,6 +48,11 @@ impl Gathered {
         self.contacts.extend_from_slice(contacts);
     }
 
+    /// The contacts of the last fit.
+    pub fn contacts(&self) -> &[Contact] {
+        &self.contacts
+    }
+
     /// Forgets all frames: the next is unrelated to them.
     pub fn forget(&mut self) {
         self.until_ns = 0;
