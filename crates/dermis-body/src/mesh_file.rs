@@ -21,18 +21,18 @@ const MOST_BYTES: u64 = 128 << 20;
 /// malformed. The message says what was expected.
 pub fn read_triangles(file: &Path) -> Result<Vec<[f32; 3]>, String> {
     let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let read: fn(&Path, &[u8]) -> Result<Vec<[f32; 3]>, String> = match ending.as_str() {
-        "stl" => |_, bytes| stl::read(bytes),
-        "obj" => |_, bytes| obj::read(bytes),
-        "ply" => |_, bytes| ply::read(bytes),
-        "dae" => |_, bytes| collada::read(bytes),
-        "gltf" | "glb" => gltf::read,
-        _ => {
-            let got = ending.to_uppercase();
-            return Err(format!("format {got:?}: expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB"));
-        }
+    if !["stl", "obj", "ply", "dae", "gltf", "glb"].contains(&ending.as_str()) {
+        let got = ending.to_uppercase();
+        return Err(format!("format {got:?}: expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB"));
+    }
+    let bytes = read_whole(file)?;
+    let corners = match ending.as_str() {
+        "stl" => stl::read(&bytes)?,
+        "obj" => obj::read(&bytes)?,
+        "ply" => ply::read(&bytes)?,
+        "dae" => collada::read(&bytes)?,
+        _ => gltf::read(file, &bytes)?,
     };
-    let corners = read(file, &read_whole(file)?)?;
     if corners.is_empty() || corners.iter().flatten().any(|number| !number.is_finite()) {
         return Err("no triangles, or corners that are not finite: expected a mesh".to_owned());
     }
