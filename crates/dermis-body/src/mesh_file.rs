@@ -13,8 +13,7 @@ use std::path::Path;
 /// Largest mesh file, bytes.
 const MOST_BYTES: u64 = 128 << 20;
 
-/// Corners of the triangles in a mesh file, three each: of COLLADA and glTF files in metres, of others in the file's
-/// own unit.
+/// Corners of the triangles in a mesh file, three each. COLLADA and glTF files give metres, others their own unit.
 ///
 /// # Errors
 /// The file, or one that it refers to, cannot be read or is too large, its format is another, or its content is

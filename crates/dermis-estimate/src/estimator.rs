@@ -54,11 +54,11 @@ pub struct Estimator {
     /// Operations spent, and the most that may be spent.
     spent: f64,
     allowance: f64,
-    /// What is left of the allowance, if the current explanation may not spend more.
+    /// Rest of the allowance, if it bounds the current explanation.
     left: Option<f64>,
 }
 
-/// What an estimator remembers of the frames before.
+/// Memory of the frames so far.
 #[derive(Clone, Debug)]
 pub struct Memory {
     last: Vec<Press>,
@@ -106,7 +106,7 @@ impl Estimator {
         Some(Self { fit, memory, spent: 0.0, allowance: f64::INFINITY, left: None, ..*self })
     }
 
-    /// What it remembers of the frames before.
+    /// Memory of the frames so far.
     pub fn memory(&self) -> &Memory {
         &self.memory
     }

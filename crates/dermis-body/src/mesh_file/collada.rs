@@ -138,7 +138,7 @@ impl<'a, 'input> Reader<'a, 'input> {
         let inputs: Vec<_> = self.children(primitive, "input").collect();
         let offset =
             |input: &Element<'a, 'input>| input.attribute("offset").and_then(|text| text.parse::<usize>().ok());
-        // So many numbers belong to one corner.
+        // Numbers per corner.
         let stride = inputs.iter().filter_map(offset).max().unwrap_or(0).saturating_add(1);
         let vertex = inputs.iter().find(|input| input.attribute("semantic") == Some("VERTEX"));
         let vertex = vertex.ok_or_else(|| self.fault(primitive, "an input VERTEX"))?;
@@ -247,11 +247,11 @@ mod tests {
     fn faults_name_the_line() {
         let fault = |from: &str, to: &str| read(SQUARE.replace(from, to).as_bytes()).unwrap_err();
         assert!(fault("</mesh>", "").ends_with("expected XML"));
-        assert_eq!(fault("url=\"#g\"", "url=\"#h\""), "line 13: expected url of a known geometry");
+        assert_eq!(fault("url=\"#g\"", "url=\"#h\""), "line 12: expected url of a known geometry");
         assert_eq!(fault("10 10 0", "10 ten 0"), "line 5: expected numbers");
         assert_eq!(fault("<p>0 0", "<p>9 0"), "line 9: expected indices of known vertices");
         assert_eq!(fault("<vcount>4", "<vcount>5"), "line 9: expected as many corners as in p");
-        assert_eq!(fault("0 0 1 90", "0 1 90"), "line 13: expected 4 numbers");
+        assert_eq!(fault("0 0 1 90", "0 1 90"), "line 12: expected 4 numbers");
         let cycle = fault("<instance_geometry url=\"#g\"/>", "<node id=\"n\"><instance_node url=\"#n\"/></node>");
         assert!(cycle.ends_with("64 one in the other"), "{cycle}");
     }

@@ -158,7 +158,7 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
     Ok((json, chunk(20 + json.len(), b"BIN\0")))
 }
 
-/// The content of a buffer, in the file itself or in one beside it.
+/// Content of a buffer, which is in the file itself or in another one.
 fn fetch(file: &Path, uri: &str) -> Result<Vec<u8>, String> {
     if let Some(data) = uri.strip_prefix("data:") {
         let coded = data.split_once(";base64,").map(|(_, coded)| coded);

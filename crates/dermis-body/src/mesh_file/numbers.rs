@@ -1,4 +1,4 @@
-//! What readers of meshes share: numbers in text, polygons, and transforms.
+//! Shared by readers of meshes: numbers in text, polygons, transforms, and limits of scenes.
 
 /// Most corners of one file, three per triangle. A small file may use the same mesh many times.
 const MOST_CORNERS: usize = 12_000_000;

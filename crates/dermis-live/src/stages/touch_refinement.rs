@@ -34,7 +34,7 @@ const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
 
-/// What a frame's search led to.
+/// Result of a frame's search.
 enum Explained {
     /// The presses, and true if presses that have ended explain the frame as well.
     By(Estimate, bool),

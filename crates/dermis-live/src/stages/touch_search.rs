@@ -32,7 +32,7 @@ pub(super) struct Searched {
     pub estimate: Option<Estimate>,
     /// The explanation by present presses and presses that have ended; `None` if they were not looked for.
     pub with_gone: Option<Option<Estimate>>,
-    /// What the estimator remembers.
+    /// The estimator's memory.
     pub memory: Memory,
 }
 

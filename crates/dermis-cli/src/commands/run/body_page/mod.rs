@@ -67,9 +67,6 @@ impl PageOfBody {
         let scenes: Vec<Option<Scene>> =
             patches.iter().map(|patch| patch.as_ref().map(|page| page.scene.clone())).collect();
         let Meshes { shown, meshes, not_drawn } = Meshes::of(watch.body());
-        for reason in &not_drawn {
-            tracing::warn!("{reason}");
-        }
         let mut scene = scene::body_scene(watch.body(), watch.sets_joints(), &scenes, &shown);
         scene.not_drawn = not_drawn;
         let feed = Arc::new(BodyOnPage { watch, boards });
