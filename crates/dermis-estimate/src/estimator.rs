@@ -199,6 +199,20 @@ impl Estimator {
         Some(estimate)
     }
 
+    /// Follows the presses of the last frame in another frame, without a search for further ones. `None` without any,
+    /// or if the frame cannot be fitted.
+    pub fn follow(&mut self, frame: &[f64]) -> Option<Estimate> {
+        self.allow_work(MOST_WORK);
+        let null = self.fit.take_frame(frame)?;
+        let last = std::mem::take(&mut self.memory.last);
+        let warm = if last.is_empty() { None } else { self.fitted(&last, Effort::Full) };
+        let best = self.without_superfluous(warm?, &null);
+        self.memory.left = best.cost.residual;
+        let estimate = self.estimate(best, &null);
+        self.memory.last.clone_from(&estimate.presses);
+        Some(estimate)
+    }
+
     fn estimate(&self, mut best: Explanation, null: &Cost) -> Estimate {
         best.presses.sort_by(|a, b| b.strength().abs().total_cmp(&a.strength().abs()));
         let evidence = match best.presses.len() {

@@ -69,6 +69,14 @@ impl EndedPresses {
         true
     }
 
+    /// Drops presses that no longer explain a frame. If they were not certain, the next search is due.
+    pub fn drop_presses(&mut self) {
+        self.presses.clear();
+        if self.frames < FRAMES {
+            (self.frames, self.wait) = (0, 0);
+        }
+    }
+
     /// True if present presses do not explain the frame, so that it is searched for presses of negative load, which
     /// are part of the baseline but have ended.
     pub fn looks_for(&mut self, estimate: &Estimate) -> bool {
@@ -100,6 +108,9 @@ impl EndedPresses {
         self.frames += 1;
         if self.frames >= FRAMES {
             self.wait_longer();
+        } else if !self.is_unhurried {
+            // These presses alone must explain the frames that are still needed.
+            self.wait = FRAMES - self.frames;
         }
         let pairs = found.presses.into_iter().zip(found.evidence);
         (found.presses, found.evidence) = pairs.filter(|(press, _)| press.load > 0.0).unzip();

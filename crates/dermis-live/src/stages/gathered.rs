@@ -48,9 +48,9 @@ impl Gathered {
         self.contacts.extend_from_slice(contacts);
     }
 
-    /// The contacts of the last fit.
-    pub fn contacts(&self) -> &[Contact] {
-        &self.contacts
+    /// Replaces contacts by those of the last fit.
+    pub fn repeat(&self, contacts: &mut Vec<Contact>) {
+        contacts.clone_from(&self.contacts);
     }
 
     /// Forgets all frames: the next is unrelated to them.

@@ -1,6 +1,6 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Footprint, Press, PressFit};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Footprint, Memory, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::force::ForceReading;
@@ -17,7 +17,7 @@ use crate::stages::model_error::SpotError;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::Peaks;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
-use crate::stages::touch_search::{AT_ONCE, Pause, READY_NS, Searched, TouchSearch};
+use crate::stages::touch_search::{AT_ONCE, Explained, Pause, READY_NS, Searched, TouchSearch};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
@@ -33,16 +33,6 @@ const MOST_UNEXPLAINED: f64 = 0.3;
 const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
-
-/// Result of a frame's search.
-enum Explained {
-    /// The presses, and true if presses that have ended explain the frame as well.
-    By(Estimate, bool),
-    /// The frame cannot be fitted.
-    Nothing,
-    /// The search takes longer than a frame may.
-    Later,
-}
 
 /// Explains frames one after the other by presses, with its own working memory.
 #[derive(Debug)]
@@ -68,7 +58,8 @@ pub(crate) struct SpotStage {
     is_joint: bool,
     /// A search that takes longer than a frame.
     search: Beside<Searched>,
-    /// Its presses have ended meanwhile.
+    /// The image showed contacts when it began, and has shown none since.
+    is_search_of_contacts: bool,
     is_search_stale: bool,
     pause: Pause,
     gathered: Gathered,
@@ -113,6 +104,7 @@ impl SpotStage {
         Self {
             is_joint,
             search: Beside::new(),
+            is_search_of_contacts: false,
             is_search_stale: false,
             pause: Pause::default(),
             gathered: Gathered::default(),
@@ -203,24 +195,26 @@ impl SpotStage {
         }
         let Some(estimate) = self.estimator.explain(difference, &self.hints) else { return Explained::Nothing };
         if self.estimator.is_out_of_work() {
-            return Explained::Later;
+            return Explained::Later(Some(estimate));
         }
         if !self.ended.looks_for(&estimate) {
             return self.concluded(estimate, None);
         }
         let with_gone = self.estimator.explain_with_gone();
         if self.estimator.is_out_of_work() {
-            return Explained::Later;
+            return Explained::Later(Some(estimate));
         }
         self.concluded(estimate, Some(with_gone))
     }
 
-    /// Explains a frame in the background. Until it is done, the contacts stay as they were.
-    fn search(&mut self, time_ns: u64, difference: &[f64]) {
-        let Some(estimator) = self.estimator.copy() else { return };
+    /// Explains a frame in the background, with this memory of the frames before it.
+    fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory) {
+        let Some(mut estimator) = self.estimator.copy() else { return };
+        estimator.set_memory(memory);
         let (frame, hints, is_gone_possible) = (difference.to_vec(), self.hints.clone(), self.ended.is_due());
         let search = TouchSearch { estimator, frame, hints, is_gone_possible };
         self.is_search_stale = false;
+        self.is_search_of_contacts = !self.hints.is_empty();
         self.search.begin(time_ns.saturating_add(READY_NS), move |_| Some(search.run()));
     }
 
@@ -258,7 +252,7 @@ impl SpotStage {
                 return Some(estimate);
             }
         }
-        self.ended.presses.clear();
+        self.ended.drop_presses();
         None
     }
 
@@ -307,23 +301,20 @@ impl SpotStage {
             self.refine_now(time_ns, difference, imager, lowest, contacts);
             return;
         }
-        if contacts.is_empty() && !self.hints.is_empty() && self.search.is_under_way() {
-            // The presses that are looked for have ended.
-            self.is_search_stale = true;
-            self.shown.clear();
-            self.gathered.forget();
+        self.is_search_stale |= contacts.is_empty() && self.is_search_of_contacts;
+        match self.searched(time_ns) {
+            // This frame starts from the presses found.
+            None => {}
+            Some(Explained::By(estimate, false)) if self.is_accepted(&estimate) => {}
+            Some(explained) => {
+                self.show(time_ns, explained, imager, lowest, contacts);
+                self.gathered.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
+                return;
+            }
         }
-        if let Some(explained) = self.searched(time_ns) {
-            self.show(time_ns, explained, imager, lowest, contacts);
-            self.gathered.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
-        } else if self.search.is_under_way() {
-            self.repeat(lowest, contacts);
-        } else if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
+        if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
             self.refine_now(time_ns, &mean, imager, lowest, contacts);
             let spent_ns = self.estimator.spent_ns();
-            if self.search.is_under_way() {
-                return self.repeat(lowest, contacts);
-            }
             // Searches in vain have a pause of their own.
             let is_in_vain = self.pause.is_on(time_ns);
             let busy_ns = if is_in_vain || self.is_unhurried { 0 } else { spent_ns };
@@ -331,15 +322,9 @@ impl SpotStage {
         }
     }
 
-    /// Repeats the contacts of the last fit while a search goes on; without any, contacts of the image begin no touch.
-    fn repeat(&self, lowest: f64, contacts: &mut Vec<Contact>) {
-        match self.gathered.contacts() {
-            [] => doubt(contacts, lowest),
-            fitted => {
-                contacts.clear();
-                contacts.extend_from_slice(fitted);
-            }
-        }
+    /// True if presses explain so much of a frame that they are shown.
+    fn is_accepted(&self, estimate: &Estimate) -> bool {
+        !estimate.presses.is_empty() && estimate.unexplained <= self.most_unexplained
     }
 
     /// As [`SpotStage::refine`], for one frame or the mean of several.
@@ -367,12 +352,31 @@ impl SpotStage {
             return;
         }
         let memory = self.estimator.memory().clone();
-        match self.explain(difference) {
-            Explained::Later => {
-                self.estimator.set_memory(memory);
-                self.search(time_ns, difference);
+        let explained = match self.search.is_under_way() {
+            true => Explained::Later(self.estimator.follow(difference)),
+            false => self.explain(difference),
+        };
+        let Explained::Later(so_far) = explained else {
+            return self.show(time_ns, explained, imager, lowest, contacts);
+        };
+        let so_far = so_far.filter(|estimate| self.is_accepted(estimate));
+        let is_lost = so_far.is_none() && self.estimator.is_out_of_work();
+        if !self.search.is_under_way() {
+            self.search(time_ns, difference, memory.clone());
+        }
+        if is_lost {
+            self.estimator.set_memory(memory);
+        }
+        match so_far {
+            Some(mut estimate) => {
+                self.hold(&mut estimate.presses);
+                self.show(time_ns, Explained::By(estimate, false), imager, lowest, contacts);
             }
-            explained => self.show(time_ns, explained, imager, lowest, contacts),
+            None if is_lost && !self.shown.is_empty() => self.gathered.repeat(contacts),
+            None => {
+                self.shown.clear();
+                doubt(contacts, lowest);
+            }
         }
     }
 

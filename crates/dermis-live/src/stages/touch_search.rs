@@ -3,10 +3,11 @@
 
 use dermis_estimate::{Estimate, Estimator, Memory, Press};
 
-/// Most operations of a search within a frame: some 25 ms on one slow core. One press by hand takes a fifth of them.
-pub(super) const AT_ONCE: f64 = 1e8;
+/// Most operations of a search within a frame: some 50 ms on one slow core. One press takes a twentieth of them, and
+/// three presses that are followed take half.
+pub(super) const AT_ONCE: f64 = 2e8;
 /// Delay after which a search in the background takes effect, nanoseconds. It takes up to 150 ms on one slow core.
-pub(super) const READY_NS: u64 = 200_000_000;
+pub(super) const READY_NS: u64 = 160_000_000;
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
 /// ended but are still part of the baseline.
 const CLEARLY_EXPLAINED: f64 = 0.005;
@@ -65,6 +66,16 @@ impl Pause {
     pub fn is_on(&self, time_ns: u64) -> bool {
         time_ns < self.until_ns
     }
+}
+
+/// Result of a frame's search.
+pub(super) enum Explained {
+    /// The presses, and true if presses that have ended explain the frame as well.
+    By(Estimate, bool),
+    /// The frame cannot be fitted.
+    Nothing,
+    /// The search takes longer than a frame may. The presses so far, if any.
+    Later(Option<Estimate>),
 }
 
 /// True if nothing is left that presses that have ended could explain.
