@@ -126,6 +126,59 @@ async function pressed(page, patch, x_mm, y_mm) {
   return touch;
 }
 
+/** One triangle in every format of meshes, by file name. */
+function meshFiles() {
+  const [corners, indices] = [new Float32Array([0, 0, 0, 0.1, 0, 0, 0, 0.1, 0]), new Uint16Array([0, 1, 2])];
+  const buffer = Buffer.concat([Buffer.from(corners.buffer), Buffer.from(indices.buffer), Buffer.alloc(2)]);
+  const gltf = (buffers) => JSON.stringify({
+    asset: { version: "2.0" }, buffers, scene: 0, scenes: [{ nodes: [0] }], nodes: [{ mesh: 0 }],
+    meshes: [{ primitives: [{ attributes: { POSITION: 0 }, indices: 1 }] }],
+    bufferViews: [{ buffer: 0, byteLength: 36 }, { buffer: 0, byteOffset: 36, byteLength: 6 }],
+    accessors: [{ bufferView: 0, componentType: 5126, count: 3, type: "VEC3" }, { bufferView: 1, componentType: 5123, count: 3, type: "SCALAR" }],
+  });
+  const word = (value) => Buffer.from(new Uint32Array([value]).buffer);
+  const plain = gltf([{ byteLength: buffer.length }]);
+  const json = Buffer.from(plain.padEnd(Math.ceil(plain.length / 4) * 4));
+  const chunks = Buffer.concat([word(json.length), Buffer.from("JSON"), json, word(buffer.length), Buffer.from("BIN\0"), buffer]);
+  const ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n";
+  return {
+    "a.stl": "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0.1 0 0\nvertex 0 0.1 0\nendloop\nendfacet\nendsolid\n",
+    "a.obj": "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n",
+    "a.ply": `${ply}0 0 0\n0.1 0 0\n0 0.1 0\n3 0 1 2\n`,
+    "a.dae": `<COLLADA><asset><unit meter="0.01"/></asset><library_geometries><geometry id="g"><mesh><source id="s"><float_array>0 0 0 10 0 0 0 10 0</float_array></source>
+      <vertices id="v"><input semantic="POSITION" source="#s"/></vertices><triangles><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry></library_geometries></COLLADA>`,
+    "a.gltf": gltf([{ byteLength: buffer.length, uri: `data:application/octet-stream;base64,${buffer.toString("base64")}` }]),
+    "a.glb": Buffer.concat([Buffer.from("glTF"), word(2), word(12 + chunks.length), chunks]),
+    "cut.ply": `${ply}0 0 0\n0.1 0 0\n`,
+    "no.stl": "no triangles",
+    "old.3ds": "MM",
+  };
+}
+
+test("meshes of six formats are drawn, and others are named with the reason", { skip }, async (t) => {
+  const files = meshFiles();
+  for (const [name, content] of Object.entries(files)) await writeFile(join(folder, "arm", name), content);
+  const visuals = Object.keys(files).map((name) => `<visual><origin xyz="0 0 0.6"/><geometry><mesh filename="${name}"/></geometry></visual>`);
+  const urdf = await readFile(join(folder, "arm", "arm.urdf"), "utf8");
+  await writeFile(join(folder, "arm", "meshes.urdf"), urdf.replace('<link name="torso">', `<link name="torso">${visuals.join("")}`));
+  await writeFile(join(folder, "arm", "meshes.toml"), STILL.replace("arm.urdf", "meshes.urdf"));
+  const { server, page, complaints } = await open(t, "meshes.toml", ["--keep-going"]);
+  const drawn = await page.evaluate(async () => {
+    const answers = await Promise.all(Array.from({ length: 7 }, (_, number) => fetch(`mesh/${number}`)));
+    return Promise.all(answers.map(async (answer) => (answer.ok ? [...new Float32Array(await answer.arrayBuffer())] : null)));
+  });
+  const triangle = [...new Float32Array([0, 0, 0, 0.1, 0, 0, 0, 0.1, 0])];
+  for (const corners of drawn.slice(0, 6)) corners.forEach((value, k) => assert.ok(Math.abs(value - triangle[k]) < 1e-6, `${corners}`));
+  assert.equal(drawn[6], null, "there are six meshes");
+  const refused = "no STL file, or cut off: expected one whole";
+  const reasons = ["cut.ply is not drawn: vertex 2: expected a number for x", 'old.3ds is not drawn: format "3DS": expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB'];
+  const shown = await page.locator("#not-drawn").textContent();
+  for (const reason of [...reasons, `no.stl is not drawn: ${refused}`]) assert.ok(shown.includes(reason), `${reason} is not in ${shown}`);
+  for (const reason of [...reasons, refused]) assert.ok(server.said.some((line) => line.includes(reason)), `${reason} is not in ${server.said.join("\n")}`);
+  // The browser complains about the mesh that is not there.
+  assert.deepEqual(complaints.filter((text) => !text.includes("404")), []);
+});
+
 test("four patches of the demonstration are named, say that they are twins, and nothing is loaded from elsewhere", { skip }, async (t) => {
   const { server, page, complaints, requests } = await open(t, "arm.toml");
   const names = ["forearm", "palm", "chest", "back"];

@@ -56,7 +56,7 @@ async function start([program, args]) {
     server.kill("SIGTERM");
     return ended;
   };
-  return { address, stop };
+  return { address, stop, said };
 }
 
 const KINDS = { ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png", ".wasm": "application/wasm", ".woff2": "font/woff2" };

@@ -33,8 +33,8 @@ pub struct Body {
     pub file: PathBuf,
     /// The robot's URDF file and its content, if there is one.
     pub urdf: Option<(PathBuf, Urdf)>,
-    /// The robot's mesh files that were found, by their names in the URDF file.
-    pub meshes: BTreeMap<String, PathBuf>,
+    /// The robot's mesh files, or why they cannot be used, by their names in the URDF file.
+    pub meshes: BTreeMap<String, Result<PathBuf, String>>,
     /// Links and joints.
     pub kinematics: Kinematics,
     /// Source of joint values named in the body file.
@@ -124,7 +124,7 @@ impl Body {
 /// A body being read.
 struct Builder {
     source: Source,
-    meshes: BTreeMap<String, PathBuf>,
+    meshes: BTreeMap<String, Result<PathBuf, String>>,
     problems: Vec<Problem>,
 }
 
@@ -200,15 +200,14 @@ impl Builder {
                 continue;
             }
             let found = files::resolve(filename, &file, &packages);
-            let checked = found.and_then(|place| match files::check_mesh(&place) {
-                Ok(()) => Ok(self.meshes.insert(filename.clone(), place)),
-                Err(reason) => Err(format!("{}: {reason}", place.display())),
-            });
-            if let Err(reason) = checked {
-                let message = format!("mesh {filename:?}: {reason}");
+            let at = found.as_ref().map_or(String::new(), |place| format!("{}: ", place.display()));
+            let checked = found.and_then(|place| files::check_mesh(&place).map(|()| place));
+            if let Err(reason) = &checked {
+                let message = format!("mesh {filename:?}: {at}{reason}");
                 let error = Error::Urdf { file: file.clone(), line: shape.line, message };
                 self.problems.push(Problem { error, only_drawn: true });
             }
+            self.meshes.insert(filename.clone(), checked);
         }
         Ok((file, urdf))
     }

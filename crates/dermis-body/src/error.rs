@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use dermis_skin::FileError;
 use thiserror::Error;
 
 /// Errors of bodies.
@@ -9,13 +10,8 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum Error {
     /// A file that could not be read.
-    #[error("{}: {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// Error from the operating system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Io(#[from] FileError),
     /// A body file that isn't TOML, or has unknown or missing keys; the message shows the place.
     #[error("{}: {message}", file.display())]
     BodyFile {

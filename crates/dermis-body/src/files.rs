@@ -1,5 +1,7 @@
 //! Files referenced by a body: bounded reads, `package://` paths, checks of meshes.
 
+use dermis_skin::FileError;
+
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -11,7 +13,7 @@ const LOOKED_AT: u64 = 64 << 10;
 
 /// Reads a text of at most `most` bytes.
 pub(crate) fn read_text(file: &Path, most: u64) -> Result<String, Error> {
-    let io = |source| Error::Io { file: file.to_path_buf(), source };
+    let io = |source| Error::Io(FileError { file: file.to_path_buf(), source });
     let metadata = std::fs::metadata(file).map_err(io)?;
     let bad = |message: String| io(std::io::Error::new(std::io::ErrorKind::InvalidData, message));
     if !metadata.is_file() {

@@ -5,6 +5,7 @@ use std::io;
 use dermis_device::DeviceError;
 use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::LearnError;
+use dermis_skin::FileError;
 use dermis_tomo::eit::EitError;
 use dermis_tomo::inverse::InverseError;
 use dermis_twin::TwinError;
@@ -199,7 +200,7 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
         Error::Forward(error) => code_of_forward(error),
         Error::Inverse(error) => code_of_inverse(error),
         Error::Patch { source, .. } => code_of_dermis(source),
-        Error::Io { source, .. } | Error::Joints { source, .. } => code_of_io(source),
+        Error::Io(FileError { source, .. }) | Error::Joints { source, .. } => code_of_io(source),
         Error::Touch(_) | Error::Mesh(_) | Error::Protocol(_) | Error::Value { .. } | Error::NotATwin { .. } => {
             BAD_INPUT
         }
@@ -219,7 +220,7 @@ fn code_of_lab(error: &dermis_lab::Error) -> u8 {
 
 fn code_of_body(error: &dermis_body::Error) -> u8 {
     match error {
-        dermis_body::Error::Io { source, .. } => code_of_io(source),
+        dermis_body::Error::Io(FileError { source, .. }) => code_of_io(source),
         dermis_body::Error::Skin { source, .. } => code_of_skin(source),
         _ => BAD_INPUT,
     }
@@ -227,7 +228,7 @@ fn code_of_body(error: &dermis_body::Error) -> u8 {
 
 fn code_of_skin(error: &dermis_skin::Error) -> u8 {
     match error {
-        dermis_skin::Error::Io { source, .. } => code_of_io(source),
+        dermis_skin::Error::Io(FileError { source, .. }) => code_of_io(source),
         _ => BAD_INPUT,
     }
 }
@@ -239,7 +240,7 @@ fn code_of_live(error: &dermis_live::Error) -> u8 {
         Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
         Error::OtherSkin { .. } => BAD_INPUT,
         Error::Touch(_) => BAD_INPUT,
-        Error::Io { source, .. } => code_of_io(source),
+        Error::Io(FileError { source, .. }) => code_of_io(source),
         Error::Device(error) => code_of_device(error),
         Error::Learn(error) => code_of_learn(error),
         Error::Forward(error) => code_of_forward(error),
@@ -290,7 +291,7 @@ mod tests {
     use super::*;
 
     fn io_error(kind: io::ErrorKind) -> dermis::Error {
-        dermis::Error::Io { file: "x".into(), source: kind.into() }
+        dermis::Error::Io(FileError { file: "x".into(), source: kind.into() })
     }
 
     #[test]

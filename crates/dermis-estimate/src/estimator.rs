@@ -49,15 +49,30 @@ pub struct Estimator {
     fit: Box<dyn PressFit>,
     evidence: Evidence,
     negative: bool,
+    memory: Memory,
+    is_unhurried: bool,
+    /// Operations spent, and the most that may be spent.
+    spent: f64,
+    allowance: f64,
+    /// Rest of the allowance, if it bounds the current explanation.
+    left: Option<f64>,
+}
+
+/// Memory of the frames so far.
+#[derive(Clone, Debug)]
+pub struct Memory {
     last: Vec<Press>,
     /// Residual of the last frame.
     left: f64,
     wait: u32,
     next_wait: u32,
     in_vain_at: f64,
-    is_unhurried: bool,
-    /// Operations spent.
-    spent: f64,
+}
+
+impl Memory {
+    fn nothing() -> Self {
+        Self { last: Vec::new(), left: 0.0, next_wait: 0, wait: 0, in_vain_at: f64::INFINITY }
+    }
 }
 
 /// A set of presses and the cost of its fit.
@@ -75,14 +90,30 @@ impl Estimator {
             fit,
             evidence,
             negative,
-            last: Vec::new(),
-            left: 0.0,
-            next_wait: 0,
-            wait: 0,
-            in_vain_at: f64::INFINITY,
+            memory: Memory::nothing(),
             is_unhurried: false,
             spent: 0.0,
+            allowance: f64::INFINITY,
+            left: None,
         }
+    }
+
+    /// A copy with the same weights and memory that may spend as much on a frame as it allows itself. `None` if fits
+    /// are too quick to need one.
+    pub fn copy(&self) -> Option<Self> {
+        let fit = self.fit.copy()?;
+        let memory = self.memory.clone();
+        Some(Self { fit, memory, spent: 0.0, allowance: f64::INFINITY, left: None, ..*self })
+    }
+
+    /// Memory of the frames so far.
+    pub fn memory(&self) -> &Memory {
+        &self.memory
+    }
+
+    /// Continues from the memory of a copy, or from an earlier one.
+    pub fn set_memory(&mut self, memory: Memory) {
+        self.memory = memory;
     }
 
     /// The fit of presses.
@@ -102,15 +133,27 @@ impl Estimator {
         (OPERATION_NS * operations) as u64
     }
 
+    /// Allows this many operations until the next call of [`Estimator::spent_ns`], if they are fewer than it allows
+    /// itself. [`Estimator::is_out_of_work`] tells whether they sufficed.
+    pub fn allow(&mut self, operations: f64) {
+        self.allowance = operations;
+    }
+
+    /// True if the last explanation ended early because of [`Estimator::allow`].
+    pub fn is_out_of_work(&self) -> bool {
+        self.left.is_some_and(|left| self.fit.work() > left)
+    }
+
     fn allow_work(&mut self, most: f64) {
         self.spent += self.fit.work();
-        self.fit.set_most_work(if self.is_unhurried { f64::INFINITY } else { most });
+        let most = if self.is_unhurried { f64::INFINITY } else { most };
+        self.left = Some(self.allowance - self.spent).filter(|left| *left < most);
+        self.fit.set_most_work(self.left.unwrap_or(most));
     }
 
     /// Forgets the last frame: the next is unrelated to it.
     pub fn forget(&mut self) {
-        self.last.clear();
-        (self.wait, self.next_wait, self.in_vain_at) = (0, 0, f64::INFINITY);
+        self.memory = Memory::nothing();
     }
 
     /// From now on, spends as much time on each frame as it needs.
@@ -129,7 +172,7 @@ impl Estimator {
         self.allow_work(MOST_WORK);
         let null = self.fit.take_frame(frame)?;
         let mut best = Explanation { presses: Vec::new(), cost: null };
-        let last = std::mem::take(&mut self.last);
+        let last = std::mem::take(&mut self.memory.last);
         if !last.is_empty()
             && let Some(warm) = self.fitted(&last, Effort::Full)
         {
@@ -137,7 +180,7 @@ impl Estimator {
         }
         // Something else may touch the skin now, and the presses of the last frame are a poor start for it.
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
-        let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.left.max(best.cost.freedom);
+        let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.memory.left.max(best.cost.freedom);
         let is_poor_start = !best.presses.is_empty() && (has_jumped || has_changed);
         best = self.grown(best, &null, hints);
         // The gain of a first press is that over the whole frame, not over what the last fit left.
@@ -147,12 +190,26 @@ impl Estimator {
                 best = afresh;
             }
         }
-        self.left = best.cost.residual;
+        self.memory.left = best.cost.residual;
         if best.presses.is_empty() && !null.is_noise() {
             best = self.roughly(&null).unwrap_or(best);
         }
         let estimate = self.estimate(best, &null);
-        self.last.clone_from(&estimate.presses);
+        self.memory.last.clone_from(&estimate.presses);
+        Some(estimate)
+    }
+
+    /// Follows the presses of the last frame in another frame, without a search for further ones. `None` without any,
+    /// or if the frame cannot be fitted.
+    pub fn follow(&mut self, frame: &[f64]) -> Option<Estimate> {
+        self.allow_work(MOST_WORK);
+        let null = self.fit.take_frame(frame)?;
+        let last = std::mem::take(&mut self.memory.last);
+        let warm = if last.is_empty() { None } else { self.fitted(&last, Effort::Full) };
+        let best = self.without_superfluous(warm?, &null);
+        self.memory.left = best.cost.residual;
+        let estimate = self.estimate(best, &null);
+        self.memory.last.clone_from(&estimate.presses);
         Some(estimate)
     }
 
@@ -266,10 +323,10 @@ impl Estimator {
     /// An explanation with more presses, if the frame supports them.
     fn with_more(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let is_first = best.presses.is_empty();
-        if !is_first && best.cost.residual >= GROWN * self.in_vain_at {
-            self.next_wait = 0;
-        } else if !is_first && self.wait > 0 {
-            self.wait -= 1;
+        if !is_first && best.cost.residual >= GROWN * self.memory.in_vain_at {
+            self.memory.next_wait = 0;
+        } else if !is_first && self.memory.wait > 0 {
+            self.memory.wait -= 1;
             return None;
         }
         // If even a perfect fit with more presses would be within chance, don't search.
@@ -278,10 +335,10 @@ impl Estimator {
             || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
         let found = if is_chance { None } else { self.search(best, null, hints) };
         if found.is_some() {
-            self.next_wait = 0;
+            self.memory.next_wait = 0;
         } else if !is_first && !self.is_unhurried {
-            self.next_wait = (2 * self.next_wait).clamp(WAIT_FRAMES[0], WAIT_FRAMES[1]);
-            (self.wait, self.in_vain_at) = (self.next_wait, best.cost.residual);
+            self.memory.next_wait = (2 * self.memory.next_wait).clamp(WAIT_FRAMES[0], WAIT_FRAMES[1]);
+            (self.memory.wait, self.memory.in_vain_at) = (self.memory.next_wait, best.cost.residual);
         }
         found
     }

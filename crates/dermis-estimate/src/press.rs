@@ -139,6 +139,11 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         0.0
     }
 
+    /// A copy with the same weights, for a search in the background. `None` if fits are too quick to need one.
+    fn copy(&self) -> Option<Box<dyn PressFit>> {
+        None
+    }
+
     /// True if presses act together in a way that their single responses do not show: linear images join them.
     fn is_joint(&self) -> bool {
         false

@@ -78,6 +78,11 @@ impl<T: Send + 'static> Beside<T> {
         self.waits
     }
 
+    /// True from the start of work until its result is taken, or the work cancelled.
+    pub fn is_under_way(&self) -> bool {
+        self.under_way.is_some()
+    }
+
     /// Starts work whose result counts from a given frame time on, replacing any in progress. The work may end
     /// without a result only if it is no longer wanted.
     pub fn begin(&mut self, due_ns: u64, work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static) {

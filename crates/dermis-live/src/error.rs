@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use dermis_skin::FileError;
 use thiserror::Error;
 
 /// Any failure in this crate.
@@ -12,13 +13,8 @@ pub enum Error {
     #[error(transparent)]
     Skin(#[from] dermis_skin::Error),
     /// A file that could not be read or written.
-    #[error("{}: {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Io(#[from] FileError),
     /// A thread could not be started.
     #[error("thread {what}: {source}")]
     Thread {

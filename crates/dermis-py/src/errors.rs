@@ -7,7 +7,7 @@ use std::io;
 use dermis_lab::Error as LabError;
 use dermis_live::Error as LiveError;
 use dermis_record::Error as RecordError;
-use dermis_skin::Error as SkinError;
+use dermis_skin::{Error as SkinError, FileError};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
@@ -155,7 +155,7 @@ fn kind_of_learn(_: &dermis_learn::LearnError) -> Kind {
 
 fn kind_of_skin(error: &SkinError) -> Kind {
     match error {
-        SkinError::Io { source, .. } => kind_of_io(source),
+        SkinError::Io(FileError { source, .. }) => kind_of_io(source),
         _ => Kind::Skin,
     }
 }
@@ -163,7 +163,7 @@ fn kind_of_skin(error: &SkinError) -> Kind {
 fn kind_of_live(error: &LiveError) -> Kind {
     match error {
         LiveError::Skin(error) => kind_of_skin(error),
-        LiveError::Io { source, .. } => kind_of_io(source),
+        LiveError::Io(FileError { source, .. }) => kind_of_io(source),
         LiveError::Content { .. } => Kind::File,
         LiveError::OtherSkin { .. } => Kind::Input,
         LiveError::Frames { .. } | LiveError::Touch(_) | LiveError::Locator(_) | LiveError::Quality(_) => Kind::Input,
@@ -207,7 +207,7 @@ fn kind_of_facade(error: &dermis::Error) -> Kind {
         Error::Inverse(error) => kind_of_inverse(error),
         Error::Mesh(_) | Error::Protocol(_) | Error::Magnetic(_) => Kind::Skin,
         Error::Touch(_) | Error::Locator(_) | Error::Quality(_) | Error::Value { .. } => Kind::Input,
-        Error::Io { source, .. } => kind_of_io(source),
+        Error::Io(FileError { source, .. }) => kind_of_io(source),
         _ => Kind::Other,
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use dermis_skin::FileError;
 use thiserror::Error;
 
 /// An error of this crate. Files and frames are refused with the errors of `dermis-live`.
@@ -26,7 +27,7 @@ pub enum Error {
 impl Error {
     pub(crate) fn io(file: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let file = file.into();
-        move |source| Self::Live(dermis_live::Error::Io { file, source })
+        move |source| Self::Live(dermis_live::Error::Io(FileError { file, source }))
     }
 }
 

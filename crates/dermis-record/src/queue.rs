@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, select};
 use dermis_device::Frame;
+use dermis_skin::FileError;
 use dermis_touch::ReferenceRecord;
 
 use super::live_writer::{BaselineNews, LiveWriter, TouchBatch};
@@ -317,7 +318,7 @@ impl<W: LiveWriter> WriterThread<W> {
         shared.safe.store(safe, Ordering::Relaxed);
         let result = drained.and_then(|()| self.recorder.finish(shared.dropped(false)));
         // A file whose name was taken meanwhile is complete under its partial name.
-        if let Err(Error::Live(dermis_live::Error::Io { source, .. })) = &result
+        if let Err(Error::Live(dermis_live::Error::Io(FileError { source, .. }))) = &result
             && source.kind() == std::io::ErrorKind::AlreadyExists
         {
             shared.safe.store(frames, Ordering::Relaxed);

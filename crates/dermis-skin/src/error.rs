@@ -4,6 +4,16 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+/// A file that could not be read or written.
+#[derive(Debug, Error)]
+#[error("{}: {source}", file.display())]
+pub struct FileError {
+    /// The file.
+    pub file: PathBuf,
+    /// The operating system's error.
+    pub source: std::io::Error,
+}
+
 /// Reasons why a skin file cannot be used.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -53,13 +63,8 @@ pub enum Error {
         known: String,
     },
     /// A file that could not be read or written.
-    #[error("{}: {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Io(#[from] FileError),
     /// Error from the mesh.
     #[error("mesh of {skin}: {source}")]
     Mesh {

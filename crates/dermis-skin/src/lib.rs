@@ -55,7 +55,7 @@ pub use channel_list::{AgainstWord, ChannelList, ListedChannel};
 pub use damage::DamageSettings;
 pub use dermis_mit::{Element, ElementShape};
 pub use electronics::{Electronics, ElectronicsNumbers, MultiplexerNumbers, Preset};
-pub use error::Error;
+pub use error::{Error, FileError};
 pub use frontend::{Bend, Electrodes, Frontend, Pad, PadRing, RimElectrode, Shape};
 pub use geometry::SkinBody;
 pub use guard::GuardSettings;

@@ -11,7 +11,7 @@ use serde::de::{DeserializeOwned, Deserializer, MapAccess, Visitor};
 
 use crate::builtin::builtin_part;
 use crate::check::Checker;
-use crate::error::Error;
+use crate::error::{Error, FileError};
 
 /// A table in place, or the path of a file that contains it.
 pub(crate) enum Part<T> {
@@ -71,7 +71,7 @@ impl<T: DeserializeOwned> Part<T> {
             match read_skin_text(&place) {
                 Ok(text) => return parse(&text, place.display().to_string()),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-                Err(source) => return Err(Error::Io { file: place, source }),
+                Err(source) => return Err(Error::Io(FileError { file: place, source })),
             }
         }
         match builtin_part(&path) {
@@ -127,7 +127,7 @@ pub(crate) fn read_bytes_beside(
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             Err(checker.refused(field, format!("{path:?}, which does not exist"), expected))
         }
-        Err(source) => Err(Error::Io { file: place, source }),
+        Err(source) => Err(Error::Io(FileError { file: place, source })),
     }
 }
 

@@ -9,7 +9,7 @@ use crate::backend::Backend;
 use crate::builtin::{BUILTIN_NAMES, builtin_text};
 use crate::check::Checker;
 use crate::damage::DamageSettings;
-use crate::error::Error;
+use crate::error::{Error, FileError};
 use crate::frontend::Frontend;
 use crate::guard::GuardSettings;
 use crate::health::HealthSettings;
@@ -109,7 +109,7 @@ impl Skin {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 Err(Error::UnknownSkin { name: name_or_path.to_string(), known: BUILTIN_NAMES.join(", ") })
             }
-            Err(source) => Err(Error::Io { file: path.to_path_buf(), source }),
+            Err(source) => Err(Error::Io(FileError { file: path.to_path_buf(), source })),
         }
     }
 

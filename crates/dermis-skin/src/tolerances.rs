@@ -15,7 +15,7 @@ pub use dice::Dice;
 pub use electrodes::built_electrodes;
 
 use crate::check::Checker;
-use crate::error::Error;
+use crate::error::{Error, FileError};
 use crate::parts::read_skin_text;
 
 /// Manufacturing tolerances. All are standard deviations unless noted otherwise.
@@ -102,7 +102,7 @@ impl Tolerances {
     /// # Errors
     /// No such file; unknown keys; values out of range, with key and value.
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let text = read_skin_text(path).map_err(|source| Error::Io { file: path.to_path_buf(), source })?;
+        let text = read_skin_text(path).map_err(|source| Error::Io(FileError { file: path.to_path_buf(), source }))?;
         Self::parse(&text, path)
     }
 

@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use dermis::Error;
+use dermis::{Error, FileError};
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
@@ -184,7 +184,7 @@ fn main() -> Result<(), Error> {
     line.run(10.0)?;
     line.draw("new baseline");
     if let Some(path) = std::env::args().nth(1) {
-        std::fs::write(&path, svg(&line)).map_err(|source| Error::Io { file: path.into(), source })?;
+        std::fs::write(&path, svg(&line)).map_err(|source| Error::Io(FileError { file: path.into(), source }))?;
     }
     Ok(())
 }

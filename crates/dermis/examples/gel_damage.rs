@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use dermis::Error;
+use dermis::{Error, FileError};
 use dermis_device::{FileSpec, Frame, HostStamp, Layout};
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
@@ -58,7 +58,7 @@ fn main() -> Result<(), Error> {
     }
     let grid = *pipeline.prepared().map.grid();
     let text = svg(&panels, grid.columns, |[x, y]| [(x - grid.left_m) / grid.pixel_m, (grid.top_m - y) / grid.pixel_m]);
-    std::fs::write(&out, text).map_err(|source| Error::Io { file: out.into(), source })
+    std::fs::write(&out, text).map_err(|source| Error::Io(FileError { file: out.into(), source }))
 }
 
 /// Panels side by side, each on its own scale: red where the skin conducts less and blue where it conducts more.

@@ -5,12 +5,12 @@ use dermis::offline::{Imager, Reference};
 use dermis::pipeline::Prepared;
 use dermis::source::{FileSpec, read};
 use dermis::twin::{SampleRequest, press_range, random_presses, sample};
-use dermis::{Error, Skin};
+use dermis::{Error, FileError, Skin};
 
 /// Makes images from files of frames.
 pub fn main() -> Result<(), Error> {
     let folder = std::env::temp_dir().join(format!("dermis-offline-images-{}", std::process::id()));
-    let failed = |source| Error::Io { file: folder.clone(), source };
+    let failed = |source| Error::Io(FileError { file: folder.clone(), source });
     std::fs::create_dir_all(&folder).map_err(failed)?;
     let skin = Skin::open("healing-square")?;
     let presses = random_presses(&skin.outline(), &press_range(&skin), 3, 7)?;

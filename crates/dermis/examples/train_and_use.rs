@@ -6,7 +6,7 @@ use dermis::learn::{Model, Segmenter, SimulatedFrames, TrainOptions, TrainSetReq
 use dermis::offline::Reference;
 use dermis::pipeline::Prepared;
 use dermis::skin::{Layer, SheetLayer};
-use dermis::{Error, Skin};
+use dermis::{Error, FileError, Skin};
 
 /// Trains a network and labels a frame with it.
 pub fn main() -> Result<(), Error> {
@@ -43,5 +43,5 @@ pub fn main() -> Result<(), Error> {
         let of = |class: u8| labelled.labels.iter().filter(|label| **label == class).count();
         println!("frame {frame}: {} pixels lowered, {} raised, by {:?}", of(1), of(2), labelled.method);
     }
-    std::fs::remove_dir_all(&folder).map_err(|source| Error::Io { file: folder, source })
+    std::fs::remove_dir_all(&folder).map_err(|source| Error::Io(FileError { file: folder, source }))
 }

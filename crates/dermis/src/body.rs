@@ -5,7 +5,7 @@
 /// use dermis::body::{DEMO_FILES, Patch, Transform};
 ///
 /// let folder = std::env::temp_dir().join(format!("dermis-arm-{}", std::process::id()));
-/// # let failed = |source| dermis::Error::Io { file: folder.clone(), source };
+/// # let failed = |source| dermis::FileError { file: folder.clone(), source };
 /// # std::fs::create_dir_all(&folder).map_err(failed)?;
 /// for (name, text) in DEMO_FILES {
 ///     std::fs::write(folder.join(name), text).map_err(failed)?;

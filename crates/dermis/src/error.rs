@@ -1,8 +1,6 @@
 //! The error of this crate. Every function of the facade, and of the crates behind it, fails with an error that `?`
 //! turns into it.
 
-use std::path::PathBuf;
-
 use dermis_body::Error as BodyError;
 use dermis_device::DeviceError;
 use dermis_lab::Error as LabError;
@@ -11,7 +9,7 @@ use dermis_learn::LearnError;
 use dermis_live::Error as LiveError;
 use dermis_mit::MitError;
 use dermis_record::Error as RecordError;
-use dermis_skin::Error as SkinError;
+use dermis_skin::{Error as SkinError, FileError};
 use dermis_tomo::eit::{EitError, ProtocolError};
 use dermis_tomo::inverse::InverseError;
 use dermis_tomo::mesh::MeshError;
@@ -88,13 +86,8 @@ pub enum Error {
     #[error("coils and elements: {0}")]
     Magnetic(#[from] MitError),
     /// A file that could not be read or written.
-    #[error("{}: {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// Error from the operating system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Io(#[from] FileError),
     /// An argument out of range.
     #[error("{what}: expected {expected}, got {got}")]
     Value {
@@ -174,7 +167,7 @@ impl From<LiveError> for Error {
             LiveError::Inverse(error) => Self::Inverse(error),
             LiveError::Quality(error) => Self::Quality(error),
             LiveError::Magnetic(error) => Self::Magnetic(error),
-            LiveError::Io { file, source } => Self::Io { file, source },
+            LiveError::Io(error) => Self::Io(error),
             other => Self::Live(other),
         }
     }

@@ -85,6 +85,14 @@ pub mod touch;
 pub mod twin;
 
 pub use body_run::BodyRun;
+/// ```
+/// use dermis::FileError;
+///
+/// let failed = |source| FileError { file: "notes.txt".into(), source };
+/// let error = std::fs::read("notes.txt").map_err(failed).unwrap_err();
+/// assert!(error.to_string().starts_with("notes.txt: "));
+/// ```
+pub use dermis_skin::FileError;
 pub use error::Error;
 pub use session::{Session, SessionOptions, SkinFrame};
 
@@ -94,7 +102,7 @@ pub use session::{Session, SessionOptions, SkinFrame};
 ///
 /// // An arm with four skins. Yours has a file like this one, next to its robot's URDF file.
 /// let folder = std::env::temp_dir().join(format!("dermis-body-{}", std::process::id()));
-/// # let failed = |source| dermis::Error::Io { file: folder.clone(), source };
+/// # let failed = |source| dermis::FileError { file: folder.clone(), source };
 /// # std::fs::create_dir_all(&folder).map_err(failed)?;
 /// # for (name, text) in DEMO_FILES {
 /// #     std::fs::write(folder.join(name), text).map_err(failed)?;
@@ -138,7 +146,7 @@ pub use dermis_live::pipeline::Pipeline;
 /// let mut recording = Recording::open(&file)?;
 /// let frames = recording.frames().collect::<Result<Vec<_>, _>>()?;
 /// assert_eq!(frames[0].values, [1.0, 2.0]);
-/// # std::fs::remove_file(&file).map_err(|source| dermis::Error::Io { file, source })?;
+/// # std::fs::remove_file(&file).map_err(|source| dermis::FileError { file, source })?;
 /// # Ok::<(), dermis::Error>(())
 /// ```
 pub use dermis_record::Recording;

@@ -7,7 +7,7 @@
 /// use dermis::twin::{SampleRequest, press_range, random_presses, sample};
 ///
 /// let folder = std::env::temp_dir().join(format!("dermis-reconstruct-{}", std::process::id()));
-/// # let failed = |source| dermis::Error::Io { file: folder.clone(), source };
+/// # let failed = |source| dermis::FileError { file: folder.clone(), source };
 /// # std::fs::create_dir_all(&folder).map_err(failed)?;
 /// // Files of a twin; yours come from your instrument.
 /// let skin = Skin::open("healing-square")?;

@@ -14,7 +14,7 @@
 /// session.next_output()?;
 /// let end = recording.finish();
 /// assert_eq!((end.lost, end.error), (0, None));
-/// # std::fs::remove_file(&file).map_err(|source| Error::Io { file, source })?;
+/// # std::fs::remove_file(&file).map_err(|source| dermis::FileError { file, source })?;
 /// # Ok::<(), Error>(())
 /// ```
 pub use dermis_record::LiveRecording;
@@ -38,7 +38,7 @@ pub use dermis_record::{RecordingHead, SkinView};
 /// let Some(Entry::Event { entry, .. }) = recording.next_entry()? else { panic!("an event") };
 /// assert_eq!(entry.detail, "the cable was moved");
 /// assert!(recording.damage().is_none());
-/// # std::fs::remove_file(&file).map_err(|source| dermis::Error::Io { file, source })?;
+/// # std::fs::remove_file(&file).map_err(|source| dermis::FileError { file, source })?;
 /// # Ok::<(), dermis::Error>(())
 /// ```
 pub use dermis_record::Entry;
@@ -53,7 +53,7 @@ pub use dermis_record::{BaselineEntry, Damage as RecordingDamage, EventEntry, To
 /// use dermis::source::{Frame, HostStamp, Layout, Pacing, Repeat, Source};
 ///
 /// let folder = std::env::temp_dir().join(format!("dermis-replay-{}", std::process::id()));
-/// # let failed = |source| dermis::Error::Io { file: folder.clone(), source };
+/// # let failed = |source| dermis::FileError { file: folder.clone(), source };
 /// # std::fs::create_dir_all(&folder).map_err(failed)?;
 /// let file = folder.join("press.mcap");
 /// let layout = Layout::Channels { count: 2 };

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use dermis_body::{Body, Error};
+use dermis_skin::FileError;
 
 const ARM: &str = r#"<robot name="arm">
   <link name="base"/>
@@ -125,7 +126,7 @@ fn what_is_wrong_with_a_body_is_told_with_its_line() {
         assert!(message.contains(expected), "{message}\nexpected {expected}");
     }
     let missing = Body::open(Path::new("/nowhere/arm.toml")).unwrap_err();
-    assert!(matches!(missing, Error::Io { .. }));
+    assert!(matches!(missing, Error::Io(FileError { .. })));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use dermis_body::{Assigned, Body, DEMO_FILES, JointValues, Problem};
 use dermis_device::write_atomic;
+use dermis_skin::FileError;
 
 use super::skins::encoder;
 use crate::draw::BodyDrawing;
@@ -164,7 +165,8 @@ fn posture(body: &Body, asked: &[(String, f64)]) -> anyhow::Result<JointValues> 
 }
 
 fn demo(folder: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-    std::fs::create_dir_all(folder).map_err(|source| dermis_live::Error::Io { file: folder.to_path_buf(), source })?;
+    std::fs::create_dir_all(folder)
+        .map_err(|source| dermis_live::Error::Io(FileError { file: folder.to_path_buf(), source }))?;
     for (name, _) in DEMO_FILES {
         let path = folder.join(name);
         if path.exists() {

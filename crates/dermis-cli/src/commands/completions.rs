@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::CommandFactory;
 use clap_complete::Shell;
+use dermis_skin::FileError;
 
 use crate::exit::{Outcome, UsageError};
 
@@ -68,7 +69,7 @@ impl Arguments {
         let Some(folder) = &self.out else {
             return Err(UsageError("man: expected --out FOLDER for the pages".into()).into());
         };
-        let failed = |source| dermis_live::Error::Io { file: folder.clone(), source };
+        let failed = |source| dermis_live::Error::Io(FileError { file: folder.clone(), source });
         std::fs::create_dir_all(folder).map_err(failed)?;
         clap_mangen::generate_to(crate::Cli::command(), folder).map_err(failed)?;
         writeln!(out, "written to {}: man -l {}", folder.display(), folder.join("dermis.1").display())?;

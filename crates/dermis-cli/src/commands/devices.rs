@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use dermis_device::stream::{Port, StreamOptions, ports};
 use dermis_device::{Instrument, SerialName, Source, SourceSelector, open_stream};
+use dermis_skin::FileError;
 use serde::Serialize;
 
 use crate::exit::Outcome;
@@ -50,7 +51,8 @@ struct Found {
 impl Arguments {
     /// Lists the ports.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let ports = ports().map_err(|source| dermis_live::Error::Io { file: "serial ports".into(), source })?;
+        let ports =
+            ports().map_err(|source| dermis_live::Error::Io(FileError { file: "serial ports".into(), source }))?;
         let found: Vec<Found> = ports.into_iter().map(|port| self.ask(port)).collect();
         if self.json {
             serde_json::to_writer_pretty(&mut *out, &found).map_err(std::io::Error::from)?;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use dermis_device::SourceSelector;
 use dermis_device::instruments::csv::read_numbers;
-use dermis_skin::Skin;
+use dermis_skin::{FileError, Skin};
 
 use crate::draw::{self, SkinDrawing};
 use crate::exit::{Outcome, UsageError};
@@ -120,7 +120,7 @@ impl Arguments {
 
 /// Writes a file that must not exist yet.
 fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis_live::Error> {
-    let failed = |source| dermis_live::Error::Io { file: path.to_path_buf(), source };
+    let failed = |source| dermis_live::Error::Io(FileError { file: path.to_path_buf(), source });
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(content).and_then(|()| file.sync_all()).map_err(failed)
 }

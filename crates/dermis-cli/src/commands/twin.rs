@@ -9,7 +9,7 @@ use dermis_lab::serve::{Door, WORDS, command_of, device_info, serve};
 use dermis_lab::twin_commands::CommandRefused;
 use dermis_lab::twin_sample::{SampleRequest, random_presses, read_presses, sample};
 use dermis_lab::twin_source::{TwinCommands, TwinSource};
-use dermis_skin::{DEFAULT_NAME, Skin};
+use dermis_skin::{DEFAULT_NAME, FileError, Skin};
 use dermis_twin::PressRange;
 
 use crate::exit::{Outcome, UsageError};
@@ -182,7 +182,7 @@ impl Serve {
         if self.pty {
             return pty();
         }
-        let failed = |source| dermis_live::Error::Io { file: self.tcp.to_string().into(), source };
+        let failed = |source| dermis_live::Error::Io(FileError { file: self.tcp.to_string().into(), source });
         let listener = TcpListener::bind(self.tcp).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok((Door::tcp(listener).map_err(failed)?, format!("tcp:{address}")))
@@ -191,7 +191,7 @@ impl Serve {
 
 #[cfg(unix)]
 fn pty() -> anyhow::Result<(Door, String)> {
-    let failed = |source| dermis_live::Error::Io { file: "pseudo-terminal".into(), source };
+    let failed = |source| dermis_live::Error::Io(FileError { file: "pseudo-terminal".into(), source });
     let pty = dermis_device::stream::Pty::open().map_err(failed)?;
     let selector = format!("serial:{}", pty.path());
     Ok((Door::Pty(pty), selector))

@@ -313,6 +313,26 @@ impl PressFit for PlateFit {
         self.work
     }
 
+    fn copy(&self) -> Option<Box<dyn PressFit>> {
+        let model = self.model.clone();
+        let (whitening, deviations) = (self.whitening.clone(), self.deviations.clone());
+        let (units, lengths) = (self.units.clone(), self.lengths.clone());
+        let at = State::nothing(Vec::new());
+        Some(Box::new(Self {
+            model,
+            whitening,
+            volts: Vec::new(),
+            deviations,
+            units,
+            lengths,
+            frame: Vec::new(),
+            at,
+            covariances: Vec::new(),
+            joint: None,
+            ..*self
+        }))
+    }
+
     fn is_joint(&self) -> bool {
         self.model.is_joint()
     }

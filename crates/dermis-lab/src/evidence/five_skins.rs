@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use dermis_skin::{Shape, Skin};
+use dermis_skin::{FileError, Shape, Skin};
 
 use super::bench::{Bench, Row, Stop};
 use super::finding::Comparison;
@@ -37,7 +37,7 @@ fn name_of(folder: &Path) -> String {
 
 pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let root = bench.need("")?;
-    let failed = |source| Error::Live(dermis_live::Error::Io { file: root.clone(), source });
+    let failed = |source| Error::Live(dermis_live::Error::Io(FileError { file: root.clone(), source }));
     let mut folders: Vec<PathBuf> = KNOWN.map(|name| root.join(name)).to_vec();
     for entry in std::fs::read_dir(&root).map_err(failed)? {
         let path = entry.map_err(failed)?.path();

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use dermis_skin::Skin;
+use dermis_skin::{FileError, Skin};
 
 use super::bench::{Bench, Row, Stop};
 use super::finding::{Comparison, Figure};
@@ -78,7 +78,7 @@ pub fn found(target: &Imaged) -> Vec<Object> {
 /// A folder cannot be read.
 pub fn files(root: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Error> {
     let listed = |folder: &Path| -> Result<Vec<PathBuf>, Error> {
-        let failed = |source| Error::Live(dermis_live::Error::Io { file: folder.into(), source });
+        let failed = |source| Error::Live(dermis_live::Error::Io(FileError { file: folder.into(), source }));
         let mut paths = Vec::new();
         for entry in std::fs::read_dir(folder).map_err(failed)? {
             paths.push(entry.map_err(failed)?.path());

@@ -11,7 +11,7 @@ use super::Door;
 use super::server::{device_info, serve};
 use crate::Error;
 use crate::twin_source::TwinSource;
-use dermis_skin::Skin;
+use dermis_skin::{FileError, Skin};
 
 /// A twin behind a loopback socket; stops when dropped.
 #[derive(Debug)]
@@ -27,7 +27,7 @@ impl Background {
     /// # Errors
     /// The skin has no twin, or the operating system refuses a socket.
     pub fn start(skin: &Skin) -> Result<Self, Error> {
-        let failed = |source| Error::Live(dermis_live::Error::Io { file: "loopback socket".into(), source });
+        let failed = |source| Error::Live(dermis_live::Error::Io(FileError { file: "loopback socket".into(), source }));
         let (twin, _) = TwinSource::new(skin)?;
         let info = device_info(skin)?;
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed)?;

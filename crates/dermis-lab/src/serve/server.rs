@@ -11,7 +11,7 @@ use dermis_wire::Status;
 use super::listener::{Door, Host};
 use crate::Error;
 use crate::twin_source::TwinSource;
-use dermis_skin::{Reads, Skin};
+use dermis_skin::{FileError, Reads, Skin};
 
 /// Time between polls of the port.
 const NAP: Duration = Duration::from_millis(2);
@@ -87,7 +87,8 @@ pub fn serve(
     most: Option<u64>,
     stop: &AtomicBool,
 ) -> Result<Served, Error> {
-    let failed = |source| Error::Live(dermis_live::Error::Io { file: "port of the served twin".into(), source });
+    let failed =
+        |source| Error::Live(dermis_live::Error::Io(FileError { file: "port of the served twin".into(), source }));
     let mut faults: Option<Vec<Fault>> = None;
     let mut measured = (Vec::new(), Vec::new());
     let mut guests: Vec<Guest> = Vec::new();

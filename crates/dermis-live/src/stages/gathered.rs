@@ -48,6 +48,11 @@ impl Gathered {
         self.contacts.extend_from_slice(contacts);
     }
 
+    /// Replaces contacts by those of the last fit.
+    pub fn repeat(&self, contacts: &mut Vec<Contact>) {
+        contacts.clone_from(&self.contacts);
+    }
+
     /// Forgets all frames: the next is unrelated to them.
     pub fn forget(&mut self) {
         self.until_ns = 0;

@@ -308,7 +308,11 @@ impl Refinement {
     /// Number of frames that had to wait for a model or weights.
     pub(crate) fn waits(&self) -> u64 {
         match &self.by {
-            By::Presses(presses) => presses.coming.waits() + presses.cut.as_ref().map_or(0, |cut| cut.coming.waits()),
+            By::Presses(presses) => {
+                let by_cuts = presses.cut.as_ref().map_or(0, |cut| cut.coming.waits());
+                let by_searches = presses.stage.as_ref().map_or(0, |stage| stage.waits());
+                presses.coming.waits() + by_cuts + by_searches
+            }
             By::Nothing => 0,
         }
     }

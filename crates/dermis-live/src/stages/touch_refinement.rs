@@ -1,33 +1,24 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Memory, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::force::ForceReading;
 use dermis_touch::{Contact, ContactStrength};
 
+use crate::beside::Beside;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
+use crate::stages::ended_presses::EndedPresses;
 use crate::stages::force_law::ForceLaw;
 use crate::stages::gathered::Gathered;
 use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
 use crate::stages::plates::fits_contacts;
+use crate::stages::press_peaks::Peaks;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
+use crate::stages::touch_search::{AT_ONCE, Explained, Pause, READY_NS, Searched, TouchSearch};
 
-/// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
-/// ended but are still part of the baseline.
-const CLEARLY_EXPLAINED: f64 = 0.005;
-/// Presses that have ended are accepted as the explanation of a frame if they leave less than this share of its energy.
-/// With real gels and wrong geometries, a press leaves up to a third.
-const GONE_UNEXPLAINED: f64 = 0.3;
-/// They must also leave less than this share of the residual of present presses, or just less than that residual if the
-/// explanation needs fewer presses.
-const BETTER: f64 = 0.5;
-/// Number of frames in a row that must show that presses have ended before the baseline is corrected.
-const GONE_FRAMES: u32 = 3;
-/// Maximum number of frames between searches that fail.
-const MOST_GONE_WAIT: u32 = 64;
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
 /// the distance is half a pitch.
@@ -43,35 +34,6 @@ const MOST_UNEXPLAINED: f64 = 0.3;
 const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
-/// A press below this share of its own peak amplitude is only a remnant: layers creep, and take a set of a few per
-/// cent. The peak is remembered for this long, nanoseconds.
-const REMNANT_SHARE: f64 = 0.1;
-const REMEMBERED_NS: u64 = 5_000_000_000;
-/// The highest amplitude that a press has reached.
-#[derive(Clone, Copy, Debug)]
-struct Peak {
-    position_m: [f64; 2],
-    radius_m: f64,
-    amplitude: f64,
-    seen_ns: u64,
-}
-
-/// Pause after frames that no presses explain, nanoseconds: initial and maximum. It doubles each time.
-const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
-
-/// A pause in the search for presses.
-#[derive(Clone, Copy, Debug, Default)]
-struct Pause {
-    until_ns: u64,
-    length_ns: u64,
-}
-
-impl Pause {
-    fn begin(&mut self, time_ns: u64) {
-        self.length_ns = (2 * self.length_ns).clamp(PAUSE_NS[0], PAUSE_NS[1]);
-        self.until_ns = time_ns.saturating_add(self.length_ns);
-    }
-}
 
 /// Explains frames one after the other by presses, with its own working memory.
 #[derive(Debug)]
@@ -95,6 +57,11 @@ pub(crate) struct SpotStage {
     built_share: f64,
     /// Images join presses.
     is_joint: bool,
+    /// A search that takes longer than a frame.
+    search: Beside<Searched>,
+    /// The image showed contacts when it began, and has shown none since.
+    is_search_of_contacts: bool,
+    is_search_stale: bool,
     pause: Pause,
     gathered: Gathered,
     explained: f64,
@@ -107,17 +74,10 @@ pub(crate) struct SpotStage {
     /// Positions and radii of presses from when the baseline was fresh.
     anchors: Vec<Anchor>,
     is_aged: bool,
-    /// Peak amplitude of each press, to recognise its remnant.
-    peaks: Vec<Peak>,
+    peaks: Peaks,
     /// Remnants of past presses, to be added to the baseline.
     remnants: Vec<Press>,
-    /// Presses that are part of the baseline but have ended, and the number of frames in a row that showed them.
-    gone: Vec<Press>,
-    gone_alone: bool,
-    gone_frames: u32,
-    /// Frames until the next search for them.
-    wait: u32,
-    waited: u32,
+    ended: EndedPresses,
     is_unhurried: bool,
     volts: Vec<f64>,
 }
@@ -138,11 +98,18 @@ impl SpotStage {
         };
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
         let is_joint = fit.is_joint();
+        let mut estimator = Estimator::new(fit, evidence, touch.both_signs);
+        if is_joint {
+            estimator.allow(AT_ONCE);
+        }
         Self {
             is_joint,
+            search: Beside::new(),
+            is_search_of_contacts: false,
+            is_search_stale: false,
             pause: Pause::default(),
             gathered: Gathered::default(),
-            estimator: Estimator::new(fit, evidence, touch.both_signs),
+            estimator,
             error: SpotError::of(prepared),
             most_unexplained: touch.most_unexplained.min(if is_joint { MOST_UNEXPLAINED } else { 1.0 }),
             is_tank: touch.most_unexplained < 1.0,
@@ -160,13 +127,9 @@ impl SpotStage {
             shown: Vec::with_capacity(MOST_SPOTS),
             anchors: Vec::new(),
             is_aged: false,
-            peaks: Vec::new(),
+            peaks: Peaks::default(),
             remnants: Vec::new(),
-            gone: Vec::new(),
-            gone_alone: false,
-            gone_frames: 0,
-            wait: 0,
-            waited: 0,
+            ended: EndedPresses::new(touch.both_signs),
             is_unhurried: false,
             volts: Vec::new(),
         }
@@ -175,6 +138,8 @@ impl SpotStage {
     /// From now on, spends as much time on each frame as it needs.
     pub(crate) fn take_time(&mut self) {
         self.is_unhurried = true;
+        self.ended.take_time();
+        self.estimator.allow(f64::INFINITY);
         self.estimator.take_time();
     }
 
@@ -188,7 +153,7 @@ impl SpotStage {
     pub(crate) fn set_fit(&mut self, fit: Box<dyn PressFit>, is_aged: bool) {
         self.is_aged = is_aged;
         self.estimator.set_fit(fit);
-        self.gone.clear();
+        self.ended.presses.clear();
         self.estimator.fit_mut().set_error_beyond(self.built_share);
     }
 
@@ -209,87 +174,87 @@ impl SpotStage {
     /// Forgets the last frame: the next is unrelated to it.
     pub(crate) fn forget(&mut self) {
         self.estimator.forget();
+        self.search.cancel();
         self.pause = Pause::default();
         self.gathered.forget();
-        self.gone.clear();
-        (self.gone_frames, self.wait) = (0, 0);
-        self.peaks.clear();
+        self.ended.forget();
+        self.peaks = Peaks::default();
         self.anchors.clear();
         self.remnants.clear();
     }
 
-    /// The presses that explain a frame, and whether presses that have ended explain it as well.
-    fn explain(&mut self, difference: &[f64]) -> Option<(Estimate, bool)> {
+    /// Number of frames that had to wait for a search.
+    pub(crate) fn waits(&self) -> u64 {
+        self.search.waits()
+    }
+
+    /// The presses that explain a frame.
+    fn explain(&mut self, difference: &[f64]) -> Explained {
         if let Some(mut rest) = self.explain_without_gone(difference) {
             self.hold(&mut rest.presses);
-            return Some((rest, true));
+            return Explained::By(rest, true);
         }
-        let mut estimate = self.estimator.explain(difference, &self.hints)?;
+        let Some(estimate) = self.estimator.explain(difference, &self.hints) else { return Explained::Nothing };
+        if self.estimator.is_out_of_work() {
+            return Explained::Later(Some(estimate));
+        }
+        if !self.ended.looks_for(&estimate) {
+            return self.concluded(estimate, None);
+        }
+        let with_gone = self.estimator.explain_with_gone();
+        if self.estimator.is_out_of_work() {
+            return Explained::Later(Some(estimate));
+        }
+        self.concluded(estimate, Some(with_gone))
+    }
+
+    /// Explains a frame in the background, with this memory of the frames before it.
+    fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory) {
+        let Some(mut estimator) = self.estimator.copy() else { return };
+        estimator.set_memory(memory);
+        let (frame, hints, is_gone_possible) = (difference.to_vec(), self.hints.clone(), self.ended.is_due());
+        let search = TouchSearch { estimator, frame, hints, is_gone_possible };
+        self.is_search_stale = false;
+        self.is_search_of_contacts = !self.hints.is_empty();
+        self.search.begin(time_ns.saturating_add(READY_NS), move |_| Some(search.run()));
+    }
+
+    /// The result of a search in the background, once it is due.
+    fn searched(&mut self, time_ns: u64) -> Option<Explained> {
+        let Searched { estimate, with_gone, memory } = self.search.take(time_ns).filter(|_| !self.is_search_stale)?;
+        self.estimator.set_memory(memory);
+        let Some(estimate) = estimate else { return Some(Explained::Nothing) };
+        let looks_for_gone = self.ended.looks_for(&estimate);
+        Some(self.concluded(estimate, with_gone.filter(|_| looks_for_gone)))
+    }
+
+    /// The explanation of a frame from that by present presses and, if they were looked for, that by presses that have
+    /// ended as well.
+    fn concluded(&mut self, mut estimate: Estimate, with_gone: Option<Option<Estimate>>) -> Explained {
         self.hold(&mut estimate.presses);
-        Some(self.look_for_gone(&estimate).map_or((estimate, false), |rest| (rest, true)))
+        match with_gone.and_then(|with_gone| self.ended.judge(&estimate, with_gone)) {
+            Some(rest) => Explained::By(rest, true),
+            None => Explained::By(estimate, false),
+        }
     }
 
     /// Between searches, takes the presses that the last one found to have ended off the frame and explains the rest.
     /// `None` without any, or if that no longer explains the frame.
     fn explain_without_gone(&mut self, difference: &[f64]) -> Option<Estimate> {
-        if self.gone.is_empty() || self.wait == 0 {
+        if !self.ended.is_between_searches() {
             return None;
         }
         if !self.estimator.is_at_rest(difference) {
-            self.estimator.fit_mut().channels_of(&self.gone, &mut self.volts);
+            self.estimator.fit_mut().channels_of(&self.ended.presses, &mut self.volts);
             let rest: Vec<f64> = difference.iter().zip(&self.volts).map(|(all, gone)| all - gone).collect();
             let estimate = self.estimator.explain(&rest, &self.hints)?;
             let energy = |volts: &[f64]| volts.iter().map(|volts| volts * volts).sum::<f64>();
-            if estimate.unexplained * energy(&rest) < GONE_UNEXPLAINED * energy(difference) {
-                self.wait -= 1;
-                self.gone_frames += 1;
-                self.gone_alone = estimate.presses.is_empty();
+            if self.ended.explain(estimate.unexplained * energy(&rest) / energy(difference), &estimate) {
                 return Some(estimate);
             }
         }
-        self.gone.clear();
+        self.ended.drop_presses();
         None
-    }
-
-    /// If present presses do not explain the frame, searches for presses of negative load, which are part of the
-    /// baseline but have ended. If there are any, returns the estimate without them.
-    fn look_for_gone(&mut self, estimate: &Estimate) -> Option<Estimate> {
-        self.gone.clear();
-        if estimate.is_at_rest || estimate.unexplained < CLEARLY_EXPLAINED || self.both_signs {
-            (self.gone_frames, self.wait, self.waited) = (0, 0, 0);
-            return None;
-        }
-        if self.wait > 0 {
-            self.wait -= 1;
-            return None;
-        }
-        let found = self.estimator.explain_with_gone().filter(|found| {
-            let has_gone = found.presses.iter().any(|press| press.load < 0.0);
-            let is_simpler = found.presses.len() < estimate.presses.len();
-            let most = if is_simpler { estimate.unexplained } else { BETTER * estimate.unexplained };
-            has_gone && found.unexplained < most.min(GONE_UNEXPLAINED)
-        });
-        let Some(mut found) = found else {
-            self.gone_frames = 0;
-            self.wait_for_gone();
-            return None;
-        };
-        self.gone.extend(found.presses.iter().filter(|press| press.load < 0.0));
-        self.gone_alone = self.gone.len() == found.presses.len();
-        self.gone_frames += 1;
-        if self.gone_frames >= GONE_FRAMES {
-            self.wait_for_gone();
-        }
-        let pairs = found.presses.into_iter().zip(found.evidence);
-        (found.presses, found.evidence) = pairs.filter(|(press, _)| press.load > 0.0).unzip();
-        Some(found)
-    }
-
-    /// Searches for presses that have ended less and less often, while frames keep coming that nothing explains, or
-    /// whose explanation the baseline does not take up.
-    fn wait_for_gone(&mut self) {
-        self.wait = if self.is_unhurried { 0 } else { self.waited };
-        self.waited = (2 * self.waited).clamp(1, MOST_GONE_WAIT);
     }
 
     /// Keeps presses at the position and radius from when the baseline was fresh, as long as the frame allows it.
@@ -307,25 +272,6 @@ impl SpotStage {
         }
     }
 
-    /// True if a press is only the remnant of one that was much stronger: a set of the layer, which belongs in the
-    /// baseline.
-    fn is_remnant(&mut self, time_ns: u64, press: &Press, amplitude: f64) -> bool {
-        let is_there = |peak: &&mut Peak| {
-            let reach_m = peak.radius_m.max(press.radius_m) + 2.0 * press.place_sigma_m();
-            distance(peak.position_m, press.position_m) <= reach_m
-        };
-        let Press { position_m, radius_m, .. } = *press;
-        if let Some(peak) = self.peaks.iter_mut().find(is_there) {
-            peak.seen_ns = time_ns;
-            if amplitude > peak.amplitude {
-                *peak = Peak { position_m, radius_m, amplitude, seen_ns: time_ns };
-            }
-            return amplitude < REMNANT_SHARE * peak.amplitude;
-        }
-        self.peaks.push(Peak { position_m, radius_m, amplitude, seen_ns: time_ns });
-        false
-    }
-
     /// Presses that are part of the baseline but have ended, once they have been missing for several frames.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
         if !self.remnants.is_empty() {
@@ -333,15 +279,11 @@ impl SpotStage {
             self.remnants.clear();
             return Some(Gone::BesideOthers(&self.volts));
         }
-        if self.gone_frames < GONE_FRAMES {
-            return None;
+        match self.ended.take_certain()? {
+            [] => return Some(Gone::Alone),
+            presses => self.estimator.fit_mut().channels_of(presses, &mut self.volts),
         }
-        self.gone_frames = 0;
-        if self.gone_alone {
-            return Some(Gone::Alone);
-        }
-        self.estimator.fit_mut().channels_of(&self.gone, &mut self.volts);
-        self.gone.clear();
+        self.ended.presses.clear();
         Some(Gone::BesideOthers(&self.volts))
     }
 
@@ -358,14 +300,32 @@ impl SpotStage {
     ) {
         if !self.is_joint {
             self.refine_now(time_ns, difference, imager, lowest, contacts);
-        } else if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
+            return;
+        }
+        self.is_search_stale |= contacts.is_empty() && self.is_search_of_contacts;
+        match self.searched(time_ns) {
+            // This frame starts from the presses found.
+            None => {}
+            Some(Explained::By(estimate, false)) if self.is_accepted(&estimate) => {}
+            Some(explained) => {
+                self.show(time_ns, explained, imager, lowest, contacts);
+                self.gathered.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
+                return;
+            }
+        }
+        if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
             self.refine_now(time_ns, &mean, imager, lowest, contacts);
-            // Searches in vain have a pause of their own.
-            let is_in_vain = time_ns < self.pause.until_ns;
             let spent_ns = self.estimator.spent_ns();
+            // Searches in vain have a pause of their own.
+            let is_in_vain = self.pause.is_on(time_ns);
             let busy_ns = if is_in_vain || self.is_unhurried { 0 } else { spent_ns };
             self.gathered.keep(time_ns, busy_ns, if self.shown.is_empty() { &[] } else { contacts });
         }
+    }
+
+    /// True if presses explain so much of a frame that they are shown.
+    fn is_accepted(&self, estimate: &Estimate) -> bool {
+        !estimate.presses.is_empty() && estimate.unexplained <= self.most_unexplained
     }
 
     /// As [`SpotStage::refine`], for one frame or the mean of several.
@@ -377,8 +337,6 @@ impl SpotStage {
         lowest: f64,
         contacts: &mut Vec<Contact>,
     ) {
-        self.shown.clear();
-        self.peaks.retain(|peak| time_ns.saturating_sub(peak.seen_ns) < REMEMBERED_NS);
         self.hints.clear();
         self.hints.extend(contacts.iter().map(|contact| Press {
             position_m: contact.centroid_m,
@@ -389,11 +347,45 @@ impl SpotStage {
         if contacts.is_empty() {
             self.pause = Pause::default();
         }
-        if !self.is_unhurried && time_ns < self.pause.until_ns {
+        if !self.is_unhurried && self.pause.is_on(time_ns) {
+            self.shown.clear();
             doubt(contacts, lowest);
             return;
         }
-        let Some((estimate, has_gone)) = self.explain(difference) else { return };
+        let memory = self.estimator.memory().clone();
+        let explained = match self.search.is_under_way() {
+            true => Explained::Later(self.estimator.follow(difference)),
+            false => self.explain(difference),
+        };
+        let Explained::Later(so_far) = explained else {
+            return self.show(time_ns, explained, imager, lowest, contacts);
+        };
+        let so_far = so_far.filter(|estimate| self.is_accepted(estimate));
+        let is_lost = so_far.is_none() && self.estimator.is_out_of_work();
+        if !self.search.is_under_way() {
+            self.search(time_ns, difference, memory.clone());
+        }
+        if is_lost {
+            self.estimator.set_memory(memory);
+        }
+        match so_far {
+            Some(mut estimate) => {
+                self.hold(&mut estimate.presses);
+                self.show(time_ns, Explained::By(estimate, false), imager, lowest, contacts);
+            }
+            None if is_lost && !self.shown.is_empty() => self.gathered.repeat(contacts),
+            None => {
+                self.shown.clear();
+                doubt(contacts, lowest);
+            }
+        }
+    }
+
+    /// Replaces the contacts of an image by the presses found.
+    fn show(&mut self, time_ns: u64, explained: Explained, imager: &Imager, lowest: f64, contacts: &mut Vec<Contact>) {
+        self.shown.clear();
+        self.peaks.drop_old(time_ns);
+        let Explained::By(estimate, has_gone) = explained else { return };
         if has_gone {
             contacts.clear();
         }
@@ -422,7 +414,7 @@ impl SpotStage {
             if value == 0.0 || !value.is_finite() {
                 continue;
             }
-            if !self.both_signs && self.is_remnant(time_ns, press, value.abs()) {
+            if !self.both_signs && self.peaks.is_remnant(time_ns, press, value.abs()) {
                 self.remnants.push(*press);
                 continue;
             }

@@ -32,3 +32,10 @@ def laid_flat(radius: float | None, positions: _Floats) -> tuple[_Floats, _Float
     behind = positions[:, 2] + radius
     sheet = np.column_stack([radius * np.arctan2(positions[:, 0], behind), positions[:, 1]])
     return sheet, np.hypot(positions[:, 0], behind) - radius
+
+
+def turns(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (x, y, z, w) about y that take z to each normal of a cylinder along y, shape (n, 4)."""
+    half = 0.5 * np.arctan2(normals[:, 0], normals[:, 2])
+    none = np.zeros(len(half))
+    return np.column_stack([none, np.sin(half), none, np.cos(half)])

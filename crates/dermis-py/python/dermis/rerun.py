@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _dermis, _surface
 from ._dermis import Recording, Result, Session, Skin
+from ._pixel_mesh import PixelMesh, colours_of
 from .contacts import spatial
 from .errors import FileError, InputError
 
@@ -62,9 +63,6 @@ _ARROW_MM = 0.5
 _FLAT_MM = 0.2
 """Half thickness of the ellipses of sigma: they lie in the skin and have no height."""
 
-_SURFACE = np.array([235, 235, 235], dtype=np.float64)
-_ABOVE = np.array([200, 30, 30], dtype=np.float64)
-_BELOW = np.array([30, 60, 200], dtype=np.float64)
 _MARK = (20, 20, 20)
 _FORCE = (255, 170, 0)
 
@@ -265,7 +263,7 @@ class SkinLog:
         self._mm_per_n = mm_per_n
         self._full_scale = full_scale
         self._scale = 0.0 if full_scale is None else float(full_scale)
-        self._mesh: _PixelMesh | None = None
+        self._mesh: PixelMesh | None = None
         self._state: str | None = None
         self._lost: dict[str, int] = {}
         self._draw_rest(root_from_patch)
@@ -395,11 +393,11 @@ class SkinLog:
         if self._full_scale is None:
             self._scale = max(self._scale, peak if self._scale > 0.0 else _NOISE_SCALE * peak)
         if self._mesh is None:
-            self._mesh = _PixelMesh(inside, result.extent_mm, self.skin)
+            self._mesh = PixelMesh(inside, result.extent_mm, self.skin)
             positions, normals = self._mesh.positions_m, self._mesh.normals
             mesh = rr.Mesh3D(vertex_positions=positions, vertex_normals=normals, triangle_indices=self._mesh.triangles)
             self._send("surface", mesh, static=True)
-        colours = _colours(self._mesh.at_vertices(image), self._scale)
+        colours = colours_of(self._mesh.at_vertices(image), self._scale)
         self._send("surface", rr.Mesh3D.from_fields(vertex_colors=colours))
         self._send("plots/peak", rr.Scalars([peak]))
         self._send("plots/scale", rr.Scalars([self._scale]))
@@ -416,7 +414,7 @@ class SkinLog:
         ellipses = rr.Ellipsoids3D(
             centers=positions[known],
             half_sizes=1e-3 * sigmas[known],
-            quaternions=_turns(touches.normal[known]),
+            quaternions=_surface.turns(touches.normal[known]),
             colors=_FORCE,
             line_radii=1e-3 * 0.5 * _FLAT_MM,
             fill_mode="densewireframe",
@@ -452,38 +450,6 @@ class SkinLog:
         self._send("health", self._rerun.TextLog(text, level=level))
 
 
-class _PixelMesh:
-    """The pixels of an image on the skin's surface: vertices at their corners, shared by neighbours."""
-
-    def __init__(self, inside: NDArray[np.bool_], extent_mm: Any, skin: Skin) -> None:
-        rows, columns = inside.shape
-        left, right, bottom, top = extent_mm
-        row, column = np.nonzero(inside)
-        across, down = np.array([0, 1, 1, 0])[:, None], np.array([0, 0, 1, 1])[:, None]
-        corners = (row + down) * (columns + 1) + column + across
-        used, numbers = np.unique(corners, return_inverse=True)
-        a, b, c, d = numbers.reshape(4, -1)
-        # Counter-clockwise as seen from outside, with row 0 at the top.
-        self.triangles = np.concatenate([np.stack([a, d, c], axis=1), np.stack([a, c, b], axis=1)]).astype(np.uint32)
-        x = left + (right - left) * (used % (columns + 1)) / columns
-        y = top + (bottom - top) * (used // (columns + 1)) / rows
-        sheet_m = 1e-3 * np.column_stack([x, y])
-        # Pixels on the rim reach beyond it.
-        beyond = ~skin.contains(sheet_m)
-        sheet_m[beyond] = _nearest(skin.outline, sheet_m[beyond])
-        radius_m = skin.cylinder_radius_m
-        self.positions_m = _surface.points(radius_m, sheet_m)
-        self.normals = _surface.normals(radius_m, sheet_m[:, 0])
-        self._inside = (row, column)
-        self._numbers = numbers.ravel()
-        self._weights = 1.0 / np.bincount(self._numbers)
-
-    def at_vertices(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mean of the pixels around each vertex; missing ones count as 0."""
-        values = np.tile(np.nan_to_num(image[self._inside]), 4)
-        return self._weights * np.bincount(self._numbers, weights=values)
-
-
 def _results(
     source: Any, skin: Skin | str | None, frames: int | None
 ) -> tuple[Iterable[Result], Skin, dict[int, int]]:
@@ -514,30 +480,6 @@ def _recorded_wall_ns(source: str) -> dict[int, int]:
         # An MCAP file of another program.
         return {}
     return dict(zip(sequences.tolist(), wall_ns.tolist()))
-
-
-def _nearest(rim: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points of a closed line nearest to these, or these if they lie in one of its holes."""
-    along = np.roll(rim, -1, axis=0) - rim
-    off = points[:, None] - rim
-    share = np.clip(np.einsum("nkd,kd->nk", off, along) / np.maximum((along**2).sum(axis=1), 1e-30), 0.0, 1.0)
-    on = rim + share[:, :, None] * along
-    nearest = np.argmin(((points[:, None] - on) ** 2).sum(axis=2), axis=1)
-    return on[np.arange(len(points)), nearest]
-
-
-def _turns(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (x, y, z, w) about y that take z to each normal of a cylinder along y, shape (n, 4)."""
-    half = 0.5 * np.arctan2(normals[:, 0], normals[:, 2])
-    none = np.zeros(len(half))
-    return np.column_stack([none, np.sin(half), none, np.cos(half)])
-
-
-def _colours(values: NDArray[np.float64], scale: float) -> NDArray[np.uint8]:
-    """Red above zero, blue below, grey at zero, shape (n, 3)."""
-    share = np.clip(values / scale if scale > 0.0 else 0.0 * values, -1.0, 1.0)[:, None]
-    mixed = _SURFACE + np.abs(share) * (np.where(share > 0.0, _ABOVE, _BELOW) - _SURFACE)
-    return mixed.round().astype(np.uint8)
 
 
 def _transform(values: ArrayLike) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use dermis_device::HostStamp;
+use dermis_skin::FileError;
 use dermis_touch::guard::GuardReport;
 
 use super::address::GuardAddress;
@@ -51,7 +52,9 @@ impl GuardSocket {
     /// # Errors
     /// The address is in use or not available, or a thread cannot be started.
     pub fn open(address: &GuardAddress, patches: &[(String, GuardReport)]) -> Result<Self, Error> {
-        let failed = |source| Error::Live(dermis_live::Error::Io { file: PathBuf::from(address.to_string()), source });
+        let failed = |source| {
+            Error::Live(dermis_live::Error::Io(FileError { file: PathBuf::from(address.to_string()), source }))
+        };
         let (listener, address) = Listener::open(address).map_err(failed)?;
         let board = Arc::new(Mutex::new(Board::new(patches, now_ns())));
         let stop = Arc::new((Mutex::new(false), Condvar::new()));

@@ -79,7 +79,7 @@ pub struct BodyRunOptions {
 /// use dermis::{Body, BodyRun};
 ///
 /// let folder = std::env::temp_dir().join(format!("dermis-run-{}", std::process::id()));
-/// # let failed = |source| dermis::Error::Io { file: folder.clone(), source };
+/// # let failed = |source| dermis::FileError { file: folder.clone(), source };
 /// # std::fs::create_dir_all(&folder).map_err(failed)?;
 /// // A body without a robot: one skin, played by its twin.
 /// let file = folder.join("pad.toml");

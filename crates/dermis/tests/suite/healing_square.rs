@@ -217,3 +217,26 @@ fn tare_is_refused_under_load_and_a_held_press_keeps_its_value() {
     bench.run(100);
     assert!(bench.pipeline.tare(false, "test").is_ok(), "free again, it may be tared");
 }
+
+/// Three presses at once take longer to find than a frame may. They are looked for in the background, and their touches
+/// begin at the same frame whenever the same frames come in.
+#[test]
+fn a_search_that_takes_longer_than_a_frame_ends_at_a_fixed_frame() {
+    let places = [[-30.0, -25.0], [30.0, -25.0], [0.0, 30.0]];
+    let run = || {
+        let mut bench = Bench::new();
+        (0..).zip(places).for_each(|(pointer, place)| bench.press(pointer, place));
+        let seen = |bench: &mut Bench| {
+            bench.run(1);
+            bench.touches.clone()
+        };
+        (0..2 * SETTLE).map(|_| seen(&mut bench)).collect::<Vec<_>>()
+    };
+    let (first, second) = (run(), run());
+    assert_eq!(first, second);
+    let last = first.last().unwrap();
+    assert_eq!(last.len(), 3, "{last:?}");
+    for place in places {
+        assert!(last.iter().any(|touch| distance_mm(touch, place) < 3.0), "no touch near {place:?}: {last:?}");
+    }
+}

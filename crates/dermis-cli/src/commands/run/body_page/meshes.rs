@@ -32,16 +32,30 @@ impl Meshes {
             .collect();
         let (mut all, mut corners_left) = (Self::default(), MOST_CORNERS);
         for name in names {
-            let read =
-                body.meshes.get(name).ok_or_else(|| "not found".to_owned()).and_then(|file| read_triangles(file));
+            let file = match body.meshes.get(name) {
+                Some(Ok(file)) => file,
+                // Reported when the body was read.
+                unread => {
+                    let reason = unread.and_then(|unread| unread.as_ref().err()).map_or("not found", String::as_str);
+                    all.not_drawn.push(format!("{name} is not drawn: {reason}"));
+                    continue;
+                }
+            };
+            let read = read_triangles(file).and_then(|corners| match corners_left.checked_sub(corners.len()) {
+                Some(left) => Ok((corners, left)),
+                None => Err(format!("more than {} triangles", MOST_CORNERS / 3)),
+            });
             match read {
-                Ok(corners) if corners.len() <= corners_left => {
-                    corners_left -= corners.len();
+                Ok((corners, left)) => {
+                    corners_left = left;
                     all.shown.insert(name.to_owned(), all.meshes.len());
                     all.meshes.push(corners.iter().flatten().flat_map(|number| number.to_le_bytes()).collect());
                 }
-                Ok(_) => all.not_drawn.push(format!("{name} is not drawn: more than {} triangles", MOST_CORNERS / 3)),
-                Err(reason) => all.not_drawn.push(format!("{name} is not drawn: {reason}")),
+                Err(reason) => {
+                    let reason = format!("{name} is not drawn: {reason}");
+                    tracing::warn!("{reason}");
+                    all.not_drawn.push(reason);
+                }
             }
         }
         all
