@@ -13,7 +13,7 @@ use crate::press::Cost;
 const MODEL_SHAPES: f64 = 16.0;
 /// Excess of the mean square over 1 that pure noise may have: the uncertainty of noise estimated from 32 frames at
 /// rest.
-pub(crate) const NOISE_UNKNOWN: f64 = 0.3;
+const NOISE_UNKNOWN: f64 = 0.3;
 
 /// Thresholds on the evidence of a press, in standard deviations: the square root of twice the log-likelihood ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,8 +45,22 @@ impl Evidence {
     /// Mean square of the errors beyond the noise, from the fit's residual, but at least the known error of its
     /// model.
     fn beyond_noise(cost: &Cost) -> f64 {
-        let left = cost.residual / cost.freedom - 1.0 - NOISE_UNKNOWN;
-        left.max(cost.model_error / cost.freedom).max(0.0)
+        Self::left_beyond_noise(cost).max(cost.model_error / cost.freedom)
+    }
+
+    fn left_beyond_noise(cost: &Cost) -> f64 {
+        (cost.residual / cost.freedom - 1.0 - NOISE_UNKNOWN).max(0.0)
+    }
+
+    /// Inflation of the squared standard deviations by the errors of a press's model that the fit has left.
+    pub(crate) fn left_scale(cost: &Cost) -> f64 {
+        1.0 + Self::readings_per_shape(cost) * Self::left_beyond_noise(cost)
+    }
+
+    /// Inflation of the squared standard deviation of a force. Errors of the model pass for changes of pressure and radius
+    /// together, which the readings hardly determine, so the errors left count twice.
+    pub(crate) fn force_scale(cost: &Cost) -> f64 {
+        Self::model_scale(cost) * (1.0 + Self::left_beyond_noise(cost))
     }
 
     /// How much more model errors weigh than the same number of independent errors.

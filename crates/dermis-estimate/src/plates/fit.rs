@@ -5,9 +5,9 @@ use std::sync::Arc;
 use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
 
-use super::model::{Contacts, LONGEST_LOG, PlateModel, SizePrior};
+use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed};
-use crate::evidence::{Evidence, NOISE_UNKNOWN};
+use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
 use crate::whitening::Whitening;
 
@@ -50,7 +50,7 @@ pub struct PlateFit {
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
-    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
+    /// Further factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
     /// same effect on the channels, so these errors weigh more on a force than on a position.
     inflation: f64,
     /// Operations spent on this frame, and the most that may be.
@@ -65,14 +65,14 @@ pub struct PlateFit {
 struct State {
     effort: Effort,
     presses: Vec<Pressed>,
-    contacts: Contacts,
+    contacts: Vec<Made>,
     /// Whitened frame less whitened change.
     residual: Vec<f64>,
 }
 
 impl State {
     fn nothing(residual: Vec<f64>) -> Self {
-        Self { effort: Effort::Quick, presses: Vec::new(), contacts: [None, None], residual }
+        Self { effort: Effort::Quick, presses: Vec::new(), contacts: Vec::new(), residual }
     }
 }
 
@@ -159,13 +159,12 @@ impl PlateFit {
         Cost { residual: square(&self.at.residual), energy, freedom, model_error }
     }
 
-    /// The inverse of the normal matrix, times the residual if it exceeds the noise by more than the noise's own
-    /// uncertainty.
+    /// The inverse of the normal matrix, inflated by the errors of the model that the fit has left.
     fn find_covariances(&mut self, solver: &mut Scratch, cost: &Cost) {
         let n = OF_PRESS * self.at.presses.len();
         let Scratch { equations, factor, step } = solver;
-        let scale = (cost.residual / cost.freedom - NOISE_UNKNOWN).max(1.0);
-        self.inflation = Evidence::model_scale(cost);
+        let scale = Evidence::left_scale(cost);
+        self.inflation = Evidence::force_scale(cost) / scale;
         self.covariances.clear();
         self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
         for column in 0..n {
@@ -386,7 +385,7 @@ impl PressFit for PlateFit {
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
         let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
-        let contacts = self.model.contacts(&presses, Effort::Full).unwrap_or([None, None]);
+        let contacts = self.model.contacts(&presses, Effort::Full).unwrap_or_default();
         self.model.change(&contacts, volts);
     }
 }
@@ -443,7 +442,7 @@ impl Problem for FitUnderWay<'_> {
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Failed> {
         let PlateFit { model, whitening, prior, at, .. } = &*self.fit;
         let columns: Vec<Vec<f64>> = model
-            .derivatives(&at.presses, &at.contacts, at.effort)
+            .derivatives(&at.presses, &at.contacts)
             .iter()
             .map(|column| {
                 let mut whitened = Vec::new();

@@ -29,16 +29,17 @@ const LEAST_WORK: f64 = 1.2e6;
 /// Bisections for the radius of a contact: to a millionth of it.
 const HALVINGS: usize = 20;
 
-/// The contact that presses make, and the points under them with the derivative of their conductance per area with
-/// respect to the pressure.
+/// The contact that some presses make on one of the sheets, and the points under them with the derivative of their
+/// conductance per area with respect to the pressure.
 #[derive(Clone, Debug)]
 pub(super) struct Made {
+    effort: Effort,
+    /// Indices of the presses, and the sign of their contact in the sum.
+    presses: Vec<usize>,
+    sign: f64,
     contact: PlateContact,
     slopes: Vec<(usize, f64)>,
 }
-
-/// Contacts of the presses that act, and of those that are part of the baseline and have ended.
-pub(super) type Contacts = [Option<Made>; 2];
 
 /// Sizes of presses on plates. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -99,7 +100,7 @@ impl PlateModel {
             [at(grid.left_m, width_m, column, columns), at(grid.top_m, -height_m, row, rows)]
         }) {
             if model.is_inside(place) {
-                let contact = model.contact(&[model.typical(place)], false, Effort::Quick)?;
+                let contact = model.contact(&[model.typical(place)], vec![0], 1.0, Effort::Quick)?;
                 model.proposals.extend(contact.map(|made| (place, made.contact.change_v)));
             }
         }
@@ -155,20 +156,60 @@ impl PlateModel {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
     }
 
-    /// The contacts of the presses that act, and of those that have ended.
-    pub(super) fn contacts(&self, presses: &[Pressed], effort: Effort) -> Result<Contacts, EitError> {
-        Ok([self.contact(presses, false, effort)?, self.contact(presses, true, effort)?])
+    /// Contacts whose sum is the change by these presses: that of the presses that act less that of those that have
+    /// ended. The time of a solution grows with the cube of the area in contact. Under separate plates, presses that lie
+    /// apart are therefore solved together on the coarse sheet, and each alone corrects that by the difference between
+    /// the sheets.
+    pub(super) fn contacts(&self, presses: &[Pressed], effort: Effort) -> Result<Vec<Made>, EitError> {
+        let mut made = Vec::new();
+        for (has_ended, sign) in [(false, 1.0), (true, -1.0)] {
+            let all: Vec<usize> = (0..presses.len()).filter(|&k| presses[k].has_ended == has_ended).collect();
+            let groups = self.groups(presses, &all);
+            if effort == Effort::Quick || groups.len() < 2 || self.is_joint() {
+                made.extend(self.contact(presses, all, sign, effort)?);
+                continue;
+            }
+            made.extend(self.contact(presses, all, sign, Effort::Quick)?);
+            for group in groups {
+                made.extend(self.contact(presses, group.clone(), -sign, Effort::Quick)?);
+                made.extend(self.contact(presses, group, sign, Effort::Full)?);
+            }
+        }
+        Ok(made)
     }
 
-    /// The contacts of the presses of one kind; `None` without any.
-    fn contact(&self, presses: &[Pressed], has_ended: bool, effort: Effort) -> Result<Option<Made>, EitError> {
-        if presses.iter().all(|press| press.has_ended != has_ended) {
+    /// Groups of presses that lie apart.
+    fn groups(&self, presses: &[Pressed], all: &[usize]) -> Vec<Vec<usize>> {
+        let reach_m = |k: usize| presses[k].log_radius.exp() + self.law.spread_m;
+        let are_near = |a: usize, b: usize| {
+            let [x, y] = [0, 1].map(|axis| presses[a].position_m[axis] - presses[b].position_m[axis]);
+            x.hypot(y) < reach_m(a) + reach_m(b)
+        };
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for &k in all {
+            let (near, apart): (Vec<_>, Vec<_>) =
+                groups.into_iter().partition(|group| group.iter().any(|&other| are_near(k, other)));
+            groups = apart;
+            groups.push(near.into_iter().flatten().chain([k]).collect());
+        }
+        groups
+    }
+
+    /// The contact of some presses; `None` without any.
+    fn contact(
+        &self,
+        all: &[Pressed],
+        presses: Vec<usize>,
+        sign: f64,
+        effort: Effort,
+    ) -> Result<Option<Made>, EitError> {
+        if presses.is_empty() {
             return Ok(None);
         }
         let (mut contacts, mut slopes) = (Vec::new(), Vec::new());
         // Most points are under the full pressure of one press.
         let (mut known_pa, mut known) = (f64::NAN, [0.0; 2]);
-        for (point, pressure_pa) in self.pressures(presses, has_ended, effort) {
+        for (point, pressure_pa) in self.pressures(presses.iter().map(|&k| &all[k]), effort) {
             if pressure_pa != known_pa {
                 (known_pa, known) = (pressure_pa, self.law.conductance(pressure_pa));
             }
@@ -184,14 +225,14 @@ impl PlateModel {
             return Err(EitError::Contact { radius_m: (area_m2 / PI).sqrt(), conductance_s_per_m2: 0.0 });
         }
         let contact = self.sheet(effort).contact(&contacts)?;
-        Ok((!contact.is_open()).then_some(Made { contact, slopes }))
+        Ok((!contact.is_open()).then_some(Made { effort, presses, sign, contact, slopes }))
     }
 
-    /// The points under presses of one kind, with their pressure, pascal.
-    fn pressures(&self, presses: &[Pressed], has_ended: bool, effort: Effort) -> Vec<(usize, f64)> {
+    /// The points under presses, with their pressure, pascal.
+    fn pressures<'a>(&self, presses: impl Iterator<Item = &'a Pressed>, effort: Effort) -> Vec<(usize, f64)> {
         let sheet = self.sheet(effort);
         let mut found: Vec<(usize, f64)> = Vec::new();
-        for press in presses.iter().filter(|press| press.has_ended == has_ended) {
+        for press in presses {
             let field = Field::new(press, self.law.spread_m);
             let near = sheet.points_near(press.position_m, field.reach_m());
             found.extend(near.filter_map(|point| Some((point, field.pressure_at(sheet.points()[point].position_m)?))));
@@ -208,39 +249,35 @@ impl PlateModel {
     }
 
     /// Operations that solving for these contacts takes, by the factorisation of their cells.
-    pub(super) fn work(contacts: &Contacts) -> f64 {
-        contacts.iter().flatten().map(|made| (made.contact.cell_count() as f64).powi(3) / 3.0).sum::<f64>() + LEAST_WORK
+    pub(super) fn work(made: &[Made]) -> f64 {
+        made.iter().map(|made| (made.contact.cell_count() as f64).powi(3) / 3.0).sum::<f64>() + LEAST_WORK
     }
 
     /// Change of the channels, volts.
-    pub(super) fn change(&self, contacts: &Contacts, volts: &mut Vec<f64>) {
+    pub(super) fn change(&self, made: &[Made], volts: &mut Vec<f64>) {
         volts.clear();
         volts.resize(self.channels(), 0.0);
-        for (contact, sign) in
-            contacts.iter().zip([1.0, -1.0]).filter_map(|(contact, sign)| Some((contact.as_ref()?, sign)))
-        {
-            volts.iter_mut().zip(&contact.contact.change_v).for_each(|(sum, value)| *sum += sign * value);
+        for Made { sign, contact, .. } in made {
+            volts.iter_mut().zip(&contact.change_v).for_each(|(sum, value)| *sum += sign * value);
         }
     }
 
     /// Derivatives of the channels with respect to the parameters of each press, volts: one column after the other.
-    pub(super) fn derivatives(&self, presses: &[Pressed], contacts: &Contacts, effort: Effort) -> Vec<Vec<f64>> {
-        let sheet = self.sheet(effort);
+    pub(super) fn derivatives(&self, presses: &[Pressed], made: &[Made]) -> Vec<Vec<f64>> {
         let mut columns = vec![vec![0.0; self.channels()]; OF_PRESS * presses.len()];
-        for (contact, has_ended) in contacts.iter().zip([false, true]) {
-            let Some(Made { contact, slopes }) = contact else { continue };
-            let sign = if has_ended { -1.0 } else { 1.0 };
-            for (k, press) in presses.iter().enumerate().filter(|(_, press)| press.has_ended == has_ended) {
-                let field = Field::new(press, self.law.spread_m);
+        for Made { effort, presses: of, sign, contact, slopes } in made {
+            let sheet = self.sheet(*effort);
+            for &k in of {
+                let field = Field::new(&presses[k], self.law.spread_m);
                 let moved = |&(point, slope): &(usize, f64)| {
                     let by = field.derivatives_at(sheet.points()[point].position_m)?;
                     Some((point, by.map(|value| sign * slope * value)))
                 };
                 let moves: Vec<(usize, [f64; OF_PRESS])> = slopes.iter().filter_map(moved).collect();
                 let jacobian = sheet.derivatives(contact, &moves);
-                for parameter in 0..OF_PRESS {
-                    columns[OF_PRESS * k + parameter] =
-                        jacobian.iter().skip(parameter).step_by(OF_PRESS).copied().collect();
+                for (parameter, column) in columns[OF_PRESS * k..].iter_mut().take(OF_PRESS).enumerate() {
+                    let of_parameter = jacobian.iter().skip(parameter).step_by(OF_PRESS);
+                    column.iter_mut().zip(of_parameter).for_each(|(sum, value)| *sum += value);
                 }
             }
         }

@@ -154,6 +154,16 @@ impl Plates {
     /// # Errors
     /// A mesh that cannot be made, or contacts that cannot be solved.
     pub fn model(&self, cuts: &[SheetCut], go_on: impl Fn() -> bool) -> Result<Option<PlateModel>, Error> {
+        let fine = if self.squares.is_some() { ELEMENTS_UNDER_PATCHES } else { ELEMENTS };
+        self.model_on([COARSE_ELEMENTS, fine], cuts, go_on)
+    }
+
+    fn model_on(
+        &self,
+        elements: [usize; 2],
+        cuts: &[SheetCut],
+        go_on: impl Fn() -> bool,
+    ) -> Result<Option<PlateModel>, Error> {
         let law = self.law();
         let typical_radius_m = TYPICAL_RADIUS * self.half_width_m;
         let options = PlateOptions {
@@ -169,8 +179,7 @@ impl Plates {
             error_share: CONTACT_ERROR,
         };
         let mut sheets = Vec::new();
-        let fine = if self.squares.is_some() { ELEMENTS_UNDER_PATCHES } else { ELEMENTS };
-        for elements in [COARSE_ELEMENTS, fine] {
+        for elements in elements {
             if !go_on() {
                 return Ok(None);
             }
@@ -226,4 +235,66 @@ fn crosses(corners: [[f64; 2]; 3], [a, b]: Ends) -> bool {
     let inside = edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) >= 0.0)
         || edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) <= 0.0);
     inside || edges.iter().any(|&(i, j)| meets(corners[i], corners[j]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_estimate::{PlateFit, Press, PressFit};
+
+    const PATCHES: &str = r#"
+name = "patches"
+title = "patches, 120 x 120 mm"
+modality = "eit"
+
+[frontend]
+shape = { square = { side_mm = 120.0 } }
+layer = { kind = "patches", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = 10.0, gap_mm = 1.0 }
+electrodes = { rim = { count = 16, width_mm = 6.0 } }
+contact_impedance_ohm_m2 = 1e-4
+
+[backend]
+instrument = "none yet"
+current_ma = 1.0
+drive = "adjacent"
+measure = "adjacent"
+order = "absolute"
+driven = "drop"
+reads = "signed"
+
+[imaging]
+grid = 32
+hyperparameter = { relative = 0.03 }
+"#;
+
+    #[test]
+    fn presses_that_lie_apart_are_solved_alone_almost_as_accurately_as_together() {
+        let prepared = Prepared::new(Skin::parse(PATCHES, "patches").unwrap()).unwrap();
+        let plates = Plates::of(&prepared).unwrap();
+        let press = |x_mm: f64, y_mm: f64| Press {
+            position_m: [1e-3 * x_mm, 1e-3 * y_mm],
+            radius_m: 8e-3,
+            load: 0.7,
+            ..Press::default()
+        };
+        let presses = [press(-31.0, 22.0), press(17.0, 35.0), press(4.0, -28.0)];
+        let deviations = vec![1e-6; prepared.channels()];
+        let change = |elements: [usize; 2]| {
+            let model = plates.model_on(elements, &[], || true).unwrap().unwrap();
+            let mut volts = Vec::new();
+            PlateFit::new(Arc::new(model), &deviations, &[]).channels_of(&presses, &mut volts);
+            volts
+        };
+        let fine = ELEMENTS_UNDER_PATCHES;
+        // On two equal sheets, the corrections of the presses alone cancel, and all are solved together.
+        let together = change([fine, fine]);
+        let error = |volts: &[f64]| {
+            let off: f64 = volts.iter().zip(&together).map(|(a, b)| (a - b).powi(2)).sum();
+            (off / together.iter().map(|v| v * v).sum::<f64>()).sqrt()
+        };
+        let (coarse, apart) = (error(&change([COARSE_ELEMENTS; 2])), error(&change([COARSE_ELEMENTS, fine])));
+        println!("the coarse sheet is off by {coarse:.4}, its correction by {apart:.5}");
+        // The share of the error of the fine mesh itself: the first order in 1 over the number of elements.
+        assert!(apart < 0.1 * coarse, "{apart} {coarse}");
+    }
 }
