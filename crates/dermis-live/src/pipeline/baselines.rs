@@ -167,7 +167,7 @@ impl Pipeline {
         let (prepared, misfit) = (self.prepared.clone(), reference.misfit);
         let due_ns = self.timing.clock.time_ns().saturating_add(ERRORS_READY_NS);
         self.errors.begin(due_ns, move |_| {
-            on_half_of_the_cores(|| built_error(&prepared, misfit));
+            built_error(&prepared, misfit);
             Some(())
         });
     }
@@ -217,14 +217,5 @@ impl Pipeline {
             }
         }
         self.compare_with_reference()
-    }
-}
-
-/// Works with half of the threads, so that frames find a free core. Without threads of its own, works as it is called.
-fn on_half_of_the_cores<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    let threads = (rayon::current_num_threads() / 2).max(1);
-    match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
-        Ok(pool) => pool.install(work),
-        Err(_) => work(),
     }
 }
