@@ -5,7 +5,40 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(target_family = "wasm"))]
-use std::thread::JoinHandle;
+use std::{cell::Cell, sync::LazyLock, thread::JoinHandle};
+
+/// Niceness of threads for patient work: they get a quarter of a core that others want.
+#[cfg(target_os = "linux")]
+const NICENESS: i32 = 5;
+
+#[cfg(not(target_family = "wasm"))]
+thread_local! {
+    static IS_PATIENT: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Threads for the parallel parts of patient work; `None` if the system refuses them.
+#[cfg(not(target_family = "wasm"))]
+static PATIENT: LazyLock<Option<rayon::ThreadPool>> =
+    LazyLock::new(|| rayon::ThreadPoolBuilder::new().start_handler(|_| be_patient()).build().ok());
+
+/// Makes the current thread one for patient work.
+#[cfg(not(target_family = "wasm"))]
+fn be_patient() {
+    IS_PATIENT.set(true);
+    // On Linux, each thread has a niceness of its own.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(NICENESS);
+}
+
+/// Does parallel work on threads as patient as the current one. The work must not wait for locks that other patient work
+/// may hold.
+pub(crate) fn in_parallel<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    #[cfg(not(target_family = "wasm"))]
+    if let (true, Some(pool)) = (IS_PATIENT.get(), &*PATIENT) {
+        return pool.install(work);
+    }
+    work()
+}
 
 /// Tells work whether its result is still wanted.
 #[derive(Clone, Debug, Default)]
@@ -23,6 +56,7 @@ impl Wanted {
 pub(crate) struct Beside<T> {
     under_way: Option<UnderWay<T>>,
     waits: u64,
+    is_patient: bool,
 }
 
 #[derive(Debug)]
@@ -38,8 +72,13 @@ struct Outcome<T>(#[cfg(not(target_family = "wasm"))] JoinHandle<Option<T>>, #[c
 
 #[cfg(not(target_family = "wasm"))]
 impl<T: Send + 'static> Outcome<T> {
-    fn of(work: impl FnOnce() -> Option<T> + Send + 'static) -> Self {
-        Self(std::thread::spawn(work))
+    fn of(is_patient: bool, work: impl FnOnce() -> Option<T> + Send + 'static) -> Self {
+        Self(std::thread::spawn(move || {
+            if is_patient {
+                be_patient();
+            }
+            work()
+        }))
     }
 
     fn is_there(&self) -> bool {
@@ -54,7 +93,7 @@ impl<T: Send + 'static> Outcome<T> {
 
 #[cfg(target_family = "wasm")]
 impl<T> Outcome<T> {
-    fn of(work: impl FnOnce() -> Option<T>) -> Self {
+    fn of(_is_patient: bool, work: impl FnOnce() -> Option<T>) -> Self {
         Self(work())
     }
 
@@ -70,7 +109,12 @@ impl<T> Outcome<T> {
 impl<T: Send + 'static> Beside<T> {
     /// Without any work.
     pub fn new() -> Self {
-        Self { under_way: None, waits: 0 }
+        Self { under_way: None, waits: 0, is_patient: false }
+    }
+
+    /// Without any work, for work that is due seconds later: frames, and work that is due sooner, go first.
+    pub fn patient() -> Self {
+        Self { under_way: None, waits: 0, is_patient: true }
     }
 
     /// Number of frames that had to wait for a result.
@@ -89,7 +133,7 @@ impl<T: Send + 'static> Beside<T> {
         self.cancel();
         let wanted = Wanted::default();
         let told = wanted.clone();
-        let outcome = Outcome::of(move || work(&told));
+        let outcome = Outcome::of(self.is_patient, move || work(&told));
         self.under_way = Some(UnderWay { due_ns, outcome, wanted });
     }
 

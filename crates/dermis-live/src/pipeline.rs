@@ -167,7 +167,7 @@ impl Pipeline {
             levels,
             circuit,
             building,
-            errors: Beside::new(),
+            errors: Beside::patient(),
             classes: None,
             guard,
             is_seen: false,

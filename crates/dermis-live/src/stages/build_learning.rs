@@ -37,7 +37,7 @@ pub(crate) struct Learned {
 impl BuildLearning {
     /// `None` for a skin whose baseline does not show how it was built.
     pub fn of(drawn: &Arc<Prepared>) -> Option<Self> {
-        let learning = || Self { drawn: drawn.clone(), coming: Beside::new(), is_learning: false, ready: None };
+        let learning = || Self { drawn: drawn.clone(), coming: Beside::patient(), is_learning: false, ready: None };
         learns_from_rest(drawn).then(learning)
     }
 

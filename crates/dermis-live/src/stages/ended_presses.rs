@@ -28,12 +28,14 @@ pub(super) struct EndedPresses {
     waited: u32,
     /// Presses lower and raise what they change, so that none of them shows that another has ended.
     both_signs: bool,
+    /// A search takes the time of several frames.
+    is_slow: bool,
     is_unhurried: bool,
 }
 
 impl EndedPresses {
-    pub fn new(both_signs: bool) -> Self {
-        Self { both_signs, ..Self::default() }
+    pub fn new(both_signs: bool, is_slow: bool) -> Self {
+        Self { both_signs, is_slow, ..Self::default() }
     }
 
     /// From now on, every frame that nothing explains is searched.
@@ -108,7 +110,7 @@ impl EndedPresses {
         self.frames += 1;
         if self.frames >= FRAMES {
             self.wait_longer();
-        } else if !self.is_unhurried {
+        } else if self.is_slow && !self.is_unhurried {
             // These presses alone must explain the frames that are still needed.
             self.wait = FRAMES - self.frames;
         }

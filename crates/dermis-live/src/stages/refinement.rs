@@ -84,11 +84,11 @@ impl Presses {
             noise,
             left_out: Vec::new(),
             drift: Drift::new(prepared),
-            coming: Beside::new(),
+            coming: Beside::patient(),
             built_share: 0.0,
             indenter_m: None,
             evidence: Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma },
-            cut: plates.map(|plates| CutModels { plates, cuts: Vec::new(), coming: Beside::new() }),
+            cut: plates.map(|plates| CutModels { plates, cuts: Vec::new(), coming: Beside::patient() }),
         }
     }
 

@@ -129,7 +129,7 @@ impl SpotStage {
             is_aged: false,
             peaks: Peaks::default(),
             remnants: Vec::new(),
-            ended: EndedPresses::new(touch.both_signs),
+            ended: EndedPresses::new(touch.both_signs, is_joint),
             is_unhurried: false,
             volts: Vec::new(),
         }

@@ -22,6 +22,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::as_built::{AS_DRAWN, LOAD, PARAMETERS, RADIUS, RADIUS_UNKNOWN, Spots, places};
+use crate::beside::in_parallel;
 use crate::prepare::Prepared;
 use crate::reference::{misfit, scale_to_model};
 use crate::stages::spot_model::TYPICAL_RADIUS;
@@ -85,15 +86,13 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     let spots = Spots::new(prepared)?.columns(&at);
     let responses = &nominal.jacobian * &spots;
     let uniform: Vec<f64> = nominal.jacobian.row_iter().map(|row| row.iter().sum()).collect();
-    let drawn: Vec<_> = (1..=MEMBERS)
-        .into_par_iter()
-        .filter_map(|number| {
-            // Skip combinations of errors that cannot be built.
-            let member = member(prepared, tolerances, number).ok()?;
-            let errors = member_errors(&member, &spots, &responses, &uniform);
-            Some((errors, misfit(&nominal.voltages, &member.voltages)))
-        })
-        .collect();
+    let of_member = |number| {
+        // Skip combinations of errors that cannot be built.
+        let member = member(prepared, tolerances, number).ok()?;
+        let errors = member_errors(&member, &spots, &responses, &uniform);
+        Some((errors, misfit(&nominal.voltages, &member.voltages)))
+    };
+    let drawn: Vec<_> = in_parallel(|| (1..=MEMBERS).into_par_iter().filter_map(of_member).collect());
     let count = drawn.len().max(1) as f64;
     let misfit_2 = drawn.iter().map(|(_, misfit)| misfit * misfit).sum::<f64>() / count;
     let squares = (0..places_m.len())

@@ -356,7 +356,8 @@ fn places_hold_with_electrodes_lost() {
     let intact = mean(&presses.errors_mm(&[]));
     for lost in [&[0][..], &[6], &[13]] {
         let error = mean(&presses.errors_mm(lost));
-        assert!(error <= 1.5 * intact, "{lost:?}: {error:.2} mm, intact {intact:.2}");
+        // Below 0.2 mm, a tenth of an element, errors are those of the mesh.
+        assert!(error <= (1.5 * intact).max(0.2), "{lost:?}: {error:.2} mm, intact {intact:.2}");
     }
     for lost in [&[0, 8][..], &[3, 5], &[6, 13]] {
         let error = mean(&presses.errors_mm(lost));
