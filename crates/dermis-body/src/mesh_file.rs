@@ -7,11 +7,11 @@ mod numbers;
 mod obj;
 mod ply;
 mod stl;
+mod whole;
 
 use std::path::Path;
 
-/// Largest mesh file, bytes.
-const MOST_BYTES: u64 = 128 << 20;
+use whole::read_whole;
 
 /// Corners of the triangles in a mesh file, three each. COLLADA and glTF files give metres, others their own unit.
 ///
@@ -36,14 +36,6 @@ pub fn read_triangles(file: &Path) -> Result<Vec<[f32; 3]>, String> {
         return Err("no triangles, or corners that are not finite: expected a mesh".to_owned());
     }
     Ok(corners)
-}
-
-fn read_whole(file: &Path) -> Result<Vec<u8>, String> {
-    let length = std::fs::metadata(file).map_err(|error| error.to_string())?.len();
-    if length > MOST_BYTES {
-        return Err(format!("{length} bytes: expected at most {MOST_BYTES}"));
-    }
-    std::fs::read(file).map_err(|error| error.to_string())
 }
 
 #[cfg(test)]

@@ -317,7 +317,7 @@ async fn a_full_queue_refuses_presses_but_never_loses_a_release() {
     ask(&mut socket, 2, press(2, 0.0)).await;
     let answer = next_json(&mut socket, "answer").await;
     assert_eq!(answer["id"], 2);
-    assert!(answer["text"].as_str().is_some_and(|text| text.contains("behind")), "{answer}");
+    assert!(answer["text"].as_str().is_some_and(|text| text.contains("busy")), "{answer}");
     ask(&mut socket, 3, json!({"release": {"pointer_id": 1}})).await;
     // This refusal shows that the queue was full when the release arrived.
     assert_eq!(next_json(&mut socket, "answer").await["id"], 3);

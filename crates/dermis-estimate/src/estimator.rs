@@ -41,6 +41,8 @@ pub struct Estimate {
     pub unexplained: f64,
     /// True if the frame's energy is consistent with noise and a uniform change.
     pub is_at_rest: bool,
+    /// Factor on the covariances of places by errors of the model, besides those in the presses' own covariances.
+    pub place_scale: f64,
 }
 
 /// Explains frames one after the other by presses.
@@ -219,7 +221,13 @@ impl Estimator {
             1 => vec![Evidence::of(null, &best.cost, true)],
             _ => best.presses.iter().map(Press::significance).collect(),
         };
-        Estimate { evidence, unexplained: best.cost.unexplained(), is_at_rest: null.is_noise(), presses: best.presses }
+        Estimate {
+            evidence,
+            unexplained: best.cost.unexplained(),
+            is_at_rest: null.is_noise(),
+            place_scale: self.fit.place_scale(&best.cost),
+            presses: best.presses,
+        }
     }
 
     /// Adds as many presses to an explanation as the frame supports.

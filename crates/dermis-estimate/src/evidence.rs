@@ -6,7 +6,7 @@
 //! drift, which are independent between channels. Errors of a press's model are not: they come in about
 //! [`MODEL_SHAPES`] shapes, so readings that share a shape count as one.
 
-use crate::press::Cost;
+use crate::press::{Cost, MOST_MODEL_ERROR};
 
 /// Number of independent shapes of the model error. On twins of gels, foams and liquids, a single press leaves up to
 /// 0.003 of its energy, of which a further press can explain at most three quarters.
@@ -52,15 +52,16 @@ impl Evidence {
         (cost.residual / cost.freedom - 1.0 - NOISE_UNKNOWN).max(0.0)
     }
 
-    /// Inflation of the squared standard deviations by the errors of a press's model that the fit has left.
+    /// Inflation of the squared standard deviations by what the fit has left, as if it were noise.
     pub(crate) fn left_scale(cost: &Cost) -> f64 {
-        1.0 + Self::readings_per_shape(cost) * Self::left_beyond_noise(cost)
+        1.0 + Self::left_beyond_noise(cost)
     }
 
-    /// Inflation of the squared standard deviation of a force. Errors of the model pass for changes of pressure and radius
-    /// together, which the readings hardly determine, so the errors left count twice.
-    pub(crate) fn force_scale(cost: &Cost) -> f64 {
-        Self::model_scale(cost) * (1.0 + Self::left_beyond_noise(cost))
+    /// Further inflation of those of a place: as much of what the fit has left as presses usually leave is an error of
+    /// their model.
+    pub(crate) fn place_scale(cost: &Cost) -> f64 {
+        let by_model = Self::left_beyond_noise(cost).min(MOST_MODEL_ERROR * cost.model_error / cost.freedom);
+        1.0 + (Self::readings_per_shape(cost) - 1.0) * by_model / Self::left_scale(cost)
     }
 
     /// How much more model errors weigh than the same number of independent errors.

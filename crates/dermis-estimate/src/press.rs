@@ -68,7 +68,7 @@ pub struct Cost {
 const MOST_NOISE: f64 = 1.5;
 
 /// Largest multiple of the model's usual error that one press or a set of presses leaves.
-const MOST_MODEL_ERROR: f64 = 4.0;
+pub(crate) const MOST_MODEL_ERROR: f64 = 4.0;
 
 /// Mean square above which the residual of a weak frame counts as more than noise.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
@@ -173,6 +173,12 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
 
     /// Change of the channels by these presses, volts.
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
+
+    /// Factor on the covariances of the places of presses by errors of the model, besides those in their own covariances,
+    /// if their explanation has this cost.
+    fn place_scale(&self, _cost: &Cost) -> f64 {
+        1.0
+    }
 
     /// Footprints of the presses that explain the frame taken.
     fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {

@@ -7,7 +7,7 @@ use std::path::{Component, Path};
 use serde::Deserialize;
 
 use super::numbers::{Affine, Placed, fan, strip};
-use super::read_whole;
+use super::whole::read_whole;
 
 /// Extensions under which corners are read as without them.
 const HARMLESS: [&str; 2] = ["KHR_mesh_quantization", "KHR_texture_transform"];

@@ -50,7 +50,7 @@ pub struct PlateFit {
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
-    /// Further factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
+    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
     /// same effect on the channels, so these errors weigh more on a force than on a position.
     inflation: f64,
     /// Operations spent on this frame, and the most that may be.
@@ -159,12 +159,12 @@ impl PlateFit {
         Cost { residual: square(&self.at.residual), energy, freedom, model_error }
     }
 
-    /// The inverse of the normal matrix, inflated by the errors of the model that the fit has left.
+    /// The inverse of the normal matrix, inflated by what the fit has left.
     fn find_covariances(&mut self, solver: &mut Scratch, cost: &Cost) {
         let n = OF_PRESS * self.at.presses.len();
         let Scratch { equations, factor, step } = solver;
         let scale = Evidence::left_scale(cost);
-        self.inflation = Evidence::force_scale(cost) / scale;
+        self.inflation = Evidence::model_scale(cost);
         self.covariances.clear();
         self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
         for column in 0..n {
@@ -367,6 +367,10 @@ impl PressFit for PlateFit {
 
     fn set_error_beyond(&mut self, share: f64) {
         self.error_share = self.model.options.error_share + share;
+    }
+
+    fn place_scale(&self, cost: &Cost) -> f64 {
+        Evidence::place_scale(cost)
     }
 
     fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {

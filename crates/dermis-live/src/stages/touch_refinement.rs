@@ -437,7 +437,7 @@ impl SpotStage {
                 continue;
             }
             contacts.push(Contact {
-                covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
+                covariance_m2: [0, 1].map(|row| [0, 1].map(|column| estimate.place_scale * c[row][column])),
                 significance: *sigma,
                 radius_m: Some(footprint.radius_m),
                 force: by_contact.or_else(by_law).map(from_law),
