@@ -10,7 +10,6 @@ use dermis_device::{Frame, HostStamp};
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_skin::Skin;
-use dermis_touch::Touch;
 
 use super::messages::{self, NamedTransform};
 use super::shape::{PatchLimits, PatchShape};
