@@ -23,8 +23,8 @@ pub struct PixelGrid {
 
 impl PixelGrid {
     /// The grid over a rectangle with `pixels` along its longer side. The shorter side gets as many as cover it; any
-    /// excess is split between its two ends. For a disc, pass its full diameter ([`Outline::bounds_m`](crate::mesh::Outline::bounds_m)): the
-    /// bounds of the mesh are slightly smaller.
+    /// excess is split between its two ends. For a disc, pass its full diameter
+    /// ([`Outline::bounds_m`](crate::mesh::Outline::bounds_m)): the bounds of the mesh are slightly smaller.
     ///
     /// # Errors
     /// Bounds that are not finite or in the wrong order, and pixel counts of 0 or above 8192.
