@@ -34,12 +34,13 @@ pub use dermis_touch::locator::LeaveOneOut;
 /// ```
 /// use dermis::calibration::{CalibrationScope, CurveKind, ForceSample, fit_forces};
 ///
-/// // Presses of 1 to 8 N at one place, and the signal of each: the peak of its image.
-/// let sample = |force_n: f64| ForceSample { position_m: [0.0, 0.0], force_n, signal: 0.1 * force_n };
+/// // Presses of 1 to 8 N at one place, and the signal of each: the peak of its image. The layer has no force law.
+/// let sample = |force_n| ForceSample { position_m: [0.0, 0.0], force_n, signal: 0.1 * force_n, by_law: None };
 /// let samples: Vec<ForceSample> = (1..=8).map(|n| sample(f64::from(n))).collect();
 /// let scope = CalibrationScope { skin: "my-pad".into(), indenter_area_m2: 2e-4, date: "2026-01-31".into() };
 /// let forces = fit_forces(&samples, CurveKind::Linear, scope)?;
-/// let newtons = forces.read([0.0, 0.0], 0.35).valid_n().expect("within the range of the samples");
+/// let force = forces.read([0.0, 0.0], 0.35, None).expect("a curve of the signal");
+/// let newtons = force.valid_n().expect("within the range of the samples");
 /// assert!((newtons - 3.5).abs() < 0.01, "{newtons}");
 /// # Ok::<(), dermis::Error>(())
 /// ```

@@ -9,7 +9,7 @@ use faer::prelude::*;
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
 
-use super::ForceSample;
+use super::sample::ForceSample;
 use crate::error::{TouchError, require};
 use crate::measure::require_finite;
 

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::curve::{Curve, CurveKind};
 use super::gain::GainMap;
-use super::{ForceReading, ForceSample};
+use super::reading::ForceReading;
+use super::sample::ForceSample;
 use crate::error::{TouchError, require};
 
 /// A curve of the signal.
