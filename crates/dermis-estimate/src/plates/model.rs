@@ -156,10 +156,9 @@ impl PlateModel {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
     }
 
-    /// Contacts whose sum is the change by these presses: that of the presses that act less that of those that have
-    /// ended. The time of a solution grows with the cube of the area in contact. Under separate plates, presses that lie
-    /// apart are therefore solved together on the coarse sheet, and each alone corrects that by the difference between
-    /// the sheets.
+    /// Contacts whose signed sum is the change of the channels. Presses that have ended count negative. The time of a
+    /// solution grows with the cube of the area in contact. Under separate plates, presses that lie apart are therefore
+    /// solved together on the coarse sheet, and each alone on both sheets, to add the difference.
     pub(super) fn contacts(&self, presses: &[Pressed], effort: Effort) -> Result<Vec<Made>, EitError> {
         let mut made = Vec::new();
         for (has_ended, sign) in [(false, 1.0), (true, -1.0)] {
