@@ -57,8 +57,8 @@ impl Evidence {
         1.0 + Self::left_beyond_noise(cost)
     }
 
-    /// Further inflation for positions. The residual beyond the noise counts as correlated error of the model, up to what
-    /// presses usually leave.
+    /// Further inflation for positions. The residual beyond the noise counts as correlated error of the model, up to
+    /// what presses usually leave.
     pub(crate) fn place_scale(cost: &Cost) -> f64 {
         let by_model = Self::left_beyond_noise(cost).min(MOST_MODEL_ERROR * cost.model_error / cost.freedom);
         1.0 + (Self::readings_per_shape(cost) - 1.0) * by_model / Self::left_scale(cost)

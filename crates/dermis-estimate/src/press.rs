@@ -174,8 +174,8 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Change of the channels by these presses, volts.
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
 
-    /// Factor on the covariances of the places of presses by errors of the model, besides those in their own covariances,
-    /// if their explanation has this cost.
+    /// Factor on the covariances of positions by errors of the model, besides those in the covariances themselves, for
+    /// an explanation with this cost.
     fn place_scale(&self, _cost: &Cost) -> f64 {
         1.0
     }

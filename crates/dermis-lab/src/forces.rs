@@ -5,7 +5,7 @@
 
 use dermis_live::imager::Imager;
 use dermis_live::reference::{Reference, are_pairs, check_frames};
-use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample, GainMap};
+use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceReading, ForceSample, GainMap};
 use dermis_touch::{Contact, TouchError};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
@@ -163,7 +163,7 @@ pub fn force_samples(
 
 /// A press of known force that shows as this contact.
 fn sample(position_m: [f64; 2], force_n: f64, contact: &Contact) -> ForceSample {
-    let by_law = contact.force.and_then(|force| Some([force.nearest_n()?, force.sigma_n()?]));
+    let by_law = contact.force.and_then(ForceReading::by_law);
     ForceSample { position_m, force_n, signal: contact.peak_value, by_law }
 }
 
@@ -178,9 +178,9 @@ fn seen(samples: Vec<ForceSample>, presses: usize) -> Result<Vec<ForceSample>, E
     Ok(samples)
 }
 
-/// Fits a calibration: a correction of the layer's law, if most presses have a force by it, and a curve. With presses at
-/// several places the curve has a gain map over the surface: smooth from six places on, otherwise interpolated. The gain
-/// of a place is the slope of its signals through the origin.
+/// Fits a calibration: a correction of the layer's law, if most presses have a force by it, and a curve. With presses
+/// at several places, the curve has a gain map over the surface: smooth from six places on, otherwise interpolated. The
+/// gain at a place is the slope of its signals through the origin.
 ///
 /// # Errors
 /// Too few samples. Without a law: the curve doesn't rise.

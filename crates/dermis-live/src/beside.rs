@@ -16,10 +16,11 @@ thread_local! {
     static IS_PATIENT: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Threads for the parallel parts of patient work; `None` if the system refuses them.
+/// Threads for the parallel parts of patient work; `None` if the system refuses them. They are started from a patient
+/// thread, and inherit its niceness.
 #[cfg(not(target_family = "wasm"))]
 static PATIENT: LazyLock<Option<rayon::ThreadPool>> =
-    LazyLock::new(|| rayon::ThreadPoolBuilder::new().start_handler(|_| be_patient()).build().ok());
+    LazyLock::new(|| rayon::ThreadPoolBuilder::new().start_handler(|_| IS_PATIENT.set(true)).build().ok());
 
 /// Makes the current thread one for patient work.
 #[cfg(not(target_family = "wasm"))]
@@ -30,8 +31,8 @@ fn be_patient() {
     let _ = rustix::process::nice(NICENESS);
 }
 
-/// Does parallel work on threads as patient as the current one. The work must not wait for locks that other patient work
-/// may hold.
+/// Does parallel work on threads as patient as the current one. The work must not wait for locks that other patient
+/// work may hold.
 pub(crate) fn in_parallel<R: Send>(work: impl FnOnce() -> R + Send) -> R {
     #[cfg(not(target_family = "wasm"))]
     if let (true, Some(pool)) = (IS_PATIENT.get(), &*PATIENT) {

@@ -399,7 +399,8 @@ impl PlateModel {
     }
 }
 
-/// Prior of the logarithms of pressure and radius: a hard press on a small disc may look like a soft one on a large disc.
+/// Prior of the logarithms of pressure and radius: a hard press on a small disc may look like a soft one on a large
+/// disc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SizePrior {
     middle: [f64; 2],

@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 
 /// Parameters of a press: x, y, logarithm of the pressure, logarithm of the radius.
 pub(super) const OF_PRESS: usize = 4;
-/// Contact below this share of the saturated contact is left out, and contact above `FULL` times as much is complete. The
-/// faint edge of a press covers many cells and carries little current.
+/// Contact below this share of the saturated contact is left out, and contact above `FULL` times as much is complete.
+/// The faint edge of a press covers many cells and carries little current.
 const FAINT: f64 = 0.01;
 const FULL: f64 = 3.0;
 

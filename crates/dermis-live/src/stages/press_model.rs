@@ -85,8 +85,8 @@ impl PressModel {
         }
     }
 
-    /// A fit under these weights, without the channels left out. Forces are those of an indenter of this radius (metres),
-    /// if it is known.
+    /// A fit under these weights, without the channels left out. Forces are those of an indenter of this radius
+    /// (metres), if it is known.
     ///
     /// # Errors
     /// The wrong number of channels, or none left: see [`SpotModel::without`].

@@ -245,8 +245,10 @@ impl Refinement {
     /// No positive noise.
     pub(crate) fn set_indenter(&mut self, radius_m: Option<f64>) -> Result<(), Error> {
         let By::Presses(presses) = &mut self.by else { return Ok(()) };
-        presses.indenter_m = radius_m;
-        if presses.stage.is_some() { presses.reweigh() } else { Ok(()) }
+        if std::mem::replace(&mut presses.indenter_m, radius_m) == radius_m || presses.stage.is_none() {
+            return Ok(());
+        }
+        presses.reweigh()
     }
 
     /// Continues without these channels, with this noise of the others (model volts). An empty list restores all

@@ -352,6 +352,10 @@ impl SpotStage {
             doubt(contacts, lowest);
             return;
         }
+        if !self.is_joint {
+            let explained = self.explain(difference);
+            return self.show(time_ns, explained, imager, lowest, contacts);
+        }
         let memory = self.estimator.memory().clone();
         let explained = match self.search.is_under_way() {
             true => Explained::Later(self.estimator.follow(difference)),

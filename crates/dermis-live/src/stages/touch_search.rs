@@ -74,7 +74,7 @@ pub(super) enum Explained {
     By(Estimate, bool),
     /// The frame cannot be fitted.
     Nothing,
-    /// The search takes longer than a frame may. The presses so far, if any.
+    /// The search takes longer than a frame allows. Holds the presses found by then, if any.
     Later(Option<Estimate>),
 }
 

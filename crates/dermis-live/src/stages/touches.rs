@@ -218,7 +218,7 @@ impl TouchStage {
     pub fn track_contacts(&mut self, time_ns: u64) -> Result<(), Error> {
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {
-                let by_law = contact.force.and_then(|force| Some([force.nearest_n()?, force.sigma_n()?]));
+                let by_law = contact.force.and_then(ForceReading::by_law);
                 contact.force = forces.read(contact.centroid_m, contact.peak_value, by_law);
             });
         }

@@ -15,8 +15,8 @@ use crate::measure::require_finite;
 
 /// Number of weights.
 const TERMS: usize = 7;
-/// Prior standard deviations of the first two weights: stiffness and thickness of a layer are known to within a third or
-/// so, and laws are off by a power of the force.
+/// Prior standard deviations of the first two weights: stiffness and thickness of a layer are known to about a third,
+/// and laws are off by a power of the force.
 const LEVEL: f64 = 0.4;
 const POWER: f64 = 0.3;
 /// Candidates for the prior standard deviation of the others, the variation over the skin.
@@ -58,7 +58,8 @@ struct Fitted {
 }
 
 impl LawCorrection {
-    /// Fits the presses that have a force by the law, and returns the root mean square error of presses left out, newtons.
+    /// Fits the presses that have a force by the law, and returns the root mean square error of presses left out,
+    /// newtons.
     ///
     /// # Errors
     /// Fewer than two presses; forces that are not positive.
@@ -91,9 +92,8 @@ impl LawCorrection {
                 }
             }
         }
-        let expected = "finite positions, forces and sigmas";
         let Some((_, spread, Fitted { weights, covariance, .. })) = best else {
-            return Err(TouchError::NonFinite { what: expected, index: 0, value: f64::NAN });
+            return Err(TouchError::NonFinite { what: "forces by the law", index: 0, value: f64::NAN });
         };
         // The residual of a press left out is its residual over 1 less its own share.
         let left_out = |row: &Row| {

@@ -86,7 +86,7 @@ impl ForceCalibration {
         Ok(Self { scope, law: Some(law), signal, valid_force_n, residual_n, samples: forces_n().count() })
     }
 
-    /// The force of a touch with this force by the layer's law (with its standard deviation, newtons), or otherwise with
+    /// The force of a touch with this force by the layer's law (and its standard deviation, newtons), or otherwise with
     /// this signal; `None` if the calibration covers neither.
     #[must_use]
     pub fn read(&self, position_m: [f64; 2], signal: f64, by_law: Option<[f64; 2]>) -> Option<ForceReading> {

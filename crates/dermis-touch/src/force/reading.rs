@@ -1,4 +1,4 @@
-//! A force as read, or why there is none.
+//! The force of a touch, or the reason why there is none.
 
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +64,12 @@ impl ForceReading {
     #[must_use]
     pub fn sigma_n(self) -> Option<f64> {
         if let Self::Valid { sigma_n, .. } | Self::FromLaw { sigma_n, .. } = self { Some(sigma_n) } else { None }
+    }
+
+    /// The force by the layer's law and its standard deviation, newtons.
+    #[must_use]
+    pub fn by_law(self) -> Option<[f64; 2]> {
+        if let Self::FromLaw { force_n, sigma_n } = self { Some([force_n, sigma_n]) } else { None }
     }
 
     /// Position of the signal in the calibration: `within`, `below`, `above`, `saturated` or `none`; `law` if the

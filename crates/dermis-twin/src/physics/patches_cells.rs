@@ -11,8 +11,8 @@ use crate::error::{TwinError, check, check_positive};
 /// Minimum share of a cell that must be on the sheet; smaller cells are left out.
 const LEAST_SHARE: f64 = 0.05;
 
-/// Number of cells along the side of a patch, and the most cells for which it is used. With three, presses on patches of
-/// 10 mm seem up to 30 % weaker than with five, and with seven up to 10 % stronger.
+/// Number of cells along the side of a patch, and the largest number of all cells for which it is used. With three,
+/// presses on patches of 10 mm seem up to 30 % weaker than with five, and with seven up to 10 % stronger.
 const FINE: usize = 5;
 const MOST_FINE_CELLS: f64 = 6000.0;
 /// Number of cells along the side of a patch on skins with more patches.
