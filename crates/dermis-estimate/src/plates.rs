@@ -8,6 +8,7 @@
 mod fit;
 mod model;
 mod pressure;
+mod weighing;
 
 pub use fit::PlateFit;
 pub use model::{PlateModel, PlateOptions};

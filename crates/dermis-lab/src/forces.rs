@@ -4,14 +4,15 @@
 //! surface brings them onto one calibration line (as in paper I).
 
 use dermis_live::imager::Imager;
-use dermis_live::reference::{Reference, are_pairs, check_frames};
+use dermis_live::reconstructor::Reconstructor;
+use dermis_live::reference::{are_pairs, check_frames};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceReading, ForceSample, GainMap};
 use dermis_touch::{Contact, TouchError};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
 use crate::Error;
-use crate::twin_bench::{Rig, uncalibrated};
-use dermis_live::as_built;
+use crate::reconstruct::{learn_from_rest, reference_of};
+use crate::twin_bench::Rig;
 use dermis_live::calibration::{LoadQuantity, Pokes};
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
@@ -132,12 +133,8 @@ pub fn force_samples(
     skin.touch.least_frames = 1;
     let mut prepared = Prepared::new(skin)?;
     let paired = are_pairs(baselines, frames);
-    let of = |prepared: &Prepared| if paired { Reference::of_pairs } else { Reference::of }(prepared, baselines);
-    let mut reference = of(&prepared)?;
-    if let Some(built) = as_built::from_rest(&prepared, &reference)? {
-        prepared = built;
-        reference = of(&prepared)?;
-    }
+    let mut reference = reference_of(&prepared, baselines, paired)?;
+    learn_from_rest(&mut prepared, &mut reference, baselines, paired)?;
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
     let differences: Vec<Vec<f64>> =
         frames.iter().enumerate().map(|(k, frame)| reference.difference(frame, own(k))).collect();
@@ -145,7 +142,8 @@ pub fn force_samples(
         reference.estimate_noise(&differences);
     }
     let imager = Imager::new(&prepared, &reference, &differences)?;
-    let mut reconstructor = uncalibrated(&prepared, &reference, imager)?;
+    let mut reconstructor = Reconstructor::offline(&prepared, &reference.noise, imager, None, None)?;
+    reconstructor.take_reference(&prepared, &reference);
     reconstructor.set_indenter(Some(0.5 * indenter_m))?;
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     let mut samples = Vec::with_capacity(frames.len());

@@ -20,7 +20,6 @@ use dermis_live::output::Output;
 use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::{NoiseSource, Reference, are_pairs};
-use dermis_live::stages::refinement::Refinement;
 use dermis_record::sink::{ImageStack, Sink, TouchColumns, TouchTable};
 use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
 
@@ -104,6 +103,25 @@ pub fn reconstruct_into(
     reconstruct_to(request, calibration, Some(sink), progress)
 }
 
+/// The reference of baselines: one for each frame, or all for every frame.
+pub(crate) fn reference_of(prepared: &Prepared, baselines: &[Vec<f64>], paired: bool) -> Result<Reference, Error> {
+    Ok(if paired { Reference::of_pairs } else { Reference::of }(prepared, baselines)?)
+}
+
+/// Replaces a skin as drawn, and its reference, by the skin as built if its baselines show how it was built.
+pub(crate) fn learn_from_rest(
+    prepared: &mut Prepared,
+    reference: &mut Reference,
+    baselines: &[Vec<f64>],
+    paired: bool,
+) -> Result<(), Error> {
+    if let Some(built) = as_built::from_rest(prepared, reference)? {
+        *prepared = built;
+        *reference = reference_of(prepared, baselines, paired)?;
+    }
+    Ok(())
+}
+
 fn reconstruct_to(
     request: &Request,
     at_hand: Option<&Calibration>,
@@ -165,15 +183,11 @@ fn reconstruct_to(
         _ => None,
     };
     let mut reference = match &baseline_table {
-        Some(_) if paired => Reference::of_pairs(&prepared, &baselines)?,
-        Some(_) => Reference::of(&prepared, &baselines)?,
+        Some(_) => reference_of(&prepared, &baselines, paired)?,
         None => Reference::of_differences(&prepared, &frames)?,
     };
-    if calibration.is_none()
-        && let Some(built) = as_built::from_rest(&prepared, &reference)?
-    {
-        prepared = built;
-        reference = if paired { Reference::of_pairs } else { Reference::of }(&prepared, &baselines)?;
+    if calibration.is_none() {
+        learn_from_rest(&mut prepared, &mut reference, &baselines, paired)?;
     }
     let is_compared = baseline_table.is_some() && prepared.skin.backend.wiring.is_known();
     let said = is_compared.then(|| describe_baseline(&reference.baseline, &prepared.voltages)).flatten();
@@ -233,10 +247,7 @@ fn reconstruct_to(
         None => Vec::new(),
     };
     let hyperparameter = imager.hyperparameter();
-    let is_refined = Refinement::is_wanted(&prepared, calibration);
-    let refinement_of_touches =
-        if is_refined { Refinement::new(&prepared, &reference.noise)?.taking_time() } else { Refinement::none() };
-    let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
+    let mut reconstructor = Reconstructor::offline(&prepared, &reference.noise, imager, placement, calibration)?;
     reconstructor.set_forces(forces.clone())?;
     reconstructor.take_reference(&prepared, &reference);
     let grid = prepared.map.grid();
@@ -244,6 +255,7 @@ fn reconstruct_to(
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
         let other_places = matches!(reconstructor.placement, Some(PlacementFinder::Matched(_)));
+        let is_refined = reconstructor.refinement.refines();
         let forces = forces.is_some() || is_refined && prepared.skin.states_force_law();
         sinks.push(Box::new(TouchTable::create(path, TouchColumns { forces, load, other_places })?));
     }

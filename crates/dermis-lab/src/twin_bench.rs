@@ -14,7 +14,6 @@ use dermis_live::imager::Imager;
 use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::Reference;
-use dermis_live::stages::refinement::Refinement;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
 
@@ -77,7 +76,8 @@ impl Rig {
         let reference = Reference::of(&prepared, &rest)?;
         let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
         let imager = Imager::new(&prepared, &reference, &data)?;
-        let reconstructor = uncalibrated(&prepared, &reference, imager)?;
+        let mut reconstructor = Reconstructor::offline(&prepared, &reference.noise, imager, None, None)?;
+        reconstructor.take_reference(&prepared, &reference);
         Ok(Self { frontend, instrument, prepared, frame_s, reference, reconstructor, frames: 0 })
     }
 
@@ -227,17 +227,6 @@ impl Rig {
         }
         values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len().max(1) as f64
     }
-}
-
-/// A reconstructor of unrelated frames without a calibration.
-pub(crate) fn uncalibrated(prepared: &Prepared, reference: &Reference, imager: Imager) -> Result<Reconstructor, Error> {
-    let refinement = match Refinement::is_wanted(prepared, None) {
-        true => Refinement::new(prepared, &reference.noise)?.taking_time(),
-        false => Refinement::none(),
-    };
-    let mut reconstructor = Reconstructor::new(prepared, imager, None, refinement)?;
-    reconstructor.take_reference(prepared, reference);
-    Ok(reconstructor)
 }
 
 /// An image panel of a skin, with places marked.

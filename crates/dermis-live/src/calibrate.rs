@@ -15,7 +15,6 @@ use crate::calibration::{
 };
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
-use crate::stages::refinement::Refinement;
 use crate::stages::workshop_error::WorkshopError;
 
 /// Maximum number of pokes, evenly drawn, that the model is tested on.
@@ -194,12 +193,7 @@ fn seen_by_model(
     let (reference, differences) = differences_of(prepared, measured)?;
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(prepared, None, reference, &differences)?;
-    let refinement = if Refinement::is_wanted(prepared, None) {
-        Refinement::new(prepared, &reference.noise)?.taking_time()
-    } else {
-        Refinement::none()
-    };
-    let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
+    let mut reconstructor = Reconstructor::offline(prepared, &reference.noise, imager, placement, None)?;
     if prepared.is_as_built() {
         reconstructor.take_reference(prepared, &reference);
     }

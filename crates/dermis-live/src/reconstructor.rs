@@ -4,7 +4,7 @@ use dermis_touch::ContactStrength;
 use dermis_touch::force::ForceCalibration;
 
 use crate::Error;
-use crate::calibration::PlacementFinder;
+use crate::calibration::{Calibration, PlacementFinder};
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
@@ -82,6 +82,24 @@ impl Reconstructor {
     /// As [`PlacementFinder::place`].
     pub fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
         self.placement.as_mut().map_or(Ok(None), |finder| finder.place(time_ns, difference))
+    }
+
+    /// A reconstructor of unrelated frames: whatever a calibration leaves to the model is refined as long as it takes.
+    ///
+    /// # Errors
+    /// As [`Reconstructor::new`] and [`Refinement::new`].
+    pub fn offline(
+        prepared: &Prepared,
+        noise: &[f64],
+        imager: Imager,
+        placement: Option<PlacementFinder>,
+        calibration: Option<&Calibration>,
+    ) -> Result<Self, Error> {
+        let refinement = match Refinement::is_wanted(prepared, calibration) {
+            true => Refinement::new(prepared, noise)?.taking_time(),
+            false => Refinement::none(),
+        };
+        Self::new(prepared, imager, placement, refinement)
     }
 
     /// Estimates forces by a calibration from now on, or no longer.

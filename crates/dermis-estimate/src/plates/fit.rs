@@ -7,9 +7,9 @@ use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scr
 
 use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed};
+use super::weighing::Weighing;
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
-use crate::whitening::Whitening;
 
 /// Places of the logarithms of pressure and radius among the parameters of a press.
 const LOG_PRESSURE: usize = 2;
@@ -36,17 +36,13 @@ const APART: f64 = 2.0;
 #[derive(Debug)]
 pub struct PlateFit {
     model: Arc<PlateModel>,
-    whitening: Whitening,
-    /// The last frame and its deviations, volts.
-    volts: Vec<f64>,
-    deviations: Vec<f64>,
-    /// Whitened changes by the proposed presses, of unit length, and their lengths.
-    units: Vec<f32>,
-    lengths: Vec<f64>,
+    weighing: Arc<Weighing>,
     error_share: f64,
     prior: SizePrior,
     /// Radius of the indenter whose forces are reported, if it is known, metres.
     indenter_m: Option<f64>,
+    /// The last frame, volts and whitened.
+    volts: Vec<f64>,
     frame: Vec<f64>,
     at: State,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
@@ -80,30 +76,18 @@ impl PlateFit {
     /// A fit with these deviations of the channels (volts, infinite for channels to leave out). `nuisances` are
     /// changes of the channels by one standard deviation of each cause besides presses, volts.
     pub fn new(model: Arc<PlateModel>, deviations: &[f64], nuisances: &[Vec<f64>]) -> Self {
-        let whitening = Whitening::new(deviations, nuisances);
-        let (mut units, mut lengths, mut whitened) = (Vec::new(), Vec::new(), Vec::new());
-        for (_, change) in &model.proposals {
-            whitening.apply(change, &mut whitened);
-            let length = whitened.iter().map(|v| v * v).sum::<f64>().sqrt();
-            units.extend(whitened.iter().map(|v| (v / length.max(f64::MIN_POSITIVE)) as f32));
-            lengths.push(length);
-        }
-        let (at, error_share) = (State::nothing(Vec::new()), model.options.error_share);
-        let (deviations, prior) = (deviations.to_vec(), model.prior(None));
-        let (volts, frame, covariances) = (Vec::new(), Vec::new(), Vec::new());
+        let weighing = Arc::new(Weighing::new(&model, deviations, nuisances));
+        let (error_share, prior) = (model.options.error_share, model.prior(None));
         Self {
             model,
-            whitening,
-            volts,
-            deviations,
-            units,
-            lengths,
+            weighing,
             error_share,
             prior,
             indenter_m: None,
-            frame,
-            at,
-            covariances,
+            volts: Vec::new(),
+            frame: Vec::new(),
+            at: State::nothing(Vec::new()),
+            covariances: Vec::new(),
             inflation: 1.0,
             work: 0.0,
             most_work: f64::INFINITY,
@@ -128,7 +112,7 @@ impl PlateFit {
         self.work += PlateModel::work(&contacts);
         let (mut change, mut residual) = (Vec::new(), Vec::new());
         self.model.change(&contacts, &mut change);
-        self.whitening.apply(&change, &mut residual);
+        self.weighing.whitening.apply(&change, &mut residual);
         residual.iter_mut().zip(&self.frame).for_each(|(value, frame)| *value = frame - *value);
         Some(State { effort, presses, contacts, residual })
     }
@@ -153,7 +137,7 @@ impl PlateFit {
     fn cost(&self) -> Cost {
         let square = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>();
         let presses = self.at.presses.len();
-        let freedom = (self.whitening.present() as f64 - (OF_PRESS * presses + 1) as f64).max(1.0);
+        let freedom = (self.weighing.whitening.present() as f64 - (OF_PRESS * presses + 1) as f64).max(1.0);
         let energy = square(&self.frame);
         let model_error = if presses == 0 { 0.0 } else { self.error_share * energy };
         Cost { residual: square(&self.at.residual), energy, freedom, model_error }
@@ -177,13 +161,6 @@ impl PlateFit {
             (0..OF_PRESS).for_each(|row| self.covariances[k][row][column] = step[OF_PRESS * k + row]);
         }
     }
-
-    /// Products of the residual with the proposals.
-    fn products(&self) -> Vec<f64> {
-        let residual: Vec<f32> = self.at.residual.iter().map(|value| *value as f32).collect();
-        let product = |unit: &[f32]| f64::from(unit.iter().zip(&residual).map(|(a, b)| a * b).sum::<f32>());
-        self.units.chunks_exact(residual.len().max(1)).map(product).collect()
-    }
 }
 
 impl PressFit for PlateFit {
@@ -192,7 +169,7 @@ impl PressFit for PlateFit {
             return None;
         }
         let mut whitened = std::mem::take(&mut self.frame);
-        self.whitening.apply(frame, &mut whitened);
+        self.weighing.whitening.apply(frame, &mut whitened);
         self.frame = whitened;
         self.volts.clear();
         self.volts.extend_from_slice(frame);
@@ -227,7 +204,7 @@ impl PressFit for PlateFit {
         for press in &presses {
             let mut whitened = Vec::new();
             self.model.change(&self.model.contacts(&[*press], Effort::Quick).ok()?, &mut volts);
-            self.whitening.apply(&volts, &mut whitened);
+            self.weighing.whitening.apply(&volts, &mut whitened);
             columns.push(whitened);
         }
         let mut equations = NormalEquations::new(n);
@@ -278,7 +255,7 @@ impl PressFit for PlateFit {
     }
 
     fn seek(&self, negative: bool) -> Vec<Press> {
-        let products = self.products();
+        let products = self.weighing.products(&self.at.residual);
         let apart_m = APART * self.model.options.typical_radius_m;
         let [load, radius_m] = self.model.reported_typical();
         let mut found: Vec<Press> = Vec::with_capacity(PROPOSALS);
@@ -293,7 +270,7 @@ impl PressFit for PlateFit {
                 }
             }
             let Some((k, _)) = best else { break };
-            let share = products[k] / self.lengths[k].max(f64::MIN_POSITIVE);
+            let share = products[k] / self.weighing.length(k);
             found.push(Press {
                 position_m: self.model.proposals[k].0,
                 radius_m,
@@ -313,19 +290,12 @@ impl PressFit for PlateFit {
     }
 
     fn copy(&self) -> Option<Box<dyn PressFit>> {
-        let model = self.model.clone();
-        let (whitening, deviations) = (self.whitening.clone(), self.deviations.clone());
-        let (units, lengths) = (self.units.clone(), self.lengths.clone());
-        let at = State::nothing(Vec::new());
         Some(Box::new(Self {
-            model,
-            whitening,
+            model: self.model.clone(),
+            weighing: self.weighing.clone(),
             volts: Vec::new(),
-            deviations,
-            units,
-            lengths,
             frame: Vec::new(),
-            at,
+            at: State::nothing(Vec::new()),
             covariances: Vec::new(),
             joint: None,
             ..*self
@@ -340,7 +310,7 @@ impl PressFit for PlateFit {
         let sign = if have_ended { -1.0 } else { 1.0 };
         if is_first {
             let volts: Vec<f64> = self.volts.iter().map(|value| sign * value).collect();
-            self.joint = self.model.begin_joint(&volts, &self.deviations);
+            self.joint = self.model.begin_joint(&volts, &self.weighing.deviations);
         }
         let [load, radius_m] = self.model.reported_typical();
         let places = self.model.next_joint(self.joint.as_mut()?)?;
@@ -350,7 +320,7 @@ impl PressFit for PlateFit {
 
     fn most_gain(&self, negative: bool) -> f64 {
         let signed = |product: f64| if negative { product.abs() } else { product };
-        self.products().into_iter().map(signed).fold(0.0, f64::max).powi(2)
+        self.weighing.products(&self.at.residual).into_iter().map(signed).fold(0.0, f64::max).powi(2)
     }
 
     fn is_inside(&self, position_m: [f64; 2]) -> bool {
@@ -444,13 +414,13 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Failed> {
-        let PlateFit { model, whitening, prior, at, .. } = &*self.fit;
+        let PlateFit { model, weighing, prior, at, .. } = &*self.fit;
         let columns: Vec<Vec<f64>> = model
             .derivatives(&at.presses, &at.contacts)
             .iter()
             .map(|column| {
                 let mut whitened = Vec::new();
-                whitening.apply(column, &mut whitened);
+                weighing.whitening.apply(column, &mut whitened);
                 whitened
             })
             .collect();

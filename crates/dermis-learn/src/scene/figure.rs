@@ -31,6 +31,13 @@ pub struct Inclusion {
     pub class: u8,
 }
 
+/// A point in the axes of an ellipse, in half axes.
+fn in_ellipse(p: [f64; 2], middle: [f64; 2], half: [f64; 2], turn: f64) -> (f64, f64) {
+    let (sin, cos) = turn.sin_cos();
+    let (x, y) = (p[0] - middle[0], p[1] - middle[1]);
+    ((cos * x + sin * y) / half[0], (cos * y - sin * x) / half[1])
+}
+
 impl Figure {
     /// Minimum and maximum coordinates of a bounding box.
     pub fn bounds(&self) -> ([f64; 2], [f64; 2]) {
@@ -53,9 +60,7 @@ impl Figure {
     pub fn contains(&self, p: [f64; 2]) -> bool {
         match self {
             Figure::Ellipse(middle, half, turn) => {
-                let (sin, cos) = turn.sin_cos();
-                let (x, y) = (p[0] - middle[0], p[1] - middle[1]);
-                let (u, v) = ((cos * x + sin * y) / half[0], (cos * y - sin * x) / half[1]);
+                let (u, v) = in_ellipse(p, *middle, *half, *turn);
                 u * u + v * v <= 1.0
             }
             Figure::Polygon(corners) => {
@@ -79,9 +84,7 @@ impl Figure {
     pub fn depth_m(&self, p: [f64; 2]) -> f64 {
         match self {
             Figure::Ellipse(middle, half, turn) => {
-                let (sin, cos) = turn.sin_cos();
-                let (x, y) = (p[0] - middle[0], p[1] - middle[1]);
-                let (u, v) = ((cos * x + sin * y) / half[0], (cos * y - sin * x) / half[1]);
+                let (u, v) = in_ellipse(p, *middle, *half, *turn);
                 let level = u.hypot(v);
                 // First-order distance: (1 - level) divided by the length of the gradient of level.
                 let gradient = (u / half[0]).hypot(v / half[1]) / level.max(f64::MIN_POSITIVE);

@@ -242,30 +242,12 @@ mod tests {
     use super::*;
     use dermis_estimate::{PlateFit, Press, PressFit};
 
-    const PATCHES: &str = r#"
-name = "patches"
-title = "patches, 120 x 120 mm"
-modality = "eit"
-
-[frontend]
-shape = { square = { side_mm = 120.0 } }
-layer = { kind = "patches", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = 10.0, gap_mm = 1.0 }
-electrodes = { rim = { count = 16, width_mm = 6.0 } }
-contact_impedance_ohm_m2 = 1e-4
-
-[backend]
-instrument = "none yet"
-current_ma = 1.0
-drive = "adjacent"
-measure = "adjacent"
-order = "absolute"
-driven = "drop"
-reads = "signed"
-
-[imaging]
-grid = 32
-hyperparameter = { relative = 0.03 }
-"#;
+    const PATCHES: &str = "name = 'patches'\ntitle = 'patches'\nmodality = 'eit'\n[frontend]\n\
+        shape = { square = { side_mm = 120.0 } }\n\
+        layer = { kind = 'patches', thickness_mm = 1.0, conductivity_s_per_m = 5.0 }\n\
+        electrodes = { rim = { count = 16, width_mm = 6.0 } }\ncontact_impedance_ohm_m2 = 1e-4\n\
+        [backend]\ncurrent_ma = 1.0\ndrive = 'adjacent'\nmeasure = 'adjacent'\n\
+        [imaging]\ngrid = 32\nhyperparameter = { relative = 0.03 }";
 
     #[test]
     fn presses_that_lie_apart_are_solved_alone_almost_as_accurately_as_together() {

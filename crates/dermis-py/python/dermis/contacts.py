@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _surface
+from ._checks import check_positive
 from ._dermis import Calibration, Frame, Model, Pipeline, Result, Skin, Twin
 from .errors import InputError, SourceError
 
@@ -97,7 +98,7 @@ def carried(
     forces = _numbers("forces_n", forces_n, (3,), scalars=True)
     if len(positions) != len(forces):
         raise InputError(f"forces_n: expected one for each of {len(positions)} positions, got {len(forces)}")
-    _check_positive("reach_mm", reach_mm)
+    check_positive("reach_mm", reach_mm, "millimetres")
     radius = _radius_mm(skin)
     flat = positions.shape[1] == 2
     sheet, height = (positions, np.zeros(len(positions))) if flat else _surface.laid_flat(radius, positions)
@@ -166,7 +167,7 @@ def contacts_to_frame(
 
 def _frame_under(twin: Twin, pressing: Carried, radius_mm: float | None, dt_s: float | None) -> Frame:
     if radius_mm is not None:
-        _check_positive("radius_mm", radius_mm)
+        check_positive("radius_mm", radius_mm, "millimetres")
     twin.release()
     loads = zip(pressing.x_mm.tolist(), pressing.y_mm.tolist(), pressing.force_n.tolist())
     for pointer, (x_mm, y_mm, force_n) in enumerate(loads):
@@ -326,9 +327,9 @@ class SimulatedSkin:
         calibration: Calibration | str | PathLike[str] | None = None,
         forces: str | PathLike[str] | None = None,
     ) -> None:
-        _check_positive("reach_mm", reach_mm)
+        check_positive("reach_mm", reach_mm, "millimetres")
         if radius_mm is not None:
-            _check_positive("radius_mm", radius_mm)
+            check_positive("radius_mm", radius_mm, "millimetres")
         self.skin: Skin = skin.skin if isinstance(skin, Model) else Skin(skin)
         self.name = self.skin.name if name is None else name
         self.radius_mm, self.reach_mm = radius_mm, reach_mm
@@ -428,8 +429,3 @@ def _numbers(name: str, values: ArrayLike, columns: tuple[int, ...], *, scalars:
         place = "".join(f"[{index}]" for index in bad[0])
         raise InputError(f"{name}{place} = {array[tuple(bad[0])]}: expected finite numbers")
     return array
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0.0):
-        raise InputError(f"{name} = {value!r}: expected millimetres above 0")

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _dermis, _surface
+from ._checks import check_positive
 from ._dermis import Recording, Result, Session, Skin
 from ._pixel_mesh import PixelMesh, colours_of
 from .contacts import spatial
@@ -256,8 +257,8 @@ class SkinLog:
         if not (isinstance(entity, str) and entity.strip("/")):
             raise InputError(f"entity = {entity!r}: expected a path such as 'skin' or 'robot/palm'")
         if full_scale is not None:
-            _check_positive("full_scale", full_scale)
-        _check_positive("mm_per_n", mm_per_n)
+            check_positive("full_scale", full_scale, "a number")
+        check_positive("mm_per_n", mm_per_n, "a number")
         self.entity = entity.strip("/")
         self._stream = stream
         self._mm_per_n = mm_per_n
@@ -494,8 +495,3 @@ def _transform(values: ArrayLike) -> NDArray[np.float64]:
     if not (is_turn and (transform[3] == [0, 0, 0, 1]).all()):
         raise InputError("root_from_patch: expected a rotation and a translation, with the last row 0 0 0 1")
     return transform
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0.0):
-        raise InputError(f"{name} = {value!r}: expected a number above 0")

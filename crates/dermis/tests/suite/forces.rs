@@ -7,6 +7,8 @@ use dermis_skin::Skin;
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceReading, ForceSample};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
+use crate::random_skins::written;
+
 fn scope(skin: &str, plan: &PressPlan) -> CalibrationScope {
     let indenter_area_m2 = 0.25 * std::f64::consts::PI * plan.indenter_m.powi(2);
     CalibrationScope { skin: skin.into(), indenter_area_m2, date: "2026-01-31".into() }
@@ -49,36 +51,10 @@ fn forces_are_read_where_and_as_hard_as_they_were_not_calibrated() {
     }
 }
 
-/// As `dermis new` writes it, but for comments.
-const SANDWICH: &str = r#"
-name = "pad"
-title = "pad: sandwich, 100 x 100 mm, 16 electrodes"
-modality = "eit"
-
-[frontend]
-shape = { square = { side_mm = 100.0 } }
-layer = { kind = "sandwich", thickness_mm = 1.0, conductivity_s_per_m = 5.0 }
-electrodes = { rim = { count = 16, width_mm = 8.0 } }
-contact_impedance_ohm_m2 = 1e-4
-
-[backend]
-instrument = "none yet"
-current_ma = 1.0
-drive = "adjacent"
-measure = "adjacent"
-order = "absolute"
-driven = "drop"
-reads = "signed"
-frames_per_s = 25.0
-
-[imaging]
-grid = 48
-hyperparameter = { relative = 0.03 }
-"#;
-
 #[test]
 fn five_presses_of_known_force_correct_the_law_of_a_layer_that_saturates() {
-    let skin = Skin::parse(SANDWICH, "pad").unwrap();
+    let layer = "{ kind = \"sandwich\", thickness_mm = 1.0, conductivity_s_per_m = 5.0 }";
+    let skin = written("{ square = { side_mm = 100.0 } }", layer, (16, 8.0), 0, "");
     let plan = PressPlan::of(&skin).unwrap();
     // From 0.3 to 3 times the usual force.
     let usual_n = plan.most_n / 1.5;
@@ -106,7 +82,7 @@ fn five_presses_of_known_force_correct_the_law_of_a_layer_that_saturates() {
             ForceSample { position_m: indenter.centre_m, force_n: indenter.force_n(), signal: 1.0, by_law }
         })
         .collect();
-    let calibration = fit_forces(&samples, CurveKind::Quadratic, scope("pad", &plan)).unwrap();
+    let calibration = fit_forces(&samples, CurveKind::Quadratic, scope(&skin.name, &plan)).unwrap();
     rig.set_forces(Some(calibration)).unwrap();
     let (mut errors, mut within) = (Vec::new(), 0);
     for k in 0..15 {

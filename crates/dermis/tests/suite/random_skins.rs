@@ -49,11 +49,18 @@ fn random_skin(random: &mut StdRng) -> Skin {
     let skip = random.random_range(0..3);
     let width_mm = (0.4 * rim_mm / f64::from(count)).min(10.0);
     let gain = if layer.contains("liquid") { "gain = \"channel\"" } else { "" };
+    written(&shape, layer, (count, width_mm), skip, gain)
+}
+
+/// A skin as written by `dermis new`: with electrodes (number and width in mm) along the rim, `skip` of them between
+/// those of a pair, and a line of image settings.
+pub fn written(shape: &str, layer: &str, electrodes: (u32, f64), skip: u32, imaging: &str) -> Skin {
+    let (count, width_mm) = electrodes;
     let text = format!(
         "name = \"drawn\"\ntitle = \"drawn\"\nmodality = \"eit\"\n[frontend]\nshape = {shape}\nlayer = {layer}\n\
          electrodes = {{ rim = {{ count = {count}, width_mm = {width_mm:?} }} }}\ncontact_impedance_ohm_m2 = 1e-4\n\
          [backend]\ncurrent_ma = 1.0\ndrive = {{ skip = {skip} }}\nmeasure = {{ skip = {skip} }}\nframes_per_s = 25.0\n\
-         [imaging]\ngrid = 48\nhyperparameter = {{ relative = 0.03 }}\n{gain}\n"
+         [imaging]\ngrid = 48\nhyperparameter = {{ relative = 0.03 }}\n{imaging}\n"
     );
     Skin::parse(&text, "drawn.toml").unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
