@@ -9,6 +9,13 @@ use crate::press::{Cost, Effort, Press, PressFit};
 const LEAST_APART: f64 = 1.0;
 /// A press whose own significance exceeds the threshold by this factor is kept without a refit that leaves it out.
 const CLEARLY: f64 = 2.0;
+/// Largest standard deviation of the position of a press, in typical radii.
+const MOST_SIGMA: f64 = 1.0;
+/// The same for a press among several without which more than this share of the frame is left unexplained, and largest
+/// radius of that press. Drift that is taken for a press is weak beside a true one, or wide.
+const MOST_SIGMA_NEEDED: f64 = 4.0;
+const LEFT_WITHOUT: f64 = 0.02;
+const WIDEST_NEEDED: f64 = 2.0;
 /// Largest load. An inclusion that insulates or conducts perfectly responds like at most 2; twice that leaves room
 /// for gains that the file doesn't know.
 const MOST_LOAD: f64 = 4.0;
@@ -272,7 +279,7 @@ impl Estimator {
     /// is vague even where their positions are definite.
     fn is_placed(&self, press: &Press, count: usize) -> bool {
         let is_strong = || self.fit.is_joint() || press.significance() >= LEAST_SIGNIFICANT;
-        press.place_sigma_m() <= self.fit.most_sigma_m() && (count == 1 || is_strong())
+        press.place_sigma_m() <= MOST_SIGMA * self.fit.typical_radius_m() && (count == 1 || is_strong())
     }
 
     /// Significance of a press in an explanation, in standard deviations. For one press among several it comes from
@@ -284,12 +291,25 @@ impl Estimator {
         }
     }
 
+    /// True if a press whose position is indefinite may stay if the frame clearly needs it. Far from the electrodes,
+    /// place, radius and strength trade off, but that something presses there may be beyond doubt.
+    fn may_be_vague(&self, press: &Press, of: &Explanation) -> bool {
+        let typical_m = self.fit.typical_radius_m();
+        let is_near = press.place_sigma_m() <= MOST_SIGMA_NEEDED * typical_m;
+        let is_local = press.radius_m <= WIDEST_NEEDED * typical_m;
+        of.presses.len() > 1 && of.cost.is_explained() && is_near && is_local && self.may_be(press)
+    }
+
     /// Removes the presses that an explanation doesn't need.
     fn without_superfluous(&mut self, mut of: Explanation, null: &Cost) -> Explanation {
+        // Indefinite presses that the frame needs.
+        let mut needed: Vec<usize> = Vec::new();
         while !of.presses.is_empty() {
             let is_sound = |press: &Press| self.may_be(press) && self.is_placed(press, of.presses.len());
+            let sureness = |press: &Press| if is_sound(press) { self.sureness(press, &of, null) } else { -1.0 };
             let worst = (0..of.presses.len())
-                .map(|k| (k, if is_sound(&of.presses[k]) { self.sureness(&of.presses[k], &of, null) } else { -1.0 }))
+                .filter(|k| !needed.contains(k))
+                .map(|k| (k, sureness(&of.presses[k])))
                 .min_by(|a, b| a.1.total_cmp(&b.1));
             let Some((worst, sureness)) = worst else { break };
             let overlaps = self.overlapping(&of.presses);
@@ -306,10 +326,20 @@ impl Estimator {
                 self.fitted(&others, Effort::Full)
             };
             let Some(fewer) = fewer else { break };
-            let is_needed = Evidence::of(&fewer.cost, &of.cost, is_first) >= self.evidence.hold;
-            if is_needed && sureness >= 0.0 && overlaps.is_none() {
+            let support = Evidence::of(&fewer.cost, &of.cost, is_first);
+            if sureness >= 0.0 && support >= self.evidence.hold && overlaps.is_none() {
                 break;
             }
+            if sureness < 0.0
+                && support >= self.evidence.begin
+                && fewer.cost.unexplained() > LEFT_WITHOUT
+                && self.may_be_vague(&of.presses[worst], &of)
+                && overlaps.is_none()
+            {
+                needed.push(worst);
+                continue;
+            }
+            needed.clear();
             of = fewer;
         }
         of
@@ -397,9 +427,10 @@ impl Estimator {
         of.presses.iter().all(|press| self.may_be(press)) && self.overlapping(&of.presses).is_none()
     }
 
-    /// True if all presses are possible and definite, and none overlap.
+    /// True if all presses are possible, none overlap, and their positions are as definite as they need to be.
     fn is_possible(&self, of: &Explanation) -> bool {
-        self.is_promising(of) && of.presses.iter().all(|press| self.is_placed(press, of.presses.len()))
+        let is_placed = |press: &Press| self.is_placed(press, of.presses.len()) || self.may_be_vague(press, of);
+        self.is_promising(of) && of.presses.iter().all(is_placed)
     }
 
     /// True if the evidence for the added presses exceeds their threshold.

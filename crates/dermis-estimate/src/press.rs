@@ -131,6 +131,11 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// set.
     fn seek(&self, negative: bool) -> Vec<Press>;
 
+    /// Presses that explain most of the last fit's residual together, strongest first.
+    fn seek_together(&self) -> Vec<Press> {
+        Vec::new()
+    }
+
     /// Bounds the operations from now on, and from each next frame on. Fits beyond the bound fail.
     fn set_most_work(&mut self, _operations: f64) {}
 
@@ -161,8 +166,8 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// True if a position is on the skin.
     fn is_inside(&self, position_m: [f64; 2]) -> bool;
 
-    /// Largest acceptable standard deviation of the position of a press, metres.
-    fn most_sigma_m(&self) -> f64;
+    /// Radius of a typical press, metres.
+    fn typical_radius_m(&self) -> f64;
 
     /// Largest number of presses that can be fitted together.
     fn most_presses(&self) -> usize;

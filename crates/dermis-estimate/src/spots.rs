@@ -54,6 +54,11 @@ fn press(spot: &Spot) -> Press {
     Press { position_m, radius_m, load: amplitude, covariance }
 }
 
+fn start(found: SpotProposal) -> Press {
+    let (position_m, radius_m, load) = (found.position_m, found.radius_m, found.amplitude);
+    Press { position_m, radius_m, load, ..Press::default() }
+}
+
 impl PressFit for SpotFit {
     fn take_frame(&mut self, frame: &[f64]) -> Option<Cost> {
         let outcome = self.model.take_frame(frame, &mut self.scratch).ok()?;
@@ -92,11 +97,11 @@ impl PressFit for SpotFit {
     }
 
     fn seek(&self, negative: bool) -> Vec<Press> {
-        let start = |found: SpotProposal| {
-            let (position_m, radius_m, load) = (found.position_m, found.radius_m, found.amplitude);
-            Press { position_m, radius_m, load, ..Press::default() }
-        };
         self.model.seek(&self.filter, negative, &self.scratch).into_iter().map(start).collect()
+    }
+
+    fn seek_together(&self) -> Vec<Press> {
+        self.model.seek_together(&self.filter, &self.scratch).into_iter().map(start).collect()
     }
 
     fn most_gain(&self, negative: bool) -> f64 {
@@ -107,8 +112,7 @@ impl PressFit for SpotFit {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
     }
 
-    fn most_sigma_m(&self) -> f64 {
-        // About an eighth of half the shorter side.
+    fn typical_radius_m(&self) -> f64 {
         self.model.options().typical_radius_m
     }
 

@@ -342,7 +342,7 @@ impl Arguments {
         print_pokes(&calibration, out)?;
         print_experts(skin, &calibration, false, false, out)?;
         self.print(&prepared, &calibration, out)?;
-        writeln!(out, "written: {}; made from the twin, not from a measured skin", path.display())?;
+        writeln!(out, "written: {}{OF_TWIN}", path.display())?;
         Ok(())
     }
 
@@ -362,10 +362,14 @@ impl Arguments {
         };
         let indenter_area_m2 = 0.25 * std::f64::consts::PI * indenter_m * indenter_m;
         let scope = CalibrationScope { skin: skin.name.clone(), indenter_area_m2, date: today() };
-        let calibration = fit_forces(samples, kind, scope)?;
+        let fitted = fit_forces(samples, kind, scope)?;
+        let (calibration, remark) = match self.twin {
+            true => (fitted.of_twin(), OF_TWIN),
+            false => (fitted, ""),
+        };
         save_forces(&calibration, skin, path)?;
         print_forces(&calibration, presses, out)?;
-        writeln!(out, "written: {}", path.display())?;
+        writeln!(out, "written: {}{remark}", path.display())?;
         Ok(())
     }
 
@@ -392,6 +396,9 @@ impl Arguments {
         Ok(())
     }
 }
+
+/// Remark on calibrations made from a twin.
+const OF_TWIN: &str = "; made from the twin, not from a measured skin";
 
 /// Comment at the top of the file of a skin known only by its outline and channels.
 const STAND_INS: &str = "\

@@ -71,6 +71,9 @@ impl Estimator {
             }
         }
         self.pursue(best, found);
+        if !found.iter().any(|more| more.cost.is_explained() && self.is_promising(more)) {
+            self.propose_together(best, found);
+        }
         for k in 0..best.presses.len().min(MOST_SPLIT) {
             for direction in 0..DIRECTIONS {
                 if let Some(starts) = self.split(&best.presses, k, direction) {
@@ -97,6 +100,25 @@ impl Estimator {
             let is_enough = more.as_ref().is_some_and(|more| more.cost.is_noise());
             found.extend(more);
             if is_enough || self.fit.fit_loads(&starts).is_none() {
+                return;
+            }
+        }
+    }
+
+    /// Proposes the strongest of the presses that explain the whole frame together. With few electrodes, the presses
+    /// that explain most one by one may be far from any of those that do together.
+    fn propose_together(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+        if self.fit.fit_nothing().is_none() {
+            return;
+        }
+        let set = self.fit.seek_together();
+        let least = best.presses.len() + 1;
+        let most = set.len().min(best.presses.len() + LOOKAHEAD).min(self.fit.most_presses());
+        for count in least..=most {
+            let more = self.fitted(&set[..count], Effort::Quick);
+            let is_enough = more.as_ref().is_some_and(|more| more.cost.is_noise());
+            found.extend(more);
+            if is_enough {
                 return;
             }
         }

@@ -327,7 +327,7 @@ impl PressFit for PlateFit {
         self.model.is_inside(position_m)
     }
 
-    fn most_sigma_m(&self) -> f64 {
+    fn typical_radius_m(&self) -> f64 {
         self.model.options.typical_radius_m
     }
 

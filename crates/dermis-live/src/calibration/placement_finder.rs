@@ -160,11 +160,18 @@ impl LearntFinder {
         }
         let located = self.locator.predict_into(&self.frame, &mut self.scratch)?;
         let mut placement = self.placement(&located);
+        let part = self.parts[number];
         // What the sum leaves of the other touches may outweigh this one.
-        let own_m = self.parts[number].position_m;
         let distance_m = |place_m: [f64; 2]| (located.x_m - place_m[0]).hypot(located.y_m - place_m[1]);
-        if self.parts.iter().any(|part| distance_m(part.position_m) < distance_m(own_m)) {
-            placement.position_m = own_m;
+        let is_elsewhere = self.parts.iter().any(|other| distance_m(other.position_m) < distance_m(part.position_m));
+        let is_outweighed = match &mut self.superposition {
+            Some((superposition, scratch)) => {
+                is_elsewhere || superposition.is_rather_at(&part, placement.position_m, &self.frame, scratch)?
+            }
+            None => is_elsewhere,
+        };
+        if is_outweighed {
+            placement.position_m = part.position_m;
         }
         Ok(placement)
     }

@@ -164,6 +164,7 @@ fn quadratic(covariance: &[[f64; TERMS]; TERMS], terms: &[f64; TERMS]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::force::{CalibrationScope, ForceCalibration};
 
     /// Presses of 0.5 to 4 N on a spiral, whose law says `L = F / factor`.
     fn presses(count: usize, factor: impl Fn([f64; 2], f64) -> f64) -> Vec<ForceSample> {
@@ -217,6 +218,16 @@ mod tests {
         let (correction, residual_n) = LawCorrection::fit(&samples).unwrap();
         let [_, sigma_n] = correction.read([0.0, 0.0], [1.0, 0.05]);
         assert!((0.14..0.3).contains(&sigma_n) && residual_n > 0.1, "{sigma_n} {residual_n}");
+    }
+
+    #[test]
+    fn presses_on_a_twin_make_no_force_surer_than_the_law() {
+        let exact = |of: CalibrationScope| ForceCalibration::fit_law(&presses(20, |_, _| 1.0), None, of).unwrap();
+        let scope = CalibrationScope { skin: "skin".into(), indenter_area_m2: 1e-4, date: String::new() };
+        let sigma_n = |of: &ForceCalibration| of.read([0.0; 2], 1.0, Some([1.0, 0.05])).unwrap().sigma_n().unwrap();
+        let measured = exact(scope);
+        assert!(sigma_n(&measured) < 0.03, "{}", sigma_n(&measured));
+        assert!(sigma_n(&measured.of_twin()) >= 0.05);
     }
 
     #[test]

@@ -86,6 +86,16 @@ impl ForceCalibration {
         Ok(Self { scope, law: Some(law), signal, valid_force_n, residual_n, samples: forces_n().count() })
     }
 
+    /// This calibration, from presses on a twin. They cannot show how far the law is off on the skin itself, so forces
+    /// are no surer than by the law alone.
+    #[must_use]
+    pub fn of_twin(mut self) -> Self {
+        if let Some(law) = &mut self.law {
+            law.spread = law.spread.max(1.0);
+        }
+        self
+    }
+
     /// The force of a touch with this force by the layer's law (and its standard deviation, newtons), or otherwise with
     /// this signal; `None` if the calibration covers neither.
     #[must_use]

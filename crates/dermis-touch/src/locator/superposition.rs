@@ -3,7 +3,8 @@
 //! s, the change that a typical poke at p makes, is a Gaussian process with covariance 1 + k(p, p'), k Matern 5/2. A
 //! sum of signatures is again Gaussian, so frames of one touch and of several labelled touches teach the same map. Its
 //! length and noise maximise the marginal likelihood (Rasmussen & Williams 2006, eq. 2.30). Frames and map are
-//! projected on the leading principal directions of the pokes.
+//! projected on the leading principal directions of the pokes, and weighted by the covariance of the errors that the map
+//! of the other frames makes in each frame.
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
@@ -11,12 +12,13 @@
 
 mod map;
 
+use super::copies::squared_distance;
 use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
 use super::rows::{dot, products};
 use crate::typical::{evenly, median};
 pub use map::LabelledFrame;
-use map::{LeftOut, Map, Shape, Sums, candidates};
+use map::{Learned, Map, Shape, Sums, candidates};
 
 /// Maximum number of touches in a frame.
 pub const MOST_TOUCHES: usize = 8;
@@ -24,8 +26,9 @@ pub const MOST_TOUCHES: usize = 8;
 const MOST_FRAMES: usize = 800;
 /// Maximum number of frames that choose length and noise.
 const CHOOSING: usize = 300;
-/// Touches whose signatures have a larger cosine than this count as one. With 0.8 instead, the map's errors around a
-/// strong touch pass for others: on sums of two pokes of eight measured skins, fewer pairs are counted right.
+/// Touches whose signatures, before weighting, have a larger cosine than this count as one. With 0.8 instead, the map's
+/// errors around a strong touch pass for others: on sums of two pokes of eight measured skins, fewer pairs are counted
+/// right.
 const MOST_ALIKE: f64 = 0.5;
 /// Minimum number of frames, and the maximum that choose the threshold of a further touch.
 const FEWEST: usize = 40;
@@ -34,6 +37,8 @@ const MOST_LEFT_OUT: usize = 200;
 /// raised by `FEW` over their number, since few of them seldom include a bad one.
 const WRONG: f64 = 0.005;
 const FEW: f64 = 10.0;
+/// Standard deviations by which one position explains a frame better than another if it clearly does.
+const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
 const MOST_SWEEPS: usize = 4;
 /// If the map explains less than `MOST_NOISE` of the median poke, frames are mostly noise, and a first touch must be as
@@ -65,12 +70,22 @@ pub struct Superposition {
     least_first: f64,
 }
 
+/// What frames show when the map is learned without them.
+#[derive(Default)]
+struct Shown {
+    /// Strengths of the first touches.
+    firsts: Vec<f64>,
+    /// For each frame, its number of touches and the relative strengths of the second, third and so on.
+    further: Vec<(usize, Vec<f64>)>,
+}
+
 /// Working memory of [`Superposition::explain`], kept by the caller between frames.
 #[derive(Clone, Debug, Default)]
 pub struct SuperpositionScratch {
     weighted: Vec<f32>,
     projected: Vec<f32>,
     residual: Vec<f32>,
+    predicted: Vec<f32>,
     along: Vec<f32>,
     parts: Vec<Part>,
     trial: Vec<Part>,
@@ -91,7 +106,9 @@ impl Superposition {
         let (sums, typical) = Sums::of(&labelled, weights)?;
         let shape = Shape::choose(&sums.some(&evenly(labelled.len(), CHOOSING)))?;
         let positions_m = candidates(&sums);
-        let (map, left_out) = Map::fit(&sums, &shape, &positions_m)?;
+        let learned = Learned::of(&sums, &shape, &positions_m)?;
+        let all: Vec<usize> = (0..labelled.len()).collect();
+        let (map, _) = learned.map(&all)?;
         let mut fitted = Self {
             map: map.clone(),
             positions_m,
@@ -99,8 +116,9 @@ impl Superposition {
             least_further: 0.0,
             least_first: 0.0,
         };
-        fitted.set_thresholds(&labelled, &map, &left_out)?;
+        let shown = fitted.show_left_out(&labelled, &learned)?;
         fitted.map = map;
+        fitted.set_thresholds(&labelled, shown)?;
         Ok(Some(fitted))
     }
 
@@ -140,7 +158,7 @@ impl Superposition {
         let channels = self.channels();
         for part in parts.iter().enumerate().filter(|(number, _)| *number != kept).map(|(_, part)| part) {
             let signature = self.map.signature(part.index);
-            for (row, coordinate) in self.map.basis.chunks_exact(channels).zip(signature) {
+            for (row, coordinate) in self.map.lift.chunks_exact(channels).zip(signature) {
                 let strength = part.share * f64::from(*coordinate);
                 for ((value, direction), weight) in out.iter_mut().zip(row).zip(&self.weights) {
                     if *weight > 0.0 {
@@ -149,6 +167,29 @@ impl Superposition {
                 }
             }
         }
+    }
+
+    /// True if a frame of one touch clearly shows it at the part's position rather than at another.
+    ///
+    /// # Errors
+    /// As [`Superposition::explain`].
+    pub fn is_rather_at(
+        &self,
+        part: &Part,
+        other_m: [f64; 2],
+        frame: &[f64],
+        scratch: &mut SuperpositionScratch,
+    ) -> Result<bool, LocatorError> {
+        let away = |index: usize| squared_distance(self.positions_m[index], other_m);
+        let Some(other) = (0..self.positions_m.len()).min_by(|a, b| away(*a).total_cmp(&away(*b))) else {
+            return Ok(false);
+        };
+        self.project(frame, scratch)?;
+        let explained = |index: usize| {
+            let along = dot(self.map.signature(index), &scratch.projected).max(0.0);
+            f64::from(along * along / self.map.squares[index])
+        };
+        Ok(explained(part.index) - explained(other) > CLEARLY.powi(2) * self.map.error_variance)
     }
 
     /// Projects a weighted frame. Missing channels are filled with what the best single touch predicts.
@@ -173,7 +214,7 @@ impl Superposition {
                 let signature = self.map.signature(index);
                 for k in (0..channels).filter(|&k| self.weights[k] > 0.0 && !frame[k].is_finite()) {
                     let predicted: f32 =
-                        (0..self.map.rank).map(|r| self.map.basis[r * channels + k] * signature[r]).sum();
+                        (0..self.map.rank).map(|r| self.map.lift[r * channels + k] * signature[r]).sum();
                     scratch.weighted[k] = strength as f32 * predicted;
                 }
                 products(&self.map.basis, channels, &scratch.weighted, &mut scratch.projected);
@@ -251,11 +292,7 @@ impl Superposition {
             if *along <= 0.0 || along * along <= best.0 * square {
                 continue;
             }
-            let signature = map.signature(p);
-            let is_alike = |other: &Part| {
-                let lengths = f64::from(map.squares[other.index] * square).sqrt();
-                f64::from(dot(signature, map.signature(other.index))) > MOST_ALIKE * lengths
-            };
+            let is_alike = |other: &Part| f64::from(dot(map.shape(p), map.shape(other.index))) > MOST_ALIKE;
             if !others.iter().any(is_alike) {
                 best = (along * along / square, Some((p, f64::from(along / square))));
             }
@@ -295,45 +332,55 @@ impl Superposition {
             self.project(labelled[number].frame, scratch)?;
             scratch.parts.clear();
             if self.try_another(scratch).is_some() {
-                let (touch, square) =
-                    (scratch.trial[0], scratch.weighted.iter().map(|v| f64::from(v * v)).sum::<f64>());
-                shares.push(touch.share.powi(2) * f64::from(self.map.squares[touch.index]) / square);
+                let (touch, channels) = (scratch.trial[0], self.channels());
+                scratch.predicted.clear();
+                scratch.predicted.resize(channels, 0.0);
+                for (row, coordinate) in self.map.lift.chunks_exact(channels).zip(self.map.signature(touch.index)) {
+                    let strength = touch.share as f32 * coordinate;
+                    scratch.predicted.iter_mut().zip(row).for_each(|(value, direction)| *value += strength * direction);
+                }
+                let left: f32 = scratch.weighted.iter().zip(&scratch.predicted).map(|(a, b)| (a - b) * (a - b)).sum();
+                let all: f32 = scratch.weighted.iter().map(|v| v * v).sum();
+                shares.push(f64::from(1.0 - left / all));
             }
         }
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Chooses the smallest strength of a further touch that gets nearly as many numbers of touches right as any, and
-    /// the smallest strength of a first touch.
-    fn set_thresholds(
-        &mut self,
-        labelled: &[LabelledFrame<'_>],
-        map: &Map,
-        left_out: &LeftOut,
-    ) -> Result<(), LocatorError> {
-        let mut scratch = SuperpositionScratch::default();
-        let explained = self.explained(labelled, &mut scratch)?;
-        let mut firsts = Vec::new();
-        // For each frame, its number of touches and the relative strengths of the second, third and so on.
-        let mut further: Vec<(usize, Vec<f64>)> = Vec::new();
-        for number in evenly(labelled.len(), MOST_LEFT_OUT) {
-            let labelled = &labelled[number];
-            self.map.leave_out(map, left_out, number);
-            self.project(labelled.frame, &mut scratch)?;
-            scratch.parts.clear();
-            let count = labelled.touches_m.len().min(MOST_TOUCHES - 1);
-            let mut strengths = Vec::with_capacity(count);
-            for number in 0..=count {
-                let Some(strength) = self.try_another(&mut scratch) else { break };
-                if number == 0 {
-                    firsts.push(strength);
-                } else {
-                    strengths.push(strength);
+    /// What frames show when the map is learned without them. Each half of them is weighted by the other: those that
+    /// weight the map show smaller errors than new ones do. Leaves the map without the last of them.
+    fn show_left_out(&mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<Shown, LocatorError> {
+        let (mut scratch, mut shown) = (SuperpositionScratch::default(), Shown::default());
+        for half in 0..2 {
+            let (judged, weighting): (Vec<usize>, Vec<usize>) = (0..labelled.len()).partition(|i| i % 2 == half);
+            let (map, alpha) = learned.map(&weighting)?;
+            self.map = map.clone();
+            for number in evenly(judged.len(), MOST_LEFT_OUT / 2).into_iter().map(|k| judged[k]) {
+                self.map.leave_out(&map, &alpha, learned, number);
+                self.project(labelled[number].frame, &mut scratch)?;
+                scratch.parts.clear();
+                let count = labelled[number].touches_m.len().min(MOST_TOUCHES - 1);
+                let mut strengths = Vec::with_capacity(count);
+                for touch in 0..=count {
+                    let Some(strength) = self.try_another(&mut scratch) else { break };
+                    if touch == 0 {
+                        shown.firsts.push(strength);
+                    } else {
+                        strengths.push(strength);
+                    }
+                    std::mem::swap(&mut scratch.parts, &mut scratch.trial);
                 }
-                std::mem::swap(&mut scratch.parts, &mut scratch.trial);
+                shown.further.push((count, strengths));
             }
-            further.push((count, strengths));
         }
+        Ok(shown)
+    }
+
+    /// Chooses the smallest strength of a further touch that gets nearly as many numbers of touches right as any, and the
+    /// smallest strength of a first touch.
+    fn set_thresholds(&mut self, labelled: &[LabelledFrame<'_>], shown: Shown) -> Result<(), LocatorError> {
+        let Shown { mut firsts, further } = shown;
+        let explained = self.explained(labelled, &mut SuperpositionScratch::default())?;
         let right = |least: f64| {
             let found = |strengths: &[f64]| 1 + strengths.iter().take_while(|strength| **strength >= least).count();
             further.iter().filter(|(count, strengths)| found(strengths) == *count).count() as f64
@@ -341,8 +388,14 @@ impl Superposition {
         let steps = (1..=100).map(|step| 0.01 * f64::from(step));
         let most = steps.clone().map(right).fold(0.0, f64::max);
         let enough = most - WRONG * further.len() as f64;
-        let least = steps.clone().find(|least| right(*least) >= enough).unwrap_or(1.0);
-        self.least_further = least * (1.0 + FEW / further.len() as f64);
+        let mut good = steps.filter(|least| right(*least) >= enough);
+        let least = good.next().unwrap_or(1.0);
+        let has_several = further.iter().any(|(count, _)| *count > 1);
+        self.least_further = match good.last() {
+            // In the middle between the false touches and the weakest true ones.
+            Some(most) if has_several => (least * most).sqrt(),
+            _ => least * (1.0 + FEW / further.len() as f64),
+        };
         firsts.sort_by(f64::total_cmp);
         let weak = firsts.get((WEAK * firsts.len() as f64) as usize).copied().unwrap_or(0.0);
         // What noise alone shows is no stronger than a false second touch.

@@ -130,3 +130,23 @@ fn presses_on_skins_drawn_at_random_are_found_counted_and_as_sure_as_they_say() 
     // 288 coordinates scatter by 3 %; the two of one press are not independent.
     assert!((0.57..=0.84).contains(&within[0]) && within[1] >= 0.93, "{told}");
 }
+
+#[test]
+fn three_presses_are_counted_with_eight_electrodes() {
+    let (mut right, mut triples) = (0, 0);
+    for (side_mm, layer) in [(60.0, LAYERS[0]), (100.0, LAYERS[3])] {
+        let shape = format!("{{ square = {{ side_mm = {side_mm:?} }} }}");
+        let gain = if layer.contains("liquid") { "gain = \"channel\"" } else { "" };
+        let skin = written(&shape, layer, (8, 10.0), 0, gain);
+        let places = random_presses(&skin.outline(), &press_range(&skin), 300, 7).unwrap();
+        let are_apart = |group: &&[Vec<Indenter>]| {
+            let apart = |a: usize, b: usize| distance_m(group[a][0].centre_m, group[b][0].centre_m);
+            apart(0, 1).min(apart(0, 2)).min(apart(1, 2)) >= 0.25e-3 * side_mm
+        };
+        let groups: Vec<Vec<Indenter>> = places.chunks_exact(3).filter(are_apart).take(20).map(<[_]>::concat).collect();
+        triples += groups.len();
+        right += pressed_and_read(skin, groups, 7).iter().filter(|touches| touches.len() == 3).count();
+    }
+    // Twelve parameters from twenty independent readings.
+    assert!(triples == 40 && right >= 34, "{right} of {triples}");
+}

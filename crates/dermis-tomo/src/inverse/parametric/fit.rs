@@ -407,8 +407,8 @@ impl SpotModel {
         cost.is_finite().then_some((moved, uniform, cost))
     }
 
-    /// Fills in the spots with their covariances: the inverse of the normal matrix, times the residual if it exceeds
-    /// the noise by more than the noise's own uncertainty.
+    /// Fills in the spots with their covariances: the inverse of the normal matrix, in which the frame counts less if
+    /// the residual exceeds the noise by more than the noise's own uncertainty.
     pub(super) fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
         let parameters = OF_SPOT * scratch.state.len() + 1;
         let mut solver = std::mem::take(&mut scratch.solver);
@@ -416,7 +416,15 @@ impl SpotModel {
         self.normal_equations(uniform, scratch, &mut solver.equations);
         let FitScratch { state, spots, .. } = &mut *scratch;
         let Scratch { equations: NormalEquations { normal, right }, factor, .. } = &mut solver;
-        factor.copy_from_slice(normal);
+        // Errors of the model widen what the frame tells, not what the priors do.
+        let scale = (residual - NOISE_UNKNOWN).max(1.0);
+        factor.iter_mut().zip(normal.iter()).for_each(|(factor, normal)| *factor = normal / scale);
+        let by_priors = 1.0 - 1.0 / scale;
+        for k in 0..state.len() {
+            let at = OF_SPOT * k + 3;
+            factor[at * parameters + at] += by_priors * LOG_RADIUS_DEVIATION.powi(-2);
+        }
+        factor[parameters * parameters - 1] += by_priors * UNIFORM_DEVIATION.powi(-2);
         let known = factorise(factor, parameters);
         spots.clear();
         for (k, state) in state.iter().enumerate() {
@@ -424,7 +432,7 @@ impl SpotModel {
             if known {
                 for (column, of_column) in (0..OF_SPOT).map(|column| (column, OF_SPOT * k + column)) {
                     right[..parameters].fill(0.0);
-                    right[of_column] = (residual - NOISE_UNKNOWN).max(1.0);
+                    right[of_column] = 1.0;
                     solve_factored(factor, right, parameters);
                     (0..OF_SPOT).for_each(|row| covariance[row][column] = right[OF_SPOT * k + row]);
                 }

@@ -8,6 +8,7 @@
 use super::fit::{FitOutcome, FitScratch, OF_SPOT, State, UNIFORM_DEVIATION};
 use super::{Spot, SpotModel};
 use crate::inverse::InverseError;
+use crate::least_squares::{factorise, solve_factored};
 
 /// Radii of the filter, as shares of the logarithmic range from the typical radius to the largest of the table.
 const RADII: [f64; 3] = [0.0, 0.35, 0.7];
@@ -18,6 +19,15 @@ const STRIDE: usize = 2;
 const PROPOSALS: usize = 3;
 /// Minimum distance between proposed positions, in typical radii.
 const APART: f64 = 2.5;
+
+/// Maximum number of candidates taken into a non-negative combination, and least product with the residual, in
+/// standard deviations, of the next.
+const MOST_ROUNDS: usize = 60;
+const LEAST_PRODUCT: f64 = 2.0;
+/// Candidates whose responses have a larger cosine than this belong to one spot.
+const ALIKE: f32 = 0.9;
+/// Added to the diagonal of the normal equations, for candidates that resemble each other.
+const RIDGE: f64 = 1e-6;
 
 /// A position where one more spot would lower the cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -193,6 +203,63 @@ impl SpotModel {
         found
     }
 
+    /// The spots of the non-negative combination of all candidates that comes nearest to the residual of the last fit,
+    /// strongest first. Candidates whose responses are alike count as one spot. The combination is the solution of a convex
+    /// problem (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23), so it cannot miss a spot because
+    /// another was placed before it.
+    pub fn seek_together(&self, filter: &SpotFilter, scratch: &FitScratch) -> Vec<SpotProposal> {
+        let length = filter.length;
+        let unit = |k: usize| &filter.unit[k * length..(k + 1) * length];
+        let mut used: Vec<usize> = Vec::new();
+        let mut shares: Vec<f64> = Vec::new();
+        let mut left = scratch.residual.clone();
+        for _ in 0..MOST_ROUNDS {
+            let products = filter.unit.chunks_exact(length).map(|unit| dot(unit, &left));
+            let Some((best, gain)) = products.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+            if f64::from(gain) < LEAST_PRODUCT || used.contains(&best) {
+                break;
+            }
+            used.push(best);
+            shares.push(0.0);
+            while let Some(solved) = solve(&used, &unit, &scratch.residual) {
+                // Go towards the solution until a share becomes 0, and drop that candidate.
+                let ratio = |(share, solved): (&f64, &f64)| if *solved > 0.0 { 1.0 } else { share / (share - solved) };
+                let step = shares.iter().zip(&solved).map(ratio).fold(1.0_f64, f64::min);
+                shares.iter_mut().zip(&solved).for_each(|(share, solved)| *share += step * (solved - *share));
+                if step >= 1.0 {
+                    break;
+                }
+                let mut kept = shares.iter().map(|share| *share > 1e-9);
+                used.retain(|_| kept.next().unwrap_or(false));
+                shares.retain(|share| *share > 1e-9);
+            }
+            left.copy_from_slice(&scratch.residual);
+            for (&k, share) in used.iter().zip(&shares) {
+                left.iter_mut().zip(unit(k)).for_each(|(left, unit)| *left -= (*share as f32) * unit);
+            }
+        }
+        let mut order: Vec<usize> = (0..used.len()).collect();
+        order.sort_by(|a, b| shares[*b].total_cmp(&shares[*a]));
+        let mut found: Vec<(usize, SpotProposal)> = Vec::new();
+        for k in order {
+            let (position_m, radius_m) = filter.places[used[k]];
+            let amplitude = shares[k] / f64::from(filter.norms[used[k]]);
+            let gain = shares[k].powi(2);
+            let Some((_, spot)) = found.iter_mut().find(|(other, _)| dot(unit(*other), unit(used[k])) > ALIKE) else {
+                found.push((used[k], SpotProposal { position_m, radius_m, amplitude, gain }));
+                continue;
+            };
+            let [before, strength] = [(spot.amplitude, spot.radius_m), (amplitude, radius_m)].map(|(a, r)| a * r * r);
+            let part = strength / (before + strength);
+            (0..2).for_each(|axis| spot.position_m[axis] += part * (position_m[axis] - spot.position_m[axis]));
+            spot.amplitude = (before + strength) / (spot.radius_m * spot.radius_m);
+            spot.gain = (spot.gain.sqrt() + shares[k]).powi(2);
+        }
+        let mut found: Vec<SpotProposal> = found.into_iter().map(|(_, spot)| spot).collect();
+        found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        found
+    }
+
     /// The gain of the best position of [`SpotModel::seek`]. Allocates nothing.
     pub fn most_gain(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> f64 {
         let products = filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual));
@@ -214,6 +281,21 @@ impl SpotModel {
         volts.clear();
         volts.extend(self.lift.row_iter().map(|row| row.iter().zip(&sum).map(|(l, s)| l * s).sum::<f64>()));
     }
+}
+
+/// Shares of the candidates in use that come nearest to a residual. `None` if they cannot be told apart.
+fn solve<'a>(used: &[usize], unit: &impl Fn(usize) -> &'a [f32], residual: &[f32]) -> Option<Vec<f64>> {
+    let count = used.len();
+    let mut normal = vec![0.0; count * count];
+    for (row, &a) in used.iter().enumerate() {
+        for (column, &b) in used.iter().enumerate() {
+            normal[row * count + column] = f64::from(dot(unit(a), unit(b)));
+        }
+        normal[row * count + row] += RIDGE;
+    }
+    let mut right: Vec<f64> = used.iter().map(|&k| f64::from(dot(unit(k), residual))).collect();
+    factorise(&mut normal, count).then(|| solve_factored(&normal, &mut right, count))?;
+    Some(right)
 }
 
 /// Inner product in eight running sums.

@@ -28,26 +28,36 @@ pub struct LabelledFrame<'a> {
     pub touches_m: &'a [[f64; 2]],
 }
 
-/// Signatures on the projection.
+/// Signatures on the projection, in which the errors of the map are alike and independent.
 #[derive(Clone, Debug)]
 pub(super) struct Map {
     pub rank: usize,
-    /// `rank` rows of channels.
+    /// Projects frames: `rank` rows of channels.
     pub basis: Vec<f32>,
+    /// Leads back from the projection: `rank` rows of channels.
+    pub lift: Vec<f32>,
     /// A row of `rank` values for each position.
     pub signatures: Vec<f32>,
+    /// The same before weighting, of unit length: what signatures look like.
+    shapes: Vec<f32>,
     /// Squared length of each signature.
     pub squares: Vec<f32>,
+    /// Variance of the map's errors along each direction.
+    pub error_variance: f64,
 }
 
-/// What is needed to take single frames out of a map.
-pub(super) struct LeftOut {
+/// What frames teach about signatures, before these are weighted by the errors of the map.
+pub(super) struct Learned {
+    /// Orthonormal directions that span the frames: channels by rank.
+    basis: Mat<f64>,
+    /// Weights of each frame: frames by rank.
+    alpha: Mat<f64>,
+    /// Covariances of the signatures at the positions with the frames.
+    to_map: Mat<f64>,
     /// Influence of each frame on the map: a row of positions for each frame.
     influence: Vec<f32>,
-    /// Weights of each frame: a row of `rank` values.
-    alpha: Vec<f32>,
     /// Diagonal of the inverse covariance.
-    own: Vec<f32>,
+    own: Vec<f64>,
     /// Candidates that are there because of one frame alone.
     places: Vec<Vec<usize>>,
 }
@@ -194,54 +204,99 @@ pub(super) fn candidates(sums: &Sums<'_>) -> Vec<[f64; 2]> {
     kept
 }
 
+/// A matrix row by row, with rows of unit length.
+fn of_unit_length(mut matrix: Mat<f64>) -> Vec<f32> {
+    for row in 0..matrix.nrows() {
+        let length = matrix.row(row).norm_l2().max(f64::MIN_POSITIVE);
+        matrix.row_mut(row).iter_mut().for_each(|value| *value /= length);
+    }
+    single_precision(matrix.as_ref())
+}
+
 /// A matrix row by row.
 fn single_precision(matrix: MatRef<'_, f64>) -> Vec<f32> {
     let rows = (0..matrix.nrows()).flat_map(|row| (0..matrix.ncols()).map(move |column| (row, column)));
     rows.map(|at| matrix[at] as f32).collect()
 }
 
-impl Map {
-    /// The map of all frames, and what each of them contributes.
-    pub(super) fn fit(
-        sums: &Sums<'_>,
-        shape: &Shape,
-        positions_m: &[[f64; 2]],
-    ) -> Result<(Self, LeftOut), LocatorError> {
+impl Learned {
+    /// Learns from all frames what signatures at these positions are like.
+    pub(super) fn of(sums: &Sums<'_>, shape: &Shape, positions_m: &[[f64; 2]]) -> Result<Self, LocatorError> {
         let basis = sums.basis()?;
         let mut k = covariance(&sums.touches_m, &sums.touches_m, shape.length_m);
         (0..sums.len()).for_each(|i| k[(i, i)] += shape.noise);
         let factor = k.llt(Side::Lower).map_err(|_| LocatorError::Singular { what: "covariance of the pokes" })?;
         let inverse = factor.inverse();
-        let alpha = &inverse * (&sums.frames * &basis);
         let single: Vec<&[[f64; 2]]> = positions_m.iter().map(std::slice::from_ref).collect();
         let to_map = covariance(&single, &sums.touches_m, shape.length_m);
-        let mut map = Self {
-            rank: alpha.ncols(),
-            basis: single_precision(basis.transpose()),
-            signatures: single_precision((&to_map * &alpha).as_ref()),
-            squares: Vec::new(),
-        };
-        map.measure();
-        let influence = single_precision((&inverse * to_map.transpose()).as_ref());
-        let own = (0..sums.len()).map(|i| inverse[(i, i)] as f32).collect();
-        let places = sums.places_of_one(positions_m);
-        Ok((map, LeftOut { influence, alpha: single_precision(alpha.as_ref()), own, places }))
+        Ok(Self {
+            alpha: &inverse * (&sums.frames * &basis),
+            influence: single_precision((&inverse * to_map.transpose()).as_ref()),
+            own: (0..sums.len()).map(|i| inverse[(i, i)]).collect(),
+            places: sums.places_of_one(positions_m),
+            basis,
+            to_map,
+        })
     }
 
+    /// The map of all frames, weighted by the errors in those numbered `judged`, and the weights of each frame: rows of
+    /// `rank` values.
+    pub(super) fn map(&self, judged: &[usize]) -> Result<(Map, Vec<f32>), LocatorError> {
+        let (whiten, unwhiten, error_variance) = self.whitening(judged)?;
+        let alpha = &self.alpha * &whiten;
+        let mut map = Map {
+            rank: alpha.ncols(),
+            basis: single_precision((&self.basis * &whiten).transpose()),
+            lift: single_precision((&self.basis * &unwhiten).transpose()),
+            signatures: single_precision((&self.to_map * &alpha).as_ref()),
+            shapes: of_unit_length(&self.to_map * &self.alpha),
+            squares: Vec::new(),
+            error_variance,
+        };
+        map.measure();
+        Ok((map, single_precision(alpha.as_ref())))
+    }
+
+    /// Symmetric square roots of the inverse covariance of the map's errors and of that covariance, relative to the mean
+    /// square of an error along a direction, and that mean square. The errors are those that the map of the other frames
+    /// makes in each frame, `alpha / own` (Rasmussen & Williams, eq. 5.12). The covariance has an inverse Wishart prior
+    /// around equal and independent errors, with as many degrees of freedom as dimensions.
+    fn whitening(&self, judged: &[usize]) -> Result<(Mat<f64>, Mat<f64>, f64), LocatorError> {
+        let (count, rank) = (judged.len(), self.alpha.ncols());
+        let errors = Mat::from_fn(count, rank, |i, r| self.alpha[(judged[i], r)] / self.own[judged[i]]);
+        let squares = errors.transpose() * &errors;
+        let sum: f64 = (0..rank).map(|r| squares[(r, r)]).sum();
+        let mean = (sum / (count * rank) as f64).max(f64::MIN_POSITIVE);
+        let covariance = Mat::from_fn(rank, rank, |a, b| {
+            let prior = if a == b { rank as f64 } else { 0.0 };
+            (squares[(a, b)] / mean + prior) / (count + rank) as f64
+        });
+        let eigen = covariance
+            .self_adjoint_eigen(Side::Lower)
+            .map_err(|_| LocatorError::Singular { what: "covariance of the map's errors" })?;
+        let power = |power: f64| {
+            let scaled = Mat::from_fn(rank, rank, |a, b| eigen.U()[(a, b)] * eigen.S().column_vector()[b].powf(power));
+            scaled * eigen.U().transpose()
+        };
+        Ok((power(-0.5), power(0.5), mean))
+    }
+}
+
+impl Map {
     /// Becomes the map without the frame numbered `number`: S - w a' / k, with a its weights, k its diagonal element of
     /// the inverse covariance K^-1, and w the map's covariances with all frames times its column of K^-1. Places poked
     /// by this frame alone explain nothing then: a new touch is not at a place of a poke either.
-    pub(super) fn leave_out(&mut self, whole: &Self, left_out: &LeftOut, number: usize) {
+    pub(super) fn leave_out(&mut self, whole: &Self, alpha: &[f32], learned: &Learned, number: usize) {
         let positions = self.squares.len();
-        let influence = &left_out.influence[number * positions..(number + 1) * positions];
-        let alpha = &left_out.alpha[number * self.rank..(number + 1) * self.rank];
+        let influence = &learned.influence[number * positions..(number + 1) * positions];
+        let alpha = &alpha[number * self.rank..(number + 1) * self.rank];
         let rows = self.signatures.chunks_exact_mut(self.rank).zip(whole.signatures.chunks_exact(self.rank));
         for ((row, of_all), influence) in rows.zip(influence) {
-            let share = influence / left_out.own[number];
+            let share = influence / learned.own[number] as f32;
             row.iter_mut().zip(of_all).zip(alpha).for_each(|((value, all), alpha)| *value = all - share * alpha);
         }
         self.measure();
-        left_out.places[number].iter().for_each(|&place| self.squares[place] = f32::INFINITY);
+        learned.places[number].iter().for_each(|&place| self.squares[place] = f32::INFINITY);
     }
 
     fn measure(&mut self) {
@@ -249,6 +304,10 @@ impl Map {
         // A signature of zero explains nothing, and must not be divided by.
         let square = |row: &[f32]| dot(row, row).max(f32::MIN_POSITIVE);
         self.squares.extend(self.signatures.chunks_exact(self.rank).map(square));
+    }
+
+    pub(super) fn shape(&self, position: usize) -> &[f32] {
+        &self.shapes[position * self.rank..(position + 1) * self.rank]
     }
 
     pub(super) fn signature(&self, position: usize) -> &[f32] {
