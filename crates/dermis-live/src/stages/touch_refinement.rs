@@ -17,7 +17,7 @@ use crate::stages::model_error::SpotError;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::Peaks;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
-use crate::stages::touch_search::{AT_ONCE, Explained, Pause, READY_NS, Searched, TouchSearch};
+use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, Pause, READY_NS, Searched, TouchSearch};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
@@ -355,6 +355,9 @@ impl SpotStage {
         if !self.is_joint {
             let explained = self.explain(difference);
             return self.show(time_ns, explained, imager, lowest, contacts);
+        }
+        if !self.is_unhurried {
+            self.estimator.allow(if self.pause.has_begun() { AT_ONCE_IN_VAIN } else { AT_ONCE });
         }
         let memory = self.estimator.memory().clone();
         let explained = match self.search.is_under_way() {

@@ -6,6 +6,8 @@ use dermis_estimate::{Estimate, Estimator, Memory, Press};
 /// Most operations of a search within a frame: some 50 ms on one slow core. One press takes a twentieth of them, and
 /// three presses that are followed take half.
 pub(super) const AT_ONCE: f64 = 2e8;
+/// The same while no presses explain the frames: the search fails or takes long, and goes on in the background anyway.
+pub(super) const AT_ONCE_IN_VAIN: f64 = 2e7;
 /// Delay after which a search in the background takes effect, nanoseconds. It takes up to 150 ms on one slow core.
 pub(super) const READY_NS: u64 = 160_000_000;
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
@@ -60,6 +62,11 @@ impl Pause {
     pub fn begin(&mut self, time_ns: u64) {
         self.length_ns = (2 * self.length_ns).clamp(PAUSE_NS[0], PAUSE_NS[1]);
         self.until_ns = time_ns.saturating_add(self.length_ns);
+    }
+
+    /// True once frames have been left unexplained, until one is explained.
+    pub fn has_begun(&self) -> bool {
+        self.length_ns > 0
     }
 
     /// True during a pause.
