@@ -391,7 +391,7 @@ impl Superposition {
         let mut good = steps.filter(|least| right(*least) >= enough);
         let least = good.next().unwrap_or(1.0);
         let has_several = further.iter().any(|(count, _)| *count > 1);
-        self.least_further = match good.last() {
+        self.least_further = match good.next_back() {
             // In the middle between the false touches and the weakest true ones.
             Some(most) if has_several => (least * most).sqrt(),
             _ => least * (1.0 + FEW / further.len() as f64),
