@@ -204,56 +204,26 @@ impl SpotModel {
     }
 
     /// The spots of the non-negative combination of all candidates that comes nearest to the residual of the last fit,
-    /// strongest first. Candidates whose responses are alike count as one spot. The combination is the solution of a convex
-    /// problem (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23), so it cannot miss a spot because
-    /// another was placed before it.
+    /// strongest first. Candidates whose responses are alike count as one spot. The combination is the solution of a
+    /// convex problem (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23), so it cannot miss a spot
+    /// because another was placed before it.
     pub fn seek_together(&self, filter: &SpotFilter, scratch: &FitScratch) -> Vec<SpotProposal> {
-        let length = filter.length;
-        let unit = |k: usize| &filter.unit[k * length..(k + 1) * length];
-        let mut used: Vec<usize> = Vec::new();
-        let mut shares: Vec<f64> = Vec::new();
-        let mut left = scratch.residual.clone();
-        for _ in 0..MOST_ROUNDS {
-            let products = filter.unit.chunks_exact(length).map(|unit| dot(unit, &left));
-            let Some((best, gain)) = products.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-            if f64::from(gain) < LEAST_PRODUCT || used.contains(&best) {
-                break;
-            }
-            used.push(best);
-            shares.push(0.0);
-            while let Some(solved) = solve(&used, &unit, &scratch.residual) {
-                // Go towards the solution until a share becomes 0, and drop that candidate.
-                let ratio = |(share, solved): (&f64, &f64)| if *solved > 0.0 { 1.0 } else { share / (share - solved) };
-                let step = shares.iter().zip(&solved).map(ratio).fold(1.0_f64, f64::min);
-                shares.iter_mut().zip(&solved).for_each(|(share, solved)| *share += step * (solved - *share));
-                if step >= 1.0 {
-                    break;
-                }
-                let mut kept = shares.iter().map(|share| *share > 1e-9);
-                used.retain(|_| kept.next().unwrap_or(false));
-                shares.retain(|share| *share > 1e-9);
-            }
-            left.copy_from_slice(&scratch.residual);
-            for (&k, share) in used.iter().zip(&shares) {
-                left.iter_mut().zip(unit(k)).for_each(|(left, unit)| *left -= (*share as f32) * unit);
-            }
-        }
-        let mut order: Vec<usize> = (0..used.len()).collect();
-        order.sort_by(|a, b| shares[*b].total_cmp(&shares[*a]));
+        let mut parts = filter.combination(&scratch.residual);
+        parts.sort_by(|a, b| b.1.total_cmp(&a.1));
         let mut found: Vec<(usize, SpotProposal)> = Vec::new();
-        for k in order {
-            let (position_m, radius_m) = filter.places[used[k]];
-            let amplitude = shares[k] / f64::from(filter.norms[used[k]]);
-            let gain = shares[k].powi(2);
-            let Some((_, spot)) = found.iter_mut().find(|(other, _)| dot(unit(*other), unit(used[k])) > ALIKE) else {
-                found.push((used[k], SpotProposal { position_m, radius_m, amplitude, gain }));
+        for (candidate, share) in parts {
+            let (position_m, radius_m) = filter.places[candidate];
+            let amplitude = share / f64::from(filter.norms[candidate]);
+            let is_alike = |other: usize| dot(filter.unit(other), filter.unit(candidate)) > ALIKE;
+            let Some((_, spot)) = found.iter_mut().find(|(other, _)| is_alike(*other)) else {
+                found.push((candidate, SpotProposal { position_m, radius_m, amplitude, gain: share.powi(2) }));
                 continue;
             };
             let [before, strength] = [(spot.amplitude, spot.radius_m), (amplitude, radius_m)].map(|(a, r)| a * r * r);
             let part = strength / (before + strength);
             (0..2).for_each(|axis| spot.position_m[axis] += part * (position_m[axis] - spot.position_m[axis]));
             spot.amplitude = (before + strength) / (spot.radius_m * spot.radius_m);
-            spot.gain = (spot.gain.sqrt() + shares[k]).powi(2);
+            spot.gain = (spot.gain.sqrt() + share).powi(2);
         }
         let mut found: Vec<SpotProposal> = found.into_iter().map(|(_, spot)| spot).collect();
         found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
@@ -283,19 +253,58 @@ impl SpotModel {
     }
 }
 
-/// Shares of the candidates in use that come nearest to a residual. `None` if they cannot be told apart.
-fn solve<'a>(used: &[usize], unit: &impl Fn(usize) -> &'a [f32], residual: &[f32]) -> Option<Vec<f64>> {
-    let count = used.len();
-    let mut normal = vec![0.0; count * count];
-    for (row, &a) in used.iter().enumerate() {
-        for (column, &b) in used.iter().enumerate() {
-            normal[row * count + column] = f64::from(dot(unit(a), unit(b)));
-        }
-        normal[row * count + row] += RIDGE;
+impl SpotFilter {
+    fn unit(&self, candidate: usize) -> &[f32] {
+        &self.unit[candidate * self.length..(candidate + 1) * self.length]
     }
-    let mut right: Vec<f64> = used.iter().map(|&k| f64::from(dot(unit(k), residual))).collect();
-    factorise(&mut normal, count).then(|| solve_factored(&normal, &mut right, count))?;
-    Some(right)
+
+    /// Candidates and their shares, all positive, whose sum comes nearest to a residual.
+    fn combination(&self, residual: &[f32]) -> Vec<(usize, f64)> {
+        let mut parts: Vec<(usize, f64)> = Vec::new();
+        let mut left = residual.to_vec();
+        for _ in 0..MOST_ROUNDS {
+            let products = self.unit.chunks_exact(self.length).map(|unit| dot(unit, &left));
+            let Some((best, gain)) = products.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+            let is_new = parts.iter().all(|(candidate, _)| *candidate != best);
+            if gain.is_nan() || f64::from(gain) < LEAST_PRODUCT || !is_new {
+                break;
+            }
+            parts.push((best, 0.0));
+            while let Some(solved) = self.solve(&parts, residual) {
+                // Go towards the solution until a share becomes 0, and drop that candidate.
+                let shares = parts.iter().zip(&solved).enumerate();
+                let ended = shares
+                    .filter(|(_, (_, solved))| **solved <= 0.0)
+                    .map(|(k, ((_, share), solved))| (k, if *share > 0.0 { share / (share - solved) } else { 0.0 }))
+                    .min_by(|a, b| a.1.total_cmp(&b.1));
+                let step = ended.map_or(1.0, |(_, step)| step);
+                parts.iter_mut().zip(&solved).for_each(|((_, share), solved)| *share += step * (solved - *share));
+                let Some((ended, _)) = ended else { break };
+                parts.remove(ended);
+            }
+            left.copy_from_slice(residual);
+            for (candidate, share) in &parts {
+                left.iter_mut().zip(self.unit(*candidate)).for_each(|(left, unit)| *left -= *share as f32 * unit);
+            }
+        }
+        parts
+    }
+
+    /// Shares of the candidates in use, of either sign, that come nearest to a residual. `None` without any, or if they
+    /// cannot be told apart.
+    fn solve(&self, parts: &[(usize, f64)], residual: &[f32]) -> Option<Vec<f64>> {
+        let count = parts.len();
+        let mut normal = vec![0.0; count * count];
+        for (row, (a, _)) in parts.iter().enumerate() {
+            for (column, (b, _)) in parts.iter().enumerate() {
+                normal[row * count + column] = f64::from(dot(self.unit(*a), self.unit(*b)));
+            }
+            normal[row * count + row] += RIDGE;
+        }
+        let mut shares: Vec<f64> = parts.iter().map(|(k, _)| f64::from(dot(self.unit(*k), residual))).collect();
+        (count > 0 && factorise(&mut normal, count)).then(|| solve_factored(&normal, &mut shares, count))?;
+        Some(shares)
+    }
 }
 
 /// Inner product in eight running sums.
