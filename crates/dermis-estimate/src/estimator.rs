@@ -327,15 +327,16 @@ impl Estimator {
             };
             let Some(fewer) = fewer else { break };
             let support = Evidence::of(&fewer.cost, &of.cost, is_first);
-            if sureness >= 0.0 && support >= self.evidence.hold && overlaps.is_none() {
-                break;
-            }
-            if sureness < 0.0
-                && support >= self.evidence.begin
-                && fewer.cost.unexplained() > LEFT_WITHOUT
-                && self.may_be_vague(&of.presses[worst], &of)
-                && overlaps.is_none()
-            {
+            let is_needed = if sureness >= 0.0 {
+                support >= self.evidence.hold
+            } else {
+                let is_much_left = fewer.cost.unexplained() > LEFT_WITHOUT;
+                is_much_left && support >= self.evidence.begin && self.may_be_vague(&of.presses[worst], &of)
+            };
+            if is_needed && overlaps.is_none() {
+                if sureness >= 0.0 {
+                    break;
+                }
                 needed.push(worst);
                 continue;
             }

@@ -155,8 +155,8 @@ impl LearntFinder {
 
     /// Locates one of the touches of a frame, with the others removed.
     fn place_part(&mut self, difference: &[f64], number: usize) -> Result<Placement, Error> {
-        if let Some((superposition, _)) = &self.superposition {
-            superposition.without_others(difference, &self.parts, number, &mut self.frame);
+        if let Some((superposition, scratch)) = &mut self.superposition {
+            superposition.without_others(difference, &self.parts, number, scratch, &mut self.frame);
         }
         let located = self.locator.predict_into(&self.frame, &mut self.scratch)?;
         let mut placement = self.placement(&located);
@@ -164,13 +164,13 @@ impl LearntFinder {
         // What the sum leaves of the other touches may outweigh this one.
         let distance_m = |place_m: [f64; 2]| (located.x_m - place_m[0]).hypot(located.y_m - place_m[1]);
         let is_elsewhere = self.parts.iter().any(|other| distance_m(other.position_m) < distance_m(part.position_m));
-        let is_outweighed = match &mut self.superposition {
+        let is_rather_here = match &mut self.superposition {
             Some((superposition, scratch)) => {
-                is_elsewhere || superposition.is_rather_at(&part, placement.position_m, &self.frame, scratch)?
+                superposition.is_rather_at(&part, placement.position_m, &self.frame, scratch)?
             }
-            None => is_elsewhere,
+            None => false,
         };
-        if is_outweighed {
+        if is_elsewhere || is_rather_here {
             placement.position_m = part.position_m;
         }
         Ok(placement)

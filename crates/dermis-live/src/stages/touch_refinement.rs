@@ -98,10 +98,7 @@ impl SpotStage {
         };
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
         let is_joint = fit.is_joint();
-        let mut estimator = Estimator::new(fit, evidence, touch.both_signs);
-        if is_joint {
-            estimator.allow(AT_ONCE);
-        }
+        let estimator = Estimator::new(fit, evidence, touch.both_signs);
         Self {
             is_joint,
             search: Beside::new(),
@@ -139,7 +136,6 @@ impl SpotStage {
     pub(crate) fn take_time(&mut self) {
         self.is_unhurried = true;
         self.ended.take_time();
-        self.estimator.allow(f64::INFINITY);
         self.estimator.take_time();
     }
 

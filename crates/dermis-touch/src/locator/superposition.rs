@@ -3,8 +3,8 @@
 //! s, the change that a typical poke at p makes, is a Gaussian process with covariance 1 + k(p, p'), k Matern 5/2. A
 //! sum of signatures is again Gaussian, so frames of one touch and of several labelled touches teach the same map. Its
 //! length and noise maximise the marginal likelihood (Rasmussen & Williams 2006, eq. 2.30). Frames and map are
-//! projected on the leading principal directions of the pokes, and weighted by the covariance of the errors that the map
-//! of the other frames makes in each frame.
+//! projected on the leading principal directions of the pokes, and weighted by the covariance of the map's errors in
+//! frames left out.
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
@@ -63,6 +63,8 @@ pub struct Superposition {
     /// Weight of each channel, divided by the amplitude of the median poke; 0 if it is never used.
     weights: Vec<f64>,
     map: Map,
+    /// Unweighted signatures of unit length, by which touches are told apart: a row for each position.
+    shapes: Vec<f32>,
     /// Minimum strength of a further touch relative to the RMS sum of the others, or to a median poke if that is
     /// stronger.
     least_further: f64,
@@ -70,9 +72,9 @@ pub struct Superposition {
     least_first: f64,
 }
 
-/// What frames show when the map is learned without them.
+/// Strengths found in frames by a map learned without them.
 #[derive(Default)]
-struct Shown {
+struct LeftOut {
     /// Strengths of the first touches.
     firsts: Vec<f64>,
     /// For each frame, its number of touches and the relative strengths of the second, third and so on.
@@ -85,7 +87,7 @@ pub struct SuperpositionScratch {
     weighted: Vec<f32>,
     projected: Vec<f32>,
     residual: Vec<f32>,
-    predicted: Vec<f32>,
+    predicted: Vec<f64>,
     along: Vec<f32>,
     parts: Vec<Part>,
     trial: Vec<Part>,
@@ -108,17 +110,16 @@ impl Superposition {
         let positions_m = candidates(&sums);
         let learned = Learned::of(&sums, &shape, &positions_m)?;
         let all: Vec<usize> = (0..labelled.len()).collect();
-        let (map, _) = learned.map(&all)?;
         let mut fitted = Self {
-            map: map.clone(),
+            map: learned.map(&all)?.0,
+            shapes: learned.shapes(),
             positions_m,
             weights: weights.iter().map(|weight| weight / typical).collect(),
             least_further: 0.0,
             least_first: 0.0,
         };
-        let shown = fitted.show_left_out(&labelled, &learned)?;
-        fitted.map = map;
-        fitted.set_thresholds(&labelled, shown)?;
+        let left_out = fitted.clone().leave_out(&labelled, &learned)?;
+        fitted.set_thresholds(&labelled, left_out)?;
         Ok(Some(fitted))
     }
 
@@ -152,18 +153,21 @@ impl Superposition {
     }
 
     /// A frame without the touches other than the one numbered `kept`.
-    pub fn without_others(&self, frame: &[f64], parts: &[Part], kept: usize, out: &mut Vec<f64>) {
+    pub fn without_others(
+        &self,
+        frame: &[f64],
+        parts: &[Part],
+        kept: usize,
+        scratch: &mut SuperpositionScratch,
+        out: &mut Vec<f64>,
+    ) {
         out.clear();
         out.extend_from_slice(frame);
-        let channels = self.channels();
-        for part in parts.iter().enumerate().filter(|(number, _)| *number != kept).map(|(_, part)| part) {
-            let signature = self.map.signature(part.index);
-            for (row, coordinate) in self.map.lift.chunks_exact(channels).zip(signature) {
-                let strength = part.share * f64::from(*coordinate);
-                for ((value, direction), weight) in out.iter_mut().zip(row).zip(&self.weights) {
-                    if *weight > 0.0 {
-                        *value -= strength * f64::from(*direction) / weight;
-                    }
+        for (_, part) in parts.iter().enumerate().filter(|(number, _)| *number != kept) {
+            self.map.channels_of(part.index, part.share, &mut scratch.predicted);
+            for ((value, predicted), weight) in out.iter_mut().zip(&scratch.predicted).zip(&self.weights) {
+                if *weight > 0.0 {
+                    *value -= predicted / weight;
                 }
             }
         }
@@ -211,11 +215,9 @@ impl Superposition {
         if usable < self.weights.iter().filter(|weight| **weight > 0.0).count() {
             scratch.residual.clone_from(&scratch.projected);
             if let Some((index, strength)) = self.best(scratch, &[]) {
-                let signature = self.map.signature(index);
+                self.map.channels_of(index, strength, &mut scratch.predicted);
                 for k in (0..channels).filter(|&k| self.weights[k] > 0.0 && !frame[k].is_finite()) {
-                    let predicted: f32 =
-                        (0..self.map.rank).map(|r| self.map.lift[r * channels + k] * signature[r]).sum();
-                    scratch.weighted[k] = strength as f32 * predicted;
+                    scratch.weighted[k] = scratch.predicted[k] as f32;
                 }
                 products(&self.map.basis, channels, &scratch.weighted, &mut scratch.projected);
             }
@@ -286,13 +288,14 @@ impl Superposition {
     /// The position that explains most of the residual, with its strength, unlike those of `others`.
     fn best(&self, scratch: &mut SuperpositionScratch, others: &[Part]) -> Option<(usize, f64)> {
         let map = &self.map;
+        let shape = |position: usize| &self.shapes[position * map.rank..(position + 1) * map.rank];
         products(&map.signatures, map.rank, &scratch.residual, &mut scratch.along);
         let mut best = (0.0_f32, None);
         for (p, (along, square)) in scratch.along.iter().zip(&map.squares).enumerate() {
             if *along <= 0.0 || along * along <= best.0 * square {
                 continue;
             }
-            let is_alike = |other: &Part| f64::from(dot(map.shape(p), map.shape(other.index))) > MOST_ALIKE;
+            let is_alike = |other: &Part| f64::from(dot(shape(p), shape(other.index))) > MOST_ALIKE;
             if !others.iter().any(is_alike) {
                 best = (along * along / square, Some((p, f64::from(along / square))));
             }
@@ -332,25 +335,22 @@ impl Superposition {
             self.project(labelled[number].frame, scratch)?;
             scratch.parts.clear();
             if self.try_another(scratch).is_some() {
-                let (touch, channels) = (scratch.trial[0], self.channels());
-                scratch.predicted.clear();
-                scratch.predicted.resize(channels, 0.0);
-                for (row, coordinate) in self.map.lift.chunks_exact(channels).zip(self.map.signature(touch.index)) {
-                    let strength = touch.share as f32 * coordinate;
-                    scratch.predicted.iter_mut().zip(row).for_each(|(value, direction)| *value += strength * direction);
-                }
-                let left: f32 = scratch.weighted.iter().zip(&scratch.predicted).map(|(a, b)| (a - b) * (a - b)).sum();
-                let all: f32 = scratch.weighted.iter().map(|v| v * v).sum();
-                shares.push(f64::from(1.0 - left / all));
+                let touch = scratch.trial[0];
+                self.map.channels_of(touch.index, touch.share, &mut scratch.predicted);
+                let square = |value: f64| value * value;
+                let weighted = || scratch.weighted.iter().map(|value| f64::from(*value));
+                let left: f64 =
+                    weighted().zip(&scratch.predicted).map(|(value, predicted)| square(value - predicted)).sum();
+                shares.push(1.0 - left / weighted().map(square).sum::<f64>());
             }
         }
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// What frames show when the map is learned without them. Each half of them is weighted by the other: those that
-    /// weight the map show smaller errors than new ones do. Leaves the map without the last of them.
-    fn show_left_out(&mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<Shown, LocatorError> {
-        let (mut scratch, mut shown) = (SuperpositionScratch::default(), Shown::default());
+    /// Strengths found in each frame by a map learned without it. Each half of the frames is weighted by the errors in
+    /// the other half, since frames that weight a map show smaller errors than new ones do.
+    fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
+        let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
         for half in 0..2 {
             let (judged, weighting): (Vec<usize>, Vec<usize>) = (0..labelled.len()).partition(|i| i % 2 == half);
             let (map, alpha) = learned.map(&weighting)?;
@@ -364,22 +364,22 @@ impl Superposition {
                 for touch in 0..=count {
                     let Some(strength) = self.try_another(&mut scratch) else { break };
                     if touch == 0 {
-                        shown.firsts.push(strength);
+                        left_out.firsts.push(strength);
                     } else {
                         strengths.push(strength);
                     }
                     std::mem::swap(&mut scratch.parts, &mut scratch.trial);
                 }
-                shown.further.push((count, strengths));
+                left_out.further.push((count, strengths));
             }
         }
-        Ok(shown)
+        Ok(left_out)
     }
 
-    /// Chooses the smallest strength of a further touch that gets nearly as many numbers of touches right as any, and the
-    /// smallest strength of a first touch.
-    fn set_thresholds(&mut self, labelled: &[LabelledFrame<'_>], shown: Shown) -> Result<(), LocatorError> {
-        let Shown { mut firsts, further } = shown;
+    /// Chooses the minimum strength of a further touch, such that nearly as many numbers of touches are right as with
+    /// any, and that of a first touch.
+    fn set_thresholds(&mut self, labelled: &[LabelledFrame<'_>], left_out: LeftOut) -> Result<(), LocatorError> {
+        let LeftOut { mut firsts, further } = left_out;
         let explained = self.explained(labelled, &mut SuperpositionScratch::default())?;
         let right = |least: f64| {
             let found = |strengths: &[f64]| 1 + strengths.iter().take_while(|strength| **strength >= least).count();

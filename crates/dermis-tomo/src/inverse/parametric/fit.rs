@@ -365,13 +365,12 @@ impl SpotModel {
         }
         columns[(parameters - 1) * length..parameters * length].copy_from_slice(&self.uniform);
         products(columns, residual, length, parameters, normal, right);
+        add_priors(normal, parameters, 1.0);
         let (of_radius, typical) = (LOG_RADIUS_DEVIATION.powi(-2), self.options().typical_radius_m.ln());
         for (k, state) in state.iter().enumerate() {
             let at = OF_SPOT * k + 3;
-            normal[at * parameters + at] += of_radius;
             right[at] -= of_radius * (state.log_radius - typical);
         }
-        normal[parameters * parameters - 1] += UNIFORM_DEVIATION.powi(-2);
         right[parameters - 1] -= UNIFORM_DEVIATION.powi(-2) * uniform;
     }
 
@@ -419,12 +418,7 @@ impl SpotModel {
         // Errors of the model widen what the frame tells, not what the priors do.
         let scale = (residual - NOISE_UNKNOWN).max(1.0);
         factor.iter_mut().zip(normal.iter()).for_each(|(factor, normal)| *factor = normal / scale);
-        let by_priors = 1.0 - 1.0 / scale;
-        for k in 0..state.len() {
-            let at = OF_SPOT * k + 3;
-            factor[at * parameters + at] += by_priors * LOG_RADIUS_DEVIATION.powi(-2);
-        }
-        factor[parameters * parameters - 1] += by_priors * UNIFORM_DEVIATION.powi(-2);
+        add_priors(factor, parameters, 1.0 - 1.0 / scale);
         let known = factorise(factor, parameters);
         spots.clear();
         for (k, state) in state.iter().enumerate() {
@@ -446,6 +440,14 @@ impl SpotModel {
         }
         scratch.solver = solver;
     }
+}
+
+/// Adds a share of the priors of radii and uniform change to a normal matrix.
+fn add_priors(normal: &mut [f64], parameters: usize, share: f64) {
+    for at in (OF_SPOT - 1..parameters - 1).step_by(OF_SPOT) {
+        normal[at * parameters + at] += share * LOG_RADIUS_DEVIATION.powi(-2);
+    }
+    normal[parameters * parameters - 1] += share * UNIFORM_DEVIATION.powi(-2);
 }
 
 /// A fit in progress.

@@ -38,22 +38,20 @@ pub(super) struct Map {
     pub lift: Vec<f32>,
     /// A row of `rank` values for each position.
     pub signatures: Vec<f32>,
-    /// The same before weighting, of unit length: what signatures look like.
-    shapes: Vec<f32>,
     /// Squared length of each signature.
     pub squares: Vec<f32>,
     /// Variance of the map's errors along each direction.
     pub error_variance: f64,
 }
 
-/// What frames teach about signatures, before these are weighted by the errors of the map.
+/// The signatures learned from frames, not yet weighted by their errors.
 pub(super) struct Learned {
     /// Orthonormal directions that span the frames: channels by rank.
     basis: Mat<f64>,
     /// Weights of each frame: frames by rank.
     alpha: Mat<f64>,
-    /// Covariances of the signatures at the positions with the frames.
-    to_map: Mat<f64>,
+    /// Signatures at the positions: positions by rank.
+    signatures: Mat<f64>,
     /// Influence of each frame on the map: a row of positions for each frame.
     influence: Vec<f32>,
     /// Diagonal of the inverse covariance.
@@ -204,15 +202,6 @@ pub(super) fn candidates(sums: &Sums<'_>) -> Vec<[f64; 2]> {
     kept
 }
 
-/// A matrix row by row, with rows of unit length.
-fn of_unit_length(mut matrix: Mat<f64>) -> Vec<f32> {
-    for row in 0..matrix.nrows() {
-        let length = matrix.row(row).norm_l2().max(f64::MIN_POSITIVE);
-        matrix.row_mut(row).iter_mut().for_each(|value| *value /= length);
-    }
-    single_precision(matrix.as_ref())
-}
-
 /// A matrix row by row.
 fn single_precision(matrix: MatRef<'_, f64>) -> Vec<f32> {
     let rows = (0..matrix.nrows()).flat_map(|row| (0..matrix.ncols()).map(move |column| (row, column)));
@@ -229,38 +218,44 @@ impl Learned {
         let inverse = factor.inverse();
         let single: Vec<&[[f64; 2]]> = positions_m.iter().map(std::slice::from_ref).collect();
         let to_map = covariance(&single, &sums.touches_m, shape.length_m);
+        let alpha = &inverse * (&sums.frames * &basis);
         Ok(Self {
-            alpha: &inverse * (&sums.frames * &basis),
+            signatures: &to_map * &alpha,
             influence: single_precision((&inverse * to_map.transpose()).as_ref()),
             own: (0..sums.len()).map(|i| inverse[(i, i)]).collect(),
             places: sums.places_of_one(positions_m),
             basis,
-            to_map,
+            alpha,
         })
+    }
+
+    /// Signatures of unit length, a row for each position.
+    pub(super) fn shapes(&self) -> Vec<f32> {
+        let lengths: Vec<f64> = self.signatures.row_iter().map(|row| row.norm_l2().max(f64::MIN_POSITIVE)).collect();
+        let (rows, columns) = (self.signatures.nrows(), self.signatures.ncols());
+        single_precision(Mat::from_fn(rows, columns, |i, j| self.signatures[(i, j)] / lengths[i]).as_ref())
     }
 
     /// The map of all frames, weighted by the errors in those numbered `judged`, and the weights of each frame: rows of
     /// `rank` values.
     pub(super) fn map(&self, judged: &[usize]) -> Result<(Map, Vec<f32>), LocatorError> {
         let (whiten, unwhiten, error_variance) = self.whitening(judged)?;
-        let alpha = &self.alpha * &whiten;
         let mut map = Map {
-            rank: alpha.ncols(),
+            rank: self.alpha.ncols(),
             basis: single_precision((&self.basis * &whiten).transpose()),
             lift: single_precision((&self.basis * &unwhiten).transpose()),
-            signatures: single_precision((&self.to_map * &alpha).as_ref()),
-            shapes: of_unit_length(&self.to_map * &self.alpha),
+            signatures: single_precision((&self.signatures * &whiten).as_ref()),
             squares: Vec::new(),
             error_variance,
         };
         map.measure();
-        Ok((map, single_precision(alpha.as_ref())))
+        Ok((map, single_precision((&self.alpha * &whiten).as_ref())))
     }
 
-    /// Symmetric square roots of the inverse covariance of the map's errors and of that covariance, relative to the mean
-    /// square of an error along a direction, and that mean square. The errors are those that the map of the other frames
-    /// makes in each frame, `alpha / own` (Rasmussen & Williams, eq. 5.12). The covariance has an inverse Wishart prior
-    /// around equal and independent errors, with as many degrees of freedom as dimensions.
+    /// Symmetric square roots of the inverse covariance of the map's errors and of that covariance, relative to their
+    /// mean square along a direction, and that mean square. The errors are those that the map of the other frames makes
+    /// in each frame, `alpha / own` (Rasmussen & Williams, eq. 5.12). The covariance has an inverse Wishart prior about
+    /// equal, independent errors, with as many degrees of freedom as dimensions.
     fn whitening(&self, judged: &[usize]) -> Result<(Mat<f64>, Mat<f64>, f64), LocatorError> {
         let (count, rank) = (judged.len(), self.alpha.ncols());
         let errors = Mat::from_fn(count, rank, |i, r| self.alpha[(judged[i], r)] / self.own[judged[i]]);
@@ -285,7 +280,7 @@ impl Learned {
 impl Map {
     /// Becomes the map without the frame numbered `number`: S - w a' / k, with a its weights, k its diagonal element of
     /// the inverse covariance K^-1, and w the map's covariances with all frames times its column of K^-1. Places poked
-    /// by this frame alone explain nothing then: a new touch is not at a place of a poke either.
+    /// by this frame alone explain nothing then, because a new touch isn't at the place of a poke either.
     pub(super) fn leave_out(&mut self, whole: &Self, alpha: &[f32], learned: &Learned, number: usize) {
         let positions = self.squares.len();
         let influence = &learned.influence[number * positions..(number + 1) * positions];
@@ -306,8 +301,15 @@ impl Map {
         self.squares.extend(self.signatures.chunks_exact(self.rank).map(square));
     }
 
-    pub(super) fn shape(&self, position: usize) -> &[f32] {
-        &self.shapes[position * self.rank..(position + 1) * self.rank]
+    /// The weighted channels of a touch.
+    pub(super) fn channels_of(&self, position: usize, strength: f64, out: &mut Vec<f64>) {
+        let channels = self.lift.len() / self.rank;
+        out.clear();
+        out.resize(channels, 0.0);
+        for (row, coordinate) in self.lift.chunks_exact(channels).zip(self.signature(position)) {
+            let along = strength * f64::from(*coordinate);
+            out.iter_mut().zip(row).for_each(|(value, direction)| *value += along * f64::from(*direction));
+        }
     }
 
     pub(super) fn signature(&self, position: usize) -> &[f32] {

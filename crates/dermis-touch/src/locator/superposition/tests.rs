@@ -67,7 +67,7 @@ fn a_frame_without_the_other_touch_is_that_of_one_touch() {
     assert_eq!(parts.len(), 2, "{parts:?}");
     let kept = usize::from(parts[0].position_m[0] > 0.05);
     let mut alone = Vec::new();
-    map.without_others(&both, &parts, kept, &mut alone);
+    map.without_others(&both, &parts, kept, &mut scratch, &mut alone);
     let expected = signature([0.02, 0.03]);
     let product: f64 = alone.iter().zip(&expected).map(|(a, b)| a * b).sum();
     let length = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
