@@ -10,6 +10,7 @@
 mod anchor;
 mod estimator;
 mod evidence;
+mod meter;
 mod plates;
 mod press;
 mod spots;
@@ -18,6 +19,7 @@ mod whitening;
 pub use anchor::Anchor;
 pub use estimator::{Estimate, Estimator, Memory};
 pub use evidence::Evidence;
+pub use meter::{Meter, operations_in};
 pub use plates::{PlateFit, PlateLaw, PlateModel, PlateOptions};
 pub use press::{Cost, Effort, Footprint, Press, PressFit};
 pub use spots::SpotFit;

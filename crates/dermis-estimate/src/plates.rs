@@ -6,6 +6,7 @@
 //! potentials of the plates adjust ([`dermis_tomo::eit::contacts::PlatedSheet`]).
 
 mod fit;
+mod linear;
 mod model;
 mod pressure;
 mod weighing;

@@ -66,11 +66,6 @@ pub struct PlateContact {
 }
 
 impl PlateContact {
-    /// Number of cells in contact. Solving takes a time that grows with its cube.
-    pub fn cell_count(&self) -> usize {
-        self.cells.len()
-    }
-
     /// True if nothing is in contact.
     pub fn is_open(&self) -> bool {
         self.cells.is_empty()
@@ -146,6 +141,16 @@ impl PlatedSheet {
             let to = points.partition_point(|point| point.position_m[1] <= centre_m[1] + half_m);
             firsts[column] + from..firsts[column] + to.max(from)
         })
+    }
+
+    /// Number of cells that these contacts touch at most: points (as indices in [`PlatedSheet::points`]) with their
+    /// conductance.
+    pub fn cell_count(&self, contacts: &[(usize, f64)]) -> usize {
+        let mut is_touched = vec![false; self.plates.len()];
+        for (point, _) in contacts {
+            is_touched[self.points[*point].cell as usize] = true;
+        }
+        is_touched.iter().filter(|is_touched| **is_touched).count()
     }
 
     /// Solves for these contacts: points (as indices in [`PlatedSheet::points`]) with their conductance per area,
