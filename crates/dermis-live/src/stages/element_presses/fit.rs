@@ -216,9 +216,9 @@ pub(super) struct Linearised<'a> {
     pub jacobian: Vec<f64>,
     /// Derivatives of the readings by the unknowns, unknown by unknown.
     pub columns: &'a [f64],
-    /// Derivative of each element's travel by that of a linear spring.
+    /// Derivative of each element's travel by a linear spring's travel.
     pub stiffening: &'a [f64],
-    /// What the presses leave of the readings, henries.
+    /// Readings minus those under the presses, henries.
     pub residual: &'a [f64],
     /// Inverse variances of the readings.
     pub weights: &'a [f64],

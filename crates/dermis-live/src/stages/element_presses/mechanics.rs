@@ -62,7 +62,7 @@ pub(super) struct Travels {
     pub travel_m: Vec<f64>,
     /// Total force of each press on all elements, newtons.
     pub forces_n: Vec<f64>,
-    /// Derivative of each element's travel by that of a linear spring.
+    /// Derivative of each element's travel by a linear spring's travel.
     pub stiffening: Vec<f64>,
     /// Derivatives by each unknown of each press: unknown by unknown, element by element.
     pub slopes: Vec<f64>,
