@@ -99,7 +99,12 @@ impl Reconstructor {
             true => Refinement::new(prepared, noise)?.taking_time(),
             false => Refinement::none(),
         };
-        Self::new(prepared, imager, placement, refinement)
+        let mut reconstructor = Self::new(prepared, imager, placement, refinement)?;
+        // Fits of presses on elements are complete in every frame, so a contact of one press is one touch.
+        if reconstructor.presses.is_some() {
+            reconstructor.touches.keep_single_alone();
+        }
+        Ok(reconstructor)
     }
 
     /// Estimates forces by a calibration from now on, or no longer.

@@ -4,16 +4,18 @@
 
 mod fit;
 mod mechanics;
+mod seek;
 
 use std::f64::consts::PI;
 
 use dermis_skin::Layer;
-use dermis_touch::{Contact, ContactSign};
+use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use self::fit::{
     Covariance, FittedPresses, MOST_TRIALS, SCANNED_CELLS, Usual, cost_of, covariances, fit, moments_along,
 };
 use self::mechanics::{Mechanics, Press};
+use self::seek::PressFilter;
 use crate::Error;
 use crate::imager::ElementFrame;
 use crate::prepare::Prepared;
@@ -52,6 +54,7 @@ const RIM_CELLS: f64 = 0.75;
 pub(crate) struct ElementPresses {
     mechanics: Mechanics,
     usual: Usual,
+    filter: PressFilter,
     /// The presses of the last frame.
     last: Vec<Press>,
 }
@@ -72,7 +75,8 @@ impl ElementPresses {
             USUAL_SHARE * layer.stiffness_n_per_m * elements.travel_mm * 1e-3 / (PI * radius_m * radius_m);
         let (low_m, high_m) = skin.outline().bounds_m();
         let usual = Usual { log_radius: radius_m.ln(), log_pressure: pressure_pa.ln(), low_m, high_m };
-        Ok(Some(Self { mechanics, usual, last: Vec::new() }))
+        let filter = PressFilter::new(&mechanics, &usual);
+        Ok(Some(Self { mechanics, usual, filter, last: Vec::new() }))
     }
 
     /// Locates the contacts of a frame, and splits or merges them if another number of presses explains it better.
@@ -125,7 +129,7 @@ impl ElementPresses {
         while let Some(fewer) = self.with_fewer(frame, &best)? {
             best = fewer;
         }
-        while best.presses.len() < MOST_PRESSES && best.left > self.noise_leaves(frame) {
+        while best.presses.len() < MOST_PRESSES {
             let Some(more) = self.with_more(frame, &best)? else { break };
             let count = best.presses.len();
             best = more;
@@ -143,7 +147,7 @@ impl ElementPresses {
     fn starts(&self, centres: &[[f64; 2]]) -> Vec<Press> {
         let is_known = |centre: &[f64; 2]| {
             let at = self.start_at(*centre);
-            self.last.iter().filter(|press| self.cells_between(press, &at) <= SAME_CELLS).count() == 1
+            self.last.iter().filter(|press| self.mechanics.cells_between(press, &at) <= SAME_CELLS).count() == 1
         };
         if self.last.len() >= centres.len() && centres.iter().all(is_known) {
             return self.last.clone();
@@ -206,7 +210,7 @@ impl ElementPresses {
         }
         for a in 0..presses.len() {
             for b in a + 1..presses.len() {
-                if self.cells_between(&presses[a], &presses[b]) > NEAR_CELLS {
+                if self.mechanics.cells_between(&presses[a], &presses[b]) > NEAR_CELLS {
                     continue;
                 }
                 let mut joined = presses.clone();
@@ -221,32 +225,46 @@ impl ElementPresses {
         Ok(None)
     }
 
-    /// A fit with one press divided, or with one more where the presses move no element, if that is worth it.
+    /// A fit with one more press, if that is worth it. The press starts where it would explain most of the residual.
+    /// If the residual exceeds noise, the halves of a divided press are tried too.
     fn with_more(&self, frame: &mut ElementFrame<'_>, best: &FittedPresses) -> Result<Option<FittedPresses>, Error> {
-        let mut more: Option<FittedPresses> = None;
-        let mut consider = |starts: &[Press]| -> Result<(), Error> {
+        let proposed = self.filter.seek(&self.mechanics, &self.usual, frame, &best.presses, self.worth_anywhere())?;
+        let mut starts: Vec<Vec<Press>> =
+            proposed.into_iter().map(|press| best.presses.iter().copied().chain([press]).collect()).collect();
+        if best.left > self.noise_leaves(frame) {
+            let halves = (0..best.presses.len()).flat_map(|number| (0..4).map(move |quarter| (number, quarter)));
+            starts.extend(halves.map(|(number, quarter)| self.divided(&best.presses, number, quarter)));
+        }
+        let mut begun: Option<FittedPresses> = None;
+        for starts in &starts {
             let found = self.fit(frame, starts, FEW_TRIALS)?;
-            if more.as_ref().is_none_or(|other| found.cost < other.cost) {
-                more = Some(found);
-            }
-            Ok(())
-        };
-        for (number, press) in best.presses.iter().enumerate() {
-            for quarter in 0..4 {
-                let (sine, cosine) = (0.25 * PI * f64::from(quarter)).sin_cos();
-                let mut starts = best.presses.clone();
-                let at = |sign: f64| {
-                    let by = [cosine, sine].map(|share| sign * HALF_APART_CELLS * share);
-                    self.start_at([0, 1].map(|axis| press.centre_m[axis] + by[axis] * self.mechanics.cell_m[axis]))
-                };
-                starts[number] = at(1.0);
-                starts.push(at(-1.0));
-                consider(&starts)?;
+            if begun.as_ref().is_none_or(|other| found.cost < other.cost) {
+                begun = Some(found);
             }
         }
-        let Some(begun) = more else { return Ok(None) };
+        let Some(begun) = begun else { return Ok(None) };
         let more = self.fit(frame, &begun.presses, MOST_TRIALS)?;
         Ok((more.cost < best.cost - WORTH).then_some(more))
+    }
+
+    /// Minimum drop in cost to start another press anywhere. Noise lowers the cost somewhere: the maximum of n squared
+    /// normal variables exceeds a single one by about 2 ln n. Readings depend on the travels of the elements alone, so
+    /// n is the number of elements.
+    fn worth_anywhere(&self) -> f64 {
+        WORTH + 2.0 * (self.mechanics.count() as f64).ln()
+    }
+
+    /// These presses with one of them divided into usual ones along a direction, in quarters of a half turn.
+    fn divided(&self, presses: &[Press], number: usize, quarter: u32) -> Vec<Press> {
+        let (sine, cosine) = (0.25 * PI * f64::from(quarter)).sin_cos();
+        let half = |sign: f64| {
+            let by = [cosine, sine].map(|share| sign * HALF_APART_CELLS * share);
+            self.start_at([0, 1].map(|axis| presses[number].centre_m[axis] + by[axis] * self.mechanics.cell_m[axis]))
+        };
+        let mut divided = presses.to_vec();
+        divided[number] = half(1.0);
+        divided.push(half(-1.0));
+        divided
     }
 
     /// True if a position is close to the edge of the elements, in either sense along a direction.
@@ -258,31 +276,31 @@ impl ElementPresses {
         })
     }
 
-    fn cells_between(&self, a: &Press, b: &Press) -> f64 {
-        let [x, y] = [0, 1].map(|axis| (a.centre_m[axis] - b.centre_m[axis]) / self.mechanics.cell_m[axis]);
-        x.hypot(y)
-    }
-
-    /// Turns these presses into contacts: each takes the nearest contact in the image, or is like the strongest if
-    /// none is left.
+    /// Turns these presses into contacts. Each takes the nearest contact in the image. If none is left, it takes a share
+    /// of the strongest in proportion to its force. One strong contact in the image makes every press strong, because
+    /// the fit needs all of them.
     fn turn_into(&self, found: &FittedPresses, covariance_m2: &[Covariance], contacts: &mut Vec<Contact>) {
         let (mut of_image, mut kept): (Vec<Contact>, Vec<Contact>) =
             contacts.drain(..).partition(|contact| contact.sign == ContactSign::Positive);
         let strongest = of_image.iter().copied().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
+        let is_strong = of_image.iter().any(|contact| contact.strength == ContactStrength::Strong);
+        let most_n = found.forces_n.iter().copied().fold(0.0, f64::max);
         let excess = (found.left / found.degrees_of_freedom.max(1) as f64).max(1.0);
         for (number, press) in found.presses.iter().enumerate() {
             let away = |contact: &Contact| {
                 (contact.centroid_m[0] - press.centre_m[0]).hypot(contact.centroid_m[1] - press.centre_m[1])
             };
             let nearest = (0..of_image.len()).min_by(|&a, &b| away(&of_image[a]).total_cmp(&away(&of_image[b])));
-            let Some(mut contact) = nearest.map(|k| of_image.swap_remove(k)).or(strongest) else { continue };
-            contact.centroid_m = press.centre_m;
-            contact.radius_m = Some(press.radius_m());
-            contact.covariance_m2 = covariance_m2[number].map(|row| row.map(|value| excess * value));
-            if nearest.is_none() {
-                contact.peak_m = press.centre_m;
-            }
-            kept.push(contact);
+            let share = || strongest.map(|contact| contact.share_at(press.centre_m, found.forces_n[number] / most_n));
+            let Some(contact) = nearest.map(|k| of_image.swap_remove(k)).or_else(share) else { continue };
+            kept.push(Contact {
+                centroid_m: press.centre_m,
+                radius_m: Some(press.radius_m()),
+                covariance_m2: covariance_m2[number].map(|row| row.map(|value| excess * value)),
+                strength: if is_strong { ContactStrength::Strong } else { contact.strength },
+                is_single: true,
+                ..contact
+            });
         }
         kept.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
         *contacts = kept;
@@ -396,6 +414,20 @@ mod tests {
             let off = nearest_mm(&contacts, press);
             assert!(off < 1.5, "{press:?}: {off} mm");
         }
+    }
+
+    /// Most of the other press lies beyond the elements, so it moves the outermost ones by little.
+    #[test]
+    fn a_press_at_the_edge_of_the_elements_is_found_though_the_image_does_not_show_it() {
+        let (one, other) = ([-12.0, 5.0, 9.0, 10.0], [28.0, 54.0, 9.0, 10.0]);
+        let contacts = found("em-8", &[one, other], &[[-20.0, 0.0]]);
+        assert_eq!(contacts.len(), 2);
+        let off = nearest_mm(&contacts, other);
+        let covariance_m2 = contacts[1].covariance_m2;
+        let sigma_mm = 1e3 * (covariance_m2[0][0] + covariance_m2[1][1]).sqrt();
+        assert!(off < 8.0 && off < 2.5 * sigma_mm, "{off} mm, sigma {sigma_mm} mm");
+        assert!(contacts.iter().all(|contact| contact.is_single && contact.strength == ContactStrength::Strong));
+        assert!(contacts[1].amplitude < 0.5 * contacts[0].amplitude);
     }
 
     #[test]

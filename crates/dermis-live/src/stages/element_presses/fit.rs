@@ -208,8 +208,24 @@ fn inverse_of_places(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<Covar
     (0..n / OF_PRESS).map(of).collect()
 }
 
+/// A fit's equations at its presses, and what they were made of.
+pub(super) struct Linearised<'a> {
+    /// The equations, with the priors.
+    pub equations: NormalEquations,
+    /// Derivatives of the readings by the travels, reading by reading, henries per metre.
+    pub jacobian: Vec<f64>,
+    /// Derivatives of the readings by the unknowns, unknown by unknown.
+    pub columns: &'a [f64],
+    /// Derivative of each element's travel by a linear spring's travel.
+    pub stiffening: &'a [f64],
+    /// Readings minus those under the presses, henries.
+    pub residual: &'a [f64],
+    /// Inverse variances of the readings.
+    pub weights: &'a [f64],
+}
+
 /// Presses during a fit.
-struct Way<'a, 'f> {
+pub(super) struct Way<'a, 'f> {
     mechanics: &'a Mechanics,
     usual: &'a Usual,
     frame: &'a mut ElementFrame<'f>,
@@ -223,7 +239,12 @@ struct Way<'a, 'f> {
 }
 
 impl<'a, 'f> Way<'a, 'f> {
-    fn new(mechanics: &'a Mechanics, usual: &'a Usual, frame: &'a mut ElementFrame<'f>, starts: &[Press]) -> Self {
+    pub(super) fn new(
+        mechanics: &'a Mechanics,
+        usual: &'a Usual,
+        frame: &'a mut ElementFrame<'f>,
+        starts: &[Press],
+    ) -> Self {
         Self {
             mechanics,
             usual,
@@ -235,6 +256,22 @@ impl<'a, 'f> Way<'a, 'f> {
             columns: Vec::new(),
             frame,
         }
+    }
+
+    /// The equations at the current presses.
+    pub(super) fn linearised(&mut self) -> Result<Linearised<'_>, MitError> {
+        self.cost()?;
+        let mut equations = NormalEquations::new(self.unknowns());
+        self.linearise(&mut equations)?;
+        let jacobian = self.frame.coils.jacobian(&self.travels.travel_m)?;
+        Ok(Linearised {
+            equations,
+            jacobian,
+            columns: &self.columns,
+            stiffening: &self.travels.stiffening,
+            residual: &self.residual,
+            weights: &self.frame.weights,
+        })
     }
 
     fn residual_of(&mut self, presses: &[Press], out: &mut Vec<f64>) -> Result<(), MitError> {

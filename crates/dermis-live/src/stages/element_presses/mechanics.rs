@@ -62,6 +62,8 @@ pub(super) struct Travels {
     pub travel_m: Vec<f64>,
     /// Total force of each press on all elements, newtons.
     pub forces_n: Vec<f64>,
+    /// Derivative of each element's travel by a linear spring's travel.
+    pub stiffening: Vec<f64>,
     /// Derivatives by each unknown of each press: unknown by unknown, element by element.
     pub slopes: Vec<f64>,
 }
@@ -127,13 +129,33 @@ impl Mechanics {
                 }
             }
         }
+        out.stiffening.clear();
         for element in 0..count {
             let share = (out.travel_m[element].max(0.0) / self.limit_m).powf(self.sharpness);
             let stiffened = (1.0 + share).powf(-1.0 / self.sharpness);
             out.travel_m[element] *= stiffened;
             let slope = stiffened / (1.0 + share);
+            out.stiffening.push(slope);
             out.slopes.iter_mut().skip(element).step_by(count).for_each(|value| *value *= slope);
         }
+    }
+
+    /// The elements that a press moves, and their travels on linear springs, metres.
+    pub(super) fn linear_travels(&self, press: &Press) -> Vec<(usize, f64)> {
+        let count = self.count();
+        let mut travels_m = vec![0.0; count];
+        for element in 0..count {
+            let Some([force_n, ..]) = self.load(press, element, false) else { continue };
+            let row = &self.compliance_m_per_n[element * count..(element + 1) * count];
+            travels_m.iter_mut().zip(row).for_each(|(travel, compliance)| *travel += compliance * force_n);
+        }
+        travels_m.into_iter().enumerate().filter(|(_, travel)| *travel != 0.0).collect()
+    }
+
+    /// Distance of the centres of two presses, in cells.
+    pub(super) fn cells_between(&self, a: &Press, b: &Press) -> f64 {
+        let [x, y] = [0, 1].map(|axis| (a.centre_m[axis] - b.centre_m[axis]) / self.cell_m[axis]);
+        x.hypot(y)
     }
 
     /// Force of a press on an element and its derivatives by x and y (in cells) and both logarithms; `None` if it
