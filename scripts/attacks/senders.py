@@ -61,13 +61,13 @@ def silent_client(ground):
     ground.say("7 silent clients: the eighth has frames at once")
     # All places are taken by silent hosts, which are disconnected after five seconds.
     more = [connect(port) for _ in range(20)]
-    served.until("sent away: it said nothing", 20)
+    served.until("disconnected: it sent nothing", 20)
     time.sleep(6)
     late = Host(connect(port))
     late.start()
     late.wait_for_frames(20, 20)
     check(host.missing == 0, f"{host.missing} frames are missing")
-    ground.say(f"27 silent clients: sent away; a host that came then has frames, the first one misses {host.missing}")
+    ground.say(f"27 silent clients: disconnected; a host that connects afterwards gets frames, the first one misses {host.missing}")
     for connection in silent + more:
         connection.close()
 

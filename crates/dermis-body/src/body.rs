@@ -16,7 +16,7 @@ use crate::urdf::{Geometry, Urdf};
 
 /// Name of the only link of a body without a URDF file.
 pub const ONLY_LINK: &str = "body";
-/// Most patches on one body.
+/// Maximum number of patches on one body.
 pub const MOST_PATCHES: usize = 256;
 /// Joint values older than this are stale unless the body file says otherwise, milliseconds: ten periods of a robot
 /// that publishes at 50 Hz, the slowest in common use.

@@ -11,7 +11,7 @@ use crate::transform::{Transform, Vector, length, scaled};
 
 /// Largest URDF file, bytes: four times the largest robot descriptions in use.
 pub const MOST_BYTES: u64 = 64 << 20;
-/// Most links in a robot.
+/// Maximum number of links in a robot.
 const MOST_LINKS: usize = 10_000;
 /// Largest length in a URDF file, metres.
 const MOST_M: f64 = 1e4;

@@ -1,5 +1,5 @@
 //! The rules of ARCHITECTURE.md: which crates use which, which crates stay free of files, sockets and clocks, and
-//! that files don't depend on each other in a circle.
+//! that files have no circular dependencies.
 
 #[path = "architecture/file_graph.rs"]
 mod file_graph;

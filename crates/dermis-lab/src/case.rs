@@ -168,7 +168,7 @@ impl Case {
             let root = Field::root(&self.file, &holder);
             let field = root.need(&key, "a list")?;
             return field
-                .list_of(elements, "conductivities (one an element)")?
+                .list_of(elements, "conductivities (one per element)")?
                 .map(|v| v.positive("conductivity"))
                 .collect();
         }
@@ -211,7 +211,7 @@ fn conductivity_file(file: &Path, elements: usize) -> Result<Vec<f64>, Error> {
     };
     let longest = shape.iter().copied().max().unwrap_or(1);
     if values.len() != elements || longest != elements {
-        let reason = format!("has shape {shape:?}; expected {elements} conductivities (one an element) in one column");
+        let reason = format!("has shape {shape:?}; expected {elements} conductivities (one per element) in one column");
         return Err(refuse("conductivity".to_string(), reason));
     }
     match values.iter().position(|value| !(*value > 0.0 && value.is_finite())) {
@@ -321,7 +321,7 @@ fn point(field: &Field<'_>, node_count: usize) -> Result<u32, Error> {
 
 fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
     let stim = root.need("stim", "stimulations x electrodes, amperes")?;
-    let stimulations = rows(&stim, electrodes, "currents (one an electrode)")?;
+    let stimulations = rows(&stim, electrodes, "currents (one per electrode)")?;
     for (row, field) in stimulations.iter().zip(stim.list("a list of rows")?) {
         let (sum, scale) = (row.iter().sum::<f64>(), row.iter().fold(0.0, |most: f64, i| most.max(i.abs())));
         // Tolerance on the sum: currents written with ten digits or more meet it.
@@ -330,7 +330,7 @@ fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
         }
     }
     let meas = root.need("meas", "measurements x electrodes, weights")?;
-    let measurements = rows(&meas, electrodes, "weights (one an electrode)")?;
+    let measurements = rows(&meas, electrodes, "weights (one per electrode)")?;
     check_count(root, "n_meas", measurements.len(), "meas")?;
     for (row, field) in measurements.iter().zip(meas.list("a list of rows")?) {
         if row.iter().all(|weight| *weight == 0.0) {

@@ -27,7 +27,7 @@ pub const BASELINE_FRAMES: usize = 32;
 const HELD_S: f64 = 1.0;
 /// Rest before a press, seconds: far longer than any cover remembers.
 const REST_S: f64 = 1e5;
-/// Most frames in one request.
+/// Maximum number of frames in one request.
 const MOST_FRAMES: usize = 10_000_000;
 /// Maximum number of readings in total; at 8 bytes each, 16 GiB.
 const MOST_READINGS: usize = 2_000_000_000;

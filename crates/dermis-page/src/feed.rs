@@ -25,7 +25,7 @@ const MM: f64 = 1e3;
 const SILENCE_NS: u64 = 1_000_000_000;
 /// Minimum time for counting frames before their rate is shown, nanoseconds.
 const RATE_NS: u64 = 500_000_000;
-/// Most channel faults to list.
+/// Maximum number of channel faults to list.
 const MOST_CHANNEL_FAULTS: usize = 64;
 
 /// A recording in progress.

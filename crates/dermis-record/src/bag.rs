@@ -18,7 +18,7 @@ use crate::Error;
 use array::ArrayKind;
 use collector::Collector;
 
-/// Most files in a split bag.
+/// Maximum number of files in a split bag.
 const MOST_FILES: usize = 10_000;
 /// Number of skipped messages to describe one by one.
 const DESCRIBED: usize = 3;

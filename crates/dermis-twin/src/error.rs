@@ -53,8 +53,8 @@ pub enum TwinError {
         /// Expected count, and the reason.
         expected: String,
     },
-    /// A pointer was moved that presses nothing.
-    #[error("pointer {pointer} moved, but it presses nothing; expected a press before it")]
+    /// A pointer was moved without pressing.
+    #[error("pointer {pointer} moved, but is not pressing; expected a press before it")]
     Pointer {
         /// The pointer named.
         pointer: u64,

@@ -62,7 +62,7 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
             joint("<axis", "<mimic joint=\"elbow\"/><axis"),
             "arm.urdf, line 4: joint wrist: mimics \"elbow\": expected a joint of the file",
         ),
-        (joint("<axis", "<mimic joint=\"wrist\"/><axis"), "in a circle"),
+        (joint("<axis", "<mimic joint=\"wrist\"/><axis"), "a cycle"),
         (
             joint(
                 "</robot>",

@@ -25,7 +25,7 @@ const QUEUE: usize = 2048;
 const QUEUE_FOR_CLOUDS: usize = QUEUE / 8;
 /// Longest wait for a message before requests to services are checked.
 const NAP: Duration = Duration::from_millis(10);
-/// Most messages sent before requests are checked, even if more are waiting.
+/// Maximum number of messages sent before requests are checked, even if more are waiting.
 const MOST_IN_A_ROW: usize = 64;
 /// Interval between messages of diagnostics, nanoseconds.
 const DIAGNOSTICS_EVERY_NS: u64 = 1_000_000_000;
@@ -35,7 +35,7 @@ const DIAGNOSTICS_EVERY_NS: u64 = 1_000_000_000;
 pub struct Ros2Options {
     /// Name of the node.
     pub node: NodeName,
-    /// Most images and point clouds per second of each patch.
+    /// Maximum number of images and point clouds per second of each patch.
     pub clouds_per_s: f64,
 }
 

@@ -22,7 +22,7 @@ use super::viewers::Viewers;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 
-/// Most page requests handled per frame. Of each kind, only the last counts.
+/// Maximum number of page requests handled per frame. Of each kind, only the last counts.
 const MOST_REQUESTS: usize = 256;
 
 /// A run in progress: what it shows and records, and the requests of its pages.
