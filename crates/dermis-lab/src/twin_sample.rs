@@ -46,7 +46,7 @@ pub struct SampleRequest {
     pub truth: Option<PathBuf>,
     /// Seed of the noise; the skin file's if `None`.
     pub seed: Option<u64>,
-    /// Number of a skin that a workshop builds within the file's tolerances; as drawn where left out.
+    /// Number of a random skin within the file's tolerances; without it, the skin is exactly as in its file.
     pub built: Option<u64>,
     /// Frames per press.
     pub repeats: usize,

@@ -54,7 +54,7 @@ pub struct Skin {
     /// Settings of its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
-    /// Errors of the workshop that builds it.
+    /// Manufacturing tolerances.
     #[serde(default, skip_serializing_if = "Tolerances::is_default")]
     pub tolerances: Tolerances,
     /// Its position on a robot.
