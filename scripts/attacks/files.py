@@ -129,7 +129,7 @@ def early_signals(ground):
         check(not partial.exists(), f"signal {k}: left a partial behind: {command.err()[-300:]}")
         if target.exists():
             found = info(ground, target)
-            check(found["whole"], f"signal {k}: the recording is not whole")
+            check(found["whole"], f"signal {k}: the recording is incomplete")
             codes["whole recordings"] = codes.get("whole recordings", 0) + 1
             target.unlink()
     ground.say(f"60 signals: {codes}")

@@ -75,7 +75,7 @@ impl Kinematics {
         for (number, link) in urdf.links.iter().enumerate() {
             if let Some(first) = link_numbers.insert(link.name.clone(), number) {
                 let message = format!(
-                    "a second link {:?}: expected names that differ, see line {}",
+                    "duplicate link {:?}: expected unique names, see line {}",
                     link.name, urdf.links[first].line
                 );
                 return Err(fail(link.line, message));
@@ -85,7 +85,7 @@ impl Kinematics {
         for (number, joint) in urdf.joints.iter().enumerate() {
             if let Some(first) = joint_numbers.insert(joint.name.clone(), number) {
                 let message = format!(
-                    "a second joint {:?}: expected names that differ, see line {}",
+                    "duplicate joint {:?}: expected unique names, see line {}",
                     joint.name, urdf.joints[first].line
                 );
                 return Err(fail(joint.line, message));

@@ -339,7 +339,7 @@ fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
     }
     let meas_stim = root.need("meas_stim", "the stimulation of each measurement")?;
     let of = meas_stim
-        .list_of(measurements.len(), "stimulation indices (one a measurement)")?
+        .list_of(measurements.len(), "stimulation indices (one per measurement)")?
         .map(|index| Ok(index.index(stimulations.len(), "stimulations")? as usize))
         .collect::<Result<Vec<_>, Error>>()?;
     Protocol::from_rows(&stimulations, &measurements, &of).map_err(|error| meas.error(error.to_string()))
@@ -436,7 +436,7 @@ mod tests {
             ("\"CEM\"", "\"cem\"", "electrodes[0].type: is \"cem\"; expected \"CEM\""),
             ("0.1", "0", "electrodes[0].z_contact: is 0; expected a positive contact impedance"),
             ("\"z_contact\": 0.1, ", "", "electrodes[0].z_contact: is missing; expected the contact impedance"),
-            ("[[0, 3]]", "[[0, 2]]", "electrodes: electrode 0: face [0, 2] is no face of the mesh"),
+            ("[[0, 3]]", "[[0, 2]]", "electrodes: electrode 0: face [0, 2] is not a face of the mesh"),
             ("[[0, 3]]", "[[0, 3, 1]]", "electrodes[0].faces[0]: holds 3 values; expected 2 node indices"),
             ("\"node\": 1", "\"node\": 9", "electrodes[1].node: is 9; expected a zero-based index of one of 5 nodes"),
             ("\"stim\": [[-1, 1]]", "\"stim\": [[1, 1]]", "stim[0]: adds to 2e0 A; expected currents that add to 0"),

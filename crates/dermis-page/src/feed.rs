@@ -177,7 +177,7 @@ impl PageFeed {
         let source = match problem {
             Some(reason) => SourceState::Lost { reason },
             None if now_ns.saturating_sub(since_ns) < SILENCE_NS => return is_new_verdict,
-            None => SourceState::Waiting { reason: "connected, but no frames come".into() },
+            None => SourceState::Waiting { reason: "connected, but no frames arrive".into() },
         };
         let changed = self.update.state.source != source;
         if changed {

@@ -319,7 +319,7 @@ fn body_cost(skin: &Skin) -> Option<Cost> {
         bytes: (TETRAHEDRON_BYTES + BODY_FACTOR) * tetrahedra,
         operations: BODY_OPERATIONS * tetrahedra,
         driver: format!("eddy currents in an element of {tetrahedra:.0} tetrahedra"),
-        change: "frontend.elements.shape: make its sizes less unequal".to_owned(),
+        change: "frontend.elements.shape: make its dimensions more equal".to_owned(),
     })
 }
 

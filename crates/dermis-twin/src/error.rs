@@ -61,7 +61,7 @@ pub enum TwinError {
     },
     /// A treatment that this skin does not support.
     #[error(
-        "this skin's twin cannot be treated so; expected a sheet or a sandwich to cut, warm or renew, and a sandwich \
+        "this skin's twin does not support this treatment; expected a sheet or a sandwich to cut, warm or renew, and a sandwich \
          that heals to lay a heat pad on"
     )]
     NotTreatable,

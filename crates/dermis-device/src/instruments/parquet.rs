@@ -104,7 +104,7 @@ fn frames(source: impl ChunkReader + 'static, file: &Path, options: &ReadOptions
         notes.extend(
             flat.iter()
                 .filter(|column| is_other(column))
-                .map(|column| format!("column `{}` left out: it stands beside the lists", shorten(&column.name))),
+                .map(|column| format!("column `{}` left out: it is next to the lists", shorten(&column.name))),
         );
         flat.retain(|column| !is_other(column));
     }

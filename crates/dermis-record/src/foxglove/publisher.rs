@@ -265,7 +265,7 @@ mod tests {
             ("electrode-recovered", "3", Level::Info),
             ("gap", "2 frames missing", Level::Warning),
             ("damage-begin", "", Level::Warning),
-            ("silent", "no frames come", Level::Warning),
+            ("silent", "no frames arrive", Level::Warning),
             ("failed", "unplugged", Level::Error),
         ] {
             assert_eq!(level_of(event, detail), expected, "{event}");

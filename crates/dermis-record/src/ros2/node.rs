@@ -116,7 +116,7 @@ impl Ros2Node {
         let link_names = tokens_of(links.iter().map(String::as_str))?;
         if let Some(error) = no_multicast() {
             tracing::warn!(
-                "no network interface takes multicast ({error}): programs on other machines will not find the ROS 2 node \
+                "no network interface supports multicast ({error}): programs on other machines will not find the ROS 2 node \
                  {}; on Linux, `ip link set dev INTERFACE multicast on` and a route for 224.0.0.0/4 help",
                 options.node
             );
@@ -297,7 +297,7 @@ impl NodeThread {
         let count = if sent == Sent::Yes { &counts.sent } else { &counts.refused };
         count.fetch_add(1, Ordering::Relaxed);
         if sent == Sent::Restarted {
-            tracing::warn!("a ROS 2 reader acknowledged nothing; its topic has started again without it");
+            tracing::warn!("a ROS 2 reader acknowledged nothing; its topic was restarted without it");
             self.announce();
         }
     }

@@ -152,7 +152,7 @@ fn is_local() -> bool {
     says("ROS_LOCALHOST_ONLY", "1") || says("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 }
 
-/// The reason why no network interface takes multicast, if none does.
+/// The reason why no network interface supports multicast, if none does.
 pub(super) fn no_multicast() -> Option<std::io::Error> {
     // Looks up the route and sends nothing.
     UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
