@@ -220,7 +220,7 @@ impl Participant {
 
 impl Writer {
     /// Sends a message, given with its encapsulation. Never waits. A reader that acknowledges nothing fills the window
-    /// of unacknowledged messages; the topic is then recreated, so that the other readers go on.
+    /// of unacknowledged messages; the topic is then recreated, so that the other readers continue.
     pub fn write(&mut self, message: Vec<u8>, participant: &Participant) -> Sent {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         if self.writer.write(payload, None).is_ok() {
@@ -249,7 +249,7 @@ impl Writer {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         let options = WriteOptionsBuilder::new().related_sample_identity(request).build();
         if let Err(error) = self.writer.write_with_options(payload, options) {
-            tracing::warn!("an answer was not sent: {error}");
+            tracing::warn!("a reply was not sent: {error}");
         }
     }
 
