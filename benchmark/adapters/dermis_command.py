@@ -18,7 +18,7 @@ import numpy as np
 PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
 # Time limit for one call of the command, in seconds.
 LIMIT_S = 600
-# Pokes from which the speed is measured, which takes some seconds, and frames that it is measured on.
+# Number of pokes from which speed is measured (that takes some seconds), and number of frames to measure it on.
 TIMED_POKES, TIMED_FRAMES = 400, 4000
 HANDLES_SESSIONS = True
 TOLD = (
