@@ -146,7 +146,7 @@ fn press(
             let refused = |error: dermis_twin::TwinError| {
                 Error::Live(dermis_live::Error::Frames {
                     what: format!("press {}", k + 1),
-                    expected: "one that the skin can bear".into(),
+                    expected: "one that the skin can carry".into(),
                     got: error.to_string(),
                 })
             };

@@ -4,7 +4,7 @@
 //!
 //! with q the misfit at the best position, d the inverse expert's distance to the nearest poke, and q', d' their
 //! medians over the left-out examples. The powers are those that predict the left-out examples best. A frame that fits
-//! less than 95 % of them do is widened at least by its novelty: the skin has changed, or several touches share the
+//! worse than 95 % of them is widened at least by its novelty: the skin has changed, or several touches share the
 //! frame.
 
 use crate::locator::posterior::{ONE_SIGMA, SELECTION_MARGIN, Trial, log_student, weighted_quantile};
