@@ -18,7 +18,7 @@ import numpy as np
 PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
 # Time limit for one call of the command, in seconds.
 LIMIT_S = 600
-# Number of pokes from which speed is measured (that takes some seconds), and number of frames to measure it on.
+# Number of pokes from which speed is measured (that takes a few seconds), and number of frames to measure it on.
 TIMED_POKES, TIMED_FRAMES = 400, 4000
 HANDLES_SESSIONS = True
 TOLD = (
