@@ -217,7 +217,7 @@ def watch(told):
     done = call("evidence", "--data", told.folder.parent, "--only", told.folder.name, "--json")
     figures = {figure["name"]: figure["value"] for figure in json.loads(done.stdout)["sets"][0]["findings"][0]["here"]}
     if figures["damage sites reported"] > 1:
-        raise RuntimeError(f"dermis evidence tells {figures['damage sites reported']:.0f} damages, and the frame of the first alone")
+        raise RuntimeError(f"dermis evidence reports {figures['damage sites reported']:.0f} damage sites, but only the frame of the first")
     at = int(figures["first in frame"]) - len(told.frames) if figures["damage sites reported"] else -1
     count = iter(range(1 << 62))
     return lambda frame: next(count) == at

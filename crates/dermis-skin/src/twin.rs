@@ -292,7 +292,7 @@ impl TwinTreatment {
                 checker.place_mm(&key("cut.from_mm"), &from_mm)?;
                 checker.place_mm(&key("cut.to_mm"), &to_mm)?;
                 if from_mm == to_mm {
-                    return Err(checker.refused(&key("cut.to_mm"), format!("{to_mm:?}"), "another place than from_mm"));
+                    return Err(checker.refused(&key("cut.to_mm"), format!("{to_mm:?}"), "a place other than from_mm"));
                 }
                 Ok(())
             }

@@ -124,7 +124,7 @@ fn evidence_of_nothing_and_of_unknown_sets_is_refused() {
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
     assert!(text(&output.stdout).contains("0 of 8 sets"), "{}", text(&output.stdout));
     for (words, expected) in [
-        (&["--data", "empty", "--only", "gel"][..], "--only gel: expected some of hydrogel, five-skins"),
+        (&["--data", "empty", "--only", "gel"][..], "--only gel: expected one or more of hydrogel, five-skins"),
         (&["--data", "file"], "--data file: expected a folder"),
         (&["--data", "none"], "--data none: expected a folder"),
         (&[], "--data"),

@@ -351,7 +351,7 @@ impl List {
                 }
                 _ if values.len() >= row * count => {
                     end(row, values.len() + 1);
-                    return Err(ParquetError::General("a longer list".to_owned()));
+                    return Err(ParquetError::General("a list that is too long".to_owned()));
                 }
                 Some(Cell::Number(number)) => values.push(number * scale / list.divisor),
                 Some(Cell::Whole(number)) => values.push(number as f64 * scale / list.divisor),

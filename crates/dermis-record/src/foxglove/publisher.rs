@@ -259,7 +259,7 @@ mod tests {
         for (event, detail, expected) in [
             ("guard", "ok", Level::Info),
             ("guard", "stop: force", Level::Warning),
-            ("tare", "asked for in Foxglove", Level::Info),
+            ("tare", "requested in Foxglove", Level::Info),
             ("tare-refused", "something touches", Level::Warning),
             ("electrode-fault", "3", Level::Warning),
             ("electrode-recovered", "3", Level::Info),

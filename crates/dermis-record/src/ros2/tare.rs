@@ -19,7 +19,7 @@ const MOST_WAITING: usize = 4;
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The reason for a tare, in recordings and events.
-const REASON: &str = "asked for over ROS 2";
+const REASON: &str = "requested over ROS 2";
 
 /// Outcome of a request: the text of the reply.
 type Outcome = Result<String, String>;

@@ -124,7 +124,7 @@ impl Script {
     ///
     /// # Errors
     /// Events out of order or beyond the duration, moves and releases of pointers that are not pressing, presses of
-    /// pointers that already are, or invalid indenters.
+    /// pointers that are already pressing, or invalid indenters.
     pub fn check(&self) -> Result<(), TwinError> {
         self.check_with(Indenter::check)
     }

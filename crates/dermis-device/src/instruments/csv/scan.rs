@@ -129,7 +129,7 @@ pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<S
             DeviceError::field(file, line, "numbers", &cell, expected).into()
         }
         NoTable::CommaBetweenCommas { line, cell } => {
-            let expected = "decimal points, or another separator than the comma: these look like decimal commas between \
+            let expected = "decimal points, or a separator other than the comma: these look like decimal commas between \
                             commas, which is ambiguous";
             DeviceError::field(file, line, "numbers", &cell, expected).into()
         }

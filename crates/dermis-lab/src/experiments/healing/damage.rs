@@ -109,7 +109,7 @@ fn cut_and_touches() -> Result<Report, Error> {
          intact skin, and of a disc of 20 mm pressed at 80 kPa beside it, against the cut skin.",
     ];
     let figures = vec![images(&line, "cut", words, panels)];
-    let notes = vec!["The length is the paper's; it shows place and shape, and gives no numbers.".into()];
+    let notes = vec!["The length is the paper's, which shows place and shape but gives no numbers.".into()];
     Ok(Report { id: CUT_AND_TOUCHES.id, title: CUT_AND_TOUCHES.title, rows, figures, notes })
 }
 
@@ -184,7 +184,7 @@ fn healing() -> Result<Report, Error> {
         },
     ];
     let notes = vec![
-        "90 degrees for 2 h and 48 h of rest are the paper's; the twin's scar is set by its bars (2.07 to 2.15 kohm)."
+        "90 degrees for 2 h and 48 h of rest are the paper's; the twin's scar follows from the paper's bars (2.07 to 2.15 kohm)."
             .into(),
         "The monitor fits the cut's closing and the rise of conductivity around it separately.".into(),
     ];
