@@ -65,7 +65,7 @@ impl TareService {
             let cyclone = cyclone_header(&message);
             match self.tares.try_send(LiveRequest::new(LiveCommand::Tare { force: false }, REASON, answer)) {
                 Ok(()) => self.waiting.push(Waiting { identity, cyclone, outcome, asked: Instant::now() }),
-                Err(TrySendError::Full(_)) => self.reply(identity, cyclone, refused("earlier requests wait")),
+                Err(TrySendError::Full(_)) => self.reply(identity, cyclone, refused("earlier requests are waiting")),
                 Err(TrySendError::Disconnected(_)) => {
                     self.reply(identity, cyclone, refused("the skin has ended"));
                 }
