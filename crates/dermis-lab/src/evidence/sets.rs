@@ -99,7 +99,7 @@ pub const SETS: [Set; 8] = [
     },
     Set {
         name: "ktc",
-        title: "a water tank with 32 electrodes, 4 training phantoms with photographed truth",
+        title: "a water tank with 32 electrodes, 4 training phantoms with photographed ground truth",
         source: "Kuopio Tomography Challenge 2023",
         tuned: "the recipe of all four tanks (weights, prior, hyperparameter rule); the soft threshold of the images, the \
                 thresholds of the labels, and the rule for using the network's labels",

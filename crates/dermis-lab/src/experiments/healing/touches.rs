@@ -104,7 +104,7 @@ fn single() -> Result<Report, Error> {
     let (columns, panels) = (bench.rig.columns(), scores.panels);
     let figures = vec![Figure::Images { name: "single", title, caption, columns, panels }];
     let notes = vec![
-        "In the paper, one of six cases, 25 mm in the middle, could not be told from the smaller size.".into(),
+        "In the paper, one of six cases, 25 mm in the middle, could not be distinguished from the smaller size.".into(),
         "Truth is what the indenter covers. The first step is scored over its own peak.".into(),
     ];
     Ok(Report { id: SINGLE.id, title: SINGLE.title, rows, figures, notes })
