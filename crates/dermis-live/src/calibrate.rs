@@ -176,7 +176,7 @@ fn built_scale(pokes: &[LeftOutPoke]) -> f64 {
         let count = pokes.iter().flat_map(|poke| [is_within(poke, 0), is_within(poke, 1)]).filter(|is| *is).count();
         count as f64 / (2 * pokes.len()).max(1) as f64
     };
-    // Half a decade is finer than twenty pokes can tell.
+    // Half a decade is finer than twenty pokes can resolve.
     (-10..=20)
         .map(|step| 10.0_f64.powf(0.1 * f64::from(step)))
         .find(|scale| within(*scale) >= ONE_SIGMA)

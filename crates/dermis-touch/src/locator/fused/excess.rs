@@ -16,7 +16,7 @@ const DISTANCE_POWERS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
 /// Gain in total log score that each power above zero must bring: Akaike's penalty for one parameter, plus the
 /// logarithm of the number of powers tried. Fifty pokes otherwise choose one by chance.
 const MARGIN: f64 = SELECTION_MARGIN + 1.386_294;
-/// Limits of the ratios, beyond which no left-out example tells anything.
+/// Limits of the ratios, beyond which left-out examples give no information.
 const LIMITS: (f64, f64) = (0.1, 30.0);
 
 /// How far a frame is from the pokes.
