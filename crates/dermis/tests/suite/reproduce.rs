@@ -87,9 +87,9 @@ fn neighbours_threes_and_fours_of_the_em_skins_are_told_apart() {
     }
     let report = replay("E3");
     for (array, groups) in
-        [("8 coils", "threes"), ("8 coils", "fours"), ("16 circular", "threes"), ("16 circular", "fours")]
+        [("8 coils", "three"), ("8 coils", "four"), ("16 circular", "three"), ("16 circular", "four")]
     {
-        let quantity = format!("{array}: {groups} found whole, of 4");
+        let quantity = format!("{array}: sets of {groups} fully found, of 4");
         assert_eq!(value(&report, &quantity), 4.0, "{:?}", report.rows);
     }
     // The requirement on heights under several touches.

@@ -176,7 +176,7 @@ fn a_header_of_numbers_is_no_frame() {
 fn decimal_commas_between_commas_are_refused_with_what_to_do() {
     for text in ["0,0626722,0,027776\n0,0626,0,02777\n", "62,672203,27,775993\n62,672100,7,775990\n"] {
         let message = read_for(text, &[]).unwrap_err();
-        assert!(message.contains("decimal commas") && message.contains("another separator"), "{message}");
+        assert!(message.contains("decimal commas") && message.contains("separator other than"), "{message}");
     }
     assert_eq!(read_for("100,12345,2,0\n7,8,9,10\n", &[]).unwrap().channels(), 4);
 }

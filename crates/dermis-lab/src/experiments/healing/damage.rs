@@ -184,7 +184,8 @@ fn healing() -> Result<Report, Error> {
         },
     ];
     let notes = vec![
-        "90 degrees for 2 h and 48 h of rest are the paper's; the twin's scar follows from the paper's bars (2.07 to 2.15 kohm)."
+        "90 degrees for 2 h and 48 h of rest are the paper's; the twin's scar follows from the paper's bars (2.07 to \
+         2.15 kohm)."
             .into(),
         "The monitor fits the cut's closing and the rise of conductivity around it separately.".into(),
     ];
