@@ -191,7 +191,7 @@ def check_a_tare(viewer):
         viewer.for_s(0.5, take)
     require(re.fullmatch(r"taring over \d+ frames", reply["message"]), f"tare: {reply}")
     viewer.until("baseline", lambda: seen["baseline"] is not None and seen["baseline"].origin == "tare", take)
-    require(seen["baseline"].reason == "asked for in Foxglove", f"reason {seen['baseline'].reason}")
+    require(seen["baseline"].reason == "requested in Foxglove", f"reason {seen['baseline'].reason}")
     viewer.until("line in the log", lambda: any("baseline (tare)" in line for line in seen["log"]), take)
     failure = viewer.call("/dermis/tare", '{"forced": true}')
     require("forced" in failure.get("message", ""), f"a mistake in a request: {failure}")

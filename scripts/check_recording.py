@@ -90,7 +90,7 @@ def with_mcap(path):
             elif topic == "/dermis/points":
                 clouds[log_ns] = cloud_points(message)
             elif topic == "/dermis/touches":
-                require(message.sequence in frames, "touches stand before their frame")
+                require(message.sequence in frames, "touches come before their frame")
                 touches[log_ns] = message
             elif topic == "/dermis/touch_points":
                 points[log_ns] = cloud_points(message)
@@ -139,7 +139,7 @@ def with_rosbags(path, frames):
             counts[connection.topic] += 1
             if connection.topic == "/dermis/frames":
                 same = message.values.tobytes() == frames[message.sequence].tobytes()
-                require(same, f"rosbags reads frame {message.sequence} otherwise")
+                require(same, f"rosbags reads frame {message.sequence} differently")
     require(counts["/dermis/frames"] == len(frames), "frames that rosbags finds")
     print(f"rosbags: {sum(counts.values())} messages of {len(counts)} topics, {counts['/dermis/frames']} frames bit for bit")
 

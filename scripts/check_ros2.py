@@ -355,8 +355,8 @@ def check_stalled(program):
     finally:
         reader.kill()
     said = run.stop()
-    require(made > 8 * 25 * 0.8, f"{made} frames in 8 s beside a stalled reader")
-    require(got >= made - 5, f"another reader got {got} of {made} messages beside a stalled one")
+    require(made > 8 * 25 * 0.8, f"{made} frames in 8 s next to a stalled reader")
+    require(got >= made - 5, f"another reader got {got} of {made} messages next to a stalled one")
     require(", 0 dropped" in said, said)
     print(f"stalled reader: {made} frames in 8 s, another reader got {got}")
 

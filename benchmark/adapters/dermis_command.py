@@ -18,7 +18,7 @@ import numpy as np
 PROGRAM = os.environ.get("DERMIS") or shutil.which("dermis")
 # Time limit for one call of the command, in seconds.
 LIMIT_S = 600
-# Pokes from which the speed is measured, which takes some seconds, and frames that it is measured on.
+# Number of pokes from which speed is measured (that takes a few seconds), and number of frames to measure it on.
 TIMED_POKES, TIMED_FRAMES = 400, 4000
 HANDLES_SESSIONS = True
 TOLD = (
@@ -216,8 +216,8 @@ def watch(told):
     """
     done = call("evidence", "--data", told.folder.parent, "--only", told.folder.name, "--json")
     figures = {figure["name"]: figure["value"] for figure in json.loads(done.stdout)["sets"][0]["findings"][0]["here"]}
-    if figures["damages told"] > 1:
-        raise RuntimeError(f"dermis evidence tells {figures['damages told']:.0f} damages, and the frame of the first alone")
-    at = int(figures["the first in frame"]) - len(told.frames) if figures["damages told"] else -1
+    if figures["damage sites reported"] > 1:
+        raise RuntimeError(f"dermis evidence reports {figures['damage sites reported']:.0f} damage sites, but only the frame of the first")
+    at = int(figures["first in frame"]) - len(told.frames) if figures["damage sites reported"] else -1
     count = iter(range(1 << 62))
     return lambda frame: next(count) == at

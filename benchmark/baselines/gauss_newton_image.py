@@ -56,7 +56,7 @@ def otsu(values, bins=64):
 
 
 def segment(told):
-    """Voltage change divided by the size of the reference, in three classes by Otsu. The largest class is background."""
+    """Images the voltage change relative to the reference and splits it by Otsu. The largest class is background."""
     side = 40
     points, inside = disc.grid(side)
     model = disc.voltages(told.electrodes, told.drives, told.reads)

@@ -60,7 +60,7 @@ def load(path):
     """
     data = Path(path).read_bytes()
     if len(data) < 128 or data[126:128] not in (b"IM", b"MI"):
-        raise MatError(f"{path}: no MATLAB file of version 5 to 7 (version 7.3 is HDF5: save it with -v7)")
+        raise MatError(f"{path}: not a MATLAB file of version 5 to 7 (version 7.3 is HDF5: save it with -v7)")
     order = "<" if data[126:128] == b"IM" else ">"
     found = {}
     for kind, content in elements(data, order, 128):

@@ -14,7 +14,7 @@ pub const RANGES_V: [f32; 6] = [6.144, 4.096, 2.048, 1.024, 0.512, 0.256];
 pub const CONVERSIONS_PER_S: f32 = 860.0;
 /// Readings per second achieved over a 400 kHz bus: each takes a start, at least two polls and the result.
 pub const READINGS_PER_S: f32 = 600.0;
-/// Most polls of the converter, 50 us apart, before giving up.
+/// Maximum number of polls of the converter, 50 us apart, before giving up.
 const MOST_LOOKS: u32 = 200;
 /// Full scale in counts.
 const COUNTS: f32 = 32_768.0;

@@ -19,7 +19,7 @@ use crate::board::{Board, Facts, Failure, Reading};
 use crate::converter::{Converter, Input, READINGS_PER_S};
 use crate::protocol::Named;
 
-/// Most coils that four address lines can select.
+/// Maximum number of coils that four address lines can select.
 pub const MOST_COILS: u8 = 16;
 /// Gains of the amplifiers, by code.
 pub const GAINS: [u8; 8] = [1, 2, 4, 5, 8, 10, 16, 32];

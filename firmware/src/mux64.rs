@@ -17,7 +17,7 @@ use crate::protocol::{MOST_ELECTRODES, Named};
 
 /// A step of the current source, amperes.
 pub const STEP_A: f32 = 2.6e-6;
-/// Most steps of the current source: 39 uA, just below its limit of 40 uA.
+/// Maximum number of steps of the current source: 39 uA, just below its limit of 40 uA.
 pub const MOST_STEPS: u8 = 15;
 /// Largest current that can be requested, amperes.
 const MOST_A: f32 = 40e-6;

@@ -3,7 +3,7 @@
 
 use dermis_wire::{List, NO_ELECTRODE};
 
-/// Most electrodes of a board.
+/// Maximum number of electrodes of a board.
 pub const MOST_ELECTRODES: u8 = 64;
 
 /// A list of measurements given by a rule.

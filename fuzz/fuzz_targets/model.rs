@@ -1,5 +1,5 @@
-//! Networks: a card, a zero byte, and weights. The card's size and hash of the weights are made to fit, so that the
-//! weights are looked at.
+//! Networks: a card, a zero byte, and weights. The card's size and hash are corrected to match the weights, so that the
+//! weights are parsed.
 #![no_main]
 
 use std::path::Path;

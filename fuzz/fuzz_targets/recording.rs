@@ -1,4 +1,4 @@
-//! Recordings: every entry is read, twice with the same count, and the head is turned into a skin.
+//! Recordings: all entries are read twice, with the same count, and the header is turned into a skin.
 #![no_main]
 
 use std::io::Cursor;

@@ -1,4 +1,4 @@
-//! Skin files, also of earlier versions. What is read is written, and read again as the same skin.
+//! Skin files, including those of earlier versions. A skin that is read must be the same after writing and reading it.
 #![no_main]
 
 use dermis_skin::Skin;

@@ -1,5 +1,5 @@
 //! Files of frames in every format: CSV, columns, NPY, Sciospec, MATLAB, lists of golf ball and pyeidors. The first
-//! byte says which.
+//! byte selects the format.
 #![no_main]
 
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Bytes of an instrument on the wire: as they come, or, where the first byte is odd, as the content of a packet whose
-//! checksum is right. Whatever is understood is written again as the same message.
+//! Bytes of an instrument on the wire: raw, or, if the first byte is odd, as the content of a packet with a correct
+//! checksum. Every message that is decoded must survive encoding and decoding again.
 #![no_main]
 
 use dermis_wire::{Decoder, checksum, encode};
@@ -37,7 +37,7 @@ fuzz_target!(|data: &[u8]| {
         let mut reader = Decoder::new(vec![0; 1 << 16]);
         let mut packet = &packet[..];
         let read = reader.feed(&mut packet).expect("a whole packet").expect("a sound packet");
-        // Numbers that are none are not equal to themselves; as text they are.
+        // NaN is not equal to itself, but its text is.
         assert_eq!(format!("{read:?}"), format!("{message:?}"));
     }
 });

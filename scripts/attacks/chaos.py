@@ -282,7 +282,7 @@ def chaos(ground: Ground):
     last.run.wait(20)
     states = list(last.pages[0].states)
     check(last.run.code in (0, 3), f"the last run ended with {last.run.code}: {last.run.err()[-300:]}")
-    check(info(ground, last.target)["whole"], "the last recording is not whole")
+    check(info(ground, last.target)["whole"], "the last recording is incomplete")
     last.counted(numbers_of(ground, last.target), states)
     last.close()
     faults.end()

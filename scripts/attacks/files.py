@@ -43,10 +43,10 @@ def final_names(ground):
     recorded.wait(60)
     check(target.read_bytes() == OURS, "the file under the final name was replaced")
     check(recorded.code == 3, f"record ended with {recorded.code}: {recorded.err()[-300:]}")
-    check("press.partial.mcap" in recorded.err(), f"the partial is not named: {recorded.err()[-300:]}")
+    check("press.partial.mcap" in recorded.err(), f"the partial recording is not named: {recorded.err()[-300:]}")
     found = info(ground, recorded_partial)
-    check(found["whole"], "the partial is not whole")
-    ground.say(f"recording: the file stays, status 3, {found['frames']} frames whole in the partial that is named")
+    check(found["whole"], "the partial recording is incomplete")
+    ground.say(f"recording: the file stays, status 3, {found['frames']} frames in the partial recording, which is named")
     make = {
         "export": (["export", "press.partial.mcap", "--out", "table.csv"], "table.csv"),
         "recover": (["recover", "press.partial.mcap", "--out", "again.mcap"], "again.mcap"),
@@ -129,7 +129,7 @@ def early_signals(ground):
         check(not partial.exists(), f"signal {k}: left a partial behind: {command.err()[-300:]}")
         if target.exists():
             found = info(ground, target)
-            check(found["whole"], f"signal {k}: the recording is not whole")
+            check(found["whole"], f"signal {k}: the recording is incomplete")
             codes["whole recordings"] = codes.get("whole recordings", 0) + 1
             target.unlink()
     ground.say(f"60 signals: {codes}")
@@ -336,7 +336,7 @@ def signals(ground):
         partial = target.with_name(f"signal-{k}.partial.mcap")
         check(not partial.exists(), f"{signal.Signals(number).name} {k}: a partial stays, ended with {command.code}")
         if target.exists():
-            check(info(ground, target)["whole"], f"signal {k}: not whole")
+            check(info(ground, target)["whole"], f"signal {k}: the recording is incomplete")
         key = f"{command.code} {'recording whole' if target.exists() else 'no recording yet'}"
         outcome[key] = outcome.get(key, 0) + 1
         if page:

@@ -14,7 +14,7 @@ def running(ground, *more, **keywords):
     return command, command.url()
 
 
-@attack("half-open", "633 connections to the page that send half a head or nothing")
+@attack("half-open", "633 connections to the page that send half a header or nothing")
 def half_open(ground):
     command, address = running(ground)
     before = open_descriptors(command.pid)
@@ -25,7 +25,7 @@ def half_open(ground):
     check(left < 20, f"{left} descriptors are left")
 
 
-@attack("half-open-256", "300 of them where the command may open 256 descriptors")
+@attack("half-open-256", "300 of them, with a limit of 256 file descriptors")
 def half_open_256(ground):
     limit = lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))  # noqa: E731
     command, address = running(ground, preexec=limit)
@@ -49,7 +49,7 @@ def half_opened(ground, command, address, count):
     most = open_descriptors(command.pid)
     second = Page(address)
     second.runs()
-    check(not page.ended, "the page that was there was thrown out")
+    check(not page.ended, "the page that was already open was disconnected")
     gap = page.gap(begun)
     ground.say(
         f"{count} half-open connections: {most} descriptors at most, a new page is served,"
@@ -96,11 +96,11 @@ def floods(ground):
         page.close()
     gap = good.gap(begun)
     check(command.poll() is None and not good.ended, f"the command ended with {command.code}")
-    ground.say(f"the page beside had a state every {gap:.2f} s or sooner; {command.memory_mb():.0f} MB")
+    ground.say(f"the well-behaved page got a state at least every {gap:.2f} s; {command.memory_mb():.0f} MB")
     check(gap < 1.5, f"no state for {gap:.2f} s")
 
 
-@attack("origins", "pages of strangers: origins, hosts, methods, paths, tokens")
+@attack("origins", "requests from other sites: origins, hosts, methods, paths, tokens")
 def origins(ground):
     command, (host, port) = running(ground)
     own = f"{host}:{port}"
@@ -216,7 +216,7 @@ def messages(ground):
         check(command.poll() is None, f"the command ended with {command.code}: {command.err()[-600:]}")
     page.close()
     time.sleep(3)
-    check(not good.ended, f"the page beside was closed: {good.close_code}")
+    check(not good.ended, f"the well-behaved page was closed: {good.close_code}")
     good.runs(5)
     gap, losses = good.gap(begun), good.losses()
     ground.say(

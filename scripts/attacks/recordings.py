@@ -54,7 +54,7 @@ def damaged_recordings(ground):
             outcome.append(asked.code)
             if question[0] == "recover" and asked.code in (0, 3):
                 again = ground.ask("info", "again.mcap")
-                check("state: whole" in again.out(), f"{k}: what was recovered is not whole: {again.out()[:300]}")
+                check("state: whole" in again.out(), f"{k}: the recovered recording is incomplete: {again.out()[:300]}")
             ground.processes.remove(asked)
             for file in (asked.out_file, asked.err_file):
                 os.unlink(file.name)

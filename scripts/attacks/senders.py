@@ -61,25 +61,25 @@ def silent_client(ground):
     ground.say("7 silent clients: the eighth has frames at once")
     # All places are taken by silent hosts, which are disconnected after five seconds.
     more = [connect(port) for _ in range(20)]
-    served.until("sent away: it said nothing", 20)
+    served.until("disconnected: it sent nothing", 20)
     time.sleep(6)
     late = Host(connect(port))
     late.start()
     late.wait_for_frames(20, 20)
     check(host.missing == 0, f"{host.missing} frames are missing")
-    ground.say(f"27 silent clients: sent away; a host that came then has frames, the first one misses {host.missing}")
+    ground.say(f"27 silent clients: disconnected; a host that connects afterwards gets frames, the first one misses {host.missing}")
     for connection in silent + more:
         connection.close()
 
 
 @attack(
     "stuck-senders",
-    "lines of a wrong count, zeros, one endless line, text, noise: a reason, a new connection, no memory",
+    "lines with a wrong count of numbers, zeros, one endless line, text, noise: a reason, a new connection, no memory",
 )
 def stuck_senders(ground):
     noise = random.Random(1).randbytes(1 << 20)
     cases = [
-        ("lines of a wrong count", f"lines:{CHANNELS}", every(0.02, lambda k: line(readings(k)[:100]))),
+        ("lines with a wrong count", f"lines:{CHANNELS}", every(0.02, lambda k: line(readings(k)[:100]))),
         ("zeros as lines", f"lines:{CHANNELS}", flood(b"\0" * 65536)),
         ("zeros on the wire", "wire", flood(b"\0" * 65536)),
         ("one endless line", f"lines:{CHANNELS}", flood(b"1 " * 32768)),
@@ -103,7 +103,7 @@ def stuck_senders(ground):
         )
         check(command.code in (1, 2, 3), f"{what}: ended with {command.code}, as if nothing were lost: {text[-300:]}")
         check(command.peak_mb() < 600, f"{what}: took {command.peak_mb():.0f} MB")
-        check(count[0] >= 2, f"{what}: the connection was not made anew: {text[-400:]}")
+        check(count[0] >= 2, f"{what}: there was no new connection: {text[-400:]}")
         check(len(text.splitlines()) < 60, f"{what}: {len(text.splitlines())} lines of log")
         check(
             re.search("no whole frame|damaged|readings|numbers|sends|bytes|hello|describe|answer", text),
@@ -171,7 +171,7 @@ def half_floats(ground):
         check(command.code == 3, f"ended with {command.code}: {text[-300:]}")
         check(damaged and int(damaged[1]) > 0, f"nothing is counted: {text[-300:]}")
         check(wrong == 0, f"{wrong} frames are shifted")
-        check(not is_headed or count[0] == 1, f"with a header, the connection was made anew {count[0] - 1} times")
+        check(not is_headed or count[0] == 1, f"with a header, there were {count[0] - 1} new connections")
         table.unlink()
 
 

@@ -160,7 +160,7 @@ class Process:
     def wait(self, timeout):
         end = time.monotonic() + timeout
         while self.poll() is None:
-            check(time.monotonic() < end, f"{self.name}: goes on after {timeout} s: {self.err()[-400:]}")
+            check(time.monotonic() < end, f"{self.name}: still running after {timeout} s: {self.err()[-400:]}")
             time.sleep(0.01)
         return self.code
 

@@ -138,7 +138,7 @@ def three_signals(ground, command):
     took = time.monotonic() - asked
     ground.say(f"3 SIGINT 0.1 s apart: ended with {command.code}, {took:.2f} s after the last")
     check(command.code in (0, 130), f"ended with {command.code}: {command.err()[-600:]}")
-    check(took < 1.0, f"the command went on for {took:.2f} s after the last signal")
+    check(took < 1.0, f"the command kept running for {took:.2f} s after the last signal")
 
 
 @attack("stdin-bursts", "the same on standard input of a served twin, read by a host")

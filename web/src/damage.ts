@@ -10,9 +10,9 @@ const duration = (seconds: number) => (seconds < 120 ? `${seconds.toFixed(0)} s`
 
 /** Reasons for proposing a new baseline; the duration follows. */
 const REASONS = {
-  offset: "the skin rests at other values than its baseline's; at rest",
+  offset: "the skin at rest differs from its baseline; at rest",
   healed: "damage has healed; at rest",
-  touched: "the baseline was taken while something touched the skin, which has been gone",
+  touched: "something that touched the skin when the baseline was taken has been gone",
 };
 
 export class DamagePanel {

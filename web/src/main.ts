@@ -91,7 +91,7 @@ function begin(next: Scene): void {
   amplitudes.begin();
   noise.begin(next.channel_labels, next.channel_unit);
   find("amplitude-unit").textContent = next.amplitude_unit;
-  find("amplitude-head").title = next.amplitude_unit === next.image_unit ? "Peak of the image there" : `In ${next.amplitude_unit}, the unit of the calibration, not of the image`;
+  find("amplitude-head").title = next.amplitude_unit === next.image_unit ? "Height of its peak in the image" : `In ${next.amplitude_unit}, the unit of the calibration, not of the image`;
   for (const id of ["channel-unit", "noise-unit"]) find(id).textContent = next.channel_unit;
   find("range-unit").textContent = [next.image_quantity, next.image_unit && `(${next.image_unit})`].filter(Boolean).join(" ");
   document.querySelector("main")!.classList.toggle("wide", view.aspect > WIDE);
@@ -111,7 +111,7 @@ function showSolid(isSolid: boolean): void {
   view.stage.classList.toggle("solid", isSolid);
   view.solid.show(isSolid);
   const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius; keys: ?";
-  find("stage-help").textContent = isSolid ? "Drag to turn. Presses are made on the flat picture." : scene?.is_twin ? help : "";
+  find("stage-help").textContent = isSolid ? "Drag to rotate. To press, use the flat view." : scene?.is_twin ? help : "";
 }
 
 function receiveBinary(data: ArrayBuffer): void {
@@ -182,7 +182,7 @@ function showClasses(seen: State["classes"]): void {
   find("classes-choice").hidden = !seen;
   const novelty = seen?.novelty ?? null;
   setText("classes-state", !seen ? "" : seen.falls_back ? "by thresholds" : "by network");
-  if (novelty !== null) find("classes-state").title = `Novelty ${novelty.toFixed(2)}; above 1.5 the frame is unlike the training set, and thresholds decide`;
+  if (novelty !== null) find("classes-state").title = `Novelty ${novelty.toFixed(2)}; above 1.5 the frame is unlike the training set, so thresholds are used`;
 }
 
 function chooseTool(tool: Tool): void {

@@ -49,7 +49,7 @@ export class NoiseBars {
     context.clearRect(0, 0, width, height);
     const known = Array.from(noise).filter((value) => value > 0 && Number.isFinite(value)).sort((a, b) => a - b);
     if (known.length === 0) {
-      this.readout.textContent = noise.length ? "no noise known" : "not measured yet";
+      this.readout.textContent = noise.length ? "noise unknown" : "not measured yet";
       return;
     }
     const median = known[known.length >> 1];

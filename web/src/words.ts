@@ -2,7 +2,7 @@
 
 const STAGES: Record<string, string> = {
   queue: "From the frame's first byte to the start of processing",
-  condition: "Channels in order, baseline taken off, health looked at",
+  condition: "Channels put in order, baseline subtracted, health checked",
   image: "From the change of the channels to the image",
   touches: "From the image to touches",
   total: "From the frame's first byte to its touches",
@@ -11,19 +11,19 @@ const STAGES: Record<string, string> = {
 const COUNTERS: Record<string, string> = {
   frames: "Frames that were processed",
   dropped: "Frames dropped here because the pipeline was too slow",
-  lost: "Frames lost before they came here, by their numbers",
-  damaged: "Frames damaged on the way: their check sum was wrong",
+  lost: "Frames lost on the way, judging by their sequence numbers",
+  damaged: "Frames damaged on the way: wrong checksum",
   "not recorded": "Frames that could not be written to the recording",
-  repeated: "Copies of the frame before, left out; nothing is lost with them",
+  repeated: "Copies of the previous frame, skipped; no data is lost",
 };
 
 const BADGES: [RegExp, string][] = [
   [/^EIT$/, "Electrical impedance tomography: currents through some electrodes, voltages at others"],
-  [/^MIT$/, "Magnetic induction tomography: coils and the currents that they induce"],
-  [/^digital twin$/, "Readings are simulated, by the physics of this skin"],
+  [/^MIT$/, "Magnetic induction tomography: coils that induce eddy currents and sense them"],
+  [/^digital twin$/, "Readings are simulated from the physics of this skin"],
   [/^measured$/, "Readings come from an instrument or a recording"],
   [/electrodes$/, "Electrodes, or coils, numbered from 1"],
-  [/channels$/, "Readings of one frame, each of a driving and a measuring pair"],
+  [/channels$/, "Readings per frame, each from a driving and a measuring pair"],
   [/ × /, "Pixels of the image, columns by rows"],
 ];
 

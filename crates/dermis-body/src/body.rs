@@ -16,7 +16,7 @@ use crate::urdf::{Geometry, Urdf};
 
 /// Name of the only link of a body without a URDF file.
 pub const ONLY_LINK: &str = "body";
-/// Most patches on one body.
+/// Maximum number of patches on one body.
 pub const MOST_PATCHES: usize = 256;
 /// Joint values older than this are stale unless the body file says otherwise, milliseconds: ten periods of a robot
 /// that publishes at 50 Hz, the slowest in common use.
@@ -237,7 +237,7 @@ impl Builder {
         // Names of dots only would be folders in addresses.
         let is_dots = name.chars().all(|c| c == '.');
         if is_dots || name.len() > 100 || !name.chars().all(is_plain) {
-            let expected = "a name of 1 to 100 letters, digits, _, - and ., not of dots alone";
+            let expected = "a name of 1 to 100 letters, digits, _, - and ., not only dots";
             return Err(self.source.refused(&text.name, "patch.name", name.escape_debug(), expected));
         }
         if let Some(first) = body.patches.iter().position(|patch| patch.name == *name) {
@@ -324,7 +324,7 @@ impl Builder {
             )
         })?;
         if let Err(joint) = kinematics.joints_of(number) {
-            let expected = format!("a link that is reached by joints of one value each, and {joint} has several");
+            let expected = format!("a link reached through joints with one value each; {joint} has several");
             return Err(self.source.refused(at, format!("patch {name}: link"), link, expected));
         }
         Ok((number, mount_transform(xyz_mm, rpy_deg)))

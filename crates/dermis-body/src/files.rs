@@ -22,7 +22,7 @@ pub(crate) fn read_text(file: &Path, most: u64) -> Result<String, Error> {
     let mut text = String::new();
     let read = File::open(file).and_then(|opened| opened.take(most + 1).read_to_string(&mut text)).map_err(io)?;
     if read as u64 > most {
-        return Err(bad(format!("larger than {most} bytes, which is the most that is read")));
+        return Err(bad(format!("larger than the limit of {most} bytes")));
     }
     Ok(text)
 }
@@ -61,7 +61,7 @@ pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)
     let ament = listed("AMENT_PREFIX_PATH").into_iter().map(|folder| folder.join("share").join(package));
     let place = above.chain(ros).chain(ament).find(|place| place.is_dir());
     let unknown =
-        || format!("package {package} is not found: expected packages.{package} = \"FOLDER\" in the body file");
+        || format!("package {package} was not found: expected packages.{package} = \"FOLDER\" in the body file");
     Ok(place.ok_or_else(unknown)?.join(path))
 }
 

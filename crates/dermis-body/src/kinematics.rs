@@ -75,7 +75,7 @@ impl Kinematics {
         for (number, link) in urdf.links.iter().enumerate() {
             if let Some(first) = link_numbers.insert(link.name.clone(), number) {
                 let message = format!(
-                    "a second link {:?}: expected names that differ, see line {}",
+                    "duplicate link {:?}: expected unique names, see line {}",
                     link.name, urdf.links[first].line
                 );
                 return Err(fail(link.line, message));
@@ -85,7 +85,7 @@ impl Kinematics {
         for (number, joint) in urdf.joints.iter().enumerate() {
             if let Some(first) = joint_numbers.insert(joint.name.clone(), number) {
                 let message = format!(
-                    "a second joint {:?}: expected names that differ, see line {}",
+                    "duplicate joint {:?}: expected unique names, see line {}",
                     joint.name, urdf.joints[first].line
                 );
                 return Err(fail(joint.line, message));
@@ -307,10 +307,8 @@ fn ordered(links: &[TreeLink], urdf: &Urdf) -> Result<Vec<usize>, (usize, String
     }
     let reached: BTreeSet<usize> = order.into_iter().collect();
     let lost = (0..links.len()).find(|link| !reached.contains(link)).unwrap_or(root);
-    let message = format!(
-        "link {}: its joints lead round in a circle: expected them to lead to {}",
-        links[lost].name, links[root].name
-    );
+    let message =
+        format!("link {}: its joints form a cycle: expected them to lead to {}", links[lost].name, links[root].name);
     Err((urdf.links[lost].line, message))
 }
 
@@ -342,5 +340,5 @@ fn tree_joint(urdf: &Urdf, numbers: &BTreeMap<String, usize>, number: usize) -> 
         let absent = || fail(format!("mimics {:?}: expected a joint of the file", mimic.joint));
         source = *numbers.get(&mimic.joint).ok_or_else(absent)?;
     }
-    Err(fail("mimics joints that mimic each other in a circle: expected one that moves by itself".to_owned()))
+    Err(fail("mimics joints that form a cycle: expected one that moves by itself".to_owned()))
 }

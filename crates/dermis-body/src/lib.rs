@@ -24,7 +24,7 @@
 //! # "#.replace("//! ", ""))?;
 //! let body = Body::open(&file)?;
 //! let mut joints = body.kinematics.unknown();
-//! assert!(body.root_from_patch(0, &joints).is_none(), "nobody has said where the elbow stands");
+//! assert!(body.root_from_patch(0, &joints).is_none(), "the elbow's angle is unknown");
 //! body.kinematics.assign(&mut joints, "elbow", 0.0)?;
 //! let root_from_patch = body.root_from_patch(0, &joints).expect("now it is known");
 //! let position_m = root_from_patch.point_m([0.010, -0.005, 0.0]);

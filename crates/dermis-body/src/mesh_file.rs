@@ -1,5 +1,5 @@
-//! Reads the triangles of mesh files: STL, OBJ, PLY, COLLADA and glTF. Everything except corners is left out: colours,
-//! textures, normals. Axes are the file's own: a y that points up stays y.
+//! Reads the triangles of mesh files: STL, OBJ, PLY, COLLADA and glTF. Colours, textures and normals are ignored. Axes
+//! are not converted: in a file with y up, y stays up.
 
 mod collada;
 mod gltf;
@@ -16,7 +16,7 @@ use whole::read_whole;
 /// Corners of the triangles in a mesh file, three each. COLLADA and glTF files give metres, others their own unit.
 ///
 /// # Errors
-/// The file, or one that it refers to, cannot be read or is too large, its format is another, or its content is
+/// The file, or one that it refers to, cannot be read or is too large, its format is unknown, or its content is
 /// malformed. The message says what was expected.
 pub fn read_triangles(file: &Path) -> Result<Vec<[f32; 3]>, String> {
     let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
@@ -76,7 +76,7 @@ mod tests {
     fn malformed_files_say_what_was_expected() {
         for (name, text, expected) in [
             ("a.3ds", "MM", "format \"3DS\": expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB"),
-            ("a.glb", "glTF", "the head of a GLB file"),
+            ("a.glb", "glTF", "the header of a GLB file"),
             ("a.ply", "ply\nformat ascii 1.0\n", "end_header"),
             ("a.obj", "v 0 0\n", "line 1: expected v X Y Z"),
             ("a.obj", "v 0 0 0\nf 1 2 3\n", "line 2: expected f"),

@@ -11,7 +11,7 @@ use crate::transform::{Transform, Vector, length, scaled};
 
 /// Largest URDF file, bytes: four times the largest robot descriptions in use.
 pub const MOST_BYTES: u64 = 64 << 20;
-/// Most links in a robot.
+/// Maximum number of links in a robot.
 const MOST_LINKS: usize = 10_000;
 /// Largest length in a URDF file, metres.
 const MOST_M: f64 = 1e4;
@@ -182,7 +182,7 @@ impl Reader<'_> {
         for node in robot.children().filter(Node::is_element) {
             match node.tag_name().name() {
                 _ if is_xacro(node) => {
-                    let message = "a xacro file: expected URDF, which `xacro FILE` makes of it".to_owned();
+                    let message = "a xacro file: expected URDF, which `xacro FILE` generates from it".to_owned();
                     return Err(self.fail(node, message));
                 }
                 "link" => links.push(self.link(node, quaternions)?),
@@ -330,7 +330,9 @@ impl Reader<'_> {
     fn name(&self, node: Node<'_, '_>) -> Result<String, Error> {
         let name = self.attribute(node, "name")?;
         if name.is_empty() || name.len() > 200 || name.chars().any(char::is_control) {
-            return Err(self.fail(node, format!("name={name:?}: expected 1 to 200 characters, none of them a control")));
+            return Err(
+                self.fail(node, format!("name={name:?}: expected 1 to 200 characters without control characters"))
+            );
         }
         Ok(name.to_owned())
     }
@@ -348,7 +350,7 @@ impl Reader<'_> {
         let Some(text) = node.attribute(key) else { return Ok(None) };
         let wrong = || {
             let what = node.tag_name().name();
-            let hint = if text.contains("${") { "; `xacro FILE` works out what stands in ${}" } else { "" };
+            let hint = if text.contains("${") { "; `xacro FILE` evaluates ${}" } else { "" };
             self.fail(node, format!("<{what}> {key}={text:?}: expected {N} numbers{hint}"))
         };
         let parsed: Result<Vec<f64>, _> = text.split_whitespace().map(str::parse).collect();

@@ -1,5 +1,5 @@
 //! The rules of ARCHITECTURE.md: which crates use which, which crates stay free of files, sockets and clocks, and
-//! that files don't depend on each other in a circle.
+//! that files have no circular dependencies.
 
 #[path = "architecture/file_graph.rs"]
 mod file_graph;
@@ -123,7 +123,7 @@ fn the_diagram_shows_only_what_the_table_allows() {
         }
         let row = table.iter().find(|row| row.name == user).unwrap_or_else(|| panic!("{user} is not in the table"));
         let is_listed = row.uses.as_ref().is_none_or(|uses| uses.contains(&used));
-        assert!(is_listed, "the diagram has {user} use {used}, the table has not");
+        assert!(is_listed, "{user} uses {used} in the diagram but not in the table");
         arrows += 1;
     }
     assert!(arrows >= table.len(), "only {arrows} arrows in the diagram");

@@ -191,7 +191,7 @@ fn an_address_that_cannot_be_used_is_named() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = taken.local_addr().expect("an address").to_string();
     for (address, code, text) in
-        [(address.as_str(), 1, "another program has this port"), ("8765", 2, "expected HOST:PORT")]
+        [(address.as_str(), 1, "another program uses this port"), ("8765", 2, "expected HOST:PORT")]
     {
         let output = run(desk.path(), &["healing-square", "--headless", "--frames", "1", "--foxglove", address]);
         let message = String::from_utf8_lossy(&output.stderr);

@@ -300,7 +300,7 @@ async fn of_hyperparameters_the_last_one_counts_even_where_the_queue_is_full() {
     for id in 2..42_u32 {
         ask(&mut socket, id.into(), json!({"hyperparameter": f64::from(id)})).await;
     }
-    // All except the last are answered, because a later one has replaced them.
+    // All except the last are answered as replaced by a later one.
     for id in 2..41_u32 {
         let answer = next_json(&mut socket, "answer").await;
         assert_eq!((&answer["id"], &answer["ok"]), (&json!(id), &json!(true)), "{answer}");

@@ -35,7 +35,7 @@ pub fn write_atomic<T>(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Res
         return fill(&mut out).map_err(failed("write"));
     }
     let place = Place::named(path);
-    let (mut temporary, file) = Temporary::create_beside(&target).map_err(failed("create a file beside"))?;
+    let (mut temporary, file) = Temporary::create_beside(&target).map_err(failed("create a file next to"))?;
     let mut out = BufWriter::new(file);
     let value = fill(&mut out).map_err(failed("write"))?;
     let file = out.into_inner().map_err(|error| failed("write")(error.into_error()))?;

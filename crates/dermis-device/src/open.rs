@@ -85,7 +85,7 @@ fn dialogue(name: &str, instrument: Instrument, greeting: &str) -> Result<Box<dy
         Instrument::Lines { channels } => Box::new(Lines::new(channels).with_greeting(greeting)),
         Instrument::Floats { channels } => Box::new(Floats::new(channels)),
         Instrument::Sciospec => {
-            return Err(DeviceError::selector(name, "a skin for it, whose injections the instrument is told"));
+            return Err(DeviceError::selector(name, "a skin for it, whose injections are sent to the instrument"));
         }
     })
 }

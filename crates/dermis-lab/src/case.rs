@@ -168,7 +168,7 @@ impl Case {
             let root = Field::root(&self.file, &holder);
             let field = root.need(&key, "a list")?;
             return field
-                .list_of(elements, "conductivities (one an element)")?
+                .list_of(elements, "conductivities (one per element)")?
                 .map(|v| v.positive("conductivity"))
                 .collect();
         }
@@ -211,7 +211,7 @@ fn conductivity_file(file: &Path, elements: usize) -> Result<Vec<f64>, Error> {
     };
     let longest = shape.iter().copied().max().unwrap_or(1);
     if values.len() != elements || longest != elements {
-        let reason = format!("has shape {shape:?}; expected {elements} conductivities (one an element) in one column");
+        let reason = format!("has shape {shape:?}; expected {elements} conductivities (one per element) in one column");
         return Err(refuse("conductivity".to_string(), reason));
     }
     match values.iter().position(|value| !(*value > 0.0 && value.is_finite())) {
@@ -321,7 +321,7 @@ fn point(field: &Field<'_>, node_count: usize) -> Result<u32, Error> {
 
 fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
     let stim = root.need("stim", "stimulations x electrodes, amperes")?;
-    let stimulations = rows(&stim, electrodes, "currents (one an electrode)")?;
+    let stimulations = rows(&stim, electrodes, "currents (one per electrode)")?;
     for (row, field) in stimulations.iter().zip(stim.list("a list of rows")?) {
         let (sum, scale) = (row.iter().sum::<f64>(), row.iter().fold(0.0, |most: f64, i| most.max(i.abs())));
         // Tolerance on the sum: currents written with ten digits or more meet it.
@@ -330,7 +330,7 @@ fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
         }
     }
     let meas = root.need("meas", "measurements x electrodes, weights")?;
-    let measurements = rows(&meas, electrodes, "weights (one an electrode)")?;
+    let measurements = rows(&meas, electrodes, "weights (one per electrode)")?;
     check_count(root, "n_meas", measurements.len(), "meas")?;
     for (row, field) in measurements.iter().zip(meas.list("a list of rows")?) {
         if row.iter().all(|weight| *weight == 0.0) {
@@ -339,7 +339,7 @@ fn protocol(root: &Field<'_>, electrodes: usize) -> Result<Protocol, Error> {
     }
     let meas_stim = root.need("meas_stim", "the stimulation of each measurement")?;
     let of = meas_stim
-        .list_of(measurements.len(), "stimulation indices (one a measurement)")?
+        .list_of(measurements.len(), "stimulation indices (one per measurement)")?
         .map(|index| Ok(index.index(stimulations.len(), "stimulations")? as usize))
         .collect::<Result<Vec<_>, Error>>()?;
     Protocol::from_rows(&stimulations, &measurements, &of).map_err(|error| meas.error(error.to_string()))
@@ -436,7 +436,7 @@ mod tests {
             ("\"CEM\"", "\"cem\"", "electrodes[0].type: is \"cem\"; expected \"CEM\""),
             ("0.1", "0", "electrodes[0].z_contact: is 0; expected a positive contact impedance"),
             ("\"z_contact\": 0.1, ", "", "electrodes[0].z_contact: is missing; expected the contact impedance"),
-            ("[[0, 3]]", "[[0, 2]]", "electrodes: electrode 0: face [0, 2] is no face of the mesh"),
+            ("[[0, 3]]", "[[0, 2]]", "electrodes: electrode 0: face [0, 2] is not a face of the mesh"),
             ("[[0, 3]]", "[[0, 3, 1]]", "electrodes[0].faces[0]: holds 3 values; expected 2 node indices"),
             ("\"node\": 1", "\"node\": 9", "electrodes[1].node: is 9; expected a zero-based index of one of 5 nodes"),
             ("\"stim\": [[-1, 1]]", "\"stim\": [[1, 1]]", "stim[0]: adds to 2e0 A; expected currents that add to 0"),

@@ -124,13 +124,13 @@ pub fn examine(
     let mut checks = Vec::new();
     let contacts = contact_impedance(&seen.pipeline.prepared().skin, contacts_ohm);
     if let Err(reason) = seen.watch(source, most.max(FEWEST_FRAMES), patience) {
-        let advice = "look at power and cable, and whether another program has the port; then run this again";
+        let advice = "check power, cable and whether another program has the port open; then run this again";
         checks.push(Check::bad("frames", reason, advice));
     }
     checks.push(seen.rate());
     if seen.pipeline.reference().is_none() {
         checks.push(contacts);
-        checks.push(Check::skipped("everything else", format!("no baseline: {} frames came", seen.frames)));
+        checks.push(Check::skipped("everything else", format!("no baseline: {} frames arrived", seen.frames)));
         return Ok(checks);
     }
     checks.extend([seen.noise(), seen.saturation()]);
@@ -163,7 +163,7 @@ impl Seen {
                     }
                 }
                 Ok(SourceEvent::Idle) if waited.elapsed() > patience => {
-                    let problem = source.problem().unwrap_or_else(|| "no more frames came".into());
+                    let problem = source.problem().unwrap_or_else(|| "no more frames arrived".into());
                     break Err(format!("{problem} ({} frames in all)", self.frames));
                 }
                 Ok(SourceEvent::Idle) => {}
@@ -197,8 +197,8 @@ impl Seen {
         let per_s = self.frames.saturating_sub(1) as f64 / self.elapsed_s.max(f64::MIN_POSITIVE);
         if self.lost + self.bad > 0 {
             let found = format!("{per_s:.1} frames/s; {} frames lost, {} damaged on the way", self.lost, self.bad);
-            let advice = "the log says what is wrong with damaged frames; where bytes are lost, use a shorter or shielded \
-                          cable, a lower rate, or a port of its own; \
+            let advice = "the log says what is wrong with damaged frames; if bytes are lost, use a shorter or shielded \
+                          cable, a lower rate, or a separate port; \
                           for FTDI adapters set latency_timer to 1";
             return Check::bad("rate", found, advice);
         }
@@ -239,9 +239,9 @@ impl Seen {
 
     fn saturation(&self) -> Check {
         if self.at_end.is_empty() {
-            return Check::good("saturation", "no reading at the converter's end");
+            return Check::good("saturation", "no reading at the converter's limit");
         }
-        let found = format!("{} at the converter's end", self.named(&self.at_end));
+        let found = format!("{} at the converter's limit", self.named(&self.at_end));
         Check::bad("saturation", found, "lower the gain or the drive current")
     }
 
@@ -274,7 +274,7 @@ impl Seen {
             ChannelFaultKind::Missing => {
                 ("without a value", "look at the instrument's own messages for these channels")
             }
-            ChannelFaultKind::Saturated => ("at the converter's end", "lower the gain or the drive current"),
+            ChannelFaultKind::Saturated => ("at the converter's limit", "lower the gain or the drive current"),
             ChannelFaultKind::Stuck => (
                 "that read the same, frame after frame",
                 "restart the instrument; then suspect its multiplexer or firmware",
@@ -379,8 +379,8 @@ impl Seen {
         }
         if let Some(swap) = self.swapped(order.correlation) {
             let [a, b] = swap.electrodes.map(|e| e + 1);
-            let found = format!("{stated}, but {:.3} with electrodes {a} and {b} exchanged", swap.correlation);
-            return Check::bad("channel order", found, format!("exchange the wires of electrodes {a} and {b}"));
+            let found = format!("{stated}, but {:.3} with electrodes {a} and {b} swapped", swap.correlation);
+            return Check::bad("channel order", found, format!("swap the wires of electrodes {a} and {b}"));
         }
         if order.correlation < LEAST_CORRELATION {
             let found = self.searched();
@@ -394,7 +394,7 @@ impl Seen {
             }
             let found = found.map_or(stated.clone(), |found| format!("{stated}; {}", found.verdict()));
             let advice = "check that skin file and instrument agree in electrodes and in every pair that drives and reads; \
-                          a list of channels (backend.channels) says any order";
+                          a list of channels (backend.channels) can state any order";
             return Check::bad("channel order", found, advice);
         }
         Check::good("channel order", stated)
@@ -448,7 +448,7 @@ fn electrode_check(word: &str, fault: &dermis_touch::health::ElectrodeFault) -> 
         ElectrodeFaultKind::Lost => Some(Check::bad(
             "electrodes",
             format!("{word} {number} is lost: its channels are dead or wild"),
-            format!("fasten {word} {number} and its wire; until then the skin goes on without it"),
+            format!("fasten {word} {number} and its wire; until then the skin works without it"),
         )),
         // Report each pair once.
         ElectrodeFaultKind::Shorted { with } if with > fault.electrode => Some(Check::bad(

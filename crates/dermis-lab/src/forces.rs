@@ -125,7 +125,7 @@ pub fn force_samples(
         }));
     };
     if forces.len() != frames.len() {
-        let (expected, got) = (format!("{}, one a frame", frames.len()), forces.len().to_string());
+        let (expected, got) = (format!("{}, one per frame", frames.len()), forces.len().to_string());
         return Err(Error::Live(dermis_live::Error::Frames { what: "forces of pokes".into(), expected, got }));
     }
     // Every frame counts by itself.

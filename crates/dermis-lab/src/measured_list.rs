@@ -19,7 +19,7 @@ pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     let protocol = measured_list(&skin.protocol()?).map(Order::Protocol);
     if protocol.is_none() && skin.backend.channels.is_some() {
         return Err(Error::Live(dermis_live::Error::Frames {
-            what: format!("backend.channels of {}, which an instrument on the wire is told", skin.name),
+            what: format!("backend.channels of {}, sent to an instrument on the wire", skin.name),
             expected: "four electrodes for each channel, or --as-set for an instrument that is set already".into(),
             got: "readings against the mean of all electrodes".into(),
         }));
@@ -41,7 +41,7 @@ pub fn sciospec_setup_of(skin: &Skin) -> Result<LiveSetup, Error> {
         let pair = ends(protocol.stimulation_of(channel)).filter(|[_, sink]| *sink != NO_ELECTRODE);
         let Some([source, sink]) = pair else {
             return Err(Error::Live(dermis_live::Error::Frames {
-                what: format!("protocol of {}, which a Sciospec instrument is told", skin.name),
+                what: format!("protocol of {}, sent to a Sciospec instrument", skin.name),
                 expected: "a current between two electrodes".into(),
                 got: format!("another for channel {channel}"),
             }));

@@ -41,7 +41,7 @@ pub(crate) fn describe(odd: &[Option<FrameFaultKind>]) -> Vec<String> {
         let what = match kind {
             FrameFaultKind::OutOfRange => "more than 300 times as large as the baseline",
             FrameFaultKind::Blank => "less than a 300th of the baseline",
-            _ => "of the other sign than the baseline",
+            _ => "with the opposite sign to the baseline",
         };
         let named: Vec<String> = frames.iter().take(MOST_NAMED).map(usize::to_string).collect();
         let more = match frames.len().saturating_sub(MOST_NAMED) {
@@ -63,7 +63,7 @@ pub(crate) fn describe_baseline(baseline: &[f64], model: &[f64]) -> Option<Strin
     let (factor, correlation) = ((size / volts).sqrt(), along / (size * volts).sqrt());
     if correlation < FLIPPED {
         return Some(format!(
-            "the baseline has the other sign than the model (correlation {correlation:.2}): expected drives and readings \
+            "the baseline has the opposite sign to the model (correlation {correlation:.2}): expected drives and readings \
              the other way round"
         ));
     }
@@ -91,9 +91,9 @@ mod tests {
         }
         let lines = describe(&[None, Some(FrameFaultKind::Flipped), Some(FrameFaultKind::Flipped)]);
         let said =
-            "frames 1, 2: of the other sign than the baseline; no image is made of them, and touches are unknown";
+            "frames 1, 2: with the opposite sign to the baseline; no image is made of them, and touches are unknown";
         assert_eq!(lines, [said]);
-        assert!(describe_baseline(&with(&|v| -v), &rest).unwrap().contains("other sign"));
+        assert!(describe_baseline(&with(&|v| -v), &rest).unwrap().contains("opposite sign"));
         assert!(describe_baseline(&with(&|v| 1e6 * v), &rest).unwrap().contains("1.0e6 times"));
         assert_eq!(describe_baseline(&rest, &rest), None);
     }

@@ -29,7 +29,7 @@ pub struct Request {
     /// The skin.
     pub skin: Skin,
     /// Baseline frames: one or more, or as many as there are frames. In the latter case each frame has its own
-    /// baseline, and frames are independent of each other. `None` if the frames already are differences from the
+    /// baseline, and frames are independent of each other. `None` if the frames are already differences from the
     /// untouched skin.
     pub baseline: Option<FileSpec>,
     /// The frames.

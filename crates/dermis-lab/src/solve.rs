@@ -144,7 +144,7 @@ fn grounded_laplace_inverse(basis: &ImageBasis, mut b: Mat<f64>) -> Result<Mat<f
         b[(held, column)] = 0.0;
     }
     let refuse = |_| {
-        let hint = "elements that touch at a node only are not neighbours; take another prior";
+        let hint = "elements that touch at a node only are not neighbours; use another prior";
         Error::from(InverseError::Singular { what: "the Laplace prior", hint })
     };
     let positions: Vec<(u32, u32)> = entries.iter().map(|&(row, column, _)| (row, column)).collect();

@@ -1,7 +1,7 @@
 //! Estimates what manufacturing errors cost. A skin is built many times as a twin, with errors of every kind, and
-//! read with the model of the skin file, which knows nothing of the errors.
+//! processed with the model of the skin file, without knowledge of the errors.
 //!
-//! Errors are normal and cut off at three standard deviations, because a workshop discards worse parts. Factors that
+//! Errors are normal and cut off at three standard deviations, because worse parts would be discarded. Factors that
 //! spread over more than a few per cent (contact impedance, conductivity, noise) are log-normal. The default sizes
 //! are assumptions about careful work with hand tools, laser cutters and printers; a file can replace any of them.
 //!

@@ -46,7 +46,7 @@ pub enum TwinCommand {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandRefused {
     /// The queue is full.
-    #[error("{waiting} {what} wait for the twin already; expected fewer, or a pause between them")]
+    #[error("{waiting} {what} are already waiting for the twin; expected fewer, or a pause between them")]
     Full {
         /// Kind of command.
         what: &'static str,

@@ -27,7 +27,7 @@ pub const BASELINE_FRAMES: usize = 32;
 const HELD_S: f64 = 1.0;
 /// Rest before a press, seconds: far longer than any cover remembers.
 const REST_S: f64 = 1e5;
-/// Most frames in one request.
+/// Maximum number of frames in one request.
 const MOST_FRAMES: usize = 10_000_000;
 /// Maximum number of readings in total; at 8 bytes each, 16 GiB.
 const MOST_READINGS: usize = 2_000_000_000;
@@ -46,7 +46,7 @@ pub struct SampleRequest {
     pub truth: Option<PathBuf>,
     /// Seed of the noise; the skin file's if `None`.
     pub seed: Option<u64>,
-    /// Number of a skin that a workshop builds within the file's tolerances; as drawn where left out.
+    /// Number of a random skin within the file's tolerances; without it, the skin is exactly as in its file.
     pub built: Option<u64>,
     /// Frames per press.
     pub repeats: usize,
@@ -146,7 +146,7 @@ fn press(
             let refused = |error: dermis_twin::TwinError| {
                 Error::Live(dermis_live::Error::Frames {
                     what: format!("press {}", k + 1),
-                    expected: "one that the skin can bear".into(),
+                    expected: "one that the skin can carry".into(),
                     got: error.to_string(),
                 })
             };

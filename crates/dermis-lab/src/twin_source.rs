@@ -296,7 +296,7 @@ impl TwinSource {
         if self.pressing.len() >= MOST_POINTERS && !self.pressing.contains(&pointer) {
             if self.refused.len() < MOST_POINTERS && self.refused.insert(pointer) {
                 self.notice(format!(
-                    "press refused: {MOST_POINTERS} press already; expected one of them to let go first"
+                    "press refused: {MOST_POINTERS} pointers are already pressing; expected one to be released first"
                 ));
             }
             return;
@@ -333,7 +333,8 @@ impl TwinSource {
             return;
         }
         if self.faults.len() >= MOST_FAULTS {
-            return self.notice(format!("fault refused: {MOST_FAULTS} faults act already; expected a repair first"));
+            return self
+                .notice(format!("fault refused: {MOST_FAULTS} faults are already active; expected a repair first"));
         }
         self.faults.push(timed);
         if let Err(error) = self.twin.set_faults(self.faults.clone()) {

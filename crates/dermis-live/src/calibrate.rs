@@ -94,7 +94,7 @@ fn learned_as_built(
     let count = chosen.len();
     let places_m: Vec<[f64; 2]> = chosen.iter().map(|&i| pokes.positions_m[i]).collect();
     differences = chosen.iter().map(|&i| std::mem::take(&mut differences[i])).collect();
-    // Pokes that are no spots only show how good the skin is that their baseline describes.
+    // If pokes aren't spots, only their baseline teaches; they then show how good the resulting skin is.
     let taught = if teaches { count } else { 0 };
     let learned = BuildFit::new(prepared, &reference, &differences[..taught], &places_m[..taught])?;
     let teachers = |rows: &[usize]| if teaches { rows.to_vec() } else { Vec::new() };
@@ -176,7 +176,7 @@ fn built_scale(pokes: &[LeftOutPoke]) -> f64 {
         let count = pokes.iter().flat_map(|poke| [is_within(poke, 0), is_within(poke, 1)]).filter(|is| *is).count();
         count as f64 / (2 * pokes.len()).max(1) as f64
     };
-    // Half a decade is finer than twenty pokes can tell.
+    // Half a decade is finer than twenty pokes can resolve.
     (-10..=20)
         .map(|step| 10.0_f64.powf(0.1 * f64::from(step)))
         .find(|scale| within(*scale) >= ONE_SIGMA)

@@ -63,11 +63,11 @@ impl Turn {
     const ALL: [Self; 7] = [
         Self { words: "y looks mirrored", matrix: [[1, 0], [0, -1]] },
         Self { words: "x looks mirrored", matrix: [[-1, 0], [0, 1]] },
-        Self { words: "positions look turned by 180 degrees", matrix: [[-1, 0], [0, -1]] },
-        Self { words: "x and y look exchanged", matrix: [[0, 1], [1, 0]] },
-        Self { words: "positions look turned by 90 degrees counter-clockwise", matrix: [[0, 1], [-1, 0]] },
-        Self { words: "positions look turned by 90 degrees clockwise", matrix: [[0, -1], [1, 0]] },
-        Self { words: "x and y look exchanged and mirrored", matrix: [[0, -1], [-1, 0]] },
+        Self { words: "positions look rotated by 180 degrees", matrix: [[-1, 0], [0, -1]] },
+        Self { words: "x and y look swapped", matrix: [[0, 1], [1, 0]] },
+        Self { words: "positions look rotated by 90 degrees counter-clockwise", matrix: [[0, 1], [-1, 0]] },
+        Self { words: "positions look rotated by 90 degrees clockwise", matrix: [[0, -1], [1, 0]] },
+        Self { words: "x and y look swapped and mirrored", matrix: [[0, -1], [-1, 0]] },
     ];
 
     /// The position of a label with this symmetry undone.
@@ -244,7 +244,7 @@ mod tests {
         let mirrored = check(places.iter().map(|[x, y]| [*x, -y]).collect());
         assert_eq!(mirrored.turned.unwrap().words, "y looks mirrored");
         let turned = check(places.iter().map(|[x, y]| [-y, *x]).collect());
-        assert_eq!(turned.turned.unwrap().words, "positions look turned by 90 degrees counter-clockwise");
+        assert_eq!(turned.turned.unwrap().words, "positions look rotated by 90 degrees counter-clockwise");
         let mut lagging = places.clone();
         lagging.rotate_right(1);
         assert_eq!(check(lagging).lag_rows, Some(1));

@@ -66,7 +66,7 @@ pub struct Pipeline {
     circuit: Option<CircuitStage>,
     /// Learns how the skin was built, unless a calibration gives it.
     building: Option<BuildLearning>,
-    /// Draws errors of the workshop after a baseline that is not the first.
+    /// Samples manufacturing errors after a baseline that is not the first.
     errors: Beside<()>,
     /// A network that classifies pixels, if any.
     classes: Option<ClassStage>,
@@ -423,7 +423,7 @@ impl Pipeline {
     }
 
     /// Number of frames that waited for background work: operators for other hyperparameters, sheets with new cuts,
-    /// searches for the readout's circuit, models of the skin as built, errors of the workshop. Zero on a machine that
+    /// searches for the readout's circuit, models of the skin as built, manufacturing errors. Zero on a machine that
     /// is fast enough for the stream.
     pub fn waits(&self) -> u64 {
         let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());

@@ -87,7 +87,7 @@ impl Prepared {
     /// The model of the skin as it was built.
     ///
     /// # Errors
-    /// Errors of the workshop that cannot be built, or a skin that cannot be solved.
+    /// Manufacturing errors that cannot be built, or a skin that cannot be solved.
     pub fn as_built(&self, build: Build) -> Result<Self, Error> {
         let mesh_error = |source| Error::Mesh { skin: self.skin.name.clone(), source };
         let mesh = build.moved(&self.body).map_err(mesh_error)?;
@@ -282,7 +282,7 @@ fn electric_model(
 /// siemens. `body` has the outline and the electrodes as drawn.
 ///
 /// # Errors
-/// Errors of the workshop that cannot be built.
+/// Manufacturing errors that cannot be built.
 pub(crate) fn sheet_as_built(
     skin: &Skin,
     body: &SkinBody,

@@ -60,7 +60,7 @@ impl Reconstructor {
         self.refinement.refines() && must_draw(prepared, reference.misfit)
     }
 
-    /// Takes into account how far the skin that gave this reference is from its file.
+    /// Accounts for the deviation of the skin that gave this reference from its file.
     pub fn take_reference(&mut self, prepared: &Prepared, reference: &Reference) {
         // A calibration that places touches by itself needs no model of errors.
         let built = self.refinement.refines().then(|| built_error(prepared, reference.misfit)).flatten();

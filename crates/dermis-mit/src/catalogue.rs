@@ -84,7 +84,7 @@ pub fn body_cached(element: &Element, frequency_hz: f64, cache: Option<&Path>) -
     if let Some(body) = file.as_deref().and_then(|file| read(element, frequency_hz, file)) {
         return Ok(body);
     }
-    info!("computing the answer of {} at {frequency_hz} Hz, once", name_of(element));
+    info!("computing the response of {} at {frequency_hz} Hz, once", name_of(element));
     let record = compute(element, frequency_hz)?;
     if let Some(file) = &file
         && let Err(error) = write(file, &record)
@@ -118,7 +118,7 @@ fn read(element: &Element, frequency_hz: f64, file: &Path) -> Option<Polarizabil
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
         Err(error) => {
-            warn!("cannot read {}: {error}; computing anew", file.display());
+            warn!("cannot read {}: {error}; recomputing", file.display());
             return None;
         }
     };
@@ -128,7 +128,7 @@ fn read(element: &Element, frequency_hz: f64, file: &Path) -> Option<Polarizabil
         }
         record.body().map_err(|error| error.to_string())
     });
-    found.map_err(|error| warn!("{} is of no use: {error}; computing anew", file.display())).ok()
+    found.map_err(|error| warn!("{} cannot be used: {error}; recomputing", file.display())).ok()
 }
 
 fn name_of(element: &Element) -> String {

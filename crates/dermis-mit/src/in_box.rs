@@ -158,7 +158,7 @@ mod tests {
             for start in [0.0, 0.1, limit] {
                 let t = by_pivoting(&normal, &b, &vec![start; count], limit).unwrap();
                 for (k, row) in normal.chunks_exact(count).enumerate() {
-                    // The Karush-Kuhn-Tucker conditions, up to rounding of sums of some dozen entries of order 10.
+                    // The Karush-Kuhn-Tucker conditions, up to rounding of sums of several dozen entries of order 10.
                     let slope = row.iter().zip(&t).map(|(h, t)| h * t).sum::<f64>() - b[k];
                     assert!((0.0..=limit).contains(&t[k]));
                     assert!(t[k] == 0.0 || slope < 1e-8, "{count} {k}: {slope}");

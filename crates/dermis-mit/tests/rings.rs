@@ -8,7 +8,7 @@ use serde_json::Value;
 
 const ALUMINIUM_S_PER_M: f64 = 3.5e7;
 
-/// Largest difference, relative, of the polarizability and of the coil over the axis at the gaps of a row.
+/// Largest relative difference in the polarizability, and in the coil over the axis at the gaps of a row.
 fn difference(row: &Value, counts: [usize; 2]) -> f64 {
     let (radius_m, height_m, frequency_hz) = (number(&row["R"]), number(&row["H"]), number(&row["f_Hz"]));
     let body = RingBody::cylinder(radius_m, height_m, ALUMINIUM_S_PER_M, frequency_hz, counts).unwrap();
@@ -59,7 +59,7 @@ fn slow_fields_drive_currents_in_proportion_to_the_radius() {
     let size = w * MU0 * ALUMINIUM_S_PER_M * std::f64::consts::PI * radius_m.powi(4) * height_m / 8.0;
     let off = relative(found, Complex::new(0.0, -size));
     println!("{off:e}");
-    // The error of sixteen steps in the current, 1/16^2, and the flux that the currents already push out.
+    // Two errors: the current has sixteen steps (1/16^2), and the currents already push out some flux.
     assert!(off < 4e-3, "{found:?} {size:e}");
 }
 

@@ -37,8 +37,9 @@ impl Announcer {
         let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
         if clock_jump_ns != 0 || renumbered {
             let jump_s = clock_jump_ns as f64 * 1e-9;
-            let reset = if renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
-            let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
+            let reset = if renumbered { " and its frame numbers start again: it was reset" } else { "" };
+            let text =
+                format!("the device's clock was off by {jump_s:.1} s{reset}; time continues at its earlier rate");
             notices.push(warning(text));
         }
         notices

@@ -51,7 +51,7 @@ pub struct LinkPoseView {
 pub struct PatchStateView {
     /// `starting`, `running`, `silent`, `ended` or `failed`.
     pub state: &'static str,
-    /// The reason why it has failed, or why no frames come.
+    /// The reason why it has failed, or why no frames arrive.
     pub problem: Option<String>,
     /// Number of the frame that is shown.
     pub frame: u64,

@@ -58,9 +58,9 @@ pub struct Press {
 }
 
 impl Command {
-    /// Most channels that can be displayed at once.
+    /// Maximum number of channels that can be displayed at once.
     pub const MOST_CHANNELS: usize = 64;
-    /// Most presses that one page can hold at once.
+    /// Maximum number of presses that one page can hold at once.
     pub const MOST_PRESSES: usize = 16;
 
     /// Rejects impossible commands: presses on a real skin, values outside the scene's limits.

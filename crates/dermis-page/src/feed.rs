@@ -25,7 +25,7 @@ const MM: f64 = 1e3;
 const SILENCE_NS: u64 = 1_000_000_000;
 /// Minimum time for counting frames before their rate is shown, nanoseconds.
 const RATE_NS: u64 = 500_000_000;
-/// Most channel faults to list.
+/// Maximum number of channel faults to list.
 const MOST_CHANNEL_FAULTS: usize = 64;
 
 /// A recording in progress.
@@ -177,7 +177,7 @@ impl PageFeed {
         let source = match problem {
             Some(reason) => SourceState::Lost { reason },
             None if now_ns.saturating_sub(since_ns) < SILENCE_NS => return is_new_verdict,
-            None => SourceState::Waiting { reason: "connected, but no frames come".into() },
+            None => SourceState::Waiting { reason: "connected, but no frames arrive".into() },
         };
         let changed = self.update.state.source != source;
         if changed {

@@ -1,4 +1,4 @@
-//! `dermis.eit`: meshes, electrodes, protocols, forward models, priors and operators, for users with their own.
+//! `dermis.eit`: meshes, electrodes, protocols, forward models, priors and operators for problems without a skin file.
 
 pub mod figures;
 pub mod forward;

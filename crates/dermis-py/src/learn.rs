@@ -13,9 +13,9 @@ use crate::errors::Fault;
 use crate::skin::skin_of;
 use crate::work::{run, run_interruptibly};
 
-/// Most samples in a shard, which is made in memory.
+/// Maximum number of samples in a shard, since shards are made in memory.
 const MOST_SHARD_SAMPLES: usize = 10_000;
-/// Most shards; each is a file in one folder.
+/// Maximum number of shards; each is a file in one folder.
 const MOST_SHARDS: usize = 1_000_000;
 
 fn request_of(skin: &Bound<'_, PyAny>, samples: usize, shard_samples: usize, seed: u64) -> PyResult<TrainSetRequest> {

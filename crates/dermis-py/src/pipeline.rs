@@ -201,7 +201,7 @@ impl PyPipeline {
     ///     Take it even while something touches the skin.
     #[pyo3(signature = (*, force=false))]
     fn tare(&self, py: Python<'_>, force: bool) -> PyResult<usize> {
-        run(py, || Ok(lock(&self.running).pipeline.tare(force, "asked for")?))
+        run(py, || Ok(lock(&self.running).pipeline.tare(force, "requested")?))
     }
 
     /// Requests another lambda, which takes effect 0.3 seconds of frame time later.

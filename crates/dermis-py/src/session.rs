@@ -363,7 +363,7 @@ impl PySession {
     /// Takes a new baseline, like :meth:`Pipeline.tare`.
     #[pyo3(signature = (*, force=false))]
     fn tare(&self, py: Python<'_>, force: bool) -> PyResult<usize> {
-        run(py, || self.with(|running| Ok(running.pipeline.tare(force, "asked for")?)))
+        run(py, || self.with(|running| Ok(running.pipeline.tare(force, "requested")?)))
     }
 
     /// Requests another lambda, which takes effect 0.3 seconds of frame time later.

@@ -153,7 +153,7 @@ def test_a_bent_skin_on_a_cylinder():
     # The geom's z is the world's -y; the patch's y runs along it, and its z up.
     patch = Patch("forearm", "piezo-cylinder", geom="forearm", xyz_mm=(0, 95, 0), rpy_deg=(-90, 0, 0))
     sensor = SkinSensor(model, data, patch)
-    with pytest.raises(InputError, match="data: expected places of geoms; call mujoco.mj_forward first"):
+    with pytest.raises(InputError, match="data: expected positions of geoms; call mujoco.mj_forward first"):
         sensor.pose("forearm")
     mujoco.mj_forward(model, data)
     rotation, _ = sensor.pose("forearm")

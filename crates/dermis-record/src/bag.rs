@@ -18,7 +18,7 @@ use crate::Error;
 use array::ArrayKind;
 use collector::Collector;
 
-/// Most files in a split bag.
+/// Maximum number of files in a split bag.
 const MOST_FILES: usize = 10_000;
 /// Number of skipped messages to describe one by one.
 const DESCRIBED: usize = 3;
@@ -68,7 +68,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<FrameTable, Err
     let count = of_skin.or(usual).unwrap_or(0);
     if 2 * counts.get(&count).copied().unwrap_or(0) < frames.len() {
         let found: Vec<String> = counts.keys().take(6).map(usize::to_string).collect();
-        let reason = format!("expected messages of equally many numbers, found {} numbers", found.join(", "));
+        let reason = format!("expected the same count of numbers in every message, found {} numbers", found.join(", "));
         return Err(Error::Live(dermis_live::Error::Content {
             file: path.to_owned(),
             field: format!("topic {topic}"),
@@ -188,9 +188,8 @@ fn read_sqlite(file: &Path, collector: &mut Collector) -> Result<(), Error> {
 #[cfg(not(feature = "sqlite"))]
 fn read_sqlite(file: &Path, _collector: &mut Collector) -> Result<(), Error> {
     let reason =
-        "an SQLite bag, which this dermis was built without (feature sqlite); `ros2 bag convert` makes MCAP of \
-                  it"
-        .to_owned();
+        "an SQLite bag, which this dermis was built without (feature sqlite); `ros2 bag convert` converts it to MCAP"
+            .to_owned();
     Err(Error::Live(dermis_live::Error::Content { file: file.to_owned(), field: "bag".to_owned(), reason }))
 }
 

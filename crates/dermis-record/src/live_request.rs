@@ -68,7 +68,7 @@ impl std::fmt::Debug for LiveRequest {
 }
 
 impl LiveRequest {
-    /// A request of `by`, such as `asked for in Foxglove`; `answer` is called once, and must not block.
+    /// A request of `by`, such as `requested in Foxglove`; `answer` is called once, and must not block.
     pub fn new(
         command: LiveCommand,
         by: &'static str,

@@ -373,7 +373,7 @@ impl Backend {
             checker.within("backend.circuit.idle", circuit.idle, 0.0, 1e6)?;
             circuit.reading.iter().try_for_each(|w| checker.within("backend.circuit.reading", *w, -100.0, 100.0))?;
             if circuit.reading.iter().all(|weight| weight.abs() < 1e-6) {
-                let expected = "a weight of 1e-6 or more: nothing else is read";
+                let expected = "a weight of 1e-6 or more: otherwise nothing is read";
                 return Err(checker.refused("backend.circuit.reading", format!("{:?}", circuit.reading), expected));
             }
         }

@@ -187,8 +187,8 @@ impl Budget {
             operations: 2.0 * channels * pixels * 30.0,
             driver: format!("a Jacobian and an operator of {channels:.0} channels x {pixels:.0} pixels"),
             change: match channels > pixels {
-                true => format!("{electrodes:.0} electrodes or coils: take fewer, or another backend.drive or measure"),
-                false => format!("imaging.grid = {grid}: take a smaller one"),
+                true => format!("{electrodes:.0} electrodes or coils: use fewer, or another backend.drive or measure"),
+                false => format!("imaging.grid = {grid}: use a smaller one"),
             },
         });
         if *solve == Solve::Pixels {
@@ -208,7 +208,7 @@ impl Budget {
                     driver: format!(
                         "the interactions of {pixels:.0} x {pixels:.0} pixels that touches are fitted with"
                     ),
-                    change: format!("{change}: take a smaller one"),
+                    change: format!("{change}: use a smaller one"),
                 });
             }
             if is_dense(prior, skin.frontend.bend.is_none()) {
@@ -217,7 +217,7 @@ impl Budget {
                     operations: pixels * pixels * (2.0 * channels.min(pixels) + 30.0),
                     driver: format!("a dense prior of {pixels:.0} x {pixels:.0} pixels"),
                     change: format!(
-                        "{change}: take a smaller one, or imaging.prior = \"laplace\", \"identity\" or noser"
+                        "{change}: use a smaller one, or imaging.prior = \"laplace\", \"identity\" or noser"
                     ),
                 });
             }
@@ -248,13 +248,13 @@ impl Budget {
             bytes: CORRELATIONS * NUMBER * judged * judged + beyond,
             operations: 2.0 * all * judged * judged,
             driver: format!("the correlations of {pokes} pokes"),
-            change: format!("{pokes} pokes: take fewer, as every second one"),
+            change: format!("{pokes} pokes: use fewer, such as every second one"),
         };
         let frames = Cost {
             bytes: POKE_FRAMES * NUMBER * all * channels,
             operations: all * channels * channels,
             driver: format!("{pokes} frames of {channels:.0} channels"),
-            change: format!("{pokes} pokes: take fewer, as every second one"),
+            change: format!("{pokes} pokes: use fewer, such as every second one"),
         };
         Self::sum(0.0, vec![fit, frames])
     }
@@ -297,11 +297,11 @@ fn mesh_cost(triangles: f64, electrodes: f64, vertices: f64, change: String) -> 
         operations: MESHING * triangles * (electrodes + vertices),
         driver: format!("a mesh of {triangles:.0} triangles about {electrodes:.0} electrodes, {vertices:.0} vertices"),
         change: if electrodes_drive {
-            format!("{electrodes:.0} electrodes in frontend.electrodes: take fewer")
+            format!("{electrodes:.0} electrodes in frontend.electrodes: use fewer")
         } else if vertices > 200.0 {
-            format!("{vertices:.0} vertices in frontend.shape: take fewer")
+            format!("{vertices:.0} vertices in frontend.shape: use fewer")
         } else {
-            format!("{change}: take fewer or larger elements")
+            format!("{change}: use fewer or larger elements")
         },
     }
 }
@@ -319,7 +319,7 @@ fn body_cost(skin: &Skin) -> Option<Cost> {
         bytes: (TETRAHEDRON_BYTES + BODY_FACTOR) * tetrahedra,
         operations: BODY_OPERATIONS * tetrahedra,
         driver: format!("eddy currents in an element of {tetrahedra:.0} tetrahedra"),
-        change: "frontend.elements.shape: make its sizes less unequal".to_owned(),
+        change: "frontend.elements.shape: make its dimensions more equal".to_owned(),
     })
 }
 
@@ -335,7 +335,7 @@ fn fields_cost(triangles: f64, fields: f64, electrodes: f64) -> Cost {
         // Substitution in a factor of about 30 numbers per node and right-hand side, plus the factorisation.
         operations: 120.0 * nodes * fields + 20.0 * nodes.powf(1.5),
         driver: format!("the fields of {fields:.0} electrodes or drives on {nodes:.0} nodes"),
-        change: format!("{electrodes:.0} electrodes in frontend.electrodes, or imaging.elements: take fewer"),
+        change: format!("{electrodes:.0} electrodes in frontend.electrodes, or imaging.elements: use fewer"),
     }
 }
 

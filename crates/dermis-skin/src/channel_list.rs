@@ -104,7 +104,7 @@ impl ChannelList {
     /// Reads the list from its file in `folder`, if it is in one.
     pub(crate) fn read(&mut self, file: &str, folder: Option<&Path>) -> Result<(), Error> {
         let Self::File(path) = self else { return Ok(()) };
-        let (text, name) = read_beside(FIELD, path, file, folder, "a list, or a CSV file beside the skin file")?;
+        let (text, name) = read_beside(FIELD, path, file, folder, "a list, or a CSV file next to the skin file")?;
         *self = Self::Listed(parse_csv(&text, &name)?);
         Ok(())
     }
@@ -261,7 +261,7 @@ fn against(cell: &str) -> Option<AgainstWord> {
 fn channel_of(row: &[&str]) -> Result<ListedChannel, String> {
     let number = |cell: &str| {
         cell.parse::<u32>().map_err(|_| {
-            format!("`{cell}` is no electrode; expected its number, from 1, or mean or sink as the fourth")
+            format!("`{cell}` is not an electrode; expected its number, from 1, or mean or sink as the fourth")
         })
     };
     match *row {

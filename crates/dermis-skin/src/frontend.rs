@@ -240,7 +240,7 @@ impl Frontend {
             let (low, high) = self.shape.outline().bounds_m();
             let least = 1e3 * (high[0] - low[0]) / std::f64::consts::PI;
             if !(diameter_mm > least && diameter_mm <= 1e6) {
-                let expected = format!("above {least:.1}, which the sheet would reach round, to 1e6");
+                let expected = format!("above {least:.1}, below which the sheet would overlap itself, to 1e6");
                 return Err(checker.refused("frontend.bend.cylinder.diameter_mm", diameter_mm, expected));
             }
         }

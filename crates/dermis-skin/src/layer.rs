@@ -266,7 +266,8 @@ impl Layer {
                 checker.within(&key("gauge_factor"), layer.gauge_factor, -1e3, 1e3)?;
                 checker.within(&key("modulus_kpa"), layer.modulus_kpa, 1e-2, 1e9)?;
                 if layer.response_per_kpa() == 0.0 {
-                    let expected = "a pressure coefficient or a gauge factor other than 0: nothing else feels a touch";
+                    let expected =
+                        "a pressure coefficient or a gauge factor other than 0: otherwise a touch has no effect";
                     return Err(checker.refused(&key("gauge_factor"), layer.gauge_factor, expected));
                 }
                 if let Some(smoothing) = layer.smoothing_mm {

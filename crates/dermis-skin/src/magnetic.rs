@@ -14,7 +14,7 @@ const MOST_ELEMENTS: usize = 1024;
 /// Maximum number of coils in a skin.
 const MOST_COILS: usize = 64;
 /// Minimum and maximum self inductance of a coil, microhenries. A millimetre of wire has about a thousandth of one; a
-/// coil of 10,000 turns one metre wide has some hundred henries.
+/// coil of 10,000 turns one metre wide has hundreds of henries.
 const INDUCTANCE_UH: [f64; 2] = [1e-3, 1e9];
 
 /// The coils of a skin, all identical.

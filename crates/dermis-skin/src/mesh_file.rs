@@ -26,7 +26,7 @@ impl MeshFile {
         folder: Option<&Path>,
     ) -> Result<(Shape, Option<Electrodes>), Error> {
         let checker = Checker { file };
-        let (bytes, name) = read_bytes_beside(FIELD, &self.file, file, folder, "an MSH file beside the skin file")?;
+        let (bytes, name) = read_bytes_beside(FIELD, &self.file, file, folder, "an MSH file next to the skin file")?;
         let refuse = |message: String| Error::SkinFile { file: name.clone(), message };
         let groups = ElectrodeGroups::Prefix(self.electrodes.clone());
         let read = read_msh(&bytes, &groups, &[1.0]).map_err(|error| refuse(error.to_string()))?;

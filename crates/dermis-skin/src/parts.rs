@@ -77,7 +77,7 @@ impl<T: DeserializeOwned> Part<T> {
         match builtin_part(&path) {
             Some(text) => parse(text, format!("built-in {field} {path}")),
             None => {
-                let expected = "a table, or a TOML file of its own beside the skin file";
+                let expected = "a table, or a TOML file of its own next to the skin file";
                 Err(checker.refused(field, format!("{path:?}, which does not exist"), expected))
             }
         }
@@ -118,7 +118,7 @@ pub(crate) fn read_bytes_beside(
     let checker = Checker { file };
     check_path(field, path, &checker)?;
     let Some(folder) = folder else {
-        let expected = format!("{expected}; text alone lies in no folder");
+        let expected = format!("{expected}; text has no folder");
         return Err(checker.refused(field, format!("{path:?}"), expected));
     };
     let place = folder.join(path);

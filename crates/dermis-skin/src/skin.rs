@@ -54,7 +54,7 @@ pub struct Skin {
     /// Settings of its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
-    /// Errors of the workshop that builds it.
+    /// Manufacturing tolerances.
     #[serde(default, skip_serializing_if = "Tolerances::is_default")]
     pub tolerances: Tolerances,
     /// Its position on a robot.
@@ -148,7 +148,7 @@ impl Skin {
         }
         if skin.touch.contact_s_per_m2.take().is_some() {
             tracing::warn!(
-                "{file}: touch.contact_s_per_m2 is no longer needed: the layer's law tells it; remove the line"
+                "{file}: touch.contact_s_per_m2 is no longer needed: it follows from the layer's law; remove the line"
             );
         }
         skin.check(file)?;

@@ -1,4 +1,4 @@
-//! Tolerances of a workshop: how far a skin as built may be from its file.
+//! Manufacturing tolerances: how far a skin as built may be from its file.
 //!
 //! The defaults are assumptions about careful work with hand tools, laser cutters and printers. A skin file can state
 //! its own in `[tolerances]`.

@@ -292,7 +292,7 @@ impl TwinTreatment {
                 checker.place_mm(&key("cut.from_mm"), &from_mm)?;
                 checker.place_mm(&key("cut.to_mm"), &to_mm)?;
                 if from_mm == to_mm {
-                    return Err(checker.refused(&key("cut.to_mm"), format!("{to_mm:?}"), "another place than from_mm"));
+                    return Err(checker.refused(&key("cut.to_mm"), format!("{to_mm:?}"), "a place other than from_mm"));
                 }
                 Ok(())
             }
@@ -326,7 +326,7 @@ impl TwinFaults {
         }
         if let Some(number) = self.dead_coils.iter().find(|&&number| !(1..=coils).contains(&(number as usize))) {
             let expected =
-                if coils == 0 { "coils, which this skin has none of".into() } else { format!("coils 1 to {coils}") };
+                if coils == 0 { "coils, which this skin does not have".into() } else { format!("coils 1 to {coils}") };
             return Err(checker.refused("twin.faults.dead_coils", number, expected));
         }
         for (field, share) in
@@ -435,7 +435,7 @@ mod tests {
         let noisy = error("{ noisy_channels = [{ channel = 209, noise_mv = 1.0 }] }");
         assert_eq!(noisy, "a page: twin.faults.noisy_channels.channel = 209: expected channels 1 to 208");
         assert!(error("{ noisy_channels = [{ channel = 9, noise_mv = -1.0 }] }").contains("noise_mv = -1"));
-        assert!(error("{ dead_coils = [1] }").contains("which this skin has none of"));
+        assert!(error("{ dead_coils = [1] }").contains("which this skin does not have"));
         assert!(error("{ open = [1] }").contains("unknown field"));
     }
 

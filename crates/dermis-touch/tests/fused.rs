@@ -163,7 +163,7 @@ fn many_pokes_are_fitted_by_landmarks() {
 }
 
 /// One poke more than can be solved exactly must not make positions worse or sigma wrong. The median of 300 errors
-/// scatters by some 6 %, hence the tolerance.
+/// scatters by about 6 %, hence the tolerance.
 #[test]
 fn a_few_pokes_more_than_are_solved_exactly_do_no_harm() {
     let held_out = pokes(300, 95, plain);

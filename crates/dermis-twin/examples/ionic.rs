@@ -22,7 +22,7 @@ fn main() -> Result<(), TwinError> {
     heights()
 }
 
-/// Signal of a touch in three dimensions, with small electrodes low, half way up and high on the wall.
+/// Signal of a touch in three dimensions, with small electrodes low, halfway up and high on the wall.
 fn heights() -> Result<(), TwinError> {
     for radius_mm in [0.0, 30.0, 60.0, 75.0] {
         print!("electrodes of 3 mm, touch of 0.255 N at {radius_mm} mm, signal:");

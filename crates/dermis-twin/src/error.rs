@@ -53,15 +53,15 @@ pub enum TwinError {
         /// Expected count, and the reason.
         expected: String,
     },
-    /// A pointer was moved that presses nothing.
-    #[error("pointer {pointer} moved, but it presses nothing; expected a press before it")]
+    /// A pointer was moved without pressing.
+    #[error("pointer {pointer} moved, but is not pressing; expected a press before it")]
     Pointer {
         /// The pointer named.
         pointer: u64,
     },
     /// A treatment that this skin does not support.
     #[error(
-        "this skin's twin cannot be treated so; expected a sheet or a sandwich to cut, warm or renew, and a sandwich \
+        "this skin's twin does not support this treatment; expected a sheet or a sandwich to cut, warm or renew, and a sandwich \
          that heals to lay a heat pad on"
     )]
     NotTreatable,

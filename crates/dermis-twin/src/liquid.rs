@@ -216,7 +216,7 @@ impl Frontend for LiquidSkin {
         (self.bottomed_nodes > 0).then(|| {
             let share = 100.0 * self.bottomed_nodes as f64 / self.depth_at_m.len() as f64;
             format!(
-                "the membrane touches the bottom over {share:.1} % of its nodes; the model ends there: the liquid is taken to \
+                "the membrane touches the bottom over {share:.1} % of its nodes; the model is not valid there: the liquid is taken to \
                  be a film of {:.0} % of its depth, and the bottom bears no load",
                 100.0 * LEAST_FILM
             )

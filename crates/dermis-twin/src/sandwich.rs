@@ -91,10 +91,10 @@ pub struct Sandwich {
     conductance: ConductanceMap,
     /// Cuts set by the caller.
     cuts: Vec<Cut>,
-    /// Cuts and heat from treatments.
     /// Time since the conductances were last renewed, and whether the sheet has healed since.
     waiting_s: f64,
     has_healed: bool,
+    /// Cuts and heat from treatments.
     wear: Wear,
     slits: Slits,
     gap: Gap,

@@ -329,7 +329,7 @@ impl<F: Frontend> Twin<F> {
         Ok(())
     }
 
-    /// The loads on it.
+    /// The loads on the skin.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }

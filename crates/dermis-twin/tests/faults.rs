@@ -129,7 +129,7 @@ fn a_dead_coil_silences_exactly_its_channels() {
         assert_eq!(broken[channel], expected, "{pair:?}");
     }
     assert!(twin.set_faults(vec![Fault::DeadCoil { coil: 8 }.into()]).is_err());
-    assert!(twin.set_faults(vec![Fault::OpenElectrode { electrode: 0 }.into()]).is_err(), "coils are no electrodes");
+    assert!(twin.set_faults(vec![Fault::OpenElectrode { electrode: 0 }.into()]).is_err(), "coils are not electrodes");
 }
 
 #[test]
@@ -146,6 +146,6 @@ fn a_noisy_channel_has_the_noise_asked_for_and_no_other_changes() {
     // With 400 values the standard deviation is known to 3.5 % (one standard error).
     let deviation_v = (sum / f64::from(count)).sqrt();
     assert!((deviation_v / 2e-3 - 1.0).abs() < 0.15, "{deviation_v}");
-    assert!(twin.set_faults(vec![Fault::DeadCoil { coil: 0 }.into()]).is_err(), "electrodes are no coils");
+    assert!(twin.set_faults(vec![Fault::DeadCoil { coil: 0 }.into()]).is_err(), "electrodes are not coils");
     assert!(twin.set_faults(vec![Fault::NoisyChannel { channel: 0, deviation_v: -1.0 }.into()]).is_err());
 }

@@ -180,7 +180,7 @@ impl Engine {
     /// Carries out a request and returns a message about it, if there is one.
     fn obey(&mut self, command: Command) -> Result<Option<String>, String> {
         match command {
-            Command::Tare { force } => match self.pipeline.tare(force, "asked for in the page") {
+            Command::Tare { force } => match self.pipeline.tare(force, "requested on the page") {
                 Ok(frames) => Ok(Some(format!("taring over {frames} frames"))),
                 Err(error) => Err(format!("tare refused: {error}")),
             },

@@ -6,7 +6,7 @@ use crate::{Kind, MOST_PACKET, MOST_TEXT, VERSION};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// The bytes between two delimiters are not valid byte stuffing.
-    #[error("expected a byte-stuffed packet, found {found} bytes that are none")]
+    #[error("expected a byte-stuffed packet, found {found} bytes that are not one")]
     Stuffing {
         /// Bytes between the delimiters.
         found: usize,

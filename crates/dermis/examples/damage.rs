@@ -177,7 +177,7 @@ fn main() -> Result<(), Error> {
     println!(
         "{:6.1} s  a new baseline, {}: {why}",
         line.time_s,
-        if proposal.is_some() { "proposed" } else { "asked for" }
+        if proposal.is_some() { "proposed" } else { "requested" }
     );
     line.pipeline.tare(false, why)?;
     line.period_s = 0.1;

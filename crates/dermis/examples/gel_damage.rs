@@ -1,4 +1,4 @@
-//! A long watch of a gel that drifts and is cut, from a file of frames. Prints what the pipeline reports about
+//! Monitors a gel that drifts and is cut, from a long file of frames. Prints what the pipeline reports about
 //! damage, and draws the images of the selected frames. Frames are eight seconds apart and count from 0.
 //!
 //! `cargo run --release -p dermis --example gel_damage -- monitored.csv gel-damage.svg 493 663 664 667`

@@ -1,5 +1,5 @@
 //! A network that distinguishes touches from cuts: simulated samples, training, use. A training set this small teaches
-//! little. A network for real use takes thousands of samples and some hours; see the book's chapter on learning.
+//! little. A network for real use takes thousands of samples and several hours; see the book's chapter on learning.
 //! `cargo run --release -p dermis --example train_and_use`
 
 use dermis::learn::{Model, Segmenter, SimulatedFrames, TrainOptions, TrainSetRequest, Training, simulate, train};

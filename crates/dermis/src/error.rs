@@ -155,7 +155,7 @@ pub enum Error {
 }
 
 impl From<LiveError> for Error {
-    /// Errors of lower crates become the variant of their own, whichever crate passed them on.
+    /// Errors of lower crates become their own variant, whichever crate passed them on.
     fn from(error: LiveError) -> Self {
         match error {
             LiveError::Skin(error) => Self::Skin(error),

@@ -17,7 +17,7 @@
 pub use dermis_lab::learning::train_set::SimulatedFrames;
 /// Shown with [`SimulatedFrames`].
 pub use dermis_lab::learning::train_set::TrainSetRequest;
-/// No example: simulating a set takes some seconds, see `examples/train_and_use.rs`.
+/// No example: simulating a set takes a few seconds, see `examples/train_and_use.rs`.
 pub use dermis_lab::learning::train_set::simulate;
 
 /// Shown with [`Segmenter`].
@@ -54,7 +54,7 @@ pub use dermis_live::network::CLASSES;
 /// ```
 pub use dermis_live::network::built_in;
 
-/// No example: a training takes at least some seconds, see `examples/train_and_use.rs`.
+/// No example: training takes at least a few seconds, see `examples/train_and_use.rs`.
 pub use dermis_learn::{
     Model, TrainingSet,
     train::{Progress, TrainOptions, Training, train},

@@ -20,7 +20,7 @@ use dermis_twin::mechanics::{Indenter, check_on_skin};
 use crate::error::Error;
 use crate::source::{OpenedSource, SourceOptions, TwinControl, open_source};
 
-/// Wait for a frame between checks.
+/// Longest wait for a frame before the patience is checked.
 const NAP: Duration = Duration::from_millis(100);
 /// Default time without a frame after which a [`Session`] reports an error.
 const PATIENCE: Duration = Duration::from_secs(10);

@@ -21,16 +21,16 @@ pub use dermis_twin::from_skin::press_range;
 /// let OpenedSource { twin, source, .. } = open_source(&"twin".parse()?, &skin, &SourceOptions::default())?;
 /// let control = twin.expect("the source is a twin");
 /// control.commands.send(TwinCommand::Demonstrate(false))?;
-/// // Once the twin has gone, commands say so.
+/// // Once the twin is gone, commands are refused.
 /// drop(source);
 /// assert_eq!(control.commands.send(TwinCommand::Repair).unwrap_err().to_string(), "the twin has ended");
 /// # Ok::<(), dermis::Error>(())
 /// ```
 pub use dermis_lab::twin_commands::TwinCommand;
-/// No example here: [`TwinCommand`]'s shows the queue of commands and how it refuses one.
+/// No example here: [`TwinCommand`]'s example sends commands, one of which is refused.
 pub use dermis_lab::twin_commands::{CommandRefused, TwinCommands};
 
-/// No example: a pad on a skin that heals, given as `Treatment::Heat`.
+/// No example: the heat pad on a healing skin, the content of `Treatment::Heat`.
 pub use dermis_twin::Heating;
 /// ```
 /// use dermis::twin::{Cut, Fault, Treatment};
@@ -80,7 +80,7 @@ pub use dermis_lab::twin_sample::random_presses;
 /// # Ok::<(), dermis::Error>(())
 /// ```
 pub use dermis_lab::twin_sample::sample_tables;
-/// No example here: [`reconstruct`](crate::offline::reconstruct)'s writes the files of a sample.
+/// No example here: the one of [`reconstruct`](crate::offline::reconstruct) writes the files of a sample.
 pub use dermis_lab::twin_sample::{SampleRequest, sample};
 /// Shown with [`sample_tables`].
 pub use dermis_twin::mechanics::{Indenter, Load, Shape as IndenterShape};
@@ -89,7 +89,7 @@ pub use dermis_twin::mechanics::{Indenter, Load, Shape as IndenterShape};
 /// use dermis::twin::ServedTwin;
 /// use dermis::{Session, Skin};
 ///
-/// // The twin as an instrument behind a socket of this machine.
+/// // The twin as an instrument on a local socket.
 /// let skin = Skin::open("healing-square")?;
 /// let served = ServedTwin::start(&skin)?;
 /// let mut session = Session::open(&served.selector().to_string(), skin)?;

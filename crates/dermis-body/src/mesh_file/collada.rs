@@ -253,6 +253,6 @@ mod tests {
         assert_eq!(fault("<vcount>4", "<vcount>5"), "line 9: expected as many corners as in p");
         assert_eq!(fault("0 0 1 90", "0 1 90"), "line 12: expected 4 numbers");
         let cycle = fault("<instance_geometry url=\"#g\"/>", "<node id=\"n\"><instance_node url=\"#n\"/></node>");
-        assert!(cycle.ends_with("64 one in the other"), "{cycle}");
+        assert!(cycle.ends_with("nested at most 64 deep"), "{cycle}");
     }
 }

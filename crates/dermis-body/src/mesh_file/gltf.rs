@@ -150,7 +150,7 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
         let is_it = bytes.get(at + 4..at + 8)? == kind;
         bytes.get(at + 8..at.checked_add(8 + length)?).filter(|_| is_it)
     };
-    let version = word(4).ok_or("expected the head of a GLB file")?;
+    let version = word(4).ok_or("expected the header of a GLB file")?;
     if version != 2 {
         return Err(format!("version {version}: expected 2"));
     }
@@ -359,7 +359,7 @@ mod tests {
         assert_eq!(in_glb("\"count\": 3", "\"count\": 4"), "mesh 0: accessor 0: expected values within its view");
         assert_eq!(
             in_glb("\"children\": [0]", "\"children\": [1]"),
-            "node 1: expected at most 100000 nodes, and 64 one in the other"
+            "node 1: expected at most 100000 nodes, nested at most 64 deep"
         );
         assert_eq!(
             in_glb("\"byteLength\": 36}", "\"byteLength\": 99}"),

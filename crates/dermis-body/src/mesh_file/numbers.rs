@@ -1,8 +1,8 @@
-//! Shared by readers of meshes: numbers in text, polygons, transforms, and limits of scenes.
+//! Helpers shared by the mesh readers: numbers in text, polygons, transforms, and limits of scenes.
 
-/// Most corners of one file, three per triangle. A small file may use the same mesh many times.
+/// Maximum number of corners in one file, three per triangle. A small file may instance one mesh many times.
 const MOST_CORNERS: usize = 12_000_000;
-/// Most nodes of a scene, and of those in each other.
+/// Maximum number of nodes in a scene, and their maximum nesting depth.
 const MOST_NODES: usize = 100_000;
 const MOST_DEPTH: usize = 64;
 
@@ -11,7 +11,7 @@ const MOST_DEPTH: usize = 64;
 pub(super) struct Affine(pub [[f64; 4]; 3]);
 
 impl Affine {
-    /// Leaves points where they are.
+    /// Leaves points unchanged.
     pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
 
     /// Multiplies coordinates.
@@ -24,7 +24,7 @@ impl Affine {
         Self([[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z]])
     }
 
-    /// Turns points by a quaternion, which need not be of unit length.
+    /// Rotates points by a quaternion of any length.
     pub fn rotation([x, y, z, w]: [f64; 4]) -> Self {
         let s = 2.0 / (x * x + y * y + z * z + w * w);
         Self([
@@ -34,7 +34,7 @@ impl Affine {
         ])
     }
 
-    /// First the other transform, then this one.
+    /// Applies the other transform first, then this one.
     pub fn after(&self, other: &Self) -> Self {
         let entry = |row: usize, column: usize| {
             let turned: f64 = (0..3).map(|k| self.0[row][k] * other.0[k][column]).sum();
@@ -58,14 +58,14 @@ pub(super) struct Placed {
 }
 
 impl Placed {
-    /// Counts a node at a depth.
+    /// Counts a node at this depth.
     ///
     /// # Errors
-    /// More nodes than a scene may have, as in one that contains itself.
+    /// Too many nodes or levels, for example in a scene that contains itself.
     pub fn enter(&mut self, depth: usize) -> Result<(), String> {
         self.nodes += 1;
         if depth > MOST_DEPTH || self.nodes > MOST_NODES {
-            return Err(format!("expected at most {MOST_NODES} nodes, and {MOST_DEPTH} one in the other"));
+            return Err(format!("expected at most {MOST_NODES} nodes, nested at most {MOST_DEPTH} deep"));
         }
         Ok(())
     }
@@ -73,7 +73,7 @@ impl Placed {
     /// Adds transformed corners.
     ///
     /// # Errors
-    /// More corners than a mesh may have.
+    /// Too many corners for a mesh.
     pub fn add(&mut self, corners: &[[f32; 3]], by: &Affine) -> Result<(), String> {
         if self.corners.len() + corners.len() > MOST_CORNERS {
             return Err(format!("expected at most {} triangles", MOST_CORNERS / 3));
@@ -83,7 +83,7 @@ impl Placed {
     }
 }
 
-/// The triangles of a convex polygon: three corners each, none with fewer than three.
+/// The triangles of a convex polygon, three corners each; empty for fewer than three corners.
 pub(super) fn fan<T: Copy>(corners: &[T]) -> impl Iterator<Item = T> + '_ {
     let pairs = corners.get(1..).unwrap_or_default().windows(2);
     pairs.flat_map(|pair| [corners[0], pair[0], pair[1]])

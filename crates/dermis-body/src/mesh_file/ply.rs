@@ -2,7 +2,7 @@
 
 use super::numbers::fan;
 
-/// Most bytes before the elements.
+/// Maximum size of the header, bytes.
 const MOST_HEAD: usize = 1 << 16;
 
 /// The type of a number.
@@ -48,7 +48,7 @@ struct Element {
     properties: Vec<Property>,
 }
 
-/// The numbers after the head, in order.
+/// The values after the header, in file order.
 enum Body<'a> {
     Text(std::str::SplitAsciiWhitespace<'a>),
     Binary { bytes: &'a [u8], is_big: bool },
@@ -95,7 +95,7 @@ impl Body<'_> {
 /// Corners of the triangles in a PLY file.
 ///
 /// # Errors
-/// A malformed head, elements that are cut off, or a face with an unknown vertex; the message names it.
+/// A malformed header, a truncated file, or a face with an unknown vertex; the message names it.
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<[f32; 3]>, String> {
     let (elements, mut body) = head(bytes)?;
     let (mut vertices, mut corners, mut values) = (Vec::new(), Vec::new(), Vec::new());
@@ -125,18 +125,19 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<[f32; 3]>, String> {
     Ok(corners)
 }
 
-/// The elements that a head lists, and what follows it.
+/// Parses the header: the elements that it lists, and the data after it.
 fn head(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), String> {
     let mut elements: Vec<Element> = Vec::new();
     let mut format = None;
     let mut at = 0;
     for number in 1.. {
         let rest = bytes.get(at..MOST_HEAD.min(bytes.len())).unwrap_or_default();
-        let length = rest.iter().position(|byte| *byte == b'\n').ok_or("expected a head that ends with end_header")?;
+        let length =
+            rest.iter().position(|byte| *byte == b'\n').ok_or("expected a header that ends with end_header")?;
         let line = String::from_utf8_lossy(&rest[..length]);
         at += length + 1;
         let words: Vec<&str> = line.split_whitespace().collect();
-        let fault = || format!("line {number}: {:?}: expected a line of a PLY head", line.trim());
+        let fault = || format!("line {number}: {:?}: expected a line of a PLY header", line.trim());
         match words[..] {
             ["ply"] | ["comment" | "obj_info", ..] | [] => {}
             ["format", name, _] => format = Some(name.to_owned()),
@@ -162,7 +163,8 @@ fn head(bytes: &[u8]) -> Result<(Vec<Element>, Body<'_>), String> {
     let rest = &bytes[at..];
     let body = match format.as_deref() {
         Some("ascii") => {
-            let text = std::str::from_utf8(rest).map_err(|error| format!("after the head: {error}: expected text"))?;
+            let text =
+                std::str::from_utf8(rest).map_err(|error| format!("after the header: {error}: expected text"))?;
             Body::Text(text.split_ascii_whitespace())
         }
         Some("binary_little_endian") => Body::Binary { bytes: rest, is_big: false },
@@ -212,12 +214,12 @@ mod tests {
         assert_eq!(fault(&whole[..whole.len() - 1]), "face 0: expected a number for vertex_indices");
         assert_eq!(
             fault(b"ply\nformat ascii 1.0\nproperty float x\n"),
-            "line 3: \"property float x\": expected a line of a PLY head"
+            "line 3: \"property float x\": expected a line of a PLY header"
         );
         assert!(fault(b"ply\nformat zip 1.0\nend_header\n").starts_with("format zip: expected ascii"));
         let text = format!("ply\nformat ascii 1.0\n{HEAD}0 0 0 9\n1 0 0 9\n0 2 3 9\n3 0 1 7\n");
         assert_eq!(fault(text.as_bytes()), "face 0: expected known vertices");
-        // Numbers of elements that no file can hold.
+        // More elements than any file can hold.
         let text =
             "ply\nformat ascii 1.0\nelement a 99999999999\nelement vertex 99999999999\nproperty float x\nend_header\n";
         assert_eq!(fault(text.as_bytes()), "vertex 0: expected a number for x");

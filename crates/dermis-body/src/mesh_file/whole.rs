@@ -1,8 +1,8 @@
-//! Reads a file whole, if it is not too large.
+//! Reads a whole file, if it is not too large.
 
 use std::path::Path;
 
-/// Largest mesh file, bytes.
+/// Maximum size of a mesh file, bytes.
 const MOST_BYTES: u64 = 128 << 20;
 
 /// The bytes of a file.

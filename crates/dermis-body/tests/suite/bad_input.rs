@@ -51,7 +51,7 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
         (joint("\"0 0 1\"", "\"0 0 ${q}\""), "xacro"),
         (
             joint("<link name=\"base\"/>", "<link name=\"base\"/><link name=\"base\"/>"),
-            "arm.urdf, line 2: a second link \"base\"",
+            "arm.urdf, line 2: duplicate link \"base\"",
         ),
         (
             joint("<link name=\"base\"/>", "<link name=\"base\"/><link name=\"lost\"/>"),
@@ -62,13 +62,13 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
             joint("<axis", "<mimic joint=\"elbow\"/><axis"),
             "arm.urdf, line 4: joint wrist: mimics \"elbow\": expected a joint of the file",
         ),
-        (joint("<axis", "<mimic joint=\"wrist\"/><axis"), "in a circle"),
+        (joint("<axis", "<mimic joint=\"wrist\"/><axis"), "a cycle"),
         (
             joint(
                 "</robot>",
                 "<joint name=\"wrist\" type=\"fixed\"><parent link=\"base\"/><child link=\"hand\"/></joint></robot>",
             ),
-            "arm.urdf, line 7: a second joint \"wrist\"",
+            "arm.urdf, line 7: duplicate joint \"wrist\"",
         ),
         (
             joint(
@@ -79,7 +79,7 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
         ),
         (
             joint("type=\"revolute\"", "type=\"floating\""),
-            "arm.toml, line 6: patch palm: link = hand: expected a link that is reached by joints of one value each, and wrist has several",
+            "arm.toml, line 6: patch palm: link = hand: expected a link reached through joints with one value each; wrist has several",
         ),
         ("<!DOCTYPE r [<!ENTITY a \"aaaa\">]><robot/>".to_owned(), "arm.urdf, line 1: not XML"),
         (joint("filename=", "file="), "arm.urdf, line 3: <mesh> without filename"),

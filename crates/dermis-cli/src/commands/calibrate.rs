@@ -42,7 +42,7 @@ Examples:
   dermis calibrate ionic-disc --twin --forces forces.json --curve quadratic
   dermis calibrate healing-square --twin --pokes 12 --out c.json
 
-The baseline has one frame for all pokes, or one per poke; with --differences the frames already are differences from the
+The baseline has one frame for all pokes, or one per poke; with --differences the frames are already differences from the
 untouched skin. --start EARLIER.json uses an earlier calibration of this skin or of another of its family: the new pokes
 decide whether its pokes are pooled with them, or it becomes a prior, is kept unchanged or is ignored. The positions have
 the columns x_m, y_m (or x_mm, y_mm) and, if the load is known, depth_m, depth_mm or force_n. Rows with the same number in
@@ -74,7 +74,7 @@ pub struct Arguments {
     /// Frames of the untouched skin: one or more for all pokes, or one before each.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
-    /// The frames already are differences from the untouched skin.
+    /// The frames are already differences from the untouched skin.
     #[arg(long, conflicts_with_all = ["baseline", "twin"])]
     differences: bool,
     /// Frames of the pressed skin, one per poke.
@@ -92,7 +92,7 @@ pub struct Arguments {
     /// Don't use the skin file's physics, even where it would help.
     #[arg(long)]
     no_physics: bool,
-    /// Earlier calibration of this skin, or of another of its family. With several, the new pokes choose.
+    /// Earlier calibration of this skin, or of another in its family. If several are given, the new pokes decide which is used.
     #[arg(long, value_name = "FILE.json")]
     start: Vec<PathBuf>,
     /// Output file for the calibration.
@@ -237,7 +237,7 @@ impl Arguments {
         Ok(Outcome::Done)
     }
 
-    /// Reports oddities of the labels, and refuses labels unrelated to the frames.
+    /// Warns about suspicious labels, and refuses labels unrelated to the frames.
     fn check_labels(&self, prepared: &Prepared, measured: &Measured, pokes: &Pokes) -> anyhow::Result<()> {
         if self.trust_labels {
             return Ok(());

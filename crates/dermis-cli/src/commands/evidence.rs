@@ -87,7 +87,7 @@ impl Arguments {
     fn chosen(&self) -> Result<Vec<&'static Set>, UsageError> {
         if let Some(unknown) = self.only.iter().find(|name| Set::named(name).is_none()) {
             let names = SETS.iter().map(|set| set.name).collect::<Vec<_>>().join(", ");
-            return Err(UsageError(format!("--only {unknown}: expected some of {names}")));
+            return Err(UsageError(format!("--only {unknown}: expected one or more of {names}")));
         }
         let is_chosen = |set: &&Set| self.only.is_empty() || self.only.iter().any(|name| name == set.name);
         Ok(SETS.iter().filter(is_chosen).collect())

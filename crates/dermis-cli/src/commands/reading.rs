@@ -1,4 +1,4 @@
-//! Options for reading files of frames where guessing isn't enough; the same in every command.
+//! Options for reading files of frames where guessing isn't enough, shared by all commands.
 
 use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
 
@@ -32,7 +32,7 @@ pub(super) struct TableArguments {
     /// Frames are stored as columns.
     #[arg(long)]
     transpose: bool,
-    /// Frequency of a sweep; two, A,B, give the readings at A minus those at B.
+    /// Frequency in a sweep; A,B gives the readings at A minus those at B.
     #[arg(long, value_name = "HZ[,HZ]", value_parser = frequencies)]
     frequency_hz: Option<Frequencies>,
 }
@@ -43,7 +43,7 @@ fn frequencies(text: &str) -> Result<Frequencies, String> {
         None => one(text).map(Frequencies::One),
         Some((a, b)) => one(a).zip(one(b)).map(|(a, b)| Frequencies::Difference(a, b)),
     }
-    .ok_or_else(|| "expected a frequency in hertz, or two with a comma between".to_owned())
+    .ok_or_else(|| "expected a frequency in hertz, or two separated by a comma".to_owned())
 }
 
 impl ReadArguments {

@@ -22,7 +22,7 @@ Examples:
   dermis reconstruct healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
 
 The frames of the baseline are averaged. If there are as many as frames to image, each frame gets its own baseline, and
-frames are independent of each other. Frames that already are differences (--differences) need none. t.csv has the columns
+frames are independent of each other. Frames that are already differences (--differences) need none. t.csv has the columns
 frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; depth_mm or poke_force_n with a sigma if the
 calibration's pokes had one; and, on a skin calibrated without labels, an alternative position: other_x_mm, other_y_mm and
 other_probability. A frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
@@ -35,10 +35,10 @@ another channel order, which is printed as lines for the skin file.";
 pub struct Arguments {
     #[command(flatten)]
     recorded: RecordedFrames,
-    /// Frames of the untouched skin; not needed if the frames already are differences.
+    /// Frames of the untouched skin; not needed if the frames are already differences.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
-    /// The frames already are differences from the untouched skin.
+    /// The frames are already differences from the untouched skin.
     #[arg(long, conflicts_with = "baseline")]
     differences: bool,
     /// A calibration made by `dermis calibrate`.

@@ -22,7 +22,7 @@ pub(super) struct RecordedFrames {
     pub as_skin: bool,
 }
 
-/// True if frames already are differences. Either a baseline must be given, or an option that says it isn't needed.
+/// True if frames are already differences. Either a baseline must be given, or an option that says it isn't needed.
 ///
 /// # Errors
 /// Neither or both are given.
@@ -35,7 +35,7 @@ pub(super) fn baseline_or_differences(
         (Some(_), false) => Ok(false),
         (None, true) => Ok(true),
         (None, false) => {
-            let text = "--baseline is needed: frames of the untouched skin, or --differences if the frames already are \
+            let text = "--baseline is needed: frames of the untouched skin, or --differences if the frames are already \
                         differences from it";
             Err(UsageError(text.into()))
         }

@@ -150,9 +150,9 @@ fn page(report: &ToleranceReport, tolerances: &Tolerances, picture: &Picture) ->
 fn applied(tolerances: &Tolerances, report: &ToleranceReport) -> String {
     let has = |name: &str| report.causes.iter().any(|row| row.name == name);
     let is_applied = |line: &&str| match line.split(' ').next().unwrap_or_default() {
-        "coil_place_mm" | "element_height_mm" | "stiffness_percent" => has("coil places"),
+        "coil_place_mm" | "element_height_mm" | "stiffness_percent" => has("coil positions"),
         "gain_percent" | "noise_percent" | "bad_electrode" => true,
-        _ => !has("coil places"),
+        _ => !has("coil positions"),
     };
     tolerances.to_toml().lines().filter(is_applied).map(|line| format!("{line}\n")).collect()
 }

@@ -34,7 +34,7 @@ pub struct Arguments {
     /// Number of levels, each with half the rows and columns of the one before.
     #[arg(long, default_value_t = TrainOptions::default().levels)]
     levels: usize,
-    /// Most passes over the samples.
+    /// Maximum number of passes over the samples.
     #[arg(long, default_value_t = TrainOptions::default().epochs)]
     epochs: usize,
     /// Samples per step.

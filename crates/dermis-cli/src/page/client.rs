@@ -192,7 +192,7 @@ impl Client<'_> {
             Ok(Said::Ask(id, BodyCommand::Patch(PatchCommand { number, command }))) => {
                 match self.endpoint.skins.get(number) {
                     Some(Some(skin)) => self.pass_on(id, number, skin, command),
-                    Some(None) => self.answer(id, format!("refused: patch {number} does not run")),
+                    Some(None) => self.answer(id, format!("refused: patch {number} is not running")),
                     None => {
                         let expected = self.endpoint.skins.len();
                         self.answer(id, format!("patch {number} refused: expected a number below {expected}"));

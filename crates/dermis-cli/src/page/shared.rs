@@ -15,9 +15,9 @@ pub struct PageOptions {
     pub token: Option<Token>,
     /// Additional host names by which the server is reached, without port.
     pub allowed_hosts: Vec<String>,
-    /// Most pages connected at once; any further page is refused with a message.
+    /// Maximum number of pages connected at once; any further page is refused with a message.
     pub most_clients: usize,
-    /// Most connections open at once, including pages. Above that, connections that have sent nothing yet are cut
+    /// Maximum number of open connections, including pages. Above that, connections that have sent nothing yet are cut
     /// off.
     pub most_connections: usize,
     /// Time allowed for the head of a request.
@@ -26,7 +26,7 @@ pub struct PageOptions {
     pub most_message_bytes: usize,
     /// Messages per second accepted from a page, on average and in a burst.
     pub most_messages_per_s: u32,
-    /// Most updates per second sent to a page; updates in between are merged.
+    /// Maximum number of updates per second sent to a page; updates in between are merged.
     pub most_updates_per_s: u32,
 }
 

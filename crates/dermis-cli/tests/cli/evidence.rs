@@ -124,7 +124,7 @@ fn evidence_of_nothing_and_of_unknown_sets_is_refused() {
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
     assert!(text(&output.stdout).contains("0 of 8 sets"), "{}", text(&output.stdout));
     for (words, expected) in [
-        (&["--data", "empty", "--only", "gel"][..], "--only gel: expected some of hydrogel, five-skins"),
+        (&["--data", "empty", "--only", "gel"][..], "--only gel: expected one or more of hydrogel, five-skins"),
         (&["--data", "file"], "--data file: expected a folder"),
         (&["--data", "none"], "--data none: expected a folder"),
         (&[], "--data"),
@@ -158,6 +158,6 @@ fn evidence_holds_on_measured_sets() {
     assert!(figure(set("hydrogel"), 1, "median") < 5.0 && figure(set("hydrogel"), 2, "median") < 2.0);
     assert!(figure(set("golfball"), 0, "ball at (0, 0)") < 10.0);
     assert_eq!(figure(set("pyeidors-tank"), 0, "right sign within half a pitch"), 18.0);
-    assert!((58.0..=62.0).contains(&figure(set("sciospec"), 0, "seen from frame")));
+    assert!((58.0..=62.0).contains(&figure(set("sciospec"), 0, "first seen in frame")));
     assert!(figure(set("team7"), 0, "rms at phase 0") < 2.2);
 }

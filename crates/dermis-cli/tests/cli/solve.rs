@@ -120,7 +120,7 @@ fn bad_cases_are_refused_with_place_value_and_expectation() {
         ("[2, 3, 4]", "[2, 3, -4]", &["elems[2][2]", "is -4"]),
         ("[2, 3, 4]", "[2, 3, 3]", &["elems", "element 2 is degenerate"]),
         ("[2, 3, 4]", "[0, 1, 2]", &["elems", "fold over each other"]),
-        ("[[0, 3]]", "[[0, 2]]", &["electrodes", "electrode 0", "face [0, 2] is no face of the mesh"]),
+        ("[[0, 3]]", "[[0, 2]]", &["electrodes", "electrode 0", "face [0, 2] is not a face of the mesh"]),
         ("[[0, 3]]", "[[2, 1]]", &["electrodes", "electrode 1", "overlaps electrode 0"]),
         ("[[0, 3]]", "[]", &["electrode 0", "touches no part of the mesh"]),
         (

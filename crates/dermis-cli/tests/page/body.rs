@@ -126,7 +126,7 @@ async fn commands_reach_the_patch_they_name_and_joints_the_body() {
     assert_eq!(pressed.x_mm, 2.0);
     ask(&mut socket, 2, json!({"joints": {"elbow": 0.5}})).await;
     for (id, command, hint) in [
-        (3, to(0, press(7, 0.0)), "patch 0 does not run"),
+        (3, to(0, press(7, 0.0)), "patch 0 is not running"),
         (4, to(9, press(7, 0.0)), "patch 9 refused: expected a number below 2"),
         (5, to(1, press(8, 1e6)), "x_mm is 1000000, expected -100 to 100"),
         (6, to(1, press(7, 0.0)), "pointer_id 7 is already pressing"),

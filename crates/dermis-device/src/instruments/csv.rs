@@ -268,7 +268,7 @@ fn described(table: &Table) -> Vec<String> {
         notes.push(encoding.to_owned());
     }
     if sketch.passed_over > 0 {
-        notes.push(format!("{} lines of text before the table passed over", sketch.passed_over));
+        notes.push(format!("{} lines of text before the table skipped", sketch.passed_over));
     }
     if let Some((line, _)) = &sketch.header {
         notes.push(format!("header in line {line}"));

@@ -75,7 +75,7 @@ impl Pauses {
         self.astray = if self.astray.0 == part { (part, self.astray.1 + 1) } else { (part, 1) };
         if self.aligned >= TELLING || self.astray.1 >= CERTAIN {
             return Err(format!(
-                "a frame stopped after {part} of {size} bytes, and what follows would be shifted by as many"
+                "a frame stopped after {part} of {size} bytes, so everything after it would be shifted"
             ));
         }
         Ok(())
@@ -132,7 +132,7 @@ impl Floats {
             // Compare only the bytes of the magic that have arrived.
             let seen = rest.len().min(MAGIC.len());
             if rest[..seen] != MAGIC[..seen] {
-                from += self.passed_over(from, "bytes between frames belong to none", inbox);
+                from += self.passed_over(from, "unexpected bytes between frames", inbox);
                 stamp = at;
                 continue;
             }

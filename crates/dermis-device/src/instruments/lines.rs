@@ -46,12 +46,10 @@ impl Lines {
         let skip = std::mem::replace(&mut self.skip, false);
         let line = std::mem::take(&mut self.line);
         let found = match (skip, str::from_utf8(&line)) {
-            (true, _) if line.len() >= LONGEST_LINE => {
-                Found::Bad(format!("a line without end, of more than {LONGEST_LINE} bytes"))
-            }
+            (true, _) if line.len() >= LONGEST_LINE => Found::Bad(format!("a line longer than {LONGEST_LINE} bytes")),
             (true, _) => Found::Nothing,
             (false, Ok(text)) => number_line::read(text, self.channels, &mut self.numbers),
-            (false, Err(_)) => Found::Bad("a line that is no text".to_owned()),
+            (false, Err(_)) => Found::Bad("a line that is not text".to_owned()),
         };
         self.line = line;
         self.line.clear();
@@ -104,7 +102,7 @@ impl Dialogue for Lines {
 
     fn tick(&mut self, open_for: Duration, _send: &mut Vec<u8>) -> Result<(), String> {
         if self.channels.is_none() && open_for > Duration::from_secs(4) {
-            return Err("bytes came, but no lines with equally many numbers".to_owned());
+            return Err("bytes arrived, but no lines with the same count of numbers".to_owned());
         }
         Ok(())
     }

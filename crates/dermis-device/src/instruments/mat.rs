@@ -24,7 +24,7 @@ const HEADER: usize = 128;
 const EXPECTED: &str = "a MATLAB file of version 5 to 7";
 /// Maximum nesting depth of structures to search.
 const DEEPEST: usize = 4;
-/// Maximum bytes for a name or for all field names. MATLAB allows 63 characters and some thousand fields.
+/// Maximum bytes for a name or for all field names. MATLAB allows 63 characters and a few thousand fields.
 const MOST_NAME: u64 = 1 << 16;
 /// Maximum compression ratio (zlib's manual), with a margin for short streams.
 const MOST_UNPACKED: u64 = 1032;

@@ -104,7 +104,7 @@ fn frames(source: impl ChunkReader + 'static, file: &Path, options: &ReadOptions
         notes.extend(
             flat.iter()
                 .filter(|column| is_other(column))
-                .map(|column| format!("column `{}` left out: it stands beside the lists", shorten(&column.name))),
+                .map(|column| format!("column `{}` left out: it is next to the lists", shorten(&column.name))),
         );
         flat.retain(|column| !is_other(column));
     }
@@ -351,7 +351,7 @@ impl List {
                 }
                 _ if values.len() >= row * count => {
                     end(row, values.len() + 1);
-                    return Err(ParquetError::General("a longer list".to_owned()));
+                    return Err(ParquetError::General("a list that is too long".to_owned()));
                 }
                 Some(Cell::Number(number)) => values.push(number * scale / list.divisor),
                 Some(Cell::Whole(number)) => values.push(number as f64 * scale / list.divisor),

@@ -125,7 +125,7 @@ fn into_table(measurements: Vec<(Option<u64>, Measurement)>, source: &Path) -> R
     }
     let hertz = |taken: &(usize, f64)| first.setup.frequencies_hz[taken.0].to_string();
     let taken: Vec<String> = first.setup.taken.iter().map(hertz).collect();
-    let notes = vec![format!("Sciospec, {} Hz", taken.join(" Hz less "))];
+    let notes = vec![format!("Sciospec, {} Hz", taken.join(" Hz minus "))];
     let table = FrameTable::new(layout, real_v, source)?.with_imaginary(imaginary_v)?.with_times_s(times_s)?;
     let table = table.with_notes(notes);
     match numbers {

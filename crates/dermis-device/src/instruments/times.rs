@@ -175,7 +175,7 @@ pub fn mend(times_s: &mut [f64], notes: &mut Vec<String>) {
             if told < 3 {
                 let by = raw - before;
                 notes.push(format!(
-                    "times step by {by:.6} s at frame {index}; they go on from there at the usual distance"
+                    "times step by {by:.6} s at frame {index}; they continue from there at the usual interval"
                 ));
             }
             told += 1;
@@ -184,7 +184,7 @@ pub fn mend(times_s: &mut [f64], notes: &mut Vec<String>) {
         times_s[index] = raw + shift;
     }
     if told > 3 {
-        notes.push(format!("{} further steps of the times", told - 3));
+        notes.push(format!("{} further jumps in the times", told - 3));
     }
 }
 

@@ -133,7 +133,7 @@ fn sheet_text(book: &mut Book, name: &str, file: &Path) -> Result<SheetText, Unr
         match (&cell.value, cell.formula) {
             (DataRef::Empty, None) => continue,
             (DataRef::Empty, Some(_)) => {
-                let expected = "a value: a formula that no program has worked out; open the file in Excel and save it";
+                let expected = "a value: a formula that has not been calculated; open the file in Excel and save it";
                 return Err(Unreadable::Cell(place("", expected)));
             }
             (DataRef::Error(CellErrorType::NA | CellErrorType::Null), _) => found.push_str("nan"),

@@ -25,7 +25,7 @@ impl Pty {
         unlockpt(&master)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
         let path = ptsname(&master, Vec::new())?.into_string();
-        let path = path.map_err(|_| io::Error::new(ErrorKind::InvalidData, "the terminal's path is no text"))?;
+        let path = path.map_err(|_| io::Error::new(ErrorKind::InvalidData, "the terminal's path is not UTF-8"))?;
         // The system only reports a missing peer after the other end has been open once.
         drop(open(path.as_str(), OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?);
         Ok(Self { master: File::from(master), path })

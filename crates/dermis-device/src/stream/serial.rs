@@ -77,7 +77,7 @@ impl SerialConnect {
                 .into_iter()
                 .find(|port| port.usb == Some((*vendor, *product)) && (serial.is_none() || *serial == port.serial))
                 .map(|port| port.path)
-                .ok_or_else(|| io::Error::new(ErrorKind::NotFound, format!("no USB device {} is there", self.port))),
+                .ok_or_else(|| io::Error::new(ErrorKind::NotFound, format!("no USB device {} found", self.port))),
         }
     }
 }
@@ -117,6 +117,6 @@ impl Link for SerialLink {
             }
             rest = &rest[nothing_yet(self.0.write(rest))?..];
         }
-        Err(io::Error::new(ErrorKind::TimedOut, "the port takes no bytes"))
+        Err(io::Error::new(ErrorKind::TimedOut, "the port accepts no bytes"))
     }
 }

@@ -134,7 +134,7 @@ impl Owed {
             self.seen = bad;
             let reason = inbox.reason().unwrap_or("it fails its checks");
             if self.damaged.count(reason).is_some() {
-                tracing::warn!("{}: a frame is damaged, {bad} by now: {reason}", self.name);
+                tracing::warn!("{}: a frame is damaged, {bad} so far: {reason}", self.name);
             }
         }
         if inbox.taken() > self.taken {
@@ -158,8 +158,8 @@ impl Owed {
                 self.seen += 1;
                 format!("{} bytes came", self.bytes)
             }
-            (_, None) => format!("{damaged} damaged frames came"),
-            (_, Some(reason)) => format!("{damaged} damaged frames came: {reason}"),
+            (_, None) => format!("{damaged} damaged frames arrived"),
+            (_, Some(reason)) => format!("{damaged} damaged frames arrived: {reason}"),
         };
         Err(format!("no whole frame for {:.1} s, although {why}", late.as_secs_f64()))
     }
@@ -207,7 +207,7 @@ mod tests {
             let heard = owed.heard(100, &mut inbox, false, OVER);
             assert_eq!(heard.is_err(), damaged == MOST_DAMAGED, "after {damaged}");
             if let Err(reason) = heard {
-                assert!(reason.ends_with("8 damaged frames came: a line of 100 numbers, expected 208"), "{reason}");
+                assert!(reason.ends_with("8 damaged frames arrived: a line of 100 numbers, expected 208"), "{reason}");
             }
         }
         assert_eq!(inbox.losses(), (0, MOST_DAMAGED));

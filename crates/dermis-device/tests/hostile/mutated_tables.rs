@@ -313,7 +313,7 @@ fn holds(table: &FrameTable, rows: &[Vec<Option<f64>>]) -> Result<(), String> {
     Ok(())
 }
 
-/// The same few hundred tables in every run; `PROPTEST_CASES=20000 PROPTEST_RNG_SEED=7` makes that many others.
+/// The same few hundred tables in every run; `PROPTEST_CASES=20000 PROPTEST_RNG_SEED=7` runs that many different ones.
 fn cases() -> ProptestConfig {
     let mut config = ProptestConfig { failure_persistence: None, ..ProptestConfig::default() };
     if std::env::var_os("PROPTEST_CASES").is_none() {
@@ -333,8 +333,8 @@ proptest! {
         let content = way.write(&rows);
         let shown = || String::from_utf8_lossy(&content).into_owned();
         match (way.read(&content, rows[0].len()), way.damage) {
-            // Times without a name are taken for readings if the number of channels isn't given. The channel count
-            // shows it.
+            // If the number of channels isn't given, unnamed times are taken for readings, and one channel too many
+            // is found.
             (Ok(table), _) if way.has_unnamed_times() && !way.is_told => {
                 prop_assert_eq!(table.channels(), rows[0].len() + 1, "{}", shown());
             }

@@ -319,10 +319,10 @@ impl Hypothesis {
         add(order.rotating, "measurements rotating from the drive pair".into());
         add(self.turn != 0, format!("electrodes counted from number {}", self.turn + 1));
         add(self.mirrored, "electrodes counted the other way round".into());
-        add(order.first_drive != 0, format!("the drive list begun at pair {}", order.first_drive + 1));
-        add(order.drives_backwards, "the drive list run backwards".into());
-        add(order.first_read != 0, format!("the {listed} begun at number {}", order.first_read + 1));
-        add(order.backwards, format!("the {listed} run backwards"));
+        add(order.first_drive != 0, format!("the drive list started at pair {}", order.first_drive + 1));
+        add(order.drives_backwards, "the drive list reversed".into());
+        add(order.first_read != 0, format!("the {listed} started at number {}", order.first_read + 1));
+        add(order.backwards, format!("the {listed} reversed"));
         add(self.reversed_sign, "sign reversed".into());
         add(self.rectified, "magnitudes".into());
         text

@@ -70,9 +70,9 @@ fn measure_skin(bench: &mut Bench<'_>, folder: &Path) -> Result<(), Stop> {
             plain.push(presses.judge_plain(taught, judged));
         }
         bench.add(Row {
-            measured: &format!("`{name}`, place after {taught} pokes"),
+            measured: &format!("`{name}`, positions after {taught} pokes"),
             known: &format!(
-                "a guessed square of {SIDE_MM} mm and these pokes; no electrode, baseline or physics; judged are {judged} \
+                "a guessed square of {SIDE_MM} mm and these pokes; no electrodes, baseline or physics; judged on {judged} \
                  other presses in each of {draws} draws"
             ),
             here: PlaceErrors::figures(&here),

@@ -85,22 +85,22 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         .map(|(frame, _)| *frame)
         .collect();
     let early = watched.touched.iter().filter(|frame| **frame < FIRST_DISTURBED).count();
-    let mut here = vec![Figure::new("damages told", begins.len() as f64, "")];
+    let mut here = vec![Figure::new("damage sites reported", begins.len() as f64, "")];
     if let Some(&frame) = begins.first() {
         here[0].unit = "in all".into();
-        here.push(Figure::new("the first in frame", frame as f64, "(from 0)"));
-        here.push(Figure::new("after the last disturbed one by", frame as f64 - LAST_DISTURBED as f64, "frames"));
+        here.push(Figure::new("first in frame", frame as f64, "(from 0)"));
+        here.push(Figure::new("delay after the last disturbance", frame as f64 - LAST_DISTURBED as f64, "frames"));
     }
     here.push(Figure::count("false touches before the first disturbance", early, FIRST_DISTURBED));
     here.push(Figure::new("drift followed", 100.0 * watched.drift, "%"));
     let plain = plain_watch(&table).map_or(f64::NAN, |frame| frame as f64);
     bench.add(Row {
-        measured: &format!("damage in a watch of {} frames", watched.frames),
+        measured: &format!("damage detection over {} frames", watched.frames),
         known: "the skin file with `watch = true` and eight seconds between frames; not when or where anything happened",
         here,
         plain: Comparison::computed(
-            "8 standard deviations from the first 64 frames, no drift followed",
-            vec![Figure::new("damage told in frame", plain, "(from 0)")],
+            "a threshold of 8 standard deviations of the first 64 frames, without following drift",
+            vec![Figure::new("damage reported in frame", plain, "(from 0)")],
         ),
         published: Comparison::said("none: time and place of the damage are unknown"),
     });

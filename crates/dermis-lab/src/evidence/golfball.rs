@@ -38,11 +38,11 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         balls += places.len();
         extra += found.touches.len().saturating_sub(places.len());
     }
-    here.push(Figure::new("touches too many", extra as f64, ""));
-    here.last_mut().into_iter().for_each(|figure| figure.unit = format!("beside {balls} balls"));
+    here.push(Figure::new("false touches", extra as f64, ""));
+    here.last_mut().into_iter().for_each(|figure| figure.unit = format!("with {balls} balls"));
     bench.add(Row {
-        measured: "distance from where the balls hang, by ruler, mm",
-        known: "diameter of the tank, place of the electrodes, protocol, one frame without balls",
+        measured: "distance from the balls' positions, measured by ruler, mm",
+        known: "diameter of the tank, positions of the electrodes, protocol, one frame without balls",
         here,
         plain: Comparison::said("one linear step with a NOSER prior, computed elsewhere: 5 to 9, 15 to 17 and 23 mm"),
         published: Comparison::said("none: sample data"),

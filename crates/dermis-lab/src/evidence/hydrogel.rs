@@ -39,7 +39,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         figure
     }));
     bench.add(Row {
-        measured: &format!("place of {count} presses, no label"),
+        measured: &format!("positions of {count} presses, without labels"),
         known: "the skin file with the board's circuit; channels are calibrated on the untouched frames",
         here: figures(presses.judge(&all, None)?),
         plain: Comparison::computed("the same without the circuit (textbook model)", plain),
@@ -50,8 +50,8 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         let mut ignorant = skin;
         ignorant.backend.circuit = Some(CircuitChoice::ToLearn(LearnCircuit::Learn));
         bench.add(Row {
-            measured: &format!("place of {count} presses, no label and no circuit"),
-            known: "the skin file without the circuit, which is searched with the same unlabelled frames",
+            measured: &format!("positions of {count} presses, without labels or circuit"),
+            known: "the skin file without the circuit, which is found from the same unlabelled frames",
             here: figures(presses.with_skin(ignorant).judge(&all, None)?),
             plain: Comparison::said("as above"),
             published: Comparison::said(NONE_PUBLISHED),
@@ -71,7 +71,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
             plain.push(presses.judge_plain(taught, judged));
         }
         bench.add(Row {
-            measured: &format!("place of {JUDGED} presses after {taught} pokes; mean of {} draws", here.len()),
+            measured: &format!("positions of {JUDGED} presses after {taught} pokes; mean of {} draws", here.len()),
             known: "the skin file and these pokes, without the judged presses",
             here: PlaceErrors::figures(&here),
             plain: Comparison::computed("kernel ridge regression", PlaceErrors::without_sigmas(&plain)),

@@ -144,14 +144,14 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         bench.say(&format!("labels, level {level} of {LEVELS}"));
         let mut plain = over(&scores(&folder, level, None, false)?);
         if level == 1 {
-            plain.push(Figure::new("nothing labelled", empty, ""));
+            plain.push(Figure::new("empty labels", empty, ""));
         }
         bench.add(Row {
             measured: &format!("the challenge's score at level {level}, {} of 32 electrodes lost", 2 * (level - 1)),
             known: "the same; a network trained on simulated frames",
             here: over(&scores(&folder, level, model.as_ref(), true)?),
             plain: Comparison::computed("thresholds on linear images", plain),
-            published: Comparison::said("15.24 of 21 (0.73 a frame), on the challenge's 21 harder evaluation frames"),
+            published: Comparison::said("15.24 of 21 (0.73 per frame), on the challenge's 21 harder evaluation frames"),
         });
     }
     Ok(())

@@ -76,7 +76,7 @@ impl PlaceErrors {
             figures.push(Figure::count("presses found", found, all));
         }
         if extra > 0 {
-            figures.push(Figure::new("touches too many", extra as f64, "in all"));
+            figures.push(Figure::new("false touches", extra as f64, "in all"));
         }
         figures
     }

@@ -121,8 +121,8 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         known: "electrodes, protocol, one frame without objects; that instruments may add an offset",
         here: vec![
             Figure::count("right sign within half a pitch", right, all),
-            Figure::new("largest angle off, of these", PITCH_DEG * largest, "deg"),
-            Figure::new("touches too many", touches.saturating_sub(right) as f64, "in all"),
+            Figure::new("largest angular error of these", PITCH_DEG * largest, "deg"),
+            Figure::new("false touches", touches.saturating_sub(right) as f64, "in all"),
         ],
         plain: Comparison::said("none computed"),
         published: Comparison::said("none: sample data"),

@@ -40,10 +40,10 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
         let mut identities: Vec<u64> = found.touches.iter().map(|touch| touch.id).collect();
         identities.sort_unstable();
         identities.dedup();
-        here.push(Figure::new("seen from frame", first.frame as f64, "(from 0)"));
-        here.push(Figure::new("after it is said to enter by", first.frame as f64 - ENTERS, "frames"));
-        here.push(Figure::new("seen to frame", last.frame as f64, "(from 0)"));
-        here.push(Figure::new("identities", identities.len() as f64, "of one cup"));
+        here.push(Figure::new("first seen in frame", first.frame as f64, "(from 0)"));
+        here.push(Figure::new("delay after the documented entry", first.frame as f64 - ENTERS, "frames"));
+        here.push(Figure::new("last seen in frame", last.frame as f64, "(from 0)"));
+        here.push(Figure::new("identities", identities.len() as f64, "for one cup"));
         here.push(Figure::new("largest step", largest_step_mm(&found), "mm"));
     } else {
         here.push(Figure::new("frames with a touch", 0.0, "in all"));
@@ -59,7 +59,7 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
             "change of the frame above five times that of the empty tank",
             vec![Figure::new("fires in frame", fired, "(from 0)")],
         ),
-        published: Comparison::said("none: sample data, with the cup at frame 60 give or take two"),
+        published: Comparison::said("none: sample data, with the cup at frame 60 ± 2"),
     });
     Ok(())
 }

@@ -76,7 +76,7 @@ pub const SETS: [Set; 8] = [
         name: "hydrogel",
         title: "a round gelatin skin, 16 electrodes, 500 presses by a robot",
         source: "D. Hardman, T. G. Thuruthel and F. Iida, HydrogelEIT (`ohmc16`)",
-        tuned: "the form of the board's circuit, with the places at hand; its loads and weights, by the score of unlabelled \
+        tuned: "the form of the board's circuit, with known positions; its loads and weights, by the score of unlabelled \
                 frames; size of a touch, noise floor and band of the centroid; the calibration's rules",
         not_tuned: "hyperparameters of a calibration, which are chosen by leaving out pokes of the draw",
         measure: hydrogel::measure,
@@ -86,7 +86,7 @@ pub const SETS: [Set; 8] = [
         title: "skins of one family, conductive patterns cast into a gel, 2,500 presses each by a robot",
         source: "D. Hardman, T. G. Thuruthel and F. Iida, Variable-Sensitivity-E-Skins",
         tuned: "the calibration's two experts and their combination; the guessed square",
-        not_tuned: "anything on other folders of the set",
+        not_tuned: "any setting to other folders of the set",
         measure: five_skins::measure,
     },
     Set {
@@ -99,10 +99,10 @@ pub const SETS: [Set; 8] = [
     },
     Set {
         name: "ktc",
-        title: "a water tank with 32 electrodes, 4 training phantoms with photographed truth",
+        title: "a water tank with 32 electrodes, 4 training phantoms with photographed ground truth",
         source: "Kuopio Tomography Challenge 2023",
         tuned: "the recipe of all four tanks (weights, prior, hyperparameter rule); the soft threshold of the images, the \
-                thresholds of the labels, and the rule by which the network's labels are taken",
+                thresholds of the labels, and the rule for using the network's labels",
         not_tuned: "the network's weights, which come from simulated frames",
         measure: ktc::measure,
     },
@@ -111,7 +111,7 @@ pub const SETS: [Set; 8] = [
         title: "balls of 2 cm radius in a saline tank of 30 cm, 16 electrodes",
         source: "M. Soleimani, C. Gomez-Laberge and A. Adler, 2006 (EIDORS sample data)",
         tuned: "the recipe of all four tanks; gain by channel for this deep tank",
-        not_tuned: "anything by the balls' positions",
+        not_tuned: "any setting to the balls' positions",
         measure: golfball::measure,
     },
     Set {
@@ -119,7 +119,7 @@ pub const SETS: [Set; 8] = [
         title: "metal and plastic at named electrodes of a tank, 16 electrodes",
         source: "PyEIDORS sample data",
         tuned: "the recipe of all four tanks; gain by regression with intercept, and touches from half of the strongest",
-        not_tuned: "anything by file or object",
+        not_tuned: "any setting to single files or objects",
         measure: pyeidors::measure,
     },
     Set {
@@ -127,14 +127,14 @@ pub const SETS: [Set; 8] = [
         title: "a cup moved through a tank by hand, 255 frames of a Sciospec instrument",
         source: "Sciospec, sciospec_EIT_matlab_example",
         tuned: "the recipe of all four tanks; touches from a relative conductivity of 0.08",
-        not_tuned: "anything by the frame at which the cup enters",
+        not_tuned: "any setting to the frame at which the cup enters",
         measure: sciospec::measure,
     },
     Set {
         name: "team7",
         title: "a racetrack coil over an aluminium plate with a hole, 50 Hz",
         source: "K. Fujiwara and T. Nakata, COMPEL 9, 137 (1990), TEAM Workshop Problem 7",
-        tuned: "the mesh, with the deviations of three meshes known",
+        tuned: "the mesh, after comparing the deviations of three",
         not_tuned: "the physics",
         measure: team7::measure,
     },

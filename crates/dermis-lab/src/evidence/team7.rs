@@ -51,11 +51,11 @@ pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let peak = measured.iter().flatten().fold(0.0, |most: f64, value| most.max(value.abs()));
     here.push(Figure::new("measured peak", peak, "1e-4 T"));
     bench.add(Row {
-        measured: "deviation of the flux density Bz over the plate, 34 places",
+        measured: "deviation of the flux density Bz over the plate, at 34 points",
         known: "geometry, conductivity, ampere-turns and frequency of the problem sheet; nothing else",
         here,
         plain: Comparison::computed("zero everywhere", figures(zero)),
-        published: Comparison::said("a computation of third order by others: 1.1 to 1.2 and 0.3 (1e-4 T)"),
+        published: Comparison::said("a third-order computation by others: 1.1 to 1.2 and 0.3 (1e-4 T)"),
     });
     Ok(())
 }

@@ -125,11 +125,12 @@ fn positions() -> Result<Report, Error> {
     ];
     let (x_label, y_label) = ("weights of 6.5 g", "error of the touch (mm)");
     let title = "I2: position error".into();
-    let caption = "Distance from the place of a disc of 20 mm to the touch that is found, against how many weights of \
-                   6.5 g stand on it, at three distances from the centre of the ionic disc's twin; four repeats at \
+    let caption =
+        "Distance from the place of a disc of 20 mm to the touch that is found, against the number of weights \
+                   of 6.5 g on it, at three distances from the centre of the ionic disc's twin; four repeats at \
                    other angles, each of the mean of four frames. The paper gives 6 mm as its largest error from \
                    two weights on."
-        .into();
+            .into();
     let figures = vec![Figure::Curves { name: "errors", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "I2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
 }

@@ -60,8 +60,8 @@ pub const METHODS: [Method; 4] = [
     },
     Method {
         letter: "P",
-        source: "A. Sánchez-Delgado and others: resistance tomography with frontend and backend apart, Intelligent \
-                 Service Robotics 17 (2024)",
+        source: "A. Sánchez-Delgado and others: Frontend and backend electronics achieving flexibility and scalability \
+                 for tomographic tactile sensing, Intelligent Service Robotics 17 (2024)",
         doi: Some("10.1007/s11370-023-00502-5"),
         skins: &["piezo-square", "piezo-disc", "piezo-cylinder"],
         given: "outlines, number of electrodes, layers, indenter, weights and shifts",

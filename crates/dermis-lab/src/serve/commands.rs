@@ -155,7 +155,7 @@ fn command(said: Said, press: &PressRange) -> Result<TwinCommand, String> {
         Said::Press { x_mm, y_mm, force_n, radius_mm, pointer } => {
             let radius_m = radius_mm.map_or(press.initial_radius_m, |radius_mm| radius_mm * 1e-3);
             if !(radius_m > 0.0 && force_n >= 0.0 && [x_mm, y_mm, force_n, radius_m].iter().all(|v| v.is_finite())) {
-                return Err("finite numbers, a radius above 0 and a force not below".to_owned());
+                return Err("finite numbers, a radius above 0 and a force of 0 or more".to_owned());
             }
             let pressure_pa = force_n / (std::f64::consts::PI * radius_m * radius_m);
             TwinCommand::Press { pointer, position_m: [x_mm * 1e-3, y_mm * 1e-3], radius_m, pressure_pa }
@@ -259,7 +259,7 @@ mod tests {
             ("pres 1 2 3", "press X_MM Y_MM FORCE_N"),
             ("press 1 2", "press X_MM Y_MM FORCE_N"),
             ("press a 2 3", "press X_MM Y_MM FORCE_N"),
-            ("press 1 2 -3", "a force not below"),
+            ("press 1 2 -3", "a force of 0 or more"),
             ("press 1 2 3 0", "a radius above 0"),
             ("fault electrode 0 open", "counted from 1"),
             ("cut 1 2 1 2", "cut length"),

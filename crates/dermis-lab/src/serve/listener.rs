@@ -19,7 +19,7 @@ const MOST_HOSTS: usize = 8;
 /// Bytes per read.
 const CHUNK: usize = 4096;
 
-/// The entry point for hosts.
+/// Where hosts connect.
 #[derive(Debug)]
 pub enum Door {
     /// A socket; several hosts may connect.
@@ -44,7 +44,7 @@ impl Door {
         match self {
             Self::Tcp(listener) => match listener.accept() {
                 Ok((_, from)) if here >= MOST_HOSTS => {
-                    tracing::warn!("{from} was sent away: {MOST_HOSTS} hosts are connected");
+                    tracing::warn!("{from} was refused: {MOST_HOSTS} hosts are connected");
                     Ok(None)
                 }
                 Ok((stream, from)) => {
@@ -108,7 +108,7 @@ impl Host {
             Some(spoke) => !device.wants_frames() && spoke.elapsed() > IDLE,
         };
         if mute {
-            tracing::warn!("a host was sent away: it said nothing for {:.0} s", self.since.elapsed().as_secs_f64());
+            tracing::warn!("a host was disconnected: it sent nothing for {:.0} s", self.since.elapsed().as_secs_f64());
         }
         mute
     }

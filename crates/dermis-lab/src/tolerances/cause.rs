@@ -35,13 +35,13 @@ impl Cause {
     /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
-            Self::ElectrodePlaces => "electrode places",
+            Self::ElectrodePlaces => "electrode positions",
             Self::ElectrodeWidths => "electrode widths",
             Self::ContactImpedance => "contact impedance",
             Self::Conductivity => "conductivity",
             Self::Thickness => "thickness",
-            Self::ContactLaw => "answer to pressure",
-            Self::CoilPlaces => "coil places",
+            Self::ContactLaw => "response to pressure",
+            Self::CoilPlaces => "coil positions",
             Self::ElementHeights => "element heights",
             Self::Stiffness => "stiffness",
             Self::Gain => "instrument gain",

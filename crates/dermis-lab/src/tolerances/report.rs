@@ -134,7 +134,7 @@ impl ToleranceReport {
                 "For positions, {} costs most: {:.2} mm on average against {own:.2} mm as drawn. Build this carefully.",
                 row.name, row.mean_mm
             ),
-            _ => format!("No cause alone costs a tenth of the {own:.2} mm that the skin has as drawn."),
+            _ => format!("No single cause costs a tenth of the {own:.2} mm of the skin as drawn."),
         };
         said += &format!(" All together cost {:.2} mm.", self.together.mean_mm);
         if let Some(row) = worst(|row| row.amplitude_percent[0]).filter(|row| row.amplitude_percent[0].is_finite()) {

@@ -36,9 +36,9 @@ fn larger_errors_are_not_better() {
     assert!(large.verdict().contains("costs most"), "{}", large.verdict());
 }
 
-/// Samples are placed by the model or by the pokes, whichever is more accurate, and each counts amplitudes in its own
-/// unit. A wrong unit causes an error of a hundred per cent, amplitudes read from images although pokes place the
-/// touches about forty, and the workshop's errors seven.
+/// Samples are located by the model or by the pokes, whichever is more accurate, and each has its own unit of
+/// amplitude. A wrong unit causes an error of a hundred per cent, amplitudes read from images although pokes locate the
+/// touches about forty, and manufacturing errors seven.
 #[test]
 fn amplitudes_of_calibrated_samples_count_in_pokes() {
     let report = tried("healing-square", &Tolerances::default(), &Extent { pokes: vec![20], ..extent(2) });

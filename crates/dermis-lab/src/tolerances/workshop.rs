@@ -1,4 +1,4 @@
-//! One skin as a workshop builds it: draws the errors and applies them to the skin file's numbers or next to them.
+//! One skin as built: draws manufacturing errors and applies them to the skin file's numbers or in addition to them.
 
 use dermis_skin::{CoilPlaces, ContactLaw, Dice, Layer, Skin, Tolerances, Winding, built_electrodes};
 use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};

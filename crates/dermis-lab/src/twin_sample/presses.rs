@@ -12,7 +12,7 @@ use rand::{Rng, SeedableRng};
 
 use crate::Error;
 
-/// Most presses in one request.
+/// Maximum number of presses in one request.
 const MOST_PRESSES: usize = 1_000_000;
 /// Random presses stay within this share of the outline about its centre.
 const INSIDE_SHARE: f64 = 0.85;

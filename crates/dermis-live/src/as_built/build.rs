@@ -1,4 +1,4 @@
-//! Errors of a workshop as parameters, and the skin that they make.
+//! Manufacturing errors as parameters, and the skin that results from them.
 
 use dermis_skin::{SkinBody, Tolerances};
 use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Mesh, MeshError, Outline};

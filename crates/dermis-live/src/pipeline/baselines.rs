@@ -13,12 +13,12 @@ use crate::stages::gone::Gone;
 use crate::stages::health::HealthStage;
 use crate::stages::workshop_ensemble::built_error;
 
-/// Delay after which errors of the workshop count, nanoseconds: several times the time to draw them on one slow core.
+/// Delay before manufacturing errors are used, nanoseconds: several times the time to sample them on one slow core.
 const ERRORS_READY_NS: u64 = 5_000_000_000;
 /// Number of frames averaged for the new baseline after a press in the old one has ended.
 const GONE_FRAMES: usize = 8;
 /// Reason for that baseline in the records.
-pub(super) const GONE_REASON: &str = "a press that the baseline held has gone";
+pub(super) const GONE_REASON: &str = "a press included in the baseline has ended";
 
 impl Pipeline {
     /// Starts to take the mean of the next frames as the new baseline. Returns their number.
@@ -74,7 +74,7 @@ impl Pipeline {
         self.restore_baseline(record, &baseline, &as_measured)
     }
 
-    /// Removes presses from the baseline that have ended.
+    /// Removes presses that have ended from the baseline.
     pub(super) fn correct_baseline(&mut self) -> Result<(), Error> {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         let Running { reference, reconstructor } = &mut **running;
@@ -155,7 +155,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Takes into account how far the skin is from its file: at once, or when the errors of such skins are drawn.
+    /// Accounts for the skin's deviation from its file, at once or after an ensemble of such skins has been sampled.
     fn take_reference(&mut self) {
         self.errors.cancel();
         let State::Running(running) = &mut self.state else { return };
@@ -172,7 +172,7 @@ impl Pipeline {
         });
     }
 
-    /// Takes up the errors of such skins, if they are due.
+    /// Uses that ensemble's errors, if they are due.
     pub(super) fn take_up_errors(&mut self, time_ns: u64) {
         if self.errors.take(time_ns).is_some() {
             self.take_reference();

@@ -59,7 +59,9 @@ impl Pipeline {
             }
             Err(error) => {
                 let in_use = imager.hyperparameter();
-                tracing::warn!("the hyperparameter {lambda:.3e} cannot be used ({error}); going on with {in_use:.3e}");
+                tracing::warn!(
+                    "the hyperparameter {lambda:.3e} cannot be used ({error}); continuing with {in_use:.3e}"
+                );
                 self.choices.hyperparameter = Some(in_use);
             }
         }

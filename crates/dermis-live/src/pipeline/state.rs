@@ -83,7 +83,7 @@ impl Starting {
             && let Err(error) = imager.set_hyperparameter(lambda, &reference.noise)
         {
             tracing::warn!(
-                "the hyperparameter {lambda} cannot be used ({error}); going on with {:.3e}",
+                "the hyperparameter {lambda} cannot be used ({error}); continuing with {:.3e}",
                 imager.hyperparameter()
             );
             choices.hyperparameter = None;

@@ -156,7 +156,7 @@ impl CircuitStage {
                 skin.map(|skin| *skin)
             }
             Err(error) => {
-                tracing::warn!("the circuit was not found ({error}); going on as before");
+                tracing::warn!("the circuit was not found ({error}); continuing as before");
                 None
             }
         }

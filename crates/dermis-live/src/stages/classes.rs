@@ -1,4 +1,4 @@
-//! Classes of the pixels from a network, in addition to the live image. A network takes some milliseconds, and
+//! Classes of the pixels from a network, in addition to the live image. A network takes several milliseconds, and
 //! touches must not wait for it. It therefore runs on its own thread, at a limited rate, and its classes arrive
 //! slightly after their frame.
 
@@ -17,7 +17,7 @@ use crate::prepare::Prepared;
 pub enum ClassPace {
     /// In every frame, which waits for it.
     EveryFrame,
-    /// In the background, at most 25 times per second of the frames' time. A frame's classes appear some frames
+    /// In the background, at most 25 times per second of the frames' time. A frame's classes appear a few frames
     /// later.
     Background,
 }

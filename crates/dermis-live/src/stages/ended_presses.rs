@@ -26,7 +26,8 @@ pub(super) struct EndedPresses {
     /// Frames until the next search for them.
     wait: u32,
     waited: u32,
-    /// Presses lower and raise what they change, so that none of them shows that another has ended.
+    /// Presses may change the skin in either direction, so a change of the opposite sign does not mean that one has
+    /// ended.
     both_signs: bool,
     /// A search takes the time of several frames.
     is_slow: bool,
@@ -92,7 +93,7 @@ impl EndedPresses {
         looks
     }
 
-    /// Takes the presses that have ended off an explanation, if it is better than that by present presses alone.
+    /// Removes the presses that have ended from an explanation, if it is better than one by present presses alone.
     pub fn judge(&mut self, estimate: &Estimate, with_ended: Option<Estimate>) -> Option<Estimate> {
         let found = with_ended.filter(|found| {
             let has_ended = found.presses.iter().any(|press| press.load < 0.0);
@@ -119,8 +120,8 @@ impl EndedPresses {
         Some(found)
     }
 
-    /// Searches less and less often, while frames keep coming that nothing explains, or whose explanation the
-    /// baseline does not take up.
+    /// Searches less and less often while nothing explains the frames, or while the baseline is not corrected by what
+    /// explains them.
     fn wait_longer(&mut self) {
         self.wait = if self.is_unhurried { 0 } else { self.waited };
         self.waited = (2 * self.waited).clamp(1, MOST_WAIT);

@@ -60,7 +60,7 @@ impl ForceLaw {
         };
         let (force_n, law_share) = match self {
             Self::Sheet { per_pa } => (2.0 * area * logarithms(undone(press.load)) / per_pa, SHEET_SHARE),
-            // The channels answer the dent. A narrow load dents a membrane less than its amplitude says.
+            // The channels respond to the dent. A narrow load dents a membrane less than its amplitude suggests.
             Self::Membrane { pressure_pa } => {
                 (-2.0 * area * undone(press.load * largest) / largest * pressure_pa, MEMBRANE_SHARE)
             }

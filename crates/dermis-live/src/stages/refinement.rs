@@ -47,9 +47,9 @@ struct Presses {
     noise: Vec<f64>,
     left_out: Vec<u32>,
     drift: Drift,
-    /// The fit under weights that have changed: it takes tens of milliseconds on a large skin.
+    /// The fit under changed weights, made in the background: it takes tens of milliseconds on a large skin.
     coming: Beside<Result<AgedFit, Error>>,
-    /// Share of a press's energy that the model leaves because the skin is not as drawn.
+    /// Share of a press's energy left unexplained because the skin differs from its file.
     built_share: f64,
     evidence: Evidence,
     /// Radius of the indenter, if it is known, metres.
@@ -61,15 +61,15 @@ struct Presses {
 /// A fit, and whether it allows for drift.
 type AgedFit = (Box<dyn PressFit>, bool);
 
-/// Held while a fit is made in the background. The skins of a body age together, and would otherwise all take the
-/// processors and the memory at once.
+/// Held while a fit is made in the background. The skins of a body age together, and would otherwise all use the
+/// processors and memory at once.
 static TURN: Mutex<()> = Mutex::new(());
 
 /// The models of a sheet that is being cut. New ones take up to a second and are computed in the background.
 #[derive(Debug)]
 struct CutModels {
     plates: Arc<Plates>,
-    /// The cuts of the model ordered last.
+    /// The cuts of the model requested last.
     cuts: Vec<SheetCut>,
     coming: Beside<Result<PressModel, Error>>,
 }
@@ -118,7 +118,7 @@ impl Presses {
         Ok(())
     }
 
-    /// Orders a fit under the current weights, in the background.
+    /// Requests a fit under the current weights, in the background.
     fn reweigh_soon(&mut self, time_ns: u64) {
         let (model, left_out, indenter_m) = (self.model.clone(), self.left_out.clone(), self.indenter_m);
         let (weights, is_aged) = (self.drift.weights(&self.noise), self.drift.is_aged());
@@ -129,7 +129,7 @@ impl Presses {
         });
     }
 
-    /// Puts what was ordered into use when it is due.
+    /// Uses the requested model or fit when it is due.
     fn take_up(&mut self, time_ns: u64) -> Result<(), Error> {
         if let Some(model) = self.cut.as_mut().and_then(|cut| cut.coming.take(time_ns)) {
             self.model = Arc::new(model?);
@@ -173,7 +173,7 @@ impl Refinement {
         matches!(&self.by, By::Presses(presses) if presses.cut.is_some())
     }
 
-    /// Takes into account how far the skin is from its file.
+    /// Accounts for the skin's deviation from its file.
     pub(crate) fn set_built(&mut self, built: Option<&BuiltError>) {
         if let By::Presses(presses) = &mut self.by {
             presses.built_share = built.map_or(0.0, BuiltError::unexplained);

@@ -55,7 +55,7 @@ pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError
     let ensemble = prepared.workshop_error(|| match draw(prepared) {
         Ok(ensemble) => Some(Arc::new(ensemble)),
         Err(error) => {
-            tracing::warn!("sigmas don't include errors of the workshop: {error}");
+            tracing::warn!("sigmas don't include manufacturing errors: {error}");
             None
         }
     });

@@ -115,7 +115,7 @@ class _Mounted:
         turns, places = (data.xmat, data.xpos) if self.of_body else (data.geom_xmat, data.geom_xpos)
         turn = turns[self.number].reshape(3, 3)
         if not turn.any():
-            raise InputError("data: expected places of geoms; call mujoco.mj_forward first")
+            raise InputError("data: expected positions of geoms; call mujoco.mj_forward first")
         return turn, 1e3 * places[self.number]
 
     def pose(self, data: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -126,7 +126,7 @@ class _Mounted:
     def in_patch(
         self, data: Any, positions_mm: NDArray[np.float64], forces_n: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions and forces of the world in the patch's frame."""
+        """Transforms positions and forces from the world to the patch's frame."""
         turn, origin_mm = self.pose(data)
         return (positions_mm - origin_mm) @ turn, forces_n @ turn
 

@@ -252,7 +252,7 @@ const PER_INDEX: f64 = 500.0;
 const PER_PIXEL: f64 = 300.0;
 /// Bytes per pixel while a mesh is overlaid: coverage, numbers, shares, weights.
 const PIXEL_BYTES: f64 = 150.0;
-/// Most pixels along the longer side of a grid: more would not fit into memory.
+/// Maximum number of pixels along the longer side of a grid: more would not fit in memory.
 const MOST_PIXELS: usize = 4096;
 /// Node indices are checked later, against the mesh that the electrode is put on.
 const ANY: usize = u32::MAX as usize;

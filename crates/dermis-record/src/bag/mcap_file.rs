@@ -38,7 +38,7 @@ pub(super) fn read(file: &Path, collector: &mut Collector, notes: &mut Vec<Strin
                 }));
             }
             Err(error) => {
-                notes.push(format!("{} is damaged behind its message {messages}: {error}", name()));
+                notes.push(format!("{} is damaged after message {messages}: {error}", name()));
                 break;
             }
         };

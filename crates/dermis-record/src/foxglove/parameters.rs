@@ -13,7 +13,7 @@ use dermis_skin::GuardSettings;
 use crate::{LiveCommand, LiveRequest};
 
 /// The requester, as recorded.
-pub(super) const ASKED: &str = "asked for in Foxglove";
+pub(super) const ASKED: &str = "requested in Foxglove";
 
 /// Last part of the name of the parameter that can be set.
 pub(super) const HYPERPARAMETER: &str = "hyperparameter";

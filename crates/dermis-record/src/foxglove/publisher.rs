@@ -259,13 +259,13 @@ mod tests {
         for (event, detail, expected) in [
             ("guard", "ok", Level::Info),
             ("guard", "stop: force", Level::Warning),
-            ("tare", "asked for in Foxglove", Level::Info),
+            ("tare", "requested in Foxglove", Level::Info),
             ("tare-refused", "something touches", Level::Warning),
             ("electrode-fault", "3", Level::Warning),
             ("electrode-recovered", "3", Level::Info),
             ("gap", "2 frames missing", Level::Warning),
             ("damage-begin", "", Level::Warning),
-            ("silent", "no frames come", Level::Warning),
+            ("silent", "no frames arrive", Level::Warning),
             ("failed", "unplugged", Level::Error),
         ] {
             assert_eq!(level_of(event, detail), expected, "{event}");

@@ -191,7 +191,7 @@ fn refused(address: &FoxgloveAddress, error: FoxgloveError) -> Error {
         other => io::Error::other(other.to_string()),
     };
     let advice = match source.kind() {
-        io::ErrorKind::AddrInUse => "; another program has this port: name another one, or 0 for a free one",
+        io::ErrorKind::AddrInUse => "; another program uses this port: choose another one, or 0 for a free one",
         io::ErrorKind::AddrNotAvailable => "; this machine has no such address: 127.0.0.1 and 0.0.0.0 always work",
         _ => "",
     };

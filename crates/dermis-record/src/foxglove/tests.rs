@@ -105,7 +105,7 @@ fn an_address_in_use_is_named_with_what_to_do() {
     assert!(matches!(error, Error::Listen { .. }));
     let message = error.to_string();
     assert!(message.starts_with(&format!("cannot listen on {address}: ")), "{message}");
-    assert!(message.ends_with("another program has this port: name another one, or 0 for a free one"), "{message}");
+    assert!(message.ends_with("another program uses this port: choose another one, or 0 for a free one"), "{message}");
 }
 
 #[test]

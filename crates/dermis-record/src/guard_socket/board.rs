@@ -8,7 +8,7 @@ use dermis_touch::guard::{GuardReport, GuardVerdict};
 use super::reader::{Reader, Stream};
 use crate::sink::json_lines::push_verdict;
 
-/// Most readers at once.
+/// Maximum number of readers at once.
 const MOST_READERS: usize = 8;
 /// Heartbeats in the time after which a verdict is stale.
 const HEARTBEATS: u64 = 5;

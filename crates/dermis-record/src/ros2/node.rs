@@ -25,7 +25,7 @@ const QUEUE: usize = 2048;
 const QUEUE_FOR_CLOUDS: usize = QUEUE / 8;
 /// Longest wait for a message before requests to services are checked.
 const NAP: Duration = Duration::from_millis(10);
-/// Most messages sent before requests are checked, even if more are waiting.
+/// Maximum number of messages sent before requests are checked, even if more are waiting.
 const MOST_IN_A_ROW: usize = 64;
 /// Interval between messages of diagnostics, nanoseconds.
 const DIAGNOSTICS_EVERY_NS: u64 = 1_000_000_000;
@@ -35,7 +35,7 @@ const DIAGNOSTICS_EVERY_NS: u64 = 1_000_000_000;
 pub struct Ros2Options {
     /// Name of the node.
     pub node: NodeName,
-    /// Most images and point clouds per second of each patch.
+    /// Maximum number of images and point clouds per second of each patch.
     pub clouds_per_s: f64,
 }
 
@@ -116,7 +116,7 @@ impl Ros2Node {
         let link_names = tokens_of(links.iter().map(String::as_str))?;
         if let Some(error) = no_multicast() {
             tracing::warn!(
-                "no network interface takes multicast ({error}): programs on other machines will not find the ROS 2 node \
+                "no network interface supports multicast ({error}): programs on other machines will not find the ROS 2 node \
                  {}; on Linux, `ip link set dev INTERFACE multicast on` and a route for 224.0.0.0/4 help",
                 options.node
             );
@@ -297,7 +297,7 @@ impl NodeThread {
         let count = if sent == Sent::Yes { &counts.sent } else { &counts.refused };
         count.fetch_add(1, Ordering::Relaxed);
         if sent == Sent::Restarted {
-            tracing::warn!("a ROS 2 reader acknowledged nothing; its topic has started again without it");
+            tracing::warn!("a ROS 2 reader acknowledged nothing; its topic was restarted without it");
             self.announce();
         }
     }

@@ -152,7 +152,7 @@ fn is_local() -> bool {
     says("ROS_LOCALHOST_ONLY", "1") || says("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 }
 
-/// The reason why no network interface takes multicast, if none does.
+/// The reason why no network interface supports multicast, if none does.
 pub(super) fn no_multicast() -> Option<std::io::Error> {
     // Looks up the route and sends nothing.
     UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))
@@ -220,7 +220,7 @@ impl Participant {
 
 impl Writer {
     /// Sends a message, given with its encapsulation. Never waits. A reader that acknowledges nothing fills the window
-    /// of unacknowledged messages; the topic is then recreated, so that the other readers go on.
+    /// of unacknowledged messages; the topic is then recreated, so that the other readers continue.
     pub fn write(&mut self, message: Vec<u8>, participant: &Participant) -> Sent {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         if self.writer.write(payload, None).is_ok() {
@@ -249,7 +249,7 @@ impl Writer {
         let payload = Payload(Bytes::from(message).split_off(ENCAPSULATION));
         let options = WriteOptionsBuilder::new().related_sample_identity(request).build();
         if let Err(error) = self.writer.write_with_options(payload, options) {
-            tracing::warn!("an answer was not sent: {error}");
+            tracing::warn!("a reply was not sent: {error}");
         }
     }
 

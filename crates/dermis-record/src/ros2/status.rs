@@ -46,7 +46,7 @@ impl SharedStatus {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = status;
     }
 
-    /// Sets the reason why no frames come.
+    /// Sets the reason why no frames arrive.
     pub fn set_problem(&self, problem: Option<&str>) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).problem = problem.map(str::to_owned);
     }

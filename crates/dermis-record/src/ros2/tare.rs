@@ -19,7 +19,7 @@ const MOST_WAITING: usize = 4;
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The reason for a tare, in recordings and events.
-const REASON: &str = "asked for over ROS 2";
+const REASON: &str = "requested over ROS 2";
 
 /// Outcome of a request: the text of the reply.
 type Outcome = Result<String, String>;
@@ -65,7 +65,7 @@ impl TareService {
             let cyclone = cyclone_header(&message);
             match self.tares.try_send(LiveRequest::new(LiveCommand::Tare { force: false }, REASON, answer)) {
                 Ok(()) => self.waiting.push(Waiting { identity, cyclone, outcome, asked: Instant::now() }),
-                Err(TrySendError::Full(_)) => self.reply(identity, cyclone, refused("earlier requests wait")),
+                Err(TrySendError::Full(_)) => self.reply(identity, cyclone, refused("earlier requests are waiting")),
                 Err(TrySendError::Disconnected(_)) => {
                     self.reply(identity, cyclone, refused("the skin has ended"));
                 }

@@ -52,7 +52,7 @@ impl LineExtras for Plain {}
 /// A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`, `amplitude`, `area_mm2`, `sigma_x_mm`
 /// and `sigma_y_mm`. If a force is known, it has `force_n` and `force_range` (`within`; `below`, `above` or
 /// `saturated`, in which case `force_n` is the end of the range; `none`; `law`: from the layer's law, with
-/// `sigma_force_n`). If the forward model placed it, it has the fitted `radius_mm`. If a calibration by pokes reads
+/// `sigma_force_n`). If the forward model placed it, it has the fitted `radius_mm`. If a calibration by pokes estimates
 /// them, it has `depth_mm` and `sigma_depth_mm`, or `poke_force_n` and `sigma_poke_force_n`. Values that are not
 /// finite are `null`.
 ///
@@ -147,7 +147,6 @@ impl<W: Write + Send> Sink for JsonLines<W> {
     }
 }
 
-/// Touches that ended in this frame.
 /// Appends the object for one frame, without its closing brace: its touches, then those that ended in it.
 fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
     let Output { sequence, time_ns, touches, ended, .. } = *output;

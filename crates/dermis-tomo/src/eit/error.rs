@@ -56,7 +56,7 @@ pub enum EitError {
         protocol: usize,
     },
     /// Wrong number of conductivities.
-    #[error("conductivity: expected {expected} values (one an element), got {got}")]
+    #[error("conductivity: expected {expected} values (one per element), got {got}")]
     ConductivityCount {
         /// Number of elements.
         expected: usize,
@@ -72,7 +72,7 @@ pub enum EitError {
         value: f64,
     },
     /// Wrong number of channels.
-    #[error("frame: expected {expected} values (one a channel), got {got}")]
+    #[error("frame: expected {expected} values (one per channel), got {got}")]
     ChannelCount {
         /// Number of channels.
         expected: usize,

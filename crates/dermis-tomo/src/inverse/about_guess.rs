@@ -36,7 +36,7 @@ impl GuessCorrelations {
         positive("neglected share of the variance", neglected)?;
         let factor = pivoted_cholesky(covariance, neglected).ok_or(InverseError::Singular {
             what: "the factor of a guess's correlations",
-            hint: "take a longer correlation length, or neglect more",
+            hint: "use a longer correlation length, or neglect more",
         })?;
         Ok(Self { factor })
     }

@@ -336,7 +336,7 @@ impl ElectrodedMesh {
                         return refuse(format!("a face has {} nodes, expected {per_face}", key.len()));
                     }
                     Contact::Faces(_) if !has_face(&key) => {
-                        return refuse(format!("face {key:?} is no face of the mesh"));
+                        return refuse(format!("face {key:?} is not a face of the mesh"));
                     }
                     Contact::Area(_) if mesh.kind() != CellKind::Triangle => {
                         return refuse("area contacts are for sheets; use faces on a solid".into());

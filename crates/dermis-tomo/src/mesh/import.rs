@@ -204,7 +204,7 @@ impl MshFile {
         for _ in 0..count {
             let line = lines.numbers::<f64>("a node", 4)?;
             if !(line[0] >= 0.0 && line[0] < 1e15) {
-                return Err(lines.error(format!("{} is no number of a node", line[0])));
+                return Err(lines.error(format!("{} is not a node number", line[0])));
             }
             self.put_node(line[0] as u64, [line[1], line[2], line[3]]).map_err(|reason| lines.error(reason))?;
         }
@@ -236,7 +236,7 @@ impl MshFile {
     /// Adds an element of version 2.2 that belongs to a physical group (0 for none).
     fn put_element(&mut self, dimension: u8, group: i64, element: u64, nodes: &[u64]) -> Result<(), String> {
         if let Some(node) = nodes.iter().find(|node| !self.nodes.contains_key(node)) {
-            return Err(format!("element {element} names node {node}, which is not there"));
+            return Err(format!("element {element} names node {node}, which does not exist"));
         }
         if group != 0 {
             self.physical.entry((dimension, group)).or_insert_with(|| vec![group]);
@@ -258,7 +258,7 @@ impl MshFile {
                 let line = lines.numbers::<u64>("an element", dimension as usize + 2)?;
                 let nodes = &line[1..dimension as usize + 2];
                 if let Some(node) = nodes.iter().find(|node| !self.nodes.contains_key(node)) {
-                    return Err(lines.error(format!("element {} names node {node}, which is not there", line[0])));
+                    return Err(lines.error(format!("element {} names node {node}, which does not exist", line[0])));
                 }
                 block.nodes.extend(nodes);
             }

@@ -228,7 +228,7 @@ pub(super) fn spread(contact_impedance: &[f64], count: usize) -> Result<Vec<f64>
         each if each.len() == count => Ok(each.to_vec()),
         _ => Err(MeshError::Count {
             what: "contact impedances",
-            expected: format!("1 or {count}, one an electrode"),
+            expected: format!("1 or {count}, one per electrode"),
             got: contact_impedance.len(),
         }),
     }

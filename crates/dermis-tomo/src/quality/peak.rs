@@ -72,7 +72,7 @@ pub(super) fn peak(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<(usize,
     if best.1 > 0.0 {
         return Ok(best);
     }
-    Err(QualityError::Undefined { what: "peak", reason: "no pixel has a value of the sign asked for" })
+    Err(QualityError::Undefined { what: "peak", reason: "no pixel has a value of the requested sign" })
 }
 
 /// Mean of the pixels' centres.

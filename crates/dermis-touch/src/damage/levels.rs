@@ -202,7 +202,7 @@ impl LevelWatch {
         if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    /// Since when the readings have been away from the levels, nanoseconds.
+    /// Time when the readings left the levels, nanoseconds.
     #[must_use]
     pub fn disturbed_since_ns(&self) -> Option<u64> {
         self.disturbance.map(|disturbance| disturbance.since_ns)

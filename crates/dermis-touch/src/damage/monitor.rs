@@ -51,12 +51,12 @@ pub struct DamageFrame<'a> {
 pub(super) struct Record {
     pub(super) damage: Damage,
     seen_ns: u64,
-    /// Since when `share` has called for another state.
+    /// Time since which `share` has called for another state.
     leaning_ns: Option<u64>,
     /// True if a model determined the share, not the image.
     pub(super) modelled: bool,
     pub(super) bit: u16,
-    /// Since when no touch has been on it.
+    /// Time since which no touch has been on it.
     clear_ns: Option<u64>,
 }
 

@@ -87,7 +87,7 @@ impl Curve {
         require(rise > 0.0, "rise of the force curve in N", rise, "above 0")?;
         let least = self.pieces([low, high]).map(|(_, slope)| slope).fold(f64::INFINITY, f64::min);
         let ok = least * (high - low) >= -1e-9 * rise;
-        require(ok, "least slope of the force curve", least, "zero or more: it folds back, take another curve")
+        require(ok, "least slope of the force curve", least, "zero or more: it folds back, use another curve")
     }
 
     /// Signal above which signal per force stays below a twentieth of its mean over the lower half of the range.

@@ -95,7 +95,7 @@ impl LawCorrection {
         let Some((_, spread, Fitted { weights, covariance, .. })) = best else {
             return Err(TouchError::NonFinite { what: "forces by the law", index: 0, value: f64::NAN });
         };
-        // The residual of a press left out is its residual over 1 less its own share.
+        // The residual of a press left out is its residual over 1 minus its own share.
         let left_out = |row: &Row| {
             let own = quadratic(&covariance, &row.terms) / (spread * row.sigma).powi(2);
             let off = (row.off - dot(&weights, &row.terms)) / (1.0 - own).max(f64::EPSILON);

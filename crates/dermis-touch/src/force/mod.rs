@@ -2,7 +2,7 @@
 //! corrects it ([`LawCorrection`]). Elsewhere it is a curve of the touch's signal ([`SignalCurve`]). A reading outside
 //! the calibrated range says so. A calibration belongs to one skin and one indenter area, which are saved with it.
 //!
-//! Forces in newtons, positions in metres in the skin's frame, signals in any one unit.
+//! Forces in newtons, positions in metres in the skin's frame, signals in any unit, as long as it is the same.
 
 mod curve;
 mod gain;
@@ -71,8 +71,8 @@ impl ForceCalibration {
         Ok(Self { scope, law: None, signal: Some(curve), valid_force_n, residual_n, samples: samples.len() })
     }
 
-    /// Fits a correction of the layer's law to the presses that have a force by it. The curve of a calibration without
-    /// the law, if there is one, serves touches without a force by the law.
+    /// Fits a correction of the layer's law to the presses that have a force by it. Touches without such a force use
+    /// the curve of `curve`, a calibration without the law, if there is one.
     ///
     /// # Errors
     /// Fewer than two such presses, values that are not finite, forces or an indenter area that are not positive.
@@ -86,8 +86,8 @@ impl ForceCalibration {
         Ok(Self { scope, law: Some(law), signal, valid_force_n, residual_n, samples: forces_n().count() })
     }
 
-    /// This calibration, from presses on a twin. They cannot show how far the law is off on the skin itself, so forces
-    /// are no surer than by the law alone.
+    /// Marks this calibration as made on a twin. Presses on a twin cannot show how far the law is off on the real skin,
+    /// so forces stay at least as uncertain as by the law alone.
     #[must_use]
     pub fn of_twin(mut self) -> Self {
         if let Some(law) = &mut self.law {
@@ -96,8 +96,8 @@ impl ForceCalibration {
         self
     }
 
-    /// The force of a touch with this force by the layer's law (and its standard deviation, newtons), or otherwise with
-    /// this signal; `None` if the calibration covers neither.
+    /// Force of a touch, from its force by the layer's law (with standard deviation, newtons) if known, otherwise from
+    /// its signal; `None` if the calibration covers neither.
     #[must_use]
     pub fn read(&self, position_m: [f64; 2], signal: f64, by_law: Option<[f64; 2]>) -> Option<ForceReading> {
         let (Some(law), Some(by_law)) = (&self.law, by_law) else {

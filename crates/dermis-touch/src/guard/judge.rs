@@ -14,7 +14,7 @@ pub struct GuardFrame<'a> {
     pub now_ns: u64,
     /// The frame's arrival on the same clock.
     pub frame_ns: u64,
-    /// The frame's time on the device's clock; `None` without such a clock, or if its pace is not the host's.
+    /// The frame's time on the device's clock; `None` without such a clock, or if it runs at another rate.
     pub device_ns: Option<u64>,
     /// The device's clock or its frame numbers jumped at this frame.
     pub is_clock_odd: bool,
@@ -22,8 +22,8 @@ pub struct GuardFrame<'a> {
     pub has_baseline: bool,
     /// The baseline is believed to be that of the untouched skin.
     pub is_baseline_trusted: bool,
-    /// The touches were seen in this frame and explain it. False if they are repeated from an earlier one, because
-    /// this one is in doubt, or if something is there that is no touch yet.
+    /// The touches were seen in this frame and explain it. False if they are repeated from an earlier one because this
+    /// one is in doubt, or if something is pressing that is not yet reported as a touch.
     pub is_seen: bool,
     /// Known faults.
     pub health: Health<'a>,

@@ -29,7 +29,7 @@ pub struct RestScatter {
 
 impl RestScatter {
     /// Measures the scatter of frames of the untouched skin, all of one length; NaN where missing. `None` for fewer
-    /// than [`FEWEST_AT_REST`] frames. The session is divided into pieces of some 15 frames, so that slow changes of
+    /// than [`FEWEST_AT_REST`] frames. The session is divided into pieces of about 15 frames, so that slow changes of
     /// the skin do not count as noise.
     pub fn of(frames: &[Vec<f64>]) -> Option<Self> {
         let channels = frames.first().filter(|_| frames.len() >= FEWEST_AT_REST)?.len();

@@ -1,4 +1,4 @@
-//! Corrections learned from pokes: how far a skin's model misplaces touches, and how strong it shows them. Each is a
+//! Corrections learned from pokes, for the errors of a skin's model in the position and amplitude of touches. Each is a
 //! constant plus a smooth field over the skin. Both coordinates of the shift, and the logarithm of the amplitude, are
 //! regressed on the position given by the model, with covariance r (k(p, p') + 1) relative to the scatter, where k is
 //! the Matern 5/2 correlation. Each position scatters in proportion to the variance that the model states for it. r

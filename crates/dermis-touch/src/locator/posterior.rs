@@ -339,7 +339,7 @@ pub(super) mod tests {
         (0..count).map(trial).collect()
     }
 
-    /// Frames from where nothing was poked pass for touches where much was, so that the map says little is unexplained.
+    /// Frames from an unpoked region resemble touches in a well-poked one, so the map leaves little unexplained there.
     #[test]
     fn errors_far_from_pokes_do_not_hide_what_the_posterior_says_near_them() {
         let near = trials(200, 0.02);

@@ -107,7 +107,7 @@ impl LiquidSpec {
     fn solid(&self, layers: usize) -> Result<ElectrodedMesh, TwinError> {
         let electrodes = &self.electrodes;
         if let Some(electrode) = electrodes.shapes.iter().position(|shape| !is_on_rim(shape)) {
-            let reason = "expected a stretch of the rim: fields in three dimensions know no others".to_string();
+            let reason = "expected a stretch of the rim: three-dimensional fields support no others".to_string();
             return Err(MeshError::Electrode { electrode, reason }.into());
         }
         let low_m = (electrodes.middle_m - 0.5 * electrodes.height_m).max(0.0);

@@ -124,12 +124,12 @@ impl Script {
     ///
     /// # Errors
     /// Events out of order or beyond the duration, moves and releases of pointers that are not pressing, presses of
-    /// pointers that already are, or invalid indenters.
+    /// pointers that are already pressing, or invalid indenters.
     pub fn check(&self) -> Result<(), TwinError> {
         self.check_with(Indenter::check)
     }
 
-    /// The same, with every indenter on a skin of this outline.
+    /// Also checks that every indenter is on a skin of this outline.
     ///
     /// # Errors
     /// As [`Script::check`]; also fails for presses and moves off the skin, and indenters larger than it.
@@ -151,7 +151,7 @@ impl Script {
             let place = pressing.iter().position(|entry| entry.0 == pointer);
             let before = place.map(|place| pressing.swap_remove(place).1);
             if matches!(event, Event::Press { .. }) != before.is_none() {
-                let state = if before.is_none() { "presses nothing" } else { "presses already" };
+                let state = if before.is_none() { "is not pressing" } else { "is already pressing" };
                 return refuse(format!("pointer {pointer} {state}"));
             }
             if let Some(indenter) = event.indenter(before) {
@@ -297,8 +297,8 @@ mod tests {
             script.check().unwrap_err().to_string()
         };
         let down = press(1.0, 1, [0.0; 2], 10.0, 80.0);
-        assert_eq!(bad(vec![moved(1.0, 1, [0.0; 2], None)]), "script event 0: pointer 1 presses nothing");
-        assert_eq!(bad(vec![down, down]), "script event 1: pointer 1 presses already");
+        assert_eq!(bad(vec![moved(1.0, 1, [0.0; 2], None)]), "script event 0: pointer 1 is not pressing");
+        assert_eq!(bad(vec![down, down]), "script event 1: pointer 1 is already pressing");
         let late = Event::Release { time_s: 0.5, pointer: 1 };
         assert_eq!(bad(vec![down, late]), "script event 1: time_s is 0.5, expected 1 (the event before) to 5");
         assert!(bad(vec![press(1.0, 1, [0.0; 2], -1.0, 80.0)]).contains("disc radius_m"));

@@ -69,7 +69,7 @@ impl Loads {
     pub fn on_body(&self, body: &Body, joints: Option<&JointValues>) -> NetWrench {
         self.sum(body, |patch| {
             let place = joints.and_then(|joints| body.root_from_patch(patch, joints));
-            let lost = || format!("{}: nobody says where its joints stand", body.patches[patch].name);
+            let lost = || format!("{}: the positions of its joints are unknown", body.patches[patch].name);
             Some(place.ok_or_else(lost))
         })
     }

@@ -144,7 +144,7 @@ impl PatchThread {
         let mut row = self.health.row();
         if let Some(end) = recorded {
             if let Some(error) = &end.error {
-                tracing::error!("patch {name}: the recording is not whole: {error}");
+                tracing::error!("patch {name}: the recording is incomplete: {error}");
             }
             (row.not_recorded, row.recording_problem) = (end.lost, end.error);
         }
@@ -204,7 +204,7 @@ impl PatchThread {
         let mut row = self.health.row();
         if is_silent {
             if row.state != PatchState::Silent {
-                let reason = problem.as_deref().unwrap_or("no frames come");
+                let reason = problem.as_deref().unwrap_or("no frames arrive");
                 self.feeds.iter().for_each(|feed| feed.event("silent", reason, &[]));
             }
             row.state = PatchState::Silent;

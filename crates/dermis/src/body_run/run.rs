@@ -452,7 +452,7 @@ fn start_recording(
     let thread = std::thread::Builder::new().name("dermis-joint-recorder".to_owned());
     let thread = thread.spawn(move || {
         if let Err(error) = record_joints(recording, &body, &joints, &stop) {
-            tracing::error!("where the joints stand is not recorded any more: {error}");
+            tracing::error!("joint positions are no longer recorded: {error}");
         }
     });
     let thread = thread.map_err(|source| Error::Thread { what: "the recording of joints".to_owned(), source })?;

@@ -1,5 +1,5 @@
 //! Damage distinguished from touch on the sandwich's twin, whose mesh, physics and noise differ from the model's:
-//! cuts are found and remembered, touches work next to them, drift and slow presses are told apart, and no baseline
+//! cuts are found and remembered, touches work next to them, drift and slow presses are distinguished, and no baseline
 //! hides a damage.
 
 use dermis_device::{Frame, HostStamp, Layout};

@@ -138,7 +138,7 @@ fn exchanged_electrodes_reversed_signs_and_silence_are_said() {
         bad(&examine(skin.clone(), source, frames, Duration::from_millis(300), None).unwrap()).join("\n")
     };
     let said = say(&mut given(&skin, 64, exchange), 64);
-    assert!(said.contains("exchange the wires of electrodes 3 and 7"), "{said}");
+    assert!(said.contains("swap the wires of electrodes 3 and 7"), "{said}");
     let said = say(&mut given(&skin, 64, |values| values.iter_mut().for_each(|v| *v = -*v)), 64);
     assert!(said.contains("sign reversed"), "{said}");
     let said = say(&mut given(&skin, 10, |_| {}), 64);

@@ -96,7 +96,7 @@ fn five_presses_of_known_force_correct_the_law_of_a_layer_that_saturates() {
         within += u32::from(off.abs() < 2.5 * reading.sigma_n().unwrap());
     }
     errors.sort_by(f64::total_cmp);
-    // Without the five presses, radius and pressure cannot be told apart, and the median error is 0.3.
+    // Without the five presses, radius and pressure cannot be distinguished, and the median error is 0.3.
     assert!(errors[7] < 0.1, "{errors:?}");
     assert!(within >= 13, "{within} of 15 within 2.5 sigma");
 }

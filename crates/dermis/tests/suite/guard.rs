@@ -104,7 +104,7 @@ fn faults_of_whole_frames_are_never_ok_for_longer_than_they_take_to_recognise() 
             assert_never_ok(&what, &line.verdicts(30, Some(spoil)));
             let after = line.verdicts(80, None);
             assert_eq!(after.last(), Some(&GuardVerdict::Ok), "{what}: {after:?}");
-            // Under a press there is no moment in which the fault is taken for its end.
+            // While something presses, the fault is never taken for the end of the press.
             line.press();
             let pressed = line.verdicts(15, None);
             assert_eq!(pressed.last(), Some(&GuardVerdict::Stop), "{what}: {pressed:?}");

@@ -207,7 +207,7 @@ fn tare_is_refused_under_load_and_a_held_press_keeps_its_value() {
         sum / 10.0
     };
     let early = mean_of(&mut bench);
-    // Two time constants of the drift compensation (60 s): if the press were followed, 86 % of it would be gone.
+    // Two time constants of the drift compensation (60 s): if the baseline followed the press, 86 % would be gone.
     bench.run(3000);
     let late = mean_of(&mut bench);
     // The mean of ten frames scatters by a third of the noise, which is 3 % of the press.

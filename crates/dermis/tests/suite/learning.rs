@@ -84,8 +84,8 @@ fn the_simulated_skin_is_not_the_model_of_the_images() {
     let scale = finite.iter().map(|(a, b)| a * b).sum::<f64>() / finite.iter().map(|(_, b)| b * b).sum::<f64>();
     let rest: f64 = finite.iter().map(|(a, b)| (a - scale * b).powi(2)).sum();
     let error = (rest / finite.iter().map(|(a, _)| a * a).sum::<f64>()).sqrt();
-    // With electrodes off by 0.15 mm of 50 and by 3 % in width, the misfit beyond a common factor is between some per
-    // mille and some per cent.
+    // With electrodes off by 0.15 mm of 50 and by 3 % in width, the misfit beyond a common factor is between 0.01 % and
+    // 10 %.
     assert!((1e-4..0.1).contains(&error), "{error}");
 }
 

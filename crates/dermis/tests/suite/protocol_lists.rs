@@ -314,6 +314,6 @@ fn lists_that_make_no_sense_are_refused_by_channel() {
     refused("[[1, 2, 3, 3]]", "a reading between two different electrodes");
     refused("[]", "1 to 16384 channels");
     refused("[[1, 2, 3]]", "expected a list of [sink, source, plus, minus]");
-    refused("\"list.csv\"", "text alone lies in no folder");
+    refused("\"list.csv\"", "text has no folder");
     refused("\"../list.csv\"", "within the skin file's folder");
 }

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Most names that the crate may export.
+/// Maximum number of names that the crate may export.
 const MOST_NAMES: usize = 300;
 /// Start of the line of documentation that says why there is no example.
 const NO_EXAMPLE: &str = "No example";

@@ -152,7 +152,7 @@ fn nothing_stands_under_the_final_name_before_the_end_and_nothing_is_overwritten
     let partial = directory.path().join("press.partial.mcap");
     let recorder = Recorder::create(&path, &head()).unwrap();
     assert!(!path.exists() && partial.exists());
-    assert_eq!(Recording::open(&partial).unwrap().skin_toml(), SKIN, "the head is there from the start");
+    assert_eq!(Recording::open(&partial).unwrap().skin_toml(), SKIN, "the header is there from the start");
     assert!(Recorder::create(&path, &head()).unwrap_err().to_string().contains("press.partial.mcap"));
     recorder.finish(0).unwrap();
     assert!(path.exists() && !partial.exists());

@@ -196,7 +196,7 @@ const SKINS: [&str; 12] = [
     "em-16-square",
 ];
 
-/// Contact saturates, so pressure and radius trade off, most of all on a sandwich. The sigmas must say so.
+/// Contact saturates, so pressure and radius trade off, most of all on a sandwich. The sigmas must reflect this.
 #[test]
 fn forces_follow_from_the_law_of_contact() {
     for (layer, most_share) in [("patches", 0.2), ("sandwich", 0.5)] {

@@ -1,5 +1,5 @@
 // An EIT kit on the wire of dermis: four multiplexers, a sine source with a current pump, an instrumentation amplifier,
-// and a Teensy 4 or ESP32. The host tells it the skin's channels, current and frequency; the pins are in pins.h.
+// and a Teensy 4 or ESP32. The host sets the skin's channels, current and frequency; the pins are in pins.h.
 //
 // Each reading is the sine's amplitude in phase with the drive: samples at fixed phases of whole periods, times the
 // drive's cosine and sine, so that offsets and mains hum drop out.
@@ -15,9 +15,9 @@ struct Channel { uint8_t source, sink, plus, minus; };
 Channel channels[MOST_CHANNELS];
 float volts[MOST_CHANNELS];
 uint16_t channelCount = 0;
-uint16_t comingCount = 0;              // channels of a list that is coming in parts
+uint16_t comingCount = 0;              // channels of a list that is arriving in parts
 float driveHz = DRIVE_HZ;
-float askedRate = 0.0f;                // frames a second; 0: as many as there can be
+float askedRate = 0.0f;                // frames per second; 0: as many as possible
 uint32_t sequence = 0;
 uint32_t bootNumber = 0;
 bool flowing = false;

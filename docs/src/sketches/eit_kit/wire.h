@@ -61,7 +61,7 @@ class Sender {
       piece_[length_++] = byte;
     }
   }
-  // A piece behind its code: its length plus 1; 255 where no zero follows.
+  // Sends a piece after its code: its length plus 1, or 255 if no zero follows.
   void flush() {
     const uint8_t code = (uint8_t)(length_ + 1);
     write_(&code, 1);
@@ -80,7 +80,7 @@ template <size_t MOST> class Receiver {
  public:
   Receiver() : length_(0), too_long_(false) {}
 
-  // True where the byte ended a whole, undamaged packet: then kind(), payload() and size() are its.
+  // True if the byte completed an undamaged packet, which kind(), payload() and size() then describe.
   bool take(uint8_t byte) {
     if (byte != 0) {
       if (length_ < MOST) bytes_[length_++] = byte; else too_long_ = true;

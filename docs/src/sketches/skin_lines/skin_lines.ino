@@ -1,14 +1,14 @@
 // Eight electrodes of a conductive sheet on pins A0 to A7 of an Arduino Mega, each through a resistor of 1 kOhm.
-// Sends one line of 40 numbers for each frame, in volts: `dermis run my-skin.toml --source serial:PORT#lines:40`.
+// Sends one line of 40 numbers per frame, in volts: `dermis run my-skin.toml --source serial:PORT#lines:40`.
 //
-// A pair of neighbours drives: current enters the sheet at the second electrode (5 V) and leaves at the first (0 V).
-// The others are inputs, which take no current, so that their resistors do not matter. Every reading is taken in both
-// directions of the current: half of the difference holds no offset, and nothing is deposited at the electrodes.
+// One pair of neighbours drives at a time: current enters the sheet at the second electrode (5 V) and leaves at the
+// first (0 V). The others are inputs, which draw no current, so their resistors do not matter. Every reading is taken in
+// both directions of the current. Half of the difference has no offset, and nothing is deposited at the electrodes.
 
 const uint8_t ELECTRODES[] = {A0, A1, A2, A3, A4, A5, A6, A7};
 const uint8_t COUNT = sizeof(ELECTRODES);
 const uint8_t REPEATS = 8;                        // readings averaged in each direction: more are quieter and slower
-const unsigned SETTLE_US = 200;                   // until the voltages stand still after the current has changed
+const unsigned SETTLE_US = 200;                   // until the voltages settle after a change of the current
 const float VOLTS_PER_STEP = 5.0 / 1023.0;
 
 float potential[COUNT];                           // of each electrode, in steps of the converter
@@ -30,7 +30,7 @@ void addPotentials(uint8_t low, uint8_t high, float sign) {
     if (k == low || k == high) {
       continue;
     }
-    analogRead(ELECTRODES[k]);                    // the first reading after a change of the input is not used
+    analogRead(ELECTRODES[k]);                    // discard the first reading after switching inputs
     for (uint8_t n = 0; n < REPEATS; n++) {
       potential[k] += sign * analogRead(ELECTRODES[k]) / (2.0 * REPEATS);
     }
@@ -46,11 +46,11 @@ void loop() {
     uint8_t b = (a + 1) % COUNT;
     memset(potential, 0, sizeof(potential));
     addPotentials(a, b, 1.0);                     // the current enters at b ...
-    addPotentials(b, a, -1.0);                    // ... and now at a: signs turn round
+    addPotentials(b, a, -1.0);                    // ... and now at a, which reverses the signs
     for (uint8_t j = 0; j < COUNT; j++) {
       uint8_t next = (j + 1) % COUNT;
       if (j == a || j == b || next == a || next == b) {
-        continue;                                 // a driven electrode holds its contact: not read
+        continue;                                 // driven electrodes include their contacts: skip them
       }
       bool last = a == COUNT - 1 && j == COUNT - 3;
       Serial.print((potential[j] - potential[next]) * VOLTS_PER_STEP, 5);

@@ -196,7 +196,7 @@ impl Evidence {
     }
 }
 
-/// A set's findings as a table without repetitions, and apart from it the columns whose cells are all alike.
+/// A set's findings as a table without repetitions. Columns whose cells are all the same are listed separately.
 struct Layout {
     columns: Vec<&'static str>,
     rows: Vec<Vec<String>>,

@@ -22,7 +22,7 @@ use super::viewers::Viewers;
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 
-/// Most page requests handled per frame. Of each kind, only the last counts.
+/// Maximum number of page requests handled per frame. Of each kind, only the last counts.
 const MOST_REQUESTS: usize = 256;
 
 /// A run in progress: what it shows and records, and the requests of its pages.
@@ -256,7 +256,7 @@ impl Running {
 
     fn command(&mut self, command: LiveCommand, reply: Reply, pipeline: &mut Pipeline) {
         let tell = |event: &str, detail: &str, values: &[f64]| self.tell(event, detail, values);
-        match command.carry_out("asked for in the page", pipeline, tell) {
+        match command.carry_out("requested on the page", pipeline, tell) {
             Ok(text) => reply.accept(text),
             Err(text) => reply.refuse(text),
         }

@@ -125,12 +125,12 @@ pub(super) fn sketch(text: &str, file: &Path, options: &ReadOptions) -> Result<S
             DeviceError::Ragged { file: file.to_owned(), line, expected: usual, found: cells }.into()
         }
         NoTable::Thousands { line, cell } => {
-            let expected = "numbers without marks between thousands, such as 1234.5";
+            let expected = "numbers without thousands separators, such as 1234.5";
             DeviceError::field(file, line, "numbers", &cell, expected).into()
         }
         NoTable::CommaBetweenCommas { line, cell } => {
-            let expected = "decimal points, or another separator than the comma: these look like decimal commas between \
-                            commas, which nobody can tell apart";
+            let expected = "decimal points, or a separator other than the comma: these look like decimal commas between \
+                            commas, which is ambiguous";
             DeviceError::field(file, line, "numbers", &cell, expected).into()
         }
     })

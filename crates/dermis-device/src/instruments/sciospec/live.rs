@@ -212,7 +212,7 @@ impl SciospecHost {
         }
         let pair = (usize::from(source).wrapping_sub(1), usize::from(sink).wrapping_sub(1));
         let Some(injection) = self.setup.injections.iter().position(|asked| *asked == pair) else {
-            inbox.bad_because(format!("data of injection {source}-{sink}, which was not asked for"));
+            inbox.bad_because(format!("data of injection {source}-{sink}, which was not requested"));
             return;
         };
         let size = self.setup.injections.len() * electrodes;
@@ -301,7 +301,7 @@ impl Dialogue for SciospecHost {
         let Some(command) = self.commands.get(self.at) else { return Ok(()) };
         let sent = *self.sent.get_or_insert(open_for);
         if open_for.saturating_sub(sent) > PATIENCE {
-            return Err(format!("no answer, asked to {}", command.name));
+            return Err(format!("no answer when asked to {}", command.name));
         }
         Ok(())
     }
@@ -447,7 +447,7 @@ mod tests {
         let mut host = SciospecHost::new(setup()).unwrap();
         host.open(&mut Vec::new());
         assert!(host.tick(Duration::from_secs(1), &mut Vec::new()).is_ok());
-        assert_eq!(host.tick(Duration::from_secs(5), &mut Vec::new()).unwrap_err(), "no answer, asked to stop");
+        assert_eq!(host.tick(Duration::from_secs(5), &mut Vec::new()).unwrap_err(), "no answer when asked to stop");
         for wrong in [
             LiveSetup { injections: vec![(0, 0)], ..setup() },
             LiveSetup { injections: vec![(0, 1), (0, 1)], ..setup() },

@@ -91,7 +91,7 @@ impl WireHost {
             asked: Duration::ZERO,
             since: Duration::ZERO,
             now: Duration::ZERO,
-            // Tells successive hosts of one device apart.
+            // Distinguishes successive hosts of one device.
             nonce: HostStamp::now().wall_ns as u32,
             tag: 0,
             setup: Vec::new(),

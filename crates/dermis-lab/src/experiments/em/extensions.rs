@@ -63,7 +63,7 @@ fn sweep() -> Result<Report, Error> {
         }
         curves.push(Curve { name: array.name.into(), points, look: Look::Line });
     }
-    let title = "E12: change of the readings by one element half way down".into();
+    let title = "E12: change of the readings by one element halfway down".into();
     let caption = "Root mean square over the channels of the relative change of the readings when the middle element \
                    is pressed by half its travel, against frequency, for the twins with eight and with sixteen \
                    coils. No noise."
@@ -127,7 +127,7 @@ fn foil() -> Result<Report, Error> {
             Kind::Predicted,
         ));
         rows.push(row(
-            format!("{name}: way of the neighbour over that of the pressed"),
+            format!("{name}: travel of the neighbour over that of the pressed element"),
             "",
             None,
             neighbour,
@@ -185,7 +185,7 @@ struct Metal {
     ball: Option<NearbyMetal>,
 }
 
-pub(super) const METAL: Experiment = Experiment { id: "E13", title: "metal under and beside the array", run: metal };
+pub(super) const METAL: Experiment = Experiment { id: "E13", title: "metal under and next to the array", run: metal };
 
 /// E13: every element is pressed with metal present from the start, included in the model or not. Then the same metal
 /// arrives only after the baseline.
@@ -203,8 +203,8 @@ fn metal() -> Result<Report, Error> {
         plate("plate 40 mm below, known", -40.0, true),
         plate("plate 20 mm below, known", -20.0, true),
         plate("plate 10 mm below, known", -10.0, true),
-        ball("ball of 60 mm, 60 mm beside", 0.155),
-        ball("ball of 60 mm, 20 mm beside", 0.115),
+        ball("ball of 60 mm, 60 mm to the side", 0.155),
+        ball("ball of 60 mm, 20 mm to the side", 0.115),
     ];
     let mut clear = bench(EIGHT, Metal { name: "nothing", plate_mm: None, known: false, ball: None })?;
     let mut rows = Vec::new();
@@ -228,8 +228,8 @@ fn metal() -> Result<Report, Error> {
         misfits.push(bench.rig.heights().map_or(f64::NAN, |fit| fit.misfit));
         let last = changed.len() - 1;
         rows.push(number(case.name, "readings at rest change by", "%", changed[last]));
-        rows.push(number(case.name, "come after the baseline: false touches", "", touches));
-        rows.push(number(case.name, "come after the baseline: misfit", "", misfits[last]));
+        rows.push(number(case.name, "arriving after the baseline: false touches", "", touches));
+        rows.push(number(case.name, "arriving after the baseline: misfit", "", misfits[last]));
     }
     let frame = clear.settled(&[12], 1)?;
     clear.rig.image(&frame)?;
@@ -237,7 +237,7 @@ fn metal() -> Result<Report, Error> {
     rows.push(number("a touch, for comparison", "misfit", "", misfit));
     let points = changed.iter().zip(&misfits).map(|(c, m)| [*c, m.log10()]).collect();
     let curves = vec![Curve { name: "metal".into(), points, look: Look::Points }];
-    let title = "E13: metal that came after the baseline".into();
+    let title = "E13: metal that arrived after the baseline".into();
     let caption =
         "Misfit of the elements' heights, as a power of ten, against the change of the readings at rest, for plates \
                    and a ball of metal that came near the twin with eight coils after its baseline."
@@ -246,7 +246,7 @@ fn metal() -> Result<Report, Error> {
     let figures = vec![Figure::Curves { name: "metal", title, caption, x_label, y_label, curves }];
     let notes = vec![
         "Plates conduct perfectly; the ball is of aluminium. A known plate is shield_mm in the skin file.".into(),
-        "Misfit: mean squared residual in units of noise and model error; far above a touch's it tells that no \
+        "Misfit: mean squared residual in units of noise and model error; far above a touch's, it shows that no \
         element moved."
             .into(),
     ];

@@ -37,9 +37,9 @@ fn ramps() -> Result<Report, Error> {
         figures.push(Figure::Curves { name: file, title, caption, x_label, y_label, curves });
     }
     let notes = vec![
-        "Stiffness and travel of sponge and springs are assumed; that they stiffen bends the curve.".into(),
-        "Means of ten frames of the eight coils, of 100 of the sixteen at 50 dB. Where the paper's L6, L9 and L14 \
-        lie among its elements is not said; here the 3rd, 4th and 6th row."
+        "Stiffness and travel of sponge and springs are assumed; their stiffening bends the curve.".into(),
+        "Means of ten frames of the eight coils, of 100 of the sixteen at 50 dB. The paper does not say where its \
+        L6, L9 and L14 lie; here they are in the 3rd, 4th and 6th row."
             .into(),
     ];
     Ok(Report { id: RAMPS.id, title: RAMPS.title, rows, figures, notes })
@@ -110,10 +110,10 @@ fn smallest() -> Result<Report, Error> {
     let limit_n = limits[limits.len() / 2];
     let kpa = |force_n: f64, radius_m: f64| 1e-3 * force_n / (std::f64::consts::PI * radius_m * radius_m);
     let rows = vec![
-        row("elements of 25 at which 120 mN stand out by 3.3 deviations", "", None, detected as f64, Kind::Predicted),
+        row("elements (of 25) at which 120 mN exceeds 3.3 deviations", "", None, detected as f64, Kind::Predicted),
         row("the same in means over one second", "", None, averaged as f64, Kind::Predicted),
         row("limit of detection of one frame, median of the elements", "N", Some(0.12), limit_n, Kind::Predicted),
-        row("the same, least", "N", Some(0.12), limits[0], Kind::Predicted),
+        row("the same, smallest", "N", Some(0.12), limits[0], Kind::Predicted),
         row("its pressure on 1 cm diameter, median", "kPa", None, kpa(limit_n, 5e-3), Kind::Predicted),
         row("its pressure on 1 cm radius, median", "kPa", None, kpa(limit_n, 1e-2), Kind::Predicted),
         row("pressure of 120 mN on 1 cm diameter", "kPa", Some(0.38), kpa(0.12, 5e-3), Kind::Predicted),

@@ -70,7 +70,7 @@ fn single() -> Result<Report, Error> {
         figures.push(Figure::Images { name: file, title, caption, columns, panels });
     }
     rows.extend(jacobians()?);
-    let notes = vec!["The paper shows images; that all elements are located is its statement.".into()];
+    let notes = vec!["The paper shows images, and states that all elements are located.".into()];
     Ok(Report { id: SINGLE.id, title: SINGLE.title, rows, figures, notes })
 }
 
@@ -114,7 +114,7 @@ fn adjacent() -> Result<Report, Error> {
         let name = format!("{}, {}", array.name, solve_name(solve));
         let (apart, panels) = told_apart(&mut bench, &pairs)?;
         rows.push(row(
-            format!("{name}: pairs told apart of {}", pairs.len()),
+            format!("{name}: pairs resolved of {}", pairs.len()),
             "",
             Some(pairs.len() as f64),
             apart,
@@ -179,8 +179,14 @@ fn several() -> Result<Report, Error> {
         let (three, mut panels) = told_apart(&mut bench, &threes)?;
         let (four, more) = told_apart(&mut bench, &fours)?;
         panels.extend(more);
-        rows.push(row(format!("{}: threes found whole, of 4", array.name), "", Some(4.0), three, Kind::Algorithm));
-        rows.push(row(format!("{}: fours found whole, of 4", array.name), "", Some(4.0), four, Kind::Algorithm));
+        rows.push(row(
+            format!("{}: sets of three fully found, of 4", array.name),
+            "",
+            Some(4.0),
+            three,
+            Kind::Algorithm,
+        ));
+        rows.push(row(format!("{}: sets of four fully found, of 4", array.name), "", Some(4.0), four, Kind::Algorithm));
         rows.push(travel_error(&mut bench, array.name, &fours)?);
         let title = format!("E3: {}, three and four touches", array.name);
         let caption = format!(
@@ -191,9 +197,9 @@ fn several() -> Result<Report, Error> {
         figures.push(Figure::Images { name: file, title, caption, columns: bench.rig.columns(), panels });
     }
     let notes = vec![
-        "The last group of each four is of elements that touch each other.".into(),
+        "The last group of each four consists of adjacent elements.".into(),
         "Single frames of the eight coils, means of ten of the sixteen. Travels are those of the mean of ten \
-        frames, against what the twin's mechanics did."
+        frames, compared with the twin's mechanics."
             .into(),
     ];
     Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })

@@ -62,7 +62,7 @@ fn beside(line: &mut Line) -> Result<(f64, usize), Error> {
 }
 
 pub(super) const CUT_AND_TOUCHES: Experiment =
-    Experiment { id: "H4", title: "a cut of 20 mm, and touches beside it", run: cut_and_touches };
+    Experiment { id: "H4", title: "a cut of 20 mm, and touches next to it", run: cut_and_touches };
 
 /// H4: a cut is found, and touches next to it are placed as before.
 fn cut_and_touches() -> Result<Report, Error> {
@@ -74,19 +74,19 @@ fn cut_and_touches() -> Result<Report, Error> {
     let (cut_mm, cut_odd) = beside(&mut line)?;
     line.press(BESIDE_MM[0])?;
     line.run(HELD_S)?;
-    panels.push(panel(&line, "touch beside it, against the cut skin", &line.image, &BESIDE_MM[..1]));
+    panels.push(panel(&line, "touch next to it, against the cut skin", &line.image, &BESIDE_MM[..1]));
     let begun = line.events.iter().find_map(|event| match event {
         DamageEvent::Begin(damage) => Some((damage.confirmed_ns - damage.since_ns) as f64 * 1e-9),
         _ => None,
     });
     let direction = (TO_MM[1] - FROM_MM[1]).atan2(TO_MM[0] - FROM_MM[0]);
-    let mut rows = vec![row("damages found of one", "", Some(1.0), found.len() as f64, Kind::Algorithm)];
+    let mut rows = vec![row("damage sites found, of one", "", Some(1.0), found.len() as f64, Kind::Algorithm)];
     if let Some(damage) = found.first() {
         let shape = &damage.shape;
         let turned = (shape.direction_rad - direction).to_degrees();
         rows.extend([
             row(
-                "cut: error of its middle",
+                "cut: error of its centre",
                 "mm",
                 None,
                 distance_mm(shape.centre_m, MIDDLE_MM.map(|v| 1e-3 * v)),
@@ -94,14 +94,14 @@ fn cut_and_touches() -> Result<Report, Error> {
             ),
             row("cut: length", "mm", Some(20.0), 1e3 * shape.length_m, Kind::Algorithm),
             row("cut: error of its direction", "deg", None, (turned + 90.0).rem_euclid(180.0) - 90.0, Kind::Algorithm),
-            row("cut: seen before it was believed", "s", None, begun.unwrap_or(f64::NAN), Kind::Algorithm),
+            row("cut: time from detection to confirmation", "s", None, begun.unwrap_or(f64::NAN), Kind::Algorithm),
         ]);
     }
     rows.extend([
         row("mean error of six touches, intact", "mm", None, intact_mm, Kind::Algorithm),
         row("mean error of the same, cut", "mm", None, cut_mm, Kind::Algorithm),
-        row("touches missed or not alone, intact", "", Some(0.0), intact_odd as f64, Kind::Algorithm),
-        row("touches missed or not alone, cut", "", Some(0.0), cut_odd as f64, Kind::Algorithm),
+        row("touches missed or split, intact", "", Some(0.0), intact_odd as f64, Kind::Algorithm),
+        row("touches missed or split, cut", "", Some(0.0), cut_odd as f64, Kind::Algorithm),
     ]);
     let words = [
         "H4: a cut of 20 mm, and a touch while it is there",
@@ -109,7 +109,7 @@ fn cut_and_touches() -> Result<Report, Error> {
          intact skin, and of a disc of 20 mm pressed at 80 kPa beside it, against the cut skin.",
     ];
     let figures = vec![images(&line, "cut", words, panels)];
-    let notes = vec!["The length is the paper's; it shows place and shape, and gives no numbers.".into()];
+    let notes = vec!["The length is the paper's, which shows place and shape but gives no numbers.".into()];
     Ok(Report { id: CUT_AND_TOUCHES.id, title: CUT_AND_TOUCHES.title, rows, figures, notes })
 }
 
@@ -154,9 +154,9 @@ fn healing() -> Result<Report, Error> {
     panels.push(panel(&line, "pressed there, new baseline", &line.image, &[MIDDLE_MM]));
     let is = |yes: bool| f64::from(u8::from(yes));
     let rows: Vec<Row> = vec![
-        row(format!("cut: healed in truth after {STEPS} h"), "", None, truth[STEPS as usize - 1][1], Kind::Fitted),
-        row("cut: healed by the monitor", "", None, seen[STEPS as usize - 1][1], Kind::Algorithm),
-        row("largest difference of the two on the way", "", None, worst, Kind::Algorithm),
+        row(format!("cut: true healed share after {STEPS} h"), "", None, truth[STEPS as usize - 1][1], Kind::Fitted),
+        row("cut: healed share according to the monitor", "", None, seen[STEPS as usize - 1][1], Kind::Algorithm),
+        row("largest difference between the two over time", "", None, worst, Kind::Algorithm),
         row("the damage counts as healed", "", Some(1.0), is(state == Some(DamageState::Healed)), Kind::Algorithm),
         row("a new baseline is proposed", "", None, is(proposed), Kind::Algorithm),
         row("error there before the cut", "mm", None, error_mm(&intact, MIDDLE_MM), Kind::Algorithm),
@@ -175,8 +175,8 @@ fn healing() -> Result<Report, Error> {
             name: "progress",
             title: "H5: share of the cut that has healed".into(),
             caption:
-                "Share of the cut's faces that is joined again over time: what is true of the twin, and what the live \
-                      pipeline's monitor makes of the readings. Heat of 90 °C is applied for the first two hours."
+                "Share of the cut's faces that has rejoined over time: the twin's true value, and the estimate of the \
+                      live pipeline's monitor. Heat of 90 °C is applied for the first two hours."
                     .into(),
             x_label: "time (h)",
             y_label: "share healed",
@@ -184,9 +184,10 @@ fn healing() -> Result<Report, Error> {
         },
     ];
     let notes = vec![
-        "90 degrees for 2 h and 48 h of rest are the paper's; the twin's scar is set by its bars (2.07 to 2.15 kohm)."
+        "90 degrees for 2 h and 48 h of rest are the paper's; the twin's scar follows from the paper's bars (2.07 to \
+         2.15 kohm)."
             .into(),
-        "The monitor fits the cut's joining and the rise of conductivity about it apart.".into(),
+        "The monitor fits the cut's closing and the rise of conductivity around it separately.".into(),
     ];
     Ok(Report { id: HEALING.id, title: HEALING.title, rows, figures, notes })
 }
@@ -214,8 +215,8 @@ fn on_the_cut() -> Result<Report, Error> {
     let rows = vec![
         row("touches while the cut is pressed", "", Some(1.0), touches.len() as f64, Kind::Predicted),
         row("error of the touch", "mm", None, error_mm(&touches, MIDDLE_MM), Kind::Algorithm),
-        row("the damage is kept, covered", "", None, is(covered), Kind::Algorithm),
-        row("released, the same damage is there again", "", Some(1.0), is(same), Kind::Predicted),
+        row("the damage is remembered while covered", "", None, is(covered), Kind::Algorithm),
+        row("the same damage is seen again after release", "", Some(1.0), is(same), Kind::Predicted),
         row("touches after release", "", Some(0.0), line.touches.len() as f64, Kind::Algorithm),
     ];
     let words = [

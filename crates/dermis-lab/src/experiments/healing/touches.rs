@@ -92,13 +92,19 @@ fn single() -> Result<Report, Error> {
         (found - diameter).abs() < (found - other).abs()
     };
     let told = diameters.iter().filter(nearer).count() as f64;
-    rows.push(row("cases of six whose indenter is told by its size", "", Some(5.0), told, Kind::Algorithm));
+    rows.push(row(
+        "cases (of six) in which the indenter is identified by its size",
+        "",
+        Some(5.0),
+        told,
+        Kind::Algorithm,
+    ));
     let title = format!("H1: single touches at {} kPa", PRESSURE_PA * 1e-3);
     let caption = format!("One touch of 20 or 25 mm on the self-healing sandwich's twin at three places. {STEPS}");
     let (columns, panels) = (bench.rig.columns(), scores.panels);
     let figures = vec![Figure::Images { name: "single", title, caption, columns, panels }];
     let notes = vec![
-        "The paper's size of one of six cases, 25 mm in the middle, was not told from the smaller one's.".into(),
+        "In the paper, one of six cases, 25 mm in the middle, could not be distinguished from the smaller size.".into(),
         "Truth is what the indenter covers. The first step is scored over its own peak.".into(),
     ];
     Ok(Report { id: SINGLE.id, title: SINGLE.title, rows, figures, notes })
@@ -200,6 +206,6 @@ fn several() -> Result<Report, Error> {
     let title = "H3: two and three touches".into();
     let caption = format!("Two and three touches of 20 mm on the self-healing sandwich's twin. {STEPS}");
     let figures = vec![Figure::Images { name: "several", title, caption, columns: bench.rig.columns(), panels }];
-    let notes = vec!["The paper's text does not say where its several touches lie; these are spread alike.".into()];
+    let notes = vec!["The paper's text does not say where its several touches lie; these are spread similarly.".into()];
     Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }

@@ -43,7 +43,7 @@ fn noise() -> Result<Report, Error> {
     ];
     let notes = vec![
         "By the printed formula noise would be 1.1e-6 of a reading, less than a step of a 16-bit converter; all other \
-         replays take the thousandfold noise of the usual formula."
+         replays use the thousandfold noise of the usual formula."
             .into(),
     ];
     Ok(Report { id: NOISE.id, title: NOISE.title, rows, figures: Vec::new(), notes })

@@ -27,8 +27,8 @@ pub(super) struct Rest {
     since_ns: Option<u64>,
     /// Time when a suspicion began, or was last tested.
     looked_ns: u64,
-    /// Since when the baseline is known to have been taken under a touch. The intact reference is then what was read
-    /// after the release.
+    /// Time since which the baseline is known to have been taken under a touch. The intact reference is then what was
+    /// read after the release.
     released_ns: Option<u64>,
     proposal: Option<Proposal>,
 }

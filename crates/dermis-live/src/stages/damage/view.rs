@@ -33,7 +33,7 @@ impl ProposalReason {
 pub struct Proposal {
     /// The reason.
     pub reason: ProposalReason,
-    /// Since when the skin has rested, or since when the reason has been known, on the frames' axis, nanoseconds.
+    /// Start of the rest, or time when the reason became known, on the frames' time axis, nanoseconds.
     pub since_ns: u64,
     /// Distance of the readings from the baseline, in standard deviations of the channels (RMS).
     pub offset_sigma: f64,

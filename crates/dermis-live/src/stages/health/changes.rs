@@ -112,10 +112,10 @@ fn frame_change(fault: Option<FrameFault>) -> HealthChange {
     };
     let what = match kind {
         FrameFaultKind::Frozen => "all channels read the same, frame after frame",
-        FrameFaultKind::Saturated => "most channels stand at the end of the range",
+        FrameFaultKind::Saturated => "most channels are at the limit of the range",
         FrameFaultKind::Flipped => "all channels have changed sign",
-        FrameFaultKind::Blank => "all readings have gone",
-        FrameFaultKind::OutOfRange => "the readings are far larger than any press makes them",
+        FrameFaultKind::Blank => "all readings have vanished",
+        FrameFaultKind::OutOfRange => "the readings are far larger than any press can make them",
     };
     let detail = format!("touches are unknown since frame {since_sequence}: {what}");
     HealthChange { event: "frame-fault", detail, numbers: Vec::new(), is_fault: true }

@@ -1,4 +1,4 @@
-//! A sheet under separate conducting plates, each at a potential of its own: patches of metal or fabric. The equations
+//! A sheet under separate conducting plates, each at its own potential: patches of metal or fabric. The equations
 //! are those of one layer above ([`super`]) with a potential for each plate: with the assignment `B` of contacts to
 //! plates in place of `1`, `P = M^-1 - M^-1 B (B' M^-1 B)^-1 B' M^-1`.
 

@@ -26,7 +26,7 @@ pub struct Spot {
 pub struct FitOutcome {
     /// Whitened energy of the frame, per combination of channels.
     pub energy: f64,
-    /// Whitened energy of the residual, per degree of freedom (combinations less parameters): 1 for pure noise.
+    /// Whitened energy of the residual, per degree of freedom (combinations minus parameters): 1 for pure noise.
     pub residual: f64,
     /// The same for the linear fit, before any correction for large changes.
     pub in_proportion: f64,
@@ -219,7 +219,7 @@ impl SpotModel {
     /// the Fisher matrix of the spot and the uniform change, with the priors of [`SpotModel::fit`].
     ///
     /// # Errors
-    /// A position or radius outside the table; channels that cannot tell the parameters apart.
+    /// A position or radius outside the table; channels that cannot distinguish the parameters.
     pub fn bound(&self, position_m: [f64; 2], amplitude: f64, radius_m: f64) -> Result<[[f64; 4]; 4], InverseError> {
         let (mut scratch, log_radius) = (self.scratch(), radius_m.ln());
         let rows = &mut scratch.rows[..OF_SPOT * self.combinations()];
@@ -415,7 +415,7 @@ impl SpotModel {
         self.normal_equations(uniform, scratch, &mut solver.equations);
         let FitScratch { state, spots, .. } = &mut *scratch;
         let Scratch { equations: NormalEquations { normal, right }, factor, .. } = &mut solver;
-        // Errors of the model widen what the frame tells, not what the priors do.
+        // Errors of the model weaken the frame's information, not the priors.
         let scale = (residual - NOISE_UNKNOWN).max(1.0);
         factor.iter_mut().zip(normal.iter()).for_each(|(factor, normal)| *factor = normal / scale);
         add_priors(factor, parameters, 1.0 - 1.0 / scale);

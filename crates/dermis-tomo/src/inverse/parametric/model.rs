@@ -176,7 +176,7 @@ impl SpotModel {
     /// The same responses for other noise and without some channels, from the same table. Values of the missing
     /// channels are ignored. A tabulated response t, brought back to channels and whitened for the new noise, is
     /// `W^1/2 L t`. With `W^1/2 L = Q R`, its projection on Q is `R t`: the remaining channels still see everything
-    /// that the kept combinations can tell apart. Channels whose deviation is not positive and finite get the largest
+    /// that the kept combinations can distinguish. Channels whose deviation is not positive and finite get the largest
     /// deviation of the others. All changes are treated as small.
     ///
     /// # Errors

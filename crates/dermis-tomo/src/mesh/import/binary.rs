@@ -25,7 +25,7 @@ impl MshFile {
         input.is_big = match input.take::<4>("the number one")? {
             [1, 0, 0, 0] => false,
             [0, 0, 0, 1] => true,
-            other => return Err(input.error(format!("{other:?} is the number one in no order of bytes"))),
+            other => return Err(input.error(format!("{other:?} is not the number one in either byte order"))),
         };
         input.close("$EndMeshFormat")?;
         while let Some(section) = input.line() {
@@ -33,7 +33,7 @@ impl MshFile {
                 ("", _) => {}
                 ("$PhysicalNames", _) => {
                     let text = input.section("$EndPhysicalNames")?;
-                    let text = std::str::from_utf8(text).map_err(|_| input.error("names that are no text"))?;
+                    let text = std::str::from_utf8(text).map_err(|_| input.error("names that are not text"))?;
                     let text = format!("{text}\n$EndPhysicalNames\n");
                     self.read_names(&mut Lines::new(&text))?;
                 }
@@ -114,7 +114,7 @@ fn elements(file: &mut MshFile, input: &mut Bytes<'_>) -> Result<(), MeshError> 
             for _ in 0..=dimension {
                 let node = input.unsigned("an element")?;
                 if !file.nodes.contains_key(&node) {
-                    return Err(input.error(format!("element {element} names node {node}, which is not there")));
+                    return Err(input.error(format!("element {element} names node {node}, which does not exist")));
                 }
                 block.nodes.push(node);
             }
@@ -132,7 +132,7 @@ fn old_nodes(file: &mut MshFile, input: &mut Bytes<'_>) -> Result<(), MeshError>
         for value in &mut xyz {
             *value = input.double("node coordinates")?;
         }
-        let tag = u64::try_from(tag).map_err(|_| input.error(format!("{tag} is no number of a node")))?;
+        let tag = u64::try_from(tag).map_err(|_| input.error(format!("{tag} is not a node number")))?;
         file.put_node(tag, xyz).map_err(|reason| input.error(reason))?;
     }
     input.close("$EndNodes")
@@ -208,7 +208,7 @@ impl<'a> Bytes<'a> {
         usize::try_from(size)
             .ok()
             .filter(|size| *size <= left)
-            .ok_or_else(|| self.error(format!("{what}: {size} of them, where {left} bytes are left")))
+            .ok_or_else(|| self.error(format!("{what}: {size} of them, but only {left} bytes are left")))
     }
 
     /// Number of blocks, followed by three numbers that are not needed.

@@ -120,7 +120,7 @@ fn mistakes_carry_their_line() {
     };
     let cases = [
         ("4.1 0 8", "4.0 0 8", "line 2: expected version 2.2 or 4.1"),
-        ("4.1 0 8", "4.1 1 8", "is the number one in no order of bytes"),
+        ("4.1 0 8", "4.1 1 8", "is not the number one in either byte order"),
         ("$MeshFormat", "solid cube", "line 1: not an MSH file"),
         ("1 1 0\n0 1 0", "1 one 0\n0 1 0", "line 29: \"one\" in node coordinates is not a number"),
         ("1 1 0\n0 1 0", "1 nan 0\n0 1 0", "line 29: node 30: coordinate NaN"),

@@ -4,7 +4,7 @@
 //!
 //! with q the misfit at the best position, d the inverse expert's distance to the nearest poke, and q', d' their
 //! medians over the left-out examples. The powers are those that predict the left-out examples best. A frame that fits
-//! less than 95 % of them do is widened at least by its novelty: the skin has changed, or several touches share the
+//! worse than 95 % of them is widened at least by its novelty: the skin has changed, or several touches share the
 //! frame.
 
 use crate::locator::posterior::{ONE_SIGMA, SELECTION_MARGIN, Trial, log_student, weighted_quantile};
@@ -16,7 +16,7 @@ const DISTANCE_POWERS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
 /// Gain in total log score that each power above zero must bring: Akaike's penalty for one parameter, plus the
 /// logarithm of the number of powers tried. Fifty pokes otherwise choose one by chance.
 const MARGIN: f64 = SELECTION_MARGIN + 1.386_294;
-/// Limits of the ratios, beyond which no left-out example tells anything.
+/// Limits of the ratios, beyond which left-out examples give no information.
 const LIMITS: (f64, f64) = (0.1, 30.0);
 
 /// How far a frame is from the pokes.

@@ -22,8 +22,8 @@ use crate::typical::{evenly, median};
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];
 /// Ridges tried, relative to the kernel's variance.
 const RIDGES: [f64; 7] = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1];
-/// Resemblances of two sessions tried, the default first, and the drop in the sum of ln(e^2 + m^2) that another must
-/// bring: Akaike's penalty for one parameter, for a density that falls with the fourth power of the error.
+/// Resemblances of two sessions to try, the default first, and the minimum drop in the sum of ln(e^2 + m^2) to choose
+/// another: Akaike's penalty for one parameter, for a density that falls with the fourth power of the error.
 const RESEMBLANCES: [f64; 7] = [1.0, 0.99, 0.97, 0.9, 0.75, 0.5, 0.0];
 const RESEMBLANCE_MARGIN: f64 = 0.5;
 /// Maximum number of examples that choose length and ridge.

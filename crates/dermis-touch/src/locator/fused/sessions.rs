@@ -1,7 +1,6 @@
 //! Examples of an earlier session of the same skin. The new map is correlated with the earlier one by the resemblance r
-//! ([`Sessions`]): r = 1 pools the examples, r = 0 ignores the earlier ones. The r is used under which all frames are
-//! most probable. Whatever is chosen by left-out examples is chosen by the new ones, and by the earlier ones with a
-//! small weight.
+//! ([`Sessions`]): r = 1 pools the examples, r = 0 ignores the earlier ones. The r that makes all frames most probable
+//! is used. Choices by left-out examples count the new ones fully and the earlier ones with a small weight.
 
 use crate::locator::copies::Sessions;
 use crate::locator::data::{Examples, Hyperparameters, MIN_EXAMPLES};

@@ -56,7 +56,7 @@ pub(super) struct Learned {
     influence: Vec<f32>,
     /// Diagonal of the inverse covariance.
     own: Vec<f64>,
-    /// Candidates that are there because of one frame alone.
+    /// Candidates that exist because of a single frame.
     places: Vec<Vec<usize>>,
 }
 

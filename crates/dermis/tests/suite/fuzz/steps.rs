@@ -26,7 +26,7 @@ pub enum Step {
     Page(String),
     /// No frame arrives for this many milliseconds; the flag says if the source reports a problem.
     Silence(u32, bool),
-    /// The process is told to end while it is stuck; here it goes on.
+    /// The process is told to end while it is stuck; here it keeps running.
     Signal,
 }
 

@@ -322,7 +322,7 @@ impl<'a> System<'a> {
         }
         self.feed.show(&output, self.now_ns);
         for Notice { text, .. } in self.announcer.notices(&output) {
-            assert!(!text.is_empty(), "a notice of nothing");
+            assert!(!text.is_empty(), "an empty notice");
         }
         self.feed
             .count(AcquisitionCounters { lost: self.lost, bad: self.refused, ..AcquisitionCounters::default() }, None);
@@ -409,7 +409,11 @@ fn identities(output: &Output<'_>, begun: &mut BTreeSet<u64>, ended: &mut BTreeS
         assert!(begun.insert(touch.id), "touch {} began twice", touch.id);
     }
     for touch in output.touches {
-        assert!(begun.contains(&touch.id) && !ended.contains(&touch.id), "touch {} is there without being", touch.id);
+        assert!(
+            begun.contains(&touch.id) && !ended.contains(&touch.id),
+            "touch {} is reported but not active",
+            touch.id
+        );
         assert!(touch.position_m.iter().all(|v| v.is_finite()), "{touch:?}");
     }
 }

@@ -59,7 +59,7 @@ fn check_rotated_lists(Case { skin, frame }: Case) {
     let per_drive = frame.len() / skin.protocol().unwrap().stimulations().len();
     let mut late = frame.clone();
     late.rotate_left(per_drive);
-    // In rotating order around a round tank every drive has the same list, so nothing can be noticed.
+    // In rotating order around a round tank every drive has the same list, so a rotation goes unnoticed.
     if skin.backend.order == ReadingOrder::Absolute {
         assert_hint(&report(&skin, late), "drive list rotated by 1");
     }
@@ -75,7 +75,7 @@ fn check_other_order(Case { skin, frame }: Case, says: &str) {
     assert_hint(&report(&skin, resorted(&skin, &frame)), says);
 }
 
-// A separate test for each tank, so that missing data of one don't affect the others.
+// One test per tank, so that missing data for one doesn't affect the others.
 #[test]
 fn the_reversed_sign_of_pyeidors_is_named() {
     let Some(case) = case(PYEIDORS) else { return };

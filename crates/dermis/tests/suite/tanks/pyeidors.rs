@@ -1,4 +1,4 @@
-//! Metal and plastic objects near the electrodes that the folder names state.
+//! Finds metal and plastic objects near the electrodes given in the folder names.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ fn check(folder: &Path, file: &Path) {
     assert!(outcome.report.order.correlation > 0.98 && outcome.report.order.better.is_none());
 }
 
-// Measured: within 0.31 of a pitch for every object in every file, without ghost touches.
+// Measured: within 0.31 pitches for every object in every file, without ghost touches.
 #[test]
 fn metal_and_plastic_lie_at_their_electrodes() {
     let Some(directory) = measured("pyeidors-tank", "") else { return };

@@ -161,7 +161,7 @@ impl Publisher for PagePublisher {
                 // All channels are published and the page selects. Commands to the twin have been handled already.
                 _ => continue,
             };
-            return Some(LiveRequest::new(command, "asked for in the page", |done| match done {
+            return Some(LiveRequest::new(command, "requested on the page", |done| match done {
                 Ok(text) => reply.accept(text),
                 Err(text) => reply.refuse(text),
             }));
