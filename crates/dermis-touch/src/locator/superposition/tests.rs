@@ -122,10 +122,10 @@ fn alike_touches_count_as_one_unless_a_labelled_frame_has_both() {
 fn errors_that_grow_with_the_touches_and_errors_that_do_not_are_told_apart() {
     let left_out = |evidence: fn(f64) -> f64| {
         let least = |i: usize| {
-            let others = 1.0 + 0.1 * i as f64;
+            let others = (1 + i % 10) as f64;
             Least { evidence: evidence(others) * (1.5 + dither(i)), others }
         };
-        LeftOut { firsts: Vec::new(), further: (0..60).map(|i| (1, vec![least(i)])).collect() }
+        LeftOut { firsts: Vec::new(), further: (0..200).map(|i| (1, vec![least(i)])).collect() }
     };
     assert!(left_out(f64::sqrt).growth() >= 0.5);
     assert!(left_out(|_| 1.0).growth() <= 0.1);
