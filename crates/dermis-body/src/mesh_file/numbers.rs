@@ -2,6 +2,8 @@
 
 /// Most corners of one file, three per triangle. A small file may use the same mesh many times.
 const MOST_CORNERS: usize = 12_000_000;
+/// Most numbers read for one file. A mesh that is used many times is read as often.
+const MOST_NUMBERS: usize = 20 * MOST_CORNERS;
 /// Most nodes of a scene, and of those in each other.
 const MOST_NODES: usize = 100_000;
 const MOST_DEPTH: usize = 64;
@@ -55,6 +57,7 @@ impl Affine {
 pub(super) struct Placed {
     pub corners: Vec<[f32; 3]>,
     nodes: usize,
+    numbers: usize,
 }
 
 impl Placed {
@@ -66,6 +69,18 @@ impl Placed {
         self.nodes += 1;
         if depth > MOST_DEPTH || self.nodes > MOST_NODES {
             return Err(format!("expected at most {MOST_NODES} nodes, and {MOST_DEPTH} one in the other"));
+        }
+        Ok(())
+    }
+
+    /// Counts numbers that have been read.
+    ///
+    /// # Errors
+    /// More than a file may have, as in one that uses the same large mesh very often.
+    pub fn read(&mut self, numbers: usize) -> Result<(), String> {
+        self.numbers = self.numbers.saturating_add(numbers);
+        if self.numbers > MOST_NUMBERS {
+            return Err(format!("expected at most {MOST_NUMBERS} numbers, each counted as often as it is used"));
         }
         Ok(())
     }
