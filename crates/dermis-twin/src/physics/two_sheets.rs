@@ -134,7 +134,10 @@ impl TwoSheets {
         let joints: Vec<(SlitEdge, f64)> = slits.iter().map(|&edge| (edge, 0.0)).collect();
         entries.extend(joints.iter().flat_map(|joint| joint_entries(joint, &positions)).map(|entry| entry.0));
         let coordinates = coordinates(body, &positions);
-        let (structure, slots) = SpdStructure::new(size, &entries, Ordering::Dissection(&coordinates))?;
+        // Sources at electrodes then take part near the end of the elimination only.
+        let last: Vec<u32> = (nodes as u32..size as u32).collect();
+        let ordering = Ordering::DissectionWithLast(&coordinates, &last);
+        let (structure, slots) = SpdStructure::new(size, &entries, ordering)?;
         let (element_slots, other_slots) = slots.split_at(6 * triangles.len());
         let (contact_slots, joint_slots) = other_slots.split_at(contacts.len());
         let element_slots = element_slots.chunks_exact(6).map(|c| [c[0], c[1], c[2], c[3], c[4], c[5]]).collect();
