@@ -10,6 +10,7 @@ use toml::Spanned;
 use crate::body_file::{BodyText, PatchText, Source};
 use crate::error::{Error, listed};
 use crate::files;
+use crate::joint_source::{self, JointSource};
 use crate::kinematics::{JointValues, Kinematics};
 use crate::transform::{Transform, Vector};
 use crate::urdf::{Geometry, Urdf};
@@ -38,7 +39,7 @@ pub struct Body {
     /// Links and joints.
     pub kinematics: Kinematics,
     /// Source of joint values named in the body file.
-    pub joint_source: Option<String>,
+    pub joint_source: Option<JointSource>,
     /// Joint values older than this are stale, seconds.
     pub joints_stale_after_s: f64,
     /// Joint values from `joints.at`, used until others arrive.
@@ -52,6 +53,8 @@ pub struct Body {
 pub struct Patch {
     /// Name, unique on the body.
     pub name: String,
+    /// Line of the name in the body file, from 1.
+    pub line: usize,
     /// The skin, with the patch's own guard if it has one.
     pub skin: Skin,
     /// Source of its frames, as for `dermis run --source`.
@@ -150,6 +153,7 @@ impl Builder {
                 return Err(self.source.refused(value, "joints.stale_after_ms", value.get_ref(), expected));
             }
         };
+        let joint_source = text.joints.source.as_ref().map(|source| self.joint_source(source)).transpose()?;
         let stem = || self.source.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let mut body = Body {
             name: text.name.or_else(stem).unwrap_or_default(),
@@ -157,7 +161,7 @@ impl Builder {
             urdf,
             meshes: std::mem::take(&mut self.meshes),
             kinematics,
-            joint_source: text.joints.source.map(Spanned::into_inner),
+            joint_source,
             joints_stale_after_s: 1e-3 * stale_after_ms,
             first_joints,
             patches: Vec::new(),
@@ -170,13 +174,9 @@ impl Builder {
             let expected = format!("at most {MOST_PATCHES} patches");
             return Err(self.source.refused(&first.name, "patch", text.patch.len(), expected));
         }
-        let mut lines = Vec::new();
-        for patch in &text.patch {
-            match self.patch(patch, &body, &lines) {
-                Ok(good) => {
-                    lines.push(self.source.line_of(&patch.name));
-                    body.patches.push(good);
-                }
+        for (number, patch) in text.patch.iter().enumerate() {
+            match self.patch(patch, &body, &text.patch[..number]) {
+                Ok(good) => body.patches.push(good),
                 Err(error) => self.problems.push(Problem { error, only_drawn: false }),
             }
         }
@@ -212,6 +212,16 @@ impl Builder {
         Ok((file, urdf))
     }
 
+    /// The source of joint values, with a file that exists.
+    fn joint_source(&self, text: &Spanned<String>) -> Result<JointSource, Error> {
+        let refused = || self.source.refused(text, "joints.source", text.get_ref(), joint_source::EXPECTED);
+        let source = text.get_ref().parse::<JointSource>().map_err(|_| refused())?.in_folder(self.source.folder());
+        match &source {
+            JointSource::File(file) if !file.exists() => Err(refused()),
+            _ => Ok(source),
+        }
+    }
+
     fn take_joint(
         &self,
         kinematics: &Kinematics,
@@ -231,24 +241,26 @@ impl Builder {
         Err(self.source.refused(value, field, value.get_ref(), format!("a joint that moves by itself: {known}")))
     }
 
-    fn patch(&self, text: &PatchText, body: &Body, lines: &[usize]) -> Result<Patch, Error> {
+    fn patch(&self, text: &PatchText, body: &Body, before: &[PatchText]) -> Result<Patch, Error> {
         let name = text.name.get_ref();
         let is_plain = |c: char| c.is_alphanumeric() || "_-.".contains(c);
         // Names of dots only would be folders in addresses.
         let is_dots = name.chars().all(|c| c == '.');
         if is_dots || name.len() > 100 || !name.chars().all(is_plain) {
             let expected = "a name of 1 to 100 letters, digits, _, - and ., not only dots";
-            return Err(self.source.refused(&text.name, "patch.name", name.escape_debug(), expected));
+            return Err(self.source.refused(&text.name, "patch.name", format!("{name:?}"), expected));
         }
-        if let Some(first) = body.patches.iter().position(|patch| patch.name == *name) {
-            let expected = format!("a name that no other patch has, unlike line {}", lines[first]);
-            return Err(self.source.refused(&text.name, "patch.name", name, expected));
+        if let Some(first) = before.iter().find(|patch| patch.name.get_ref() == name) {
+            let line = self.source.line_of(&first.name);
+            let expected = format!("a name that no other patch has; line {line} has the same");
+            return Err(self.source.refused(&text.name, "patch.name", format!("{name:?}"), expected));
         }
         let skin = self.skin(text)?;
         let (link, link_from_patch) = self.mount(text, &skin, &body.kinematics)?;
         let folder = self.source.folder();
         Ok(Patch {
             name: name.clone(),
+            line: self.source.line_of(&text.name),
             skin,
             source: text.source.as_ref().map_or_else(|| "twin".to_owned(), |source| source.get_ref().clone()),
             link,
@@ -319,13 +331,13 @@ impl Builder {
             self.source.refused(
                 at,
                 format!("patch {name}: link"),
-                link,
+                format!("{link:?}"),
                 format!("a link of the robot: {known}{without}"),
             )
         })?;
         if let Err(joint) = kinematics.joints_of(number) {
             let expected = format!("a link reached through joints with one value each; {joint} has several");
-            return Err(self.source.refused(at, format!("patch {name}: link"), link, expected));
+            return Err(self.source.refused(at, format!("patch {name}: link"), format!("{link:?}"), expected));
         }
         Ok((number, mount_transform(xyz_mm, rpy_deg)))
     }

@@ -7,6 +7,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
+use crate::mesh_file::mesh_ending;
 
 /// Bytes of a mesh to examine: enough for the start of every format, and for the first vertex of a text file.
 const LOOKED_AT: u64 = 64 << 10;
@@ -35,6 +36,9 @@ pub(crate) fn read_text(file: &Path, most: u64) -> Result<String, Error> {
 /// The reason why the file wasn't found, and the expected content.
 pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)]) -> Result<PathBuf, String> {
     let folder = urdf.parent().unwrap_or(Path::new(""));
+    if filename.is_empty() {
+        return Err("expected the name of a file".to_owned());
+    }
     if let Some(path) = filename.strip_prefix("file://") {
         return Ok(folder.join(path));
     }
@@ -44,7 +48,9 @@ pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)
         }
         return Ok(folder.join(filename));
     };
-    let (package, path) = rest.split_once('/').ok_or("expected package://NAME/PATH")?;
+    // Some files have a third slash, which loaders of robots ignore.
+    let parts = rest.trim_start_matches('/').split_once('/');
+    let (package, path) = parts.ok_or("expected package://NAME/PATH")?;
     if let Some((_, place)) = packages.iter().find(|(name, _)| name == package) {
         return Ok(place.join(path));
     }
@@ -65,19 +71,24 @@ pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)
     Ok(place.ok_or_else(unknown)?.join(path))
 }
 
-/// Checks that the content of a file matches its ending: STL, OBJ, COLLADA, PLY, glTF. Other endings are accepted.
+/// Checks that the content of a file matches its ending: STL, OBJ, PLY, COLLADA or glTF.
 ///
 /// # Errors
 /// The fault, and the expected content.
 pub(crate) fn check_mesh(file: &Path) -> Result<(), String> {
+    let ending = mesh_ending(file)?;
     let mut start = Vec::new();
+    let found = std::fs::metadata(file).map_err(|error| error.to_string())?;
+    // Opening a pipe waits for its writer.
+    if !found.is_file() {
+        return Err("not a file: expected a mesh".to_owned());
+    }
+    let length = found.len();
     let opened = File::open(file).map_err(|error| error.to_string())?;
-    let length = opened.metadata().map_err(|error| error.to_string())?.len();
     opened.take(LOOKED_AT).read_to_end(&mut start).map_err(|error| error.to_string())?;
     if start.is_empty() {
         return Err("empty: expected a mesh".to_owned());
     }
-    let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
     let text = String::from_utf8_lossy(&start);
     let is_it = match ending.as_str() {
         "stl" => {
@@ -86,12 +97,11 @@ pub(crate) fn check_mesh(file: &Path) -> Result<(), String> {
             counted.is_some_and(|count| length == 84 + 50 * u64::from(count))
                 || (text.trim_start().starts_with("solid") && text.contains("facet"))
         }
-        "obj" => text.lines().any(|line| line.starts_with("v ")),
+        "obj" => text.lines().any(|line| line.split_whitespace().next() == Some("v")),
         "dae" => text.contains("<COLLADA"),
         "ply" => text.starts_with("ply"),
         "glb" => start.starts_with(b"glTF"),
-        "gltf" => text.trim_start().starts_with('{'),
-        _ => true,
+        _ => text.trim_start().starts_with('{'),
     };
     if is_it { Ok(()) } else { Err(format!("no {} file, or cut off: expected one whole", ending.to_uppercase())) }
 }

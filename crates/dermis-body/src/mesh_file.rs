@@ -19,11 +19,7 @@ use whole::read_whole;
 /// The file, or one that it refers to, cannot be read or is too large, its format is unknown, or its content is
 /// malformed. The message says what was expected.
 pub fn read_triangles(file: &Path) -> Result<Vec<[f32; 3]>, String> {
-    let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
-    if !["stl", "obj", "ply", "dae", "gltf", "glb"].contains(&ending.as_str()) {
-        let got = ending.to_uppercase();
-        return Err(format!("format {got:?}: expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB"));
-    }
+    let ending = mesh_ending(file)?;
     let bytes = read_whole(file)?;
     let corners = match ending.as_str() {
         "stl" => stl::read(&bytes)?,
@@ -36,6 +32,18 @@ pub fn read_triangles(file: &Path) -> Result<Vec<[f32; 3]>, String> {
         return Err("no triangles, or corners that are not finite: expected a mesh".to_owned());
     }
     Ok(corners)
+}
+
+/// The ending of a mesh file, in lower case.
+///
+/// # Errors
+/// A format that is not read.
+pub(crate) fn mesh_ending(file: &Path) -> Result<String, String> {
+    let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
+    if ["stl", "obj", "ply", "dae", "gltf", "glb"].contains(&ending.as_str()) {
+        return Ok(ending);
+    }
+    Err(format!("format {:?}: expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB", ending.to_uppercase()))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use dermis_learn::LearnError;
 use dermis_skin::FileError;
 use thiserror::Error;
 
@@ -96,8 +97,18 @@ pub enum Error {
     Equations(#[from] dermis_tomo::sparse::SparseError),
     /// An error in networks, their weights and training sets.
     #[error(transparent)]
-    Learn(#[from] dermis_learn::LearnError),
+    Learn(LearnError),
     /// An error in touch extraction.
     #[error("touches: {0}")]
     Touch(#[from] dermis_touch::TouchError),
+}
+
+impl From<LearnError> for Error {
+    /// A file of a network that could not be read is [`Error::Io`], like any other file.
+    fn from(error: LearnError) -> Self {
+        match error {
+            LearnError::Io { file, source } => Self::Io(FileError { file, source }),
+            other => Self::Learn(other),
+        }
+    }
 }

@@ -46,7 +46,7 @@ def work(name: str, count: int, seed: int) -> tuple[int, int, float, float]:
 
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or ["ionic-disc", "healing-square", "hydrogel-disc"]:
+    for name in sys.argv[1:] or ["ionic-disc", "healing-square", "hydrogel-disc", "piezo-disc"]:
         share = ENVIRONMENTS // PROCESSES
         with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
             results = pool.starmap(work, [(name, share, 100 * number) for number in range(PROCESSES)])

@@ -66,7 +66,7 @@ def test_point_sets_keep_the_strongest_and_pad_the_rest():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"time_s": [0, 2, 1]}, r"time_s\[2\] = 1 after 2"),
+        ({"time_s": [0, 2, 1]}, r"time_s\[2\] = 1\.0 after 2\.0"),
         ({"time_s": [0, np.nan, 1]}, r"time_s\[1\] = nan: expected finite"),
         ({"at_s": [np.inf]}, r"at_s\[0\] = inf"),
         ({"time_s": [0, 1]}, r"readings of shape \(3, 1\) with 2 times"),
@@ -86,7 +86,8 @@ def test_what_is_wrong_is_named(change, words):
 
 
 def test_point_sets_of_other_shapes_are_refused():
-    with pytest.raises(InputError, match="expected n x 6"):
-        lerobot.points(np.ones((2, 3)), 4)
+    for shape in [(2, 3), (1, 3), (2, 2, 6)]:
+        with pytest.raises(InputError, match="expected n x 6"):
+            lerobot.points(np.ones(shape), 4)
     with pytest.raises(InputError, match="most = 0"):
         lerobot.points(np.ones((2, 6)), 0)

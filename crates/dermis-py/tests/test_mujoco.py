@@ -10,7 +10,7 @@ import dermis
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed")
 
 import dermis.mujoco
-from dermis.errors import InputError, SkinError
+from dermis.errors import FileError, InputError, SkinError
 from dermis.mujoco import Patch, SkinSensor
 
 PLATE = """
@@ -238,6 +238,8 @@ def test_other_mistakes_are_named(liquid):
     model, data = scene()
     with pytest.raises(SkinError, match="patch 'a': .*nothing"):
         SkinSensor(model, data, Patch("a", "nothing", geom="plate"))
+    with pytest.raises(FileError, match="patch 'a': none.json: cannot read"):
+        SkinSensor(model, data, Patch("a", "ionic-disc", geom="plate", calibration="none.json"))
     with pytest.raises(InputError, match="model: expected a mujoco.MjModel, got str"):
         SkinSensor("arm.xml", data, Patch("a", liquid, geom="plate"))
     with pytest.raises(InputError, match="seed = -1"):

@@ -37,8 +37,9 @@ pub struct Recovered {
 /// Writes a complete recording to `to` from the readable parts of `from`, which is not changed.
 ///
 /// # Errors
-/// As for [`Recording::open`], and an I/O error if `to` exists or cannot be written.
+/// As for [`Recording::open`], and an I/O error if `to` exists or cannot be written. Recordings of bodies are refused.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
+    refuse_bodies(from)?;
     let mut recording = Recording::open(from)?;
     let mut frames = 0;
     while let Some(entry) = recording.next_entry()? {
@@ -68,6 +69,20 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
     copy.writer.finish().map_err(failed)?;
     copy.writer.into_inner().into_inner().complete().map_err(Error::io(to))?;
     Ok(Recovered { frames, messages, damage, stopped: recording.stopped().map(str::to_owned) })
+}
+
+/// Refuses the recording of a body, or one patch of it.
+fn refuse_bodies(from: &Path) -> Result<(), Error> {
+    let of_body = reader::of_body(from);
+    let file = of_body.as_ref().map_or(from, |(file, _)| file);
+    let mut input = BufReader::new(open_regular(file).map_err(Error::io(file))?);
+    let outline = Outline::read(&mut input).map_err(Error::io(file))?.unwrap_or_default();
+    let patches = outline.patches().join(", ");
+    if patches.is_empty() {
+        return Ok(());
+    }
+    let reason = format!("the recording of a body: expected one of a single skin; FILE/PATCH reads a patch: {patches}");
+    Err(dermis_live::Error::Content { file: file.to_path_buf(), field: "metadata".to_owned(), reason }.into())
 }
 
 /// A copy in progress. Schemas and channels get new numbers.

@@ -76,13 +76,18 @@ impl Outline {
         Ok(Some(outline))
     }
 
+    /// Names of the patches in the recording of a body; none in the recording of one skin.
+    pub(super) fn patches(&self) -> Vec<&str> {
+        let prefix = schema::name_of(RECORDING, Some(""));
+        self.metadata.keys().filter_map(|name| name.strip_prefix(&prefix)).collect()
+    }
+
     /// The outline of one patch of a body, as if it had been recorded alone. Without a patch nothing changes.
     ///
     /// # Errors
     /// No patch is named for a recording of a body, the named patch doesn't exist, or the recording isn't of a body.
     pub(super) fn of_patch(mut self, patch: Option<&str>) -> Result<Self, String> {
-        let prefix = schema::name_of(RECORDING, Some(""));
-        let patches: Vec<&str> = self.metadata.keys().filter_map(|name| name.strip_prefix(&prefix)).collect();
+        let patches = self.patches();
         let (is_body, known) = (!patches.is_empty(), patches.join(", "));
         let Some(patch) = patch else {
             let expected = || format!("the recording of a body: expected a patch of it, FILE/PATCH: {known}");

@@ -4,6 +4,7 @@
 
 mod dissection;
 mod lanes;
+mod local;
 mod multifrontal;
 mod substitution;
 
@@ -19,6 +20,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::linalg::{SupernodalThreshold, SymbolicSupernodalParams};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, MatMut, Par, Side};
+pub use local::LocalMemory;
 use multifrontal::Fronts;
 use substitution::{Rows, Supernodal, WIDTH};
 use thiserror::Error;
@@ -314,6 +316,20 @@ impl SpdStructure {
             MemStack::new(&mut buffer),
         );
     }
+
+    /// Solves for every column of `rhs` (size x n), which must be zero except in the rows of these unknowns. The
+    /// solution is only given in the same rows; the others stay zero.
+    pub fn solve_at(&self, factor: &SpdFactor, unknowns: &[u32], mut rhs: MatMut<'_, f64>, memory: &mut LocalMemory) {
+        let (SymbolicCholeskyRaw::Supernodal(symbolic), Some(order)) = (self.symbolic.raw(), self.symbolic.perm())
+        else {
+            self.solve_in_place(factor, rhs.as_mut());
+            let mut is_wanted = vec![false; self.size()];
+            unknowns.iter().for_each(|&unknown| is_wanted[unknown as usize] = true);
+            let others = is_wanted.iter().enumerate().filter(|(_, is_wanted)| !**is_wanted);
+            return others.for_each(|(row, _)| rhs.as_mut().row_mut(row).fill(0.0));
+        };
+        memory.solve(SupernodalLltRef::new(symbolic, &factor.values), order, unknowns, rhs);
+    }
 }
 
 #[cfg(test)]
@@ -337,6 +353,36 @@ mod tests {
             }
         }
         (coordinates, positions)
+    }
+
+    #[test]
+    fn solutions_at_a_few_unknowns_are_those_of_the_whole_system() {
+        let n = 12;
+        let (coordinates, edges) = grid(n);
+        let mut positions = edges.clone();
+        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
+        let (structure, slots) = SpdStructure::new(n * n, &positions, Ordering::Dissection(&coordinates)).unwrap();
+        let mut values = vec![0.0; structure.value_count()];
+        for (k, slot) in slots.iter().enumerate() {
+            values[*slot as usize] += if k < edges.len() { -1.0 } else { 1.001 };
+        }
+        let factor = structure.factor(&values).unwrap();
+        let (mut memory, columns) = (LocalMemory::default(), WIDTH + 3);
+        for unknowns in [&[0_u32][..], &[7, 60, 61, 143], &[100]] {
+            let mut whole = Mat::zeros(n * n, columns);
+            for (k, &unknown) in unknowns.iter().enumerate() {
+                (0..columns).for_each(|column| whole[(unknown as usize, column)] = (k + 2 * column + 1) as f64);
+            }
+            let mut local = whole.clone();
+            structure.solve_in_place(&factor, whole.as_mut());
+            structure.solve_at(&factor, unknowns, local.as_mut(), &mut memory);
+            for &unknown in unknowns {
+                for column in 0..columns {
+                    let (a, b) = (whole[(unknown as usize, column)], local[(unknown as usize, column)]);
+                    assert!((a - b).abs() < 1e-9 * a.abs(), "{unknown} {column}: {a} {b}");
+                }
+            }
+        }
     }
 
     #[test]

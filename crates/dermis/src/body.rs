@@ -23,7 +23,7 @@ pub use dermis_body::Patch;
 /// Shown with [`Patch`].
 pub use dermis_body::{DEMO_FILES, Transform};
 /// No example here: parts of a [`Body`](crate::Body), used by [`Patch`]'s example.
-pub use dermis_body::{JointValues, Kinematics};
+pub use dermis_body::{JointSource, JointValues, Kinematics};
 
 /// No example: a touch in space, as [`TouchInFrames`] holds it.
 pub use dermis_body::SpatialTouch;
@@ -60,7 +60,7 @@ pub use dermis_body::{ForceEstimate, Press};
 pub use crate::body_run::mount_pose;
 pub use crate::body_run::{
     BodyRunOptions, BodyWatch, JointSnapshot, JointsState, NetWrench, OpenPublisher, PatchHealth, PatchReport,
-    PatchState, StartingPatch, TouchInFrames,
+    PatchState, StartingPatch, TouchInFrames, check_patch_files,
 };
 
 /// ```

@@ -7,6 +7,7 @@ mod joints;
 mod line;
 mod loads;
 mod patch;
+mod patch_files;
 mod report;
 #[cfg(feature = "ros2")]
 mod ros2;
@@ -17,6 +18,7 @@ mod watch;
 pub use foxglove::mount_pose;
 pub use joints::{JointSnapshot, JointsState};
 pub use loads::NetWrench;
+pub use patch_files::check_patch_files;
 pub use report::{PatchHealth, PatchReport, PatchState, TouchInFrames};
 pub use run::{BodyRun, BodyRunOptions};
 pub use watch::{BodyWatch, OpenPublisher, StartingPatch};

@@ -60,7 +60,7 @@ pub enum Error {
     Body(#[from] BodyError),
     /// From a network, its weights or a training set.
     #[error(transparent)]
-    Learn(#[from] LearnError),
+    Learn(LearnError),
     /// From contacts and tracks.
     #[error("touches: {0}")]
     Touch(#[from] TouchError),
@@ -137,7 +137,7 @@ pub enum Error {
     #[error(transparent)]
     Ros2(#[from] dermis_record::ros2::Ros2Error),
     /// No patch of a body is left to run.
-    #[error("{body}: none of its {patches} patches can be started")]
+    #[error("{body}: no patch can be started, of {patches}")]
     NoPatch {
         /// Name of the body.
         body: String,
@@ -152,6 +152,12 @@ pub enum Error {
         /// Error from the operating system.
         source: std::io::Error,
     },
+}
+
+impl From<LearnError> for Error {
+    fn from(error: LearnError) -> Self {
+        LiveError::from(error).into()
+    }
 }
 
 impl From<LiveError> for Error {

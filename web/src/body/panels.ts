@@ -10,6 +10,9 @@ const PATCH_CELLS = 7;
 /** A slider that the user has moved keeps its value for this long, until the server reports the same value. */
 const HOLD_MS = 600;
 
+/** Longest list of meshes that is open at first. */
+const MOST_OPEN = 3;
+
 const find = <T extends HTMLElement = HTMLElement>(id: string) => document.getElementById(id) as T;
 const RANK = { ok: 0, stale: 1, stop: 2 };
 
@@ -38,7 +41,7 @@ export class Panels {
     write(find("body-name"), scene.body);
     document.title = `${scene.body} – dermis`;
     write(find("root-name"), scene.root);
-    write(find("not-drawn"), scene.not_drawn.join("; "));
+    this.listNotDrawn(scene.not_drawn);
     write(find("patch-count"), String(scene.patches.length));
     const twins = scene.patches.filter(({ running }) => running?.is_twin).length;
     const badge = document.createElement("span");
@@ -54,6 +57,15 @@ export class Panels {
     find("patches").replaceChildren(...this.patchRows.flatMap((row) => [row, problem()]));
     find("signed-legend").hidden = !scene.patches.some(({ running }) => (running?.range_hint?.[0] ?? 0) < 0);
     this.beginJoints(scene);
+  }
+
+  /** Lists the meshes that are not drawn; a long list opens on request, so that it leaves room for the robot. */
+  private listNotDrawn(reasons: string[]): void {
+    const list = find<HTMLDetailsElement>("not-drawn");
+    list.hidden = reasons.length === 0;
+    list.open = reasons.length <= MOST_OPEN;
+    write(list.querySelector("summary")!, `${reasons.length} ${reasons.length === 1 ? "mesh is" : "meshes are"} not drawn`);
+    list.querySelector("ul")!.replaceChildren(...reasons.map((reason) => Object.assign(document.createElement("li"), { textContent: reason })));
   }
 
   private beginJoints({ joints, sets_joints }: BodyScene): void {

@@ -25,7 +25,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<[f32; 3]>, String> {
         Some(scene) => reader.add_children(scene, &whole, 0, &mut placed)?,
         None => {
             for geometry in reader.all("geometry") {
-                placed.add(&reader.corners(geometry)?, &whole)?;
+                let corners = reader.corners(geometry, &mut placed)?;
+                placed.add(&corners, &whole)?;
             }
         }
     }
@@ -108,7 +109,8 @@ impl<'a, 'input> Reader<'a, 'input> {
                 }
                 "lookat" | "skew" => return Err(self.fault(child, "matrix, translate, rotate or scale")),
                 "instance_geometry" => {
-                    placed.add(&self.corners(self.target(child, "url", "geometry")?)?, &transform)?;
+                    let corners = self.corners(self.target(child, "url", "geometry")?, placed)?;
+                    placed.add(&corners, &transform)?;
                 }
                 "node" => self.add_children(child, &transform, depth + 1, placed)?,
                 "instance_node" => {
@@ -121,20 +123,25 @@ impl<'a, 'input> Reader<'a, 'input> {
     }
 
     /// Corners of the triangles of a geometry, in the file's unit.
-    fn corners(&self, geometry: Element<'a, 'input>) -> Result<Vec<[f32; 3]>, String> {
+    fn corners(&self, geometry: Element<'a, 'input>, placed: &mut Placed) -> Result<Vec<[f32; 3]>, String> {
         let mut corners = Vec::new();
         for mesh in self.children(geometry, "mesh") {
             for primitive in mesh.children().filter(Node::is_element) {
                 let name = primitive.tag_name().name();
                 if ["triangles", "polylist", "polygons", "tristrips", "trifans"].contains(&name) {
-                    self.add_primitive(primitive, &mut corners)?;
+                    self.add_primitive(primitive, &mut corners, placed)?;
                 }
             }
         }
         Ok(corners)
     }
 
-    fn add_primitive(&self, primitive: Element<'a, 'input>, corners: &mut Vec<[f32; 3]>) -> Result<(), String> {
+    fn add_primitive(
+        &self,
+        primitive: Element<'a, 'input>,
+        corners: &mut Vec<[f32; 3]>,
+        placed: &mut Placed,
+    ) -> Result<(), String> {
         let inputs: Vec<_> = self.children(primitive, "input").collect();
         let offset =
             |input: &Element<'a, 'input>| input.attribute("offset").and_then(|text| text.parse::<usize>().ok());
@@ -143,10 +150,15 @@ impl<'a, 'input> Reader<'a, 'input> {
         let vertex = inputs.iter().find(|input| input.attribute("semantic") == Some("VERTEX"));
         let vertex = vertex.ok_or_else(|| self.fault(primitive, "an input VERTEX"))?;
         let points = self.positions(self.target(*vertex, "source", "vertices")?)?;
+        placed.read(3 * points.len())?;
         let first = offset(vertex).unwrap_or(0);
         for list in self.children(primitive, "p") {
             let numbers = self.numbers(list)?;
-            let point = |of_corner: &[f64]| points.get(of_corner[first] as usize).copied();
+            placed.read(numbers.len())?;
+            let point = |of_corner: &[f64]| {
+                let index = Some(of_corner[first]).filter(|index| *index >= 0.0)?;
+                points.get(index as usize).copied()
+            };
             let drawn: Option<Vec<[f32; 3]>> = numbers.chunks_exact(stride).map(point).collect();
             let drawn = drawn.ok_or_else(|| self.fault(list, "indices of known vertices"))?;
             match primitive.tag_name().name() {

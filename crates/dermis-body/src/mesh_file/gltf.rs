@@ -179,7 +179,10 @@ fn percent_decoded(uri: &str) -> String {
     while let [first, others @ ..] = rest {
         let two = others.get(..2).filter(|_| *first == b'%').and_then(|two| std::str::from_utf8(two).ok());
         match two.and_then(|two| u8::from_str_radix(two, 16).ok()) {
-            Some(byte) => (decoded, rest) = ([decoded, vec![byte]].concat(), &others[2..]),
+            Some(byte) => {
+                decoded.push(byte);
+                rest = &others[2..];
+            }
             None => {
                 decoded.push(*first);
                 rest = others;
@@ -222,27 +225,30 @@ impl Reader<'_> {
         if let Some(mesh) = node.mesh {
             let unknown = || format!("mesh {mesh}: expected a known one");
             for primitive in &self.document.meshes.get(mesh).ok_or_else(unknown)?.primitives {
-                let corners = self.corners(primitive).map_err(|reason| format!("mesh {mesh}: {reason}"))?;
+                let corners = self.corners(primitive, placed).map_err(|reason| format!("mesh {mesh}: {reason}"))?;
                 placed.add(&corners, &transform)?;
             }
         }
         node.children.iter().try_for_each(|child| self.add_node(*child, &transform, depth + 1, placed))
     }
 
-    fn corners(&self, primitive: &Primitive) -> Result<Vec<[f32; 3]>, String> {
+    fn corners(&self, primitive: &Primitive, placed: &mut Placed) -> Result<Vec<[f32; 3]>, String> {
         if ![TRIANGLES, STRIP, FAN].contains(&primitive.mode) {
             // Points and lines.
             return Ok(Vec::new());
         }
         let position = primitive.attributes.get("POSITION").ok_or("expected positions")?;
         let numbers = self.numbers(*position, "VEC3")?;
+        placed.read(numbers.len())?;
         let points: Vec<[f32; 3]> =
             numbers.chunks_exact(3).map(|xyz| [xyz[0], xyz[1], xyz[2]].map(|v| v as f32)).collect();
         let corners = match primitive.indices {
             None => points,
             Some(indices) => {
                 let point = |index: &f64| points.get(*index as usize).copied();
-                let corners: Option<Vec<_>> = self.numbers(indices, "SCALAR")?.iter().map(point).collect();
+                let numbers = self.numbers(indices, "SCALAR")?;
+                placed.read(numbers.len())?;
+                let corners: Option<Vec<_>> = numbers.iter().map(point).collect();
                 corners.ok_or("expected indices of known vertices")?
             }
         };

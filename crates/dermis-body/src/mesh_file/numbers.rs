@@ -2,6 +2,8 @@
 
 /// Maximum number of corners in one file, three per triangle. A small file may instance one mesh many times.
 const MOST_CORNERS: usize = 12_000_000;
+/// Maximum number of numbers read for one file. A mesh that is instanced many times is read as often.
+const MOST_NUMBERS: usize = 20 * MOST_CORNERS;
 /// Maximum number of nodes in a scene, and their maximum nesting depth.
 const MOST_NODES: usize = 100_000;
 const MOST_DEPTH: usize = 64;
@@ -55,6 +57,7 @@ impl Affine {
 pub(super) struct Placed {
     pub corners: Vec<[f32; 3]>,
     nodes: usize,
+    numbers: usize,
 }
 
 impl Placed {
@@ -66,6 +69,18 @@ impl Placed {
         self.nodes += 1;
         if depth > MOST_DEPTH || self.nodes > MOST_NODES {
             return Err(format!("expected at most {MOST_NODES} nodes, nested at most {MOST_DEPTH} deep"));
+        }
+        Ok(())
+    }
+
+    /// Counts numbers that have been read.
+    ///
+    /// # Errors
+    /// More than a file may have, as in one that uses the same large mesh very often.
+    pub fn read(&mut self, numbers: usize) -> Result<(), String> {
+        self.numbers = self.numbers.saturating_add(numbers);
+        if self.numbers > MOST_NUMBERS {
+            return Err(format!("expected at most {MOST_NUMBERS} numbers, each counted as often as it is used"));
         }
         Ok(())
     }

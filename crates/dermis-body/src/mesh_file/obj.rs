@@ -11,9 +11,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<[f32; 3]>, String> {
     let (mut vertices, mut corners) = (Vec::new(), Vec::new());
     for (index, line) in text.lines().enumerate() {
         let fault = |expected: &str| format!("line {}: expected {expected}", index + 1);
-        if let Some(numbers) = line.strip_prefix("v ") {
-            vertices.push(three_numbers(numbers).ok_or_else(|| fault("v X Y Z"))?);
-        } else if let Some(words) = line.strip_prefix("f ") {
+        let (kind, words) = line.trim_start().split_once(char::is_whitespace).unwrap_or_default();
+        if kind == "v" {
+            vertices.push(three_numbers(words).ok_or_else(|| fault("v X Y Z"))?);
+        } else if kind == "f" {
             // Vertices count from 1; negative numbers count back from the newest.
             let vertex = |word: &str| -> Option<[f32; 3]> {
                 let number: i64 = word.split('/').next()?.parse().ok()?;

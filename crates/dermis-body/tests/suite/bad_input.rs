@@ -79,7 +79,7 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
         ),
         (
             joint("type=\"revolute\"", "type=\"floating\""),
-            "arm.toml, line 6: patch palm: link = hand: expected a link reached through joints with one value each; wrist has several",
+            "arm.toml, line 6: patch palm: link = \"hand\": expected a link reached through joints with one value each; wrist has several",
         ),
         ("<!DOCTYPE r [<!ENTITY a \"aaaa\">]><robot/>".to_owned(), "arm.urdf, line 1: not XML"),
         (joint("filename=", "file="), "arm.urdf, line 3: <mesh> without filename"),
@@ -96,20 +96,28 @@ fn what_is_wrong_with_a_body_is_told_with_its_line() {
     let cases = [
         (
             body("link = \"hand\"", "link = \"hnd\""),
-            "arm.toml, line 6: patch palm: link = hnd: expected a link of the robot: base, hand",
+            "arm.toml, line 6: patch palm: link = \"hnd\": expected a link of the robot: base, hand",
         ),
         (body("link = \"hand\"\n", ""), "arm.toml, line 4: patch palm: link = left out: expected a link of the robot"),
         (body("link = \"hand\"", "lnk = \"hand\""), "unknown field `lnk`"),
         (body("urdf = \"arm.urdf\"", "urdf = \"leg.urdf\""), "arm.toml, line 1: urdf = leg.urdf: expected a URDF file"),
         (body("urdf = \"arm.urdf\"", ""), "(there is no urdf)"),
         (body("healing-square", "no-such-skin"), "arm.toml, line 5: patch palm: skin"),
-        (body("\"palm\"", "\"pal m\""), "arm.toml, line 4: patch.name = pal m: expected a name of"),
+        (body("\"palm\"", "\"pal m\""), "arm.toml, line 4: patch.name = \"pal m\": expected a name of"),
         (format!("{BODY}xyz_mm = [1, 2]\n"), "arm.toml: TOML parse error at line 7"),
         (format!("{BODY}xyz_mm = [1, 2, nan]\n"), "arm.toml, line 7: patch palm: xyz_mm = NaN: expected three numbers"),
         (format!("{BODY}rpy_deg = [0, 0, 3600]\n"), "arm.toml, line 7: patch palm: rpy_deg = 3600"),
         (
             format!("{BODY}{}", &BODY[BODY.find("\n[[").unwrap()..]),
-            "arm.toml, line 9: patch.name = palm: expected a name that no other patch has, unlike line 4",
+            "arm.toml, line 9: patch.name = \"palm\": expected a name that no other patch has; line 4 has the same",
+        ),
+        (
+            format!("joints.source = \"tcp:robot\"\n{BODY}"),
+            "arm.toml, line 1: joints.source = tcp:robot: expected - (standard input), tcp:HOST:PORT",
+        ),
+        (
+            format!("joints.source = \"none.jsonl\"\n{BODY}"),
+            "arm.toml, line 1: joints.source = none.jsonl: expected - (standard input), tcp:HOST:PORT",
         ),
         ("urdf = \"arm.urdf\"\n".to_owned(), "arm.toml: no [[patch]]"),
         (
@@ -164,6 +172,11 @@ fn meshes_are_found_in_packages_and_looked_into() {
     binary.extend([0; 50]);
     std::fs::write(folder.path().join("meshes/hand.stl"), &binary).unwrap();
     assert_eq!(problems(&with_package), Vec::<String>::new());
+    std::fs::rename(folder.path().join("meshes/hand.stl"), folder.path().join("meshes/hand.3ds")).unwrap();
+    write(folder.path(), &ARM.replace("hand.stl", "hand.3ds"), &with_package);
+    let (_, old) = Body::examine(&folder.path().join("arm.toml")).unwrap();
+    assert!(old[0].only_drawn && old[0].error.to_string().contains("format \"3DS\": expected STL"), "{old:?}");
+    std::fs::rename(folder.path().join("meshes/hand.3ds"), folder.path().join("meshes/hand.stl")).unwrap();
     // A folder with the package's name next to the robot is found without being specified.
     std::fs::rename(folder.path().join("meshes"), folder.path().join("arm")).unwrap();
     assert_eq!(problems(BODY), Vec::<String>::new());

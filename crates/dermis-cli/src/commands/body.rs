@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use dermis::body::check_patch_files;
 use dermis_body::{Assigned, Body, DEMO_FILES, JointValues, Problem};
 use dermis_device::write_atomic;
 use dermis_skin::FileError;
@@ -102,8 +103,9 @@ fn check(file: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         None => "no urdf".to_owned(),
     };
     let moving: Vec<&str> = kinematics.moving_joints().collect();
-    let links = kinematics.link_names().count();
-    writeln!(out, "{}: {robot}, {links} links, {} joints that move", body.name, moving.len())?;
+    let links = counted(kinematics.link_names().count(), "link", "links");
+    let joints = counted(moving.len(), "moving joint", "moving joints");
+    writeln!(out, "{}: {robot}, {links}, {joints}", body.name)?;
     let needed: Vec<&str> = body.needed_joints().into_iter().collect();
     if !needed.is_empty() {
         writeln!(out, "patches depend on {}", needed.join(", "))?;
@@ -119,13 +121,25 @@ fn check(file: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         }
         writeln!(out)?;
     }
+    let mut texts: Vec<String> = Vec::new();
     for Problem { error, only_drawn } in &problems {
-        let kind = if *only_drawn { "not drawn" } else { "problem" };
-        writeln!(out, "{kind}: {error}")?;
+        texts.push(format!("{}: {error}", if *only_drawn { "not drawn" } else { "problem" }));
     }
-    let count = problems.len();
-    writeln!(out, "{} patches, {count} {}", body.patches.len(), if count == 1 { "problem" } else { "problems" })?;
-    Ok(if problems.is_empty() { Outcome::Done } else { Outcome::ProblemsFound })
+    for patch in &body.patches {
+        if let Err(error) = check_patch_files(&body, patch) {
+            texts.push(format!("problem: {}, line {}: patch {}: {error}", file.display(), patch.line, patch.name));
+        }
+    }
+    for text in &texts {
+        writeln!(out, "{text}")?;
+    }
+    let patches = counted(body.patches.len(), "patch", "patches");
+    writeln!(out, "{patches}, {}", counted(texts.len(), "problem", "problems"))?;
+    Ok(if texts.is_empty() { Outcome::Done } else { Outcome::ProblemsFound })
+}
+
+fn counted(count: usize, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
 }
 
 fn draw(
@@ -165,6 +179,9 @@ fn posture(body: &Body, asked: &[(String, f64)]) -> anyhow::Result<JointValues> 
 }
 
 fn demo(folder: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    if folder.is_file() {
+        return Err(UsageError(format!("{}: a file; expected a folder", folder.display())).into());
+    }
     std::fs::create_dir_all(folder)
         .map_err(|source| dermis_live::Error::Io(FileError { file: folder.to_path_buf(), source }))?;
     for (name, _) in DEMO_FILES {

@@ -20,6 +20,7 @@ use std::time::Duration;
 use crate::page::{Binding, PageOptions, Request, Token};
 use crossbeam_channel::Receiver;
 use dermis::body::BodyRunOptions;
+use dermis_body::JointSource;
 use dermis_device::acquire::Acquisition;
 use dermis_device::{Frame, HostStamp};
 use dermis_learn::Model;
@@ -99,7 +100,7 @@ pub struct Arguments {
     /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, ros2:/TOPIC (JointState), a
     /// file of such lines, sweep (a demonstration), or page (sliders on the page, also used if there is no source).
     #[arg(long, value_name = "SOURCE")]
-    joints: Option<String>,
+    joints: Option<JointSource>,
     /// Run the other patches of a body if one can't be started.
     #[arg(long)]
     keep_going: bool,
@@ -117,6 +118,7 @@ pub struct Arguments {
 impl Arguments {
     /// Runs until the source ends, the requested frames are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        self.viewers.check()?;
         if let Some(file) = self.input.body_file()? {
             return self.run_body(&file, out);
         }

@@ -112,6 +112,13 @@ fn touches_of_two_patches_come_in_every_frame_and_replay_from_one_recording() {
     let whole = run(desk.path(), &["--source", "arm.mcap", "--headless"]);
     assert_eq!(whole.status.code(), Some(2));
     assert!(message(&whole).contains("expected a patch of it, FILE/PATCH: chest, outer"), "{}", message(&whole));
+    for recording in ["arm.mcap", "arm.mcap/outer"] {
+        let mut recover = Command::new(env!("CARGO_BIN_EXE_dermis"));
+        let refused = recover.args(["recover", recording, "--out", "new.mcap"]).current_dir(desk.path()).output();
+        let refused = refused.expect("the command starts");
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(message(&refused).contains("arm.mcap: metadata: the recording of a body"), "{}", message(&refused));
+    }
 }
 
 #[test]
@@ -164,7 +171,7 @@ fn bodies_are_checked_drawn_and_demonstrated() {
     assert_eq!(checked.status.code(), Some(1));
     let text = String::from_utf8_lossy(&checked.stdout).into_owned();
     assert!(
-        text.contains("arm.toml, line 16: patch chest: link = trunk: expected a link of the robot: base, forearm"),
+        text.contains("arm.toml, line 16: patch chest: link = \"trunk\": expected a link of the robot: base, forearm"),
         "{text}"
     );
     assert!(
@@ -173,6 +180,21 @@ fn bodies_are_checked_drawn_and_demonstrated() {
     );
     let refused = run(desk.path(), &["arm.toml", "--headless", "--frames", "1"]);
     assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));
+
+    for (key, expected) in [
+        ("calibration = \"none.json\"", "arm.toml, line 14: patch chest: none.json: cannot read"),
+        ("forces = \"arm.urdf\"", "arm.toml, line 14: patch chest: arm.urdf: line 1, column 1"),
+        ("baseline = \"none.csv\"", "arm.toml, line 14: patch chest: none.csv: cannot read"),
+        ("source = \"none.csv\"", "arm.toml, line 14: patch chest: none.csv: "),
+        ("source = \"usb:3\"", "arm.toml, line 14: patch chest: 'usb:3': expected file:PATH"),
+    ] {
+        std::fs::write(desk.path().join("files.toml"), format!("{BODY}{key}\n")).expect("a file");
+        let checked = body(desk.path(), &["check", "files.toml"]);
+        let text = String::from_utf8_lossy(&checked.stdout).into_owned();
+        assert_eq!(checked.status.code(), Some(1), "{text}");
+        assert!(text.contains(&expected.replace("arm.toml", "files.toml")), "{text}\nexpected {expected}");
+        assert!(text.contains("2 patches, 1 problem"), "{text}");
+    }
 
     assert_eq!(body(desk.path(), &["demo", "demo"]).status.code(), Some(0));
     assert_eq!(body(desk.path(), &["demo", "demo"]).status.code(), Some(2), "nothing is overwritten");
@@ -196,6 +218,7 @@ fn options_of_single_skins_are_refused_with_a_body_and_the_other_way_round() {
         (&["arm.toml", "--headless", "--speed", "-1"], "--speed -1: expected"),
         (&["healing-square", "--headless", "--joints", "-"], "expected a body file"),
         (&["arm.toml", "--headless", "--joints", "no.jsonl"], "joint values from no.jsonl"),
+        (&["arm.toml", "--headless", "--joints", "tcp:robot"], "'tcp:robot' for '--joints <SOURCE>'"),
         (&["arm.toml", "--headless", "--joints", "page"], "expected another source with --headless"),
         (&["arm.toml", "--model", "x.json"], "--model: only for single skins"),
     ] {

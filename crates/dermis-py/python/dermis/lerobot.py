@@ -100,7 +100,7 @@ def windows(
     if len(back):
         n = int(back[0]) + 1
         raise _input_error(
-            f"time_s[{n}] = {times[n]:.9g} after {times[n - 1]:.9g}: expected times that do not decrease"
+            f"time_s[{n}] = {float(times[n])!r} after {float(times[n - 1])!r}: expected times that do not decrease"
         )
     edges = moments[:, None] - np.arange(slots, -1, -1) / rate_hz
     # Count the frames up to each edge. The last one before the end of a slot belongs to it, if it lies after its
@@ -133,9 +133,10 @@ def points(touches: ArrayLike, most: int) -> NDArray[np.float64]:
     InputError
         The shape is not n x 6, or the size is not positive.
     """
-    rows = np.asarray(touches, dtype=np.float64).reshape(-1, 6) if np.size(touches) else np.zeros((0, 6))
-    if np.size(touches) and np.asarray(touches).shape[-1:] != (6,):
-        raise _input_error(f"touches of shape {np.shape(touches)}: expected n x 6: x, y, z, fx, fy, fz")
+    given = np.asarray(touches, dtype=np.float64)
+    if given.size and (given.ndim > 2 or given.shape[-1:] != (6,)):
+        raise _input_error(f"touches of shape {given.shape}: expected n x 6: x, y, z, fx, fy, fz")
+    rows = given.reshape(-1, 6)
     if not (isinstance(most, (int, np.integer)) and most > 0):
         raise _input_error(f"most = {most!r}: expected a whole number above 0")
     force = np.nan_to_num(np.linalg.norm(rows[:, 3:], axis=1), nan=-1.0)

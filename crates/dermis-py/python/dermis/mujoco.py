@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._dermis import Calibration, Model, Skin
 from .contacts import Carried, SimulatedSkin, SkinReading, SpatialTouches, carried, spatial
-from .errors import InputError, SkinError
+from .errors import FileError, InputError, SkinError
 
 __all__ = ["Patch", "SkinSensor"]
 
@@ -105,7 +105,7 @@ class _Mounted:
                 calibration=patch.calibration,
                 forces=patch.forces,
             )
-        except (InputError, SkinError) as error:
+        except (FileError, InputError, SkinError) as error:
             raise type(error)(f"{where}{error}") from error
         self.frames, self.due_s = 0, 0.0
         self.reading: SkinReading | None = None

@@ -35,7 +35,7 @@ impl Supernodal<'_> {
     }
 
     #[inline(always)]
-    fn forward<const W: usize>(&self, supernode: usize, x: &mut [[f64; W]]) {
+    pub(super) fn forward<const W: usize>(&self, supernode: usize, x: &mut [[f64; W]]) {
         let node = self.factor.supernode(supernode);
         let (start, columns) = (node.start(), node.val().ncols());
         for column in 0..columns {
@@ -52,7 +52,7 @@ impl Supernodal<'_> {
     }
 
     #[inline(always)]
-    fn backward<const W: usize>(&self, supernode: usize, x: &mut [[f64; W]], below: &mut Vec<[f64; W]>) {
+    pub(super) fn backward<const W: usize>(&self, supernode: usize, x: &mut [[f64; W]], below: &mut Vec<[f64; W]>) {
         let node = self.factor.supernode(supernode);
         let (start, columns) = (node.start(), node.val().ncols());
         below.clear();

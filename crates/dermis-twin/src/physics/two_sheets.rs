@@ -12,7 +12,7 @@ mod copper;
 use std::collections::HashMap;
 
 use dermis_tomo::mesh::{self, ElectrodedMesh, SlitEdge};
-use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
+use dermis_tomo::sparse::{LocalMemory, Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, MatRef, Side};
 
@@ -69,6 +69,9 @@ pub struct TwoSheets {
     impedance: Mat<f64>,
     load: Vec<f64>,
     touching: Vec<u32>,
+    /// Unknowns at which `fields` may differ from zero.
+    solved_at: Vec<u32>,
+    memory: LocalMemory,
 }
 
 /// Addition of paths to the system `K u = r`: an element on the slit's side has the potential `u + w` at the path's
@@ -131,7 +134,10 @@ impl TwoSheets {
         let joints: Vec<(SlitEdge, f64)> = slits.iter().map(|&edge| (edge, 0.0)).collect();
         entries.extend(joints.iter().flat_map(|joint| joint_entries(joint, &positions)).map(|entry| entry.0));
         let coordinates = coordinates(body, &positions);
-        let (structure, slots) = SpdStructure::new(size, &entries, Ordering::Dissection(&coordinates))?;
+        // Sources at electrodes then take part near the end of the elimination only.
+        let last: Vec<u32> = (nodes as u32..size as u32).collect();
+        let ordering = Ordering::DissectionWithLast(&coordinates, &last);
+        let (structure, slots) = SpdStructure::new(size, &entries, ordering)?;
         let (element_slots, other_slots) = slots.split_at(6 * triangles.len());
         let (contact_slots, joint_slots) = other_slots.split_at(contacts.len());
         let element_slots = element_slots.chunks_exact(6).map(|c| [c[0], c[1], c[2], c[3], c[4], c[5]]).collect();
@@ -152,6 +158,8 @@ impl TwoSheets {
             exchange: Vec::new(),
             spread: Mat::zeros(electrodes - 1, nodes),
             touching: Vec::new(),
+            solved_at: Vec::new(),
+            memory: LocalMemory::default(),
             impedance: Mat::zeros(electrodes, electrodes),
             load: vec![0.0; nodes],
             copper: None,
@@ -278,7 +286,9 @@ impl TwoSheets {
         }
         self.assemble_contact(contact_s_per_m2);
         self.structure.refactor(&self.values, &mut self.factor)?;
-        self.fields.fill(0.0);
+        for unknown in self.solved_at.drain(..) {
+            self.fields.as_mut().col_mut(unknown as usize).fill(0.0);
+        }
         for electrode in 0..electrodes {
             self.fields[(electrode, nodes + electrode)] = 1.0;
         }
@@ -286,9 +296,15 @@ impl TwoSheets {
             self.fields[(electrodes, node as usize)] = self.load[node as usize];
         }
         let solved = if self.touching.is_empty() { electrodes } else { electrodes + 1 };
-        self.structure.solve_in_place(&self.factor, self.fields.as_mut().subrows_mut(0, solved).transpose_mut());
+        let right = self.fields.as_mut().subrows_mut(0, solved).transpose_mut();
         if self.second.count > 0 {
+            self.solved_at.extend(0..self.structure.size() as u32);
+            self.structure.solve_in_place(&self.factor, right);
             self.open_paths(contact_s_per_m2, solved)?;
+        } else {
+            // The fields are read at touching nodes and electrodes only.
+            self.solved_at.extend(self.touching.iter().copied().chain((nodes as u32..).take(electrodes)));
+            self.structure.solve_at(&self.factor, &self.solved_at, right, &mut self.memory);
         }
         for row in 0..electrodes {
             for column in 0..electrodes {

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use dermis_body::joint_lines::{MOST_LINE_BYTES, take_line};
-use dermis_body::{Assigned, Body, JointValues};
+use dermis_body::{Assigned, Body, JointSource, JointValues};
 use dermis_device::HostStamp;
 
 use crate::error::Error;
@@ -24,11 +24,10 @@ const MOST_UNKNOWN: usize = 8;
 /// Polling interval of a ROS 2 topic.
 #[cfg(feature = "ros2")]
 const TOPIC_NAP: Duration = Duration::from_millis(2);
+/// Minimum interval between problems in the log: a robot may send a thousand faulty lines a second.
+const LOG_EVERY: Duration = Duration::from_secs(10);
 /// Delay before reconnecting a lost socket.
 const RETRY: Duration = Duration::from_millis(500);
-
-/// Prefix of a source that is a ROS 2 topic.
-const ROS2: &str = "ros2:";
 
 /// The newest joint values.
 ///
@@ -76,6 +75,27 @@ struct Told {
     problem: Option<String>,
     /// Joints in the source that the robot does not have.
     unknown: BTreeSet<String>,
+    /// Time of the last problem in the log.
+    logged: Option<Instant>,
+}
+
+impl Told {
+    /// Stores a problem, and logs it if the last one in the log is old enough.
+    fn report(&mut self, problem: String) {
+        if self.logged.is_none_or(|logged| logged.elapsed() >= LOG_EVERY) {
+            tracing::warn!("joint values: {problem}");
+            self.logged = Some(Instant::now());
+        }
+        self.problem = Some(problem);
+    }
+
+    /// Notes a joint that the robot does not have, and logs it once.
+    fn note_unknown(&mut self, joint: String, source: &str) {
+        if self.unknown.len() < MOST_UNKNOWN && !self.unknown.contains(&joint) {
+            tracing::warn!("joint values: {source}: the robot has no joint {joint:?}");
+            self.unknown.insert(joint);
+        }
+    }
 }
 
 /// Kind of source.
@@ -100,43 +120,43 @@ pub struct JointFeed {
 }
 
 impl JointFeed {
-    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `ros2:/TOPIC`, `sweep` (a demonstration: every joint
-    /// moves back and forth between its limits), `page` (set by [`JointFeed::set`]) or a file of lines, played at the
-    /// pace of their `time_s`. Without a source the joints stay at `joints.at` or, where that is missing, at rest.
+    /// Opens a source. Without one, the joints stay at `joints.at` or, where that is missing, at rest.
     ///
     /// # Errors
     /// The file or topic cannot be opened.
-    pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, Error> {
-        let (kind, values) = match source {
-            None => (Kind::Fixed, rest_where_unknown(body, &body.first_joints)),
-            Some("sweep") => (Kind::Sweep, rest_where_unknown(body, &body.first_joints)),
-            Some("page") => (Kind::Page, rest_where_unknown(body, &body.first_joints)),
-            Some(text) if text.starts_with(ROS2) => (Kind::Ros2, body.first_joints.clone()),
-            Some(_) => (Kind::Lines, body.first_joints.clone()),
+    pub fn open(body: &Arc<Body>, source: Option<&JointSource>, stop: &Arc<AtomicBool>) -> Result<Self, Error> {
+        let kind = match source {
+            None => Kind::Fixed,
+            Some(JointSource::Sweep) => Kind::Sweep,
+            Some(JointSource::Page) => Kind::Page,
+            Some(JointSource::Ros2(_)) => Kind::Ros2,
+            Some(JointSource::Input | JointSource::Tcp(_) | JointSource::File(_)) => Kind::Lines,
         };
-        let told = Told { values, at_ns: None, problem: None, unknown: BTreeSet::new() };
+        let values = match kind {
+            Kind::Fixed | Kind::Sweep | Kind::Page => rest_where_unknown(body, &body.first_joints),
+            Kind::Lines | Kind::Ros2 => body.first_joints.clone(),
+        };
+        let told = Told { values, at_ns: None, problem: None, unknown: BTreeSet::new(), logged: None };
         let feed = Self { body: body.clone(), kind, told: Arc::new(Mutex::new(told)), begun: Instant::now() };
-        let reads = matches!(feed.kind, Kind::Lines | Kind::Ros2);
-        let Some(source) = source.filter(|_| reads) else { return Ok(feed) };
-        let (reader, name, stop) = (feed.clone(), source.to_owned(), stop.clone());
-        if let Some(topic) = source.strip_prefix(ROS2) {
-            return reader.subscribe(topic, stop).map(|()| feed);
-        }
-        let work: Box<dyn FnOnce() + Send> = match source.strip_prefix("tcp:") {
-            Some(address) => {
-                let address = address.to_owned();
+        let Some(source) = source else { return Ok(feed) };
+        let name = if *source == JointSource::Input { "standard input".to_owned() } else { source.to_string() };
+        let (reader, stop) = (feed.clone(), stop.clone());
+        let work: Box<dyn FnOnce() + Send> = match source {
+            JointSource::Sweep | JointSource::Page => return Ok(feed),
+            JointSource::Ros2(topic) => return reader.subscribe(topic, stop).map(|()| feed),
+            JointSource::Tcp(address) => {
+                let address = address.clone();
                 Box::new(move || reader.follow_socket(&address, &stop))
             }
-            None if source == "-" => Box::new(move || reader.follow(BufReader::new(io::stdin()), false, &name, &stop)),
-            None => {
-                let file = File::open(source);
-                let file = file.map_err(|error| Error::Joints { name: name.clone(), source: error })?;
+            JointSource::Input => Box::new(move || reader.follow(BufReader::new(io::stdin()), false, &name, &stop)),
+            JointSource::File(path) => {
+                let file = File::open(path).map_err(|error| Error::Joints { name: name.clone(), source: error })?;
                 Box::new(move || reader.follow(BufReader::new(file), true, &name, &stop))
             }
         };
         let thread = std::thread::Builder::new().name("dermis-joints".to_owned()).spawn(work);
         // The thread ends with the process or its source, since standard input cannot be interrupted.
-        thread.map_err(|error| Error::Joints { name: source.to_owned(), source: error })?;
+        thread.map_err(|error| Error::Joints { name: source.to_string(), source: error })?;
         Ok(feed)
     }
 
@@ -206,7 +226,7 @@ impl JointFeed {
     /// Follows a ROS 2 topic.
     #[cfg(feature = "ros2")]
     fn subscribe(self, topic: &str, stop: Arc<AtomicBool>) -> Result<(), Error> {
-        let name = format!("{ROS2}{topic}");
+        let name = format!("ros2:{topic}");
         let mut reader = dermis_record::ros2::JointReader::open(topic)?;
         let failed = |source| Error::Joints { name: name.clone(), source };
         let (there, thread) = (name.clone(), std::thread::Builder::new().name("dermis-joints".to_owned()));
@@ -214,7 +234,7 @@ impl JointFeed {
             while !stop.load(Ordering::Relaxed) {
                 match reader.take() {
                     Some(Ok(joints)) => self.assign(&joints, &there),
-                    Some(Err(expected)) => self.told().problem = Some(format!("{there}: {expected}")),
+                    Some(Err(expected)) => self.told().report(format!("{there}: {expected}")),
                     None => std::thread::sleep(TOPIC_NAP),
                 }
             }
@@ -225,8 +245,9 @@ impl JointFeed {
     /// Fails: built without ROS 2.
     #[cfg(not(feature = "ros2"))]
     fn subscribe(self, topic: &str, _stop: Arc<AtomicBool>) -> Result<(), Error> {
-        let source = io::Error::other("this dermis was built without the feature ros2");
-        Err(Error::Joints { name: format!("{ROS2}{topic}"), source })
+        let text = "this dermis was built without ROS 2; expected one built with `--features ros2`";
+        let source = io::Error::new(io::ErrorKind::InvalidInput, text);
+        Err(Error::Joints { name: format!("ros2:{topic}"), source })
     }
 
     /// Stores joint values, radians or metres.
@@ -236,11 +257,9 @@ impl JointFeed {
         told.problem = None;
         for (joint, value) in joints {
             match self.body.kinematics.assign(&mut told.values, joint, *value) {
-                Ok(Assigned::Unknown) if told.unknown.len() < MOST_UNKNOWN => {
-                    told.unknown.insert(joint.clone());
-                }
+                Ok(Assigned::Unknown) => told.note_unknown(joint.clone(), name),
                 Ok(_) => {}
-                Err(error) => told.problem = Some(format!("{name}: {error}")),
+                Err(error) => told.report(format!("{name}: {error}")),
             }
         }
         if told.problem.is_none() {
@@ -271,7 +290,7 @@ impl JointFeed {
                     self.told().problem = None;
                     self.follow(BufReader::new(stream), false, &format!("tcp:{address}"), stop);
                 }
-                Err(error) => self.told().problem = Some(format!("tcp:{address}: {error}")),
+                Err(error) => self.told().report(format!("tcp:{address}: {error}")),
             }
             std::thread::sleep(RETRY);
         }
@@ -286,13 +305,13 @@ impl JointFeed {
             number += 1;
             match (&mut input).take(MOST_LINE_BYTES as u64 + 1).read_until(b'\n', &mut line) {
                 Ok(0) => {
-                    self.told().problem = Some(format!("{name} has ended after {} lines", number - 1));
+                    self.told().report(format!("{name} has ended after {} lines", number - 1));
                     return;
                 }
                 Ok(_) if line.trim_ascii().is_empty() => continue,
                 Ok(_) => {}
                 Err(error) => {
-                    self.told().problem = Some(format!("{name}: {error}"));
+                    self.told().report(format!("{name}: {error}"));
                     return;
                 }
             }
@@ -312,10 +331,9 @@ impl JointFeed {
                     told.values = values;
                     told.problem = None;
                     told.at_ns = Some(HostStamp::now().monotonic_ns);
-                    let room = MOST_UNKNOWN.saturating_sub(told.unknown.len());
-                    told.unknown.extend(line.unknown.into_iter().take(room));
+                    line.unknown.into_iter().for_each(|joint| told.note_unknown(joint, name));
                 }
-                Err(error) => told.problem = Some(format!("{name}, line {number}: {error}")),
+                Err(error) => told.report(format!("{name}, line {number}: {error}")),
             }
         }
     }
@@ -338,18 +356,18 @@ pub(super) fn rest_where_unknown(body: &Body, told: &JointValues) -> JointValues
 mod tests {
     use super::*;
 
-    fn feed(source: Option<&str>) -> JointFeed {
+    fn feed(source: Option<JointSource>) -> JointFeed {
         let folder = tempfile::tempdir().unwrap();
         for (name, text) in dermis_body::DEMO_FILES {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         let body = Arc::new(Body::open(&folder.path().join("arm.toml")).unwrap());
-        JointFeed::open(&body, source, &Arc::default()).unwrap()
+        JointFeed::open(&body, source.as_ref(), &Arc::default()).unwrap()
     }
 
     #[test]
     fn joints_are_set_by_hand_where_the_page_is_their_source() {
-        let joints = feed(Some("page"));
+        let joints = feed(Some(JointSource::Page));
         assert!(joints.is_set_by_hand());
         joints.set("elbow", 0.7).unwrap();
         let now = joints.at(HostStamp::now().monotonic_ns);
@@ -365,7 +383,7 @@ mod tests {
 
     #[test]
     fn joints_with_a_source_are_not_set_by_hand() {
-        for source in [None, Some("sweep")] {
+        for source in [None, Some(JointSource::Sweep)] {
             let refusal = feed(source).set("elbow", 0.7).unwrap_err();
             assert!(refusal.contains("elbow") && refusal.contains("their source"), "{refusal}");
         }

@@ -8,23 +8,22 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, bounded};
-use dermis_body::{Body, Patch};
+use dermis_body::{Body, JointSource, Patch};
+use dermis_device::HostStamp;
 use dermis_device::acquire::Acquisition;
-use dermis_device::{FileSpec, HostStamp, SourceSelector};
-use dermis_live::calibration::Calibration;
-use dermis_live::forces::parse_forces;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_record::guard_socket::{GuardAddress, GuardSocket};
 #[cfg(feature = "ros2")]
 use dermis_record::ros2::{Ros2Node, Ros2Options, Ros2Summary};
-use dermis_record::{BodyHead, BodyRecording, LiveRecording, Publisher, RecordingHead, SkinView, read_frames_of};
+use dermis_record::{BodyHead, BodyRecording, LiveRecording, Publisher, RecordingHead, SkinView};
 use dermis_skin::{GuardSettings, Skin};
 use dermis_touch::guard::GuardReport;
 
 use super::joints::JointFeed;
 use super::loads::Loads;
 use super::patch::{PatchThread, SharedHealth};
+use super::patch_files::PatchFiles;
 use super::report::{PatchHealth, PatchReport};
 #[cfg(feature = "ros2")]
 use super::ros2;
@@ -51,7 +50,7 @@ pub struct BodyRunOptions {
     /// Speed of files and twins, settings of instruments.
     pub source: SourceOptions,
     /// Source of joint values, overriding the body file's; see [`BodyRun::start`].
-    pub joints: Option<String>,
+    pub joints: Option<JointSource>,
     /// If true, a patch that cannot be started is marked as failed in the health table; otherwise it is an error.
     pub keep_going: bool,
     /// Records every patch and the joint values into this file.
@@ -123,9 +122,9 @@ impl std::fmt::Debug for BodyRun {
 impl BodyRun {
     /// Opens the source of every patch and starts them together.
     ///
-    /// Patches with identical skins share their preparation. Joint values come from `-` (JSON lines on standard
-    /// input), `tcp:HOST:PORT`, a file of such lines, `sweep`, a demonstration, or `page`: set by
-    /// [`BodyWatch::set_joint`]. Without a source the joints stay as in the body file, or else at rest.
+    /// Patches with identical skins share their preparation. Joint values come from a [`JointSource`];
+    /// [`JointSource::Page`] leaves them to [`BodyWatch::set_joint`]. Without a source the joints stay as in the body
+    /// file, or else at rest.
     ///
     /// # Errors
     /// A patch cannot be started and the options don't say to keep going, or a source of joint values cannot be
@@ -141,7 +140,7 @@ impl BodyRun {
     pub fn start_with(body: Body, options: &BodyRunOptions, open: &mut OpenPublisher<'_>) -> Result<Self, Error> {
         let body = Arc::new(body);
         let stop = Arc::new(AtomicBool::new(false));
-        let joint_source = options.joints.as_deref().or(body.joint_source.as_deref());
+        let joint_source = options.joints.as_ref().or(body.joint_source.as_ref());
         let joints = JointFeed::open(&body, joint_source, &stop)?;
         let health: Vec<SharedHealth> = body.patches.iter().map(|patch| SharedHealth::new(&patch.name)).collect();
         let loads = Arc::new(Loads::new(&body));
@@ -365,28 +364,8 @@ fn open_patch(
     options: &BodyRunOptions,
     prepared: &mut Vec<(Skin, Arc<Prepared>)>,
 ) -> Result<(OpenedPatch, Option<TwinControl>), Error> {
-    let folder = body.file.parent().unwrap_or(Path::new(""));
-    let beside = |spec: FileSpec| FileSpec { path: folder.join(&spec.path), ..spec };
-    let selector = match patch.source.parse::<SourceSelector>()? {
-        SourceSelector::File(spec) => SourceSelector::File(beside(spec)),
-        other => other,
-    };
     // Report bad files before the work of preparing a skin.
-    let baseline = match &patch.baseline {
-        Some(text) => Some(read_frames_of(&patch.skin, &beside(text.parse()?), options.source.read.clone())?),
-        None => None,
-    };
-    let read = |path: &PathBuf| dermis_device::instruments::read_bytes(path);
-    let forces_text = patch.forces.as_ref().map(read).transpose()?;
-    let forces = match (&patch.forces, &forces_text) {
-        (Some(path), Some(text)) => Some(parse_forces(text, path, &patch.skin)?),
-        _ => None,
-    };
-    let calibration_text = patch.calibration.as_ref().map(read).transpose()?;
-    let calibration = match (&patch.calibration, &calibration_text) {
-        (Some(path), Some(text)) => Some(Calibration::parse(text, path)?),
-        _ => None,
-    };
+    let PatchFiles { selector, baseline, calibration, forces } = PatchFiles::read(body, patch, &options.source.read)?;
     let opened = open_source(&selector, &patch.skin, &options.source)?;
     // Mount and guard don't affect what is prepared.
     let skin = Skin { mount: None, guard: None, ..patch.skin.clone() };
@@ -399,16 +378,15 @@ fn open_patch(
         }
     };
     let mut head = RecordingHead::of(&shared, opened.source.layout().clone(), opened.source.name());
-    // JSON that has been parsed is valid text.
-    let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-    (head.calibration, head.forces) = (as_text(calibration_text), as_text(forces_text));
+    head.calibration = calibration.as_ref().map(|(_, text)| text.clone());
+    head.forces = forces.as_ref().map(|(_, text)| text.clone());
     let guard = patch.skin.guard.or(options.guard.as_ref().map(|_| GuardSettings::default()));
     head.skin_toml = Skin { mount: None, guard, ..patch.skin.clone() }.to_toml();
-    let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration)?;
+    let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration.map(|(calibration, _)| calibration))?;
     pipeline.set_guard(guard)?;
     // Lag means nothing for files and twins, which run at their own speed.
     pipeline.watch_lag(opened.twin.is_none() && !opened.is_file);
-    forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
+    forces.map_or(Ok(()), |(forces, _)| pipeline.set_forces(forces))?;
     baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
     let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, guard, head };
     Ok((opened_patch, opened.twin))

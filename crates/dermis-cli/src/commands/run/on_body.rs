@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use dermis::BodyRun;
 use dermis::body::{BodyRunOptions, PatchHealth, PatchState};
-use dermis_body::Body;
+use dermis_body::{Body, JointSource};
 use serde_json::{Value, json};
 
 use super::super::{busy, hint, spinner};
@@ -55,9 +55,11 @@ pub(super) fn run(file: &Path, options: &BodyRunOptions, shown: Shown, out: &mut
     }
     let mut options = options.clone();
     if matches!(shown, Shown::Page { .. }) && body.joint_source.is_none() {
-        options.joints.get_or_insert_with(|| "page".to_owned());
+        options.joints.get_or_insert(JointSource::Page);
     }
-    if let (Shown::Lines { .. }, Some("page")) = (&shown, options.joints.as_deref().or(body.joint_source.as_deref())) {
+    if let (Shown::Lines { .. }, Some(JointSource::Page)) =
+        (&shown, options.joints.as_ref().or(body.joint_source.as_ref()))
+    {
         let text = "joints from the page: expected another source with --headless, which has no page";
         return Err(UsageError(text.into()).into());
     }
@@ -65,7 +67,7 @@ pub(super) fn run(file: &Path, options: &BodyRunOptions, shown: Shown, out: &mut
         let needed: Vec<&str> = body.needed_joints().into_iter().collect();
         hint(&format!("joints without a source: {}; --joints SOURCE gives them one", needed.join(", ")));
     }
-    let busy = busy(format!("preparing {} patches", body.patches.len()));
+    let busy = busy("preparing the patches".to_owned());
     let mut page = matches!(shown, Shown::Page { .. }).then(|| PageOfBody::new(body.patches.len()));
     #[cfg_attr(not(feature = "ros2"), expect(unused_mut, reason = "only a node is closed before the end"))]
     let mut run =

@@ -26,8 +26,7 @@ impl Ros2Arguments {
         if self.ros2.is_none() && self.ros2_clouds_per_s.is_none() {
             return Ok(());
         }
-        let text =
-            "--ros2: this dermis was built without ROS 2; expected one from `cargo install dermis-cli --features ros2`";
+        let text = "--ros2: this dermis was built without ROS 2; expected one built with `--features ros2`";
         Err(UsageError(text.into()))
     }
 

@@ -9,6 +9,8 @@ use dermis_record::foxglove::{FoxgloveAddress, FoxglovePatch, FoxgloveServer};
 use dermis_record::{LiveFeed, LiveRequest};
 use dermis_skin::GuardSettings;
 
+use crate::exit::UsageError;
+
 /// Options of viewers.
 #[derive(clap::Args)]
 pub struct ViewerArguments {
@@ -18,6 +20,21 @@ pub struct ViewerArguments {
     #[cfg(feature = "foxglove")]
     #[arg(long, value_name = "HOST:PORT", num_args = 0..=1, default_missing_value = FoxgloveAddress::DEFAULT)]
     pub foxglove: Option<FoxgloveAddress>,
+    #[cfg(not(feature = "foxglove"))]
+    #[arg(long, hide = true, num_args = 0..=1, default_missing_value = "")]
+    foxglove: Option<String>,
+}
+
+impl ViewerArguments {
+    /// Refuses a viewer that this build lacks.
+    pub fn check(&self) -> Result<(), UsageError> {
+        #[cfg(not(feature = "foxglove"))]
+        if self.foxglove.is_some() {
+            let text = "--foxglove: this dermis was built without it; expected one built with `--features foxglove`";
+            return Err(UsageError(text.into()));
+        }
+        Ok(())
+    }
 }
 
 /// The viewers of a run. Dropping it ends them.

@@ -12,7 +12,6 @@ impl TwoSheets {
     pub(super) fn add_copper_loss(&mut self, contact_s_per_m2: &[f64], potentials: &[f64]) {
         let Some(copper) = &self.copper else { return };
         let electrodes = potentials.len();
-        self.spread.fill(0.0);
         for (triangle, area) in self.triangles.iter().zip(&self.areas) {
             let g = triangle.map(|node| contact_s_per_m2[node as usize]);
             if g == [0.0; 3] {
@@ -32,7 +31,8 @@ impl TwoSheets {
         }
         // The first node is grounded. Since no net current enters, this only sets the sheet's level.
         self.spread.as_mut().col_mut(0).fill(0.0);
-        copper.structure.solve_in_place(&copper.factor, self.spread.as_mut().transpose_mut());
+        let right = self.spread.as_mut().transpose_mut();
+        copper.structure.solve_at(&copper.factor, &self.touching, right, &mut self.memory);
         for (&node, current) in self.touching.iter().zip(self.exchange.chunks_exact(electrodes)) {
             let rise = self.spread.as_ref().col(node as usize);
             for (column, current) in current.iter().enumerate() {
@@ -40,6 +40,10 @@ impl TwoSheets {
                     self.impedance[(row, column)] += current * rise[row];
                 }
             }
+        }
+        // The other nodes have stayed at zero.
+        for &node in &self.touching {
+            self.spread.as_mut().col_mut(node as usize).fill(0.0);
         }
     }
 
