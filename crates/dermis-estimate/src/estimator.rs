@@ -65,7 +65,8 @@ pub struct Estimator {
     allowance: f64,
     /// Rest of the allowance, if it bounds the current explanation.
     left: Option<f64>,
-    /// A search for further presses is due, and the allowance is not for that.
+    /// The allowance is not for a search for presses besides those of the last frame, and one is due.
+    follows_only: bool,
     is_search_due: bool,
 }
 
@@ -106,6 +107,7 @@ impl Estimator {
             spent: 0.0,
             allowance: f64::INFINITY,
             left: None,
+            follows_only: false,
             is_search_due: false,
         }
     }
@@ -190,6 +192,11 @@ impl Estimator {
         self.fit.take_frame(frame).is_none_or(|cost| cost.is_noise())
     }
 
+    /// True if a frame (model volts) is at rest, and no press in it could even hold a touch.
+    pub fn shows_nothing(&mut self, frame: &[f64]) -> bool {
+        self.is_at_rest(frame) && self.fit.most_gain(self.negative) < PROMISING * self.evidence.hold.powi(2)
+    }
+
     /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
     /// frame had none.
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
@@ -206,7 +213,8 @@ impl Estimator {
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
         let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.memory.left.max(best.cost.freedom);
         let is_poor_start = !best.presses.is_empty() && (has_jumped || has_changed);
-        if self.left.is_some() && is_poor_start {
+        self.follows_only = self.left.is_some() && !last.is_empty();
+        if self.follows_only && is_poor_start {
             self.is_search_due = true;
         } else {
             best = self.grown(best, &null, hints);
@@ -380,7 +388,7 @@ impl Estimator {
         let perfect = Cost { residual: best.cost.freedom, ..best.cost };
         let is_chance = Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin
             || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
-        if !is_chance && !is_first && self.left.is_some() {
+        if !is_chance && !is_first && self.follows_only {
             self.is_search_due = true;
             return None;
         }

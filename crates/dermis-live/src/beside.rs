@@ -11,9 +11,9 @@ use std::{cell::Cell, sync::LazyLock, thread::JoinHandle};
 
 use dermis_estimate::Meter;
 
-/// Work whose operations are counted is due this many times as long after its start as they take on one core. A slower
-/// or busier computer keeps up as well.
-const HEADROOM: u64 = 3;
+/// Work whose operations are counted is due this many times as long after its start as they take on one core, so that a
+/// slower or busier computer keeps up as well.
+const HEADROOM: f64 = 1.5;
 /// Longest wait between two looks at work that is late, on a frame's thread.
 #[cfg(not(target_family = "wasm"))]
 const LOOK: Duration = Duration::from_micros(50);
@@ -84,7 +84,9 @@ impl Due {
     fn is_later(&self, time_ns: u64) -> bool {
         match self {
             Self::At(due_ns) => time_ns < *due_ns,
-            Self::Since(begun_ns, meter) => time_ns.saturating_sub(*begun_ns) < HEADROOM * meter.spent_ns(),
+            Self::Since(begun_ns, meter) => {
+                (time_ns.saturating_sub(*begun_ns) as f64) < HEADROOM * meter.spent_ns() as f64
+            }
         }
     }
 }

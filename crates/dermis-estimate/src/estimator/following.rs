@@ -29,7 +29,8 @@ impl Estimator {
         if !self.is_possible(&followed) {
             return None;
         }
-        if self.left.is_some() && followed.presses.len() < self.fit.most_presses() {
+        self.follows_only = true;
+        if followed.presses.len() < self.fit.most_presses() {
             // Only tells whether it is due.
             let _ = self.with_more(&followed, &null, &[]);
         }

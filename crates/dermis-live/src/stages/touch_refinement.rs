@@ -348,10 +348,17 @@ impl SpotStage {
             return self.show(time_ns, explained, imager, lowest, contacts);
         }
         if !self.is_unhurried {
-            self.estimator.allow(operations_in(self.pace.at_once_ns()));
+            let is_first = self.estimator.presses().is_empty() && !self.pause.has_begun();
+            let pace = &self.pace;
+            self.estimator.allow(operations_in(if is_first { pace.at_first_ns() } else { pace.at_once_ns() }));
         }
         let memory = self.estimator.memory().clone();
-        if contacts.is_empty() {
+        let is_after_presses = self.search.is_under_way() || !self.estimator.presses().is_empty();
+        if is_after_presses && !self.is_unhurried && self.estimator.shows_nothing(difference) {
+            self.search.cancel();
+            self.estimator.forget();
+        }
+        if contacts.is_empty() || self.estimator.presses().is_empty() {
             self.lack = None;
         }
         if let Some(mut estimate) = self.follow(time_ns, difference) {

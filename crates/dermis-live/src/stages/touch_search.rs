@@ -5,8 +5,9 @@ use dermis_estimate::{Estimate, Estimator, Memory, Meter, Press};
 
 use crate::beside::Beside;
 
-/// Longest part of a search within a frame, nanoseconds: one press takes about half of it. It is also at most half of
-/// the time between two frames. A longer search goes on in the background.
+/// Longest part of a search within a frame, nanoseconds: for the first presses, at most the time between two frames, and
+/// once presses are followed or frames stay unexplained, at most half of it. A longer search goes on in the background.
+const AT_FIRST_NS: u64 = 50_000_000;
 const AT_ONCE_NS: u64 = 3_000_000;
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
 /// ended but are still part of the baseline.
@@ -169,19 +170,23 @@ impl BackgroundSearch {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pace {
     last_ns: Option<u64>,
-    at_once_ns: u64,
+    interval_ns: u64,
 }
 
 impl Pace {
     /// Takes the time of a frame.
     pub fn observe(&mut self, time_ns: u64) {
-        let since_ns = self.last_ns.replace(time_ns).map_or(0, |last_ns| time_ns.saturating_sub(last_ns));
-        self.at_once_ns = if since_ns == 0 { AT_ONCE_NS } else { AT_ONCE_NS.min(since_ns / 2) };
+        self.interval_ns = self.last_ns.replace(time_ns).map_or(0, |last_ns| time_ns.saturating_sub(last_ns));
     }
 
-    /// Longest part of a search within this frame, nanoseconds.
+    /// Longest part of a search for the first presses within this frame, nanoseconds.
+    pub fn at_first_ns(&self) -> u64 {
+        if self.interval_ns == 0 { AT_FIRST_NS } else { AT_FIRST_NS.min(self.interval_ns) }
+    }
+
+    /// Longest part of any other search within this frame, nanoseconds.
     pub fn at_once_ns(&self) -> u64 {
-        self.at_once_ns
+        if self.interval_ns == 0 { AT_ONCE_NS } else { AT_ONCE_NS.min(self.interval_ns / 2) }
     }
 }
 
@@ -197,6 +202,11 @@ impl Pause {
     pub fn begin(&mut self, time_ns: u64) {
         self.length_ns = (2 * self.length_ns).clamp(PAUSE_NS[0], PAUSE_NS[1]);
         self.until_ns = time_ns.saturating_add(self.length_ns);
+    }
+
+    /// True once frames have been left unexplained, until one is explained.
+    pub fn has_begun(&self) -> bool {
+        self.length_ns > 0
     }
 
     /// True during a pause.
