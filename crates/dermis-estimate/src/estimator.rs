@@ -1,10 +1,8 @@
 //! Decides how many presses explain a frame.
 
-mod following;
 mod proposals;
 
 use crate::evidence::Evidence;
-use crate::meter::{Meter, time_ns};
 use crate::press::{Cost, Effort, Press, PressFit};
 
 /// Presses cannot overlap: two that are nearer than this share of the sum of their radii are one.
@@ -30,6 +28,8 @@ const PROMISING: f64 = 0.6;
 const MOST_WORK: f64 = 4e8;
 /// The same for the search for presses that have ended.
 const MOST_WORK_GONE: f64 = 2e8;
+/// Time that an operation takes on one core, nanoseconds.
+const OPERATION_NS: f64 = 0.25;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
 /// After a failed search for further presses, wait this many frames before the next, and twice as many after each
@@ -65,9 +65,6 @@ pub struct Estimator {
     allowance: f64,
     /// Rest of the allowance, if it bounds the current explanation.
     left: Option<f64>,
-    /// The allowance is not for a search for presses besides those of the last frame, and one is due.
-    follows_only: bool,
-    is_search_due: bool,
 }
 
 /// Memory of the frames so far.
@@ -107,15 +104,13 @@ impl Estimator {
             spent: 0.0,
             allowance: f64::INFINITY,
             left: None,
-            follows_only: false,
-            is_search_due: false,
         }
     }
 
-    /// A copy with the same weights and memory that may spend as much on a frame as it allows itself, counted by a
-    /// meter. `None` if fits are too quick to need one.
-    pub fn copy(&self, meter: &Meter) -> Option<Self> {
-        let fit = self.fit.copy(meter)?;
+    /// A copy with the same weights and memory that may spend as much on a frame as it allows itself. `None` if fits
+    /// are too quick to need one.
+    pub fn copy(&self) -> Option<Self> {
+        let fit = self.fit.copy()?;
         let memory = self.memory.clone();
         Some(Self { fit, memory, spent: 0.0, allowance: f64::INFINITY, left: None, ..*self })
     }
@@ -125,19 +120,9 @@ impl Estimator {
         &self.memory
     }
 
-    /// The presses of the last frame.
-    pub fn presses(&self) -> &[Press] {
-        &self.memory.last
-    }
-
     /// Continues from the memory of a copy, or from an earlier one.
     pub fn set_memory(&mut self, memory: Memory) {
         self.memory = memory;
-    }
-
-    /// Takes the memory of a copy's search that has found no other presses, and keeps those of the last frame.
-    pub fn set_memory_of_search(&mut self, memory: Memory) {
-        self.memory = Memory { last: std::mem::take(&mut self.memory.last), ..memory };
     }
 
     /// The fit of presses.
@@ -154,26 +139,24 @@ impl Estimator {
     pub fn spent_ns(&mut self) -> u64 {
         let operations = std::mem::take(&mut self.spent) + self.fit.work();
         self.fit.set_most_work(MOST_WORK);
-        time_ns(operations)
+        (OPERATION_NS * operations) as u64
     }
 
     /// Allows this many operations until the next call of [`Estimator::spent_ns`], if they are fewer than it allows
-    /// itself, to follow presses or find the first. [`Estimator::is_out_of_work`] tells whether that sufficed.
+    /// itself. [`Estimator::is_out_of_work`] tells whether they sufficed.
     pub fn allow(&mut self, operations: f64) {
         self.allowance = operations;
     }
 
-    /// True if the last explanation ended early because of [`Estimator::allow`], or without a search for further
-    /// presses that is due.
+    /// True if the last explanation ended early because of [`Estimator::allow`].
     pub fn is_out_of_work(&self) -> bool {
-        self.is_search_due || self.left.is_some_and(|left| self.fit.work() > left)
+        self.left.is_some_and(|left| self.fit.work() > left)
     }
 
     fn allow_work(&mut self, most: f64) {
         self.spent += self.fit.work();
         let most = if self.is_unhurried { f64::INFINITY } else { most };
         self.left = Some(self.allowance - self.spent).filter(|left| *left < most);
-        self.is_search_due = false;
         self.fit.set_most_work(self.left.unwrap_or(most));
     }
 
@@ -192,11 +175,6 @@ impl Estimator {
         self.fit.take_frame(frame).is_none_or(|cost| cost.is_noise())
     }
 
-    /// True if a frame (model volts) is at rest, and no press in it could even hold a touch.
-    pub fn shows_nothing(&mut self, frame: &[f64]) -> bool {
-        self.is_at_rest(frame) && self.fit.most_gain(self.negative) < PROMISING * self.evidence.hold.powi(2)
-    }
-
     /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
     /// frame had none.
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
@@ -213,17 +191,9 @@ impl Estimator {
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
         let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.memory.left.max(best.cost.freedom);
         let is_poor_start = !best.presses.is_empty() && (has_jumped || has_changed);
-        self.follows_only = self.left.is_some() && !last.is_empty();
-        if self.follows_only && is_poor_start {
-            self.is_search_due = true;
-        } else {
-            best = self.grown(best, &null, hints);
-        }
+        best = self.grown(best, &null, hints);
         // The gain of a first press is that over the whole frame, not over what the last fit left.
-        if is_poor_start
-            && !self.is_search_due
-            && let Some(null) = self.fit.fit_nothing()
-        {
+        if is_poor_start && let Some(null) = self.fit.fit_nothing() {
             let afresh = self.grown(Explanation { presses: Vec::new(), cost: null }, &null, hints);
             if !afresh.presses.is_empty() && self.score(&afresh) < self.score(&best) {
                 best = afresh;
@@ -233,6 +203,20 @@ impl Estimator {
         if best.presses.is_empty() && !null.is_noise() {
             best = self.roughly(&null).unwrap_or(best);
         }
+        let estimate = self.estimate(best, &null);
+        self.memory.last.clone_from(&estimate.presses);
+        Some(estimate)
+    }
+
+    /// Follows the presses of the last frame in another frame, without a search for further ones. `None` without any,
+    /// or if the frame cannot be fitted.
+    pub fn follow(&mut self, frame: &[f64]) -> Option<Estimate> {
+        self.allow_work(MOST_WORK);
+        let null = self.fit.take_frame(frame)?;
+        let last = std::mem::take(&mut self.memory.last);
+        let warm = if last.is_empty() { None } else { self.fitted(&last, Effort::Full) };
+        let best = self.without_superfluous(warm?, &null);
+        self.memory.left = best.cost.residual;
         let estimate = self.estimate(best, &null);
         self.memory.last.clone_from(&estimate.presses);
         Some(estimate)
@@ -388,10 +372,6 @@ impl Estimator {
         let perfect = Cost { residual: best.cost.freedom, ..best.cost };
         let is_chance = Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin
             || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
-        if !is_chance && !is_first && self.follows_only {
-            self.is_search_due = true;
-            return None;
-        }
         let found = if is_chance { None } else { self.search(best, null, hints) };
         if found.is_some() {
             self.memory.next_wait = 0;

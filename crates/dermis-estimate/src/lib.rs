@@ -10,7 +10,6 @@
 mod anchor;
 mod estimator;
 mod evidence;
-mod meter;
 mod plates;
 mod press;
 mod spots;
@@ -19,7 +18,6 @@ mod whitening;
 pub use anchor::Anchor;
 pub use estimator::{Estimate, Estimator, Memory};
 pub use evidence::Evidence;
-pub use meter::{Meter, operations_in};
 pub use plates::{PlateFit, PlateLaw, PlateModel, PlateOptions};
 pub use press::{Cost, Effort, Footprint, Press, PressFit};
 pub use spots::SpotFit;

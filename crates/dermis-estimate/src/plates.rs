@@ -6,7 +6,6 @@
 //! potentials of the plates adjust ([`dermis_tomo::eit::contacts::PlatedSheet`]).
 
 mod fit;
-mod linear;
 mod model;
 mod pressure;
 mod weighing;

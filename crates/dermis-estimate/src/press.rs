@@ -1,7 +1,5 @@
 //! A press, and the interface for fitting presses to frames.
 
-use crate::meter::Meter;
-
 /// A press with its posterior.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Press {
@@ -146,22 +144,9 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         0.0
     }
 
-    /// A copy with the same weights, for a search in the background whose operations are counted. `None` if fits are
-    /// too quick to need one.
-    fn copy(&self, _meter: &Meter) -> Option<Box<dyn PressFit>> {
+    /// A copy with the same weights, for a search in the background. `None` if fits are too quick to need one.
+    fn copy(&self) -> Option<Box<dyn PressFit>> {
         None
-    }
-
-    /// What the quick response of these presses lacks of the full one, volts: both differ little from frame to frame.
-    /// `None` if they cannot be solved for, or do not differ.
-    fn lack(&mut self, _presses: &[Press]) -> Option<Vec<f64>> {
-        None
-    }
-
-    /// Fits presses of the frame before, which have changed little, to the last frame taken with the quick response.
-    /// `None` if they cannot be fitted.
-    fn follow(&mut self, starts: &[Press]) -> Option<Cost> {
-        self.fit(starts, Effort::Quick)
     }
 
     /// True if presses act together in a way that their single responses do not show: linear images join them.
@@ -192,7 +177,7 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     fn set_error_beyond(&mut self, share: f64);
 
     /// Change of the channels by these presses, volts.
-    fn channels_of(&mut self, presses: &[Press], effort: Effort, volts: &mut Vec<f64>);
+    fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>);
 
     /// Factor on the covariances of positions by errors of the model, besides those in the covariances themselves, for
     /// an explanation with this cost.
@@ -201,7 +186,7 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     }
 
     /// Footprints of the presses that explain the frame taken.
-    fn footprints(&mut self, presses: &[Press], _effort: Effort) -> Vec<Footprint> {
+    fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
         presses.iter().map(|press| Footprint { radius_m: press.radius_m, force_n: None }).collect()
     }
 

@@ -124,7 +124,7 @@ impl PressFit for SpotFit {
         self.error_share = self.own_error_share + share;
     }
 
-    fn channels_of(&mut self, presses: &[Press], _effort: Effort, volts: &mut Vec<f64>) {
+    fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
         self.starts.clear();
         self.starts.extend(presses.iter().map(spot));
         self.model.channels_of(&self.starts, &mut self.scratch, volts);

@@ -199,7 +199,7 @@ mod tests {
         let sent = (0..20_000).filter(|k| sender.send(press(*k, 0.0)).is_ok()).count();
         assert_eq!(sent, MOST_WAITING);
         let reason = sender.send(press(20_001, 0.0)).unwrap_err().to_string();
-        assert!(reason.starts_with("256 commands wait"), "{reason}");
+        assert!(reason.starts_with("256 commands are already waiting"), "{reason}");
         let cut = |k: u32| TwinCommand::Treat(Treatment::Cut(Cut::open([0.0, 0.0], [0.02, f64::from(k) * 1e-5])));
         assert_eq!((0..1000).filter(|k| sender.send(cut(*k)).is_ok()).count(), MOST_TREATMENTS);
         drop(queue);

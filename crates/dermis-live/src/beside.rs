@@ -5,18 +5,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(target_family = "wasm"))]
-use std::time::Duration;
-#[cfg(not(target_family = "wasm"))]
 use std::{cell::Cell, sync::LazyLock, thread::JoinHandle};
-
-use dermis_estimate::Meter;
-
-/// Work whose operations are counted is due this many times as long after its start as they take on one core, so that a
-/// slower or busier computer keeps up as well.
-const HEADROOM: f64 = 1.5;
-/// Longest wait between two looks at work that is late, on a frame's thread.
-#[cfg(not(target_family = "wasm"))]
-const LOOK: Duration = Duration::from_micros(50);
 
 /// Niceness of threads for patient work: they get a quarter of a core that others want.
 #[cfg(target_os = "linux")]
@@ -71,29 +60,9 @@ pub(crate) struct Beside<T> {
     is_patient: bool,
 }
 
-/// The frame time at which a result counts.
-#[derive(Debug)]
-enum Due {
-    At(u64),
-    /// As soon as [`HEADROOM`] times the counted operations have passed since this time.
-    Since(u64, Meter),
-}
-
-impl Due {
-    /// True if it is not due, whatever is still to be done.
-    fn is_later(&self, time_ns: u64) -> bool {
-        match self {
-            Self::At(due_ns) => time_ns < *due_ns,
-            Self::Since(begun_ns, meter) => {
-                (time_ns.saturating_sub(*begun_ns) as f64) < HEADROOM * meter.spent_ns() as f64
-            }
-        }
-    }
-}
-
 #[derive(Debug)]
 struct UnderWay<T> {
-    due: Due,
+    due_ns: u64,
     outcome: Outcome<T>,
     wanted: Wanted,
 }
@@ -162,47 +131,20 @@ impl<T: Send + 'static> Beside<T> {
     /// Starts work whose result counts from a given frame time on, replacing any in progress. The work may end
     /// without a result only if it is no longer wanted.
     pub fn begin(&mut self, due_ns: u64, work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static) {
-        self.begin_until(Due::At(due_ns), work);
-    }
-
-    /// Starts work whose result counts as soon as [`HEADROOM`] times the time of its counted operations has passed since `time_ns`.
-    /// The result may follow from nothing but these operations' input, and the last of them must be counted near the
-    /// end of the work.
-    pub fn begin_counted(
-        &mut self,
-        time_ns: u64,
-        meter: Meter,
-        work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static,
-    ) {
-        self.begin_until(Due::Since(time_ns, meter), work);
-    }
-
-    fn begin_until(&mut self, due: Due, work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static) {
         self.cancel();
         let wanted = Wanted::default();
         let told = wanted.clone();
         let outcome = Outcome::of(self.is_patient, move || work(&told));
-        self.under_way = Some(UnderWay { due, outcome, wanted });
+        self.under_way = Some(UnderWay { due_ns, outcome, wanted });
     }
 
     /// The result, in the first frame at or after its due time.
     pub fn take(&mut self, time_ns: u64) -> Option<T> {
-        let mut is_late = false;
-        loop {
-            let UnderWay { due, outcome, .. } = self.under_way.as_ref()?;
-            // In this order: all operations of work that is done are counted.
-            let is_there = outcome.is_there();
-            if due.is_later(time_ns) {
-                return None;
-            }
-            self.waits += u64::from(!is_there && !is_late);
-            if is_there || matches!(due, Due::At(_)) {
-                return self.under_way.take()?.outcome.wait();
-            }
-            is_late = true;
-            #[cfg(not(target_family = "wasm"))]
-            std::thread::sleep(LOOK);
+        let UnderWay { outcome, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
+        if !outcome.is_there() {
+            self.waits += 1;
         }
+        outcome.wait()
     }
 
     /// Drops the work in progress, if any.

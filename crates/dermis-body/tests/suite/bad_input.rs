@@ -57,7 +57,7 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
             joint("<link name=\"base\"/>", "<link name=\"base\"/><link name=\"lost\"/>"),
             "are carried by no joint: expected one root",
         ),
-        (joint("<parent link=\"base\"/>", "<parent link=\"hand\"/>"), "circle"),
+        (joint("<parent link=\"base\"/>", "<parent link=\"hand\"/>"), "cycle"),
         (
             joint("<axis", "<mimic joint=\"elbow\"/><axis"),
             "arm.urdf, line 4: joint wrist: mimics \"elbow\": expected a joint of the file",
@@ -148,7 +148,7 @@ fn a_body_leaves_out_its_bad_patches_and_names_each() {
     let messages: Vec<String> = problems.iter().map(|problem| problem.error.to_string()).collect();
     assert_eq!(problems.iter().map(|problem| problem.only_drawn).collect::<Vec<_>>(), [true, false]);
     assert!(
-        messages[0].contains("arm.urdf, line 3: mesh \"package://arm/hand.stl\": package arm is not found"),
+        messages[0].contains("arm.urdf, line 3: mesh \"package://arm/hand.stl\": package arm was not found"),
         "{messages:?}"
     );
     assert!(messages[1].contains("line 10: patch back: ") && messages[1].contains("broken.toml"), "{messages:?}");

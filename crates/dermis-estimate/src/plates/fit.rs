@@ -5,20 +5,19 @@ use std::sync::Arc;
 use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
 
-use super::linear::{LOG_PRESSURE, LOG_RADIUS, dot, set_equations, whitened_columns};
 use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed};
 use super::weighing::Weighing;
 use crate::evidence::Evidence;
-use crate::meter::{Budget, Meter};
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
 
+/// Places of the logarithms of pressure and radius among the parameters of a press.
+const LOG_PRESSURE: usize = 2;
+const LOG_RADIUS: usize = 3;
 /// Largest number of steps of a fit.
 const STEPS: usize = 15;
 /// Largest number of steps of a fit that only compares explanations.
 const QUICK_STEPS: usize = 8;
-/// Largest number of steps from the presses of the frame before.
-const FOLLOWING_STEPS: usize = 2;
 /// Initial damping.
 const DAMPING: f64 = 1e-3;
 /// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
@@ -50,8 +49,9 @@ pub struct PlateFit {
     /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
     /// same effect on the channels, so these errors weigh more on a force than on a position.
     inflation: f64,
-    /// For this frame.
-    budget: Budget,
+    /// Operations spent on this frame, and the most that may be.
+    work: f64,
+    most_work: f64,
     /// The search for presses that act together.
     joint: Option<PatchSets>,
 }
@@ -89,7 +89,8 @@ impl PlateFit {
             at: State::nothing(Vec::new()),
             covariances: Vec::new(),
             inflation: 1.0,
-            budget: Budget::default(),
+            work: 0.0,
+            most_work: f64::INFINITY,
             joint: None,
         }
     }
@@ -104,7 +105,11 @@ impl PlateFit {
     /// The state of these presses, with their residual; `None` if their contacts cannot be solved, or beyond the bound
     /// of operations.
     fn state(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
-        let contacts = self.model.contacts(&presses, effort, &mut self.budget).ok()?;
+        if self.work > self.most_work {
+            return None;
+        }
+        let contacts = self.model.contacts(&presses, effort).ok()?;
+        self.work += PlateModel::work(&contacts);
         let (mut change, mut residual) = (Vec::new(), Vec::new());
         self.model.change(&contacts, &mut change);
         self.weighing.whitening.apply(&change, &mut residual);
@@ -127,41 +132,6 @@ impl PlateFit {
         let force_n = self.model.force_n(pressed);
         let sigma_n = force_n * (self.inflation * variance.max(0.0)).sqrt().hypot(FORCE_SHARE);
         (!pressed.has_ended && force_n.is_finite() && sigma_n.is_finite()).then_some([force_n, sigma_n])
-    }
-
-    /// Does something with the prior of the known indenter. A frame tells pressure and radius of an indenter apart only
-    /// roughly. The fit with its radius given serves its force alone: other objects touch the skin, too.
-    fn with_indenter_prior<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
-        let prior = std::mem::replace(&mut self.prior, self.model.prior(self.indenter_m));
-        let result = self.unbounded(work);
-        self.prior = prior;
-        result
-    }
-
-    /// Does something without the bound of operations, for presses that have been found: what is said of them must not
-    /// depend on how long that took.
-    fn unbounded<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
-        let most = std::mem::replace(&mut self.budget.most, f64::INFINITY);
-        let result = work(self);
-        self.budget.most = most;
-        result
-    }
-
-    /// Fits presses from these starts in at most so many steps.
-    fn fit_in(&mut self, starts: &[Press], effort: Effort, steps: usize) -> Option<Cost> {
-        if starts.is_empty() || starts.len() > self.model.options.most_presses {
-            return None;
-        }
-        let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
-        self.at = self.state(presses, effort)?;
-        let mut solver = Scratch::new(OF_PRESS * starts.len());
-        let params = Params::until_settled(DAMPING, steps);
-        let mut way = FitUnderWay { fit: &mut *self, tried: None };
-        minimise(&mut way, &params, &mut solver).ok()?;
-        way.linearise(&mut solver.equations).ok()?;
-        let cost = self.cost();
-        self.find_covariances(&mut solver, &cost);
-        Some(cost)
     }
 
     fn cost(&self) -> Cost {
@@ -203,12 +173,25 @@ impl PressFit for PlateFit {
         self.frame = whitened;
         self.volts.clear();
         self.volts.extend_from_slice(frame);
-        self.budget.spent = 0.0;
+        self.work = 0.0;
         self.fit_nothing()
     }
 
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost> {
-        self.fit_in(starts, effort, if effort == Effort::Full { STEPS } else { QUICK_STEPS })
+        if starts.is_empty() || starts.len() > self.model.options.most_presses {
+            return None;
+        }
+        let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
+        self.at = self.state(presses, effort)?;
+        let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
+        let mut solver = Scratch::new(OF_PRESS * starts.len());
+        let params = Params::until_settled(DAMPING, steps);
+        let mut way = FitUnderWay { fit: &mut *self, tried: None };
+        minimise(&mut way, &params, &mut solver).ok()?;
+        way.linearise(&mut solver.equations).ok()?;
+        let cost = self.cost();
+        self.find_covariances(&mut solver, &cost);
+        Some(cost)
     }
 
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
@@ -220,7 +203,7 @@ impl PressFit for PlateFit {
         let (n, mut columns, mut volts) = (starts.len(), Vec::new(), Vec::new());
         for press in &presses {
             let mut whitened = Vec::new();
-            self.model.change(&self.model.contacts(&[*press], Effort::Quick, &mut Budget::default()).ok()?, &mut volts);
+            self.model.change(&self.model.contacts(&[*press], Effort::Quick).ok()?, &mut volts);
             self.weighing.whitening.apply(&volts, &mut whitened);
             columns.push(whitened);
         }
@@ -299,18 +282,17 @@ impl PressFit for PlateFit {
     }
 
     fn set_most_work(&mut self, operations: f64) {
-        (self.budget.spent, self.budget.most) = (0.0, operations);
+        (self.work, self.most_work) = (0.0, operations);
     }
 
     fn work(&self) -> f64 {
-        self.budget.spent
+        self.work
     }
 
-    fn copy(&self, meter: &Meter) -> Option<Box<dyn PressFit>> {
+    fn copy(&self) -> Option<Box<dyn PressFit>> {
         Some(Box::new(Self {
             model: self.model.clone(),
             weighing: self.weighing.clone(),
-            budget: Budget { meter: meter.clone(), ..Budget::default() },
             volts: Vec::new(),
             frame: Vec::new(),
             at: State::nothing(Vec::new()),
@@ -318,17 +300,6 @@ impl PressFit for PlateFit {
             joint: None,
             ..*self
         }))
-    }
-
-    fn lack(&mut self, presses: &[Press]) -> Option<Vec<f64>> {
-        let (mut full, mut quick) = (Vec::new(), Vec::new());
-        self.channels_of(presses, Effort::Full, &mut full);
-        self.channels_of(presses, Effort::Quick, &mut quick);
-        Some(full.iter().zip(quick).map(|(full, quick)| full - quick).collect())
-    }
-
-    fn follow(&mut self, starts: &[Press]) -> Option<Cost> {
-        self.unbounded(|fit| fit.fit_in(starts, Effort::Quick, FOLLOWING_STEPS))
     }
 
     fn is_joint(&self) -> bool {
@@ -372,23 +343,29 @@ impl PressFit for PlateFit {
         Evidence::place_scale(cost)
     }
 
-    fn footprints(&mut self, presses: &[Press], effort: Effort) -> Vec<Footprint> {
-        let is_known = self.indenter_m.is_some();
-        let refit = |fit: &mut Self| fit.fit(presses, effort).map(|_| fit.presses());
-        let refitted = if is_known { self.with_indenter_prior(refit) } else { None };
+    fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
+        // A frame tells pressure and radius of an indenter apart only roughly. The fit with its radius given serves its
+        // force alone: other objects touch the skin, too.
+        let prior = std::mem::replace(&mut self.prior, self.model.prior(self.indenter_m));
+        let is_refitted = self.indenter_m.is_some() && self.fit(presses, Effort::Full).is_some();
+        self.prior = prior;
+        let refitted = if is_refitted { self.presses() } else { presses.to_vec() };
         let footprint = |(press, refitted): (&Press, &Press)| Footprint {
             radius_m: self.model.contact_radius_m(&self.model.pressed(press)),
             force_n: self.force_n(refitted, &self.model.pressed(refitted)),
         };
-        presses.iter().zip(refitted.as_deref().unwrap_or(presses)).map(footprint).collect()
+        presses.iter().zip(&refitted).map(footprint).collect()
     }
 
-    fn channels_of(&mut self, presses: &[Press], effort: Effort, volts: &mut Vec<f64>) {
+    fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
         let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
-        let contacts = self.unbounded(|fit| fit.model.contacts(&presses, effort, &mut fit.budget));
-        let contacts = contacts.unwrap_or_default();
+        let contacts = self.model.contacts(&presses, Effort::Full).unwrap_or_default();
         self.model.change(&contacts, volts);
     }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// `T C T'`.
@@ -438,8 +415,32 @@ impl Problem for FitUnderWay<'_> {
 
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Failed> {
         let PlateFit { model, weighing, prior, at, .. } = &*self.fit;
-        let columns = whitened_columns(model, weighing, &at.presses, &at.contacts);
-        set_equations(&columns, &at.residual, prior, &at.presses, equations);
+        let columns: Vec<Vec<f64>> = model
+            .derivatives(&at.presses, &at.contacts)
+            .iter()
+            .map(|column| {
+                let mut whitened = Vec::new();
+                weighing.whitening.apply(column, &mut whitened);
+                whitened
+            })
+            .collect();
+        let n = columns.len();
+        let NormalEquations { normal, right } = equations;
+        for a in 0..n {
+            right[a] = dot(&columns[a], &at.residual);
+            for b in 0..=a {
+                let value = dot(&columns[a], &columns[b]);
+                (normal[a * n + b], normal[b * n + a]) = (value, value);
+            }
+        }
+        for (k, press) in at.presses.iter().enumerate() {
+            let priors = [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.off(press)).zip(prior.deviations);
+            for ((parameter, off), deviation) in priors {
+                let at = OF_PRESS * k + parameter;
+                normal[at * n + at] += deviation.powi(-2);
+                right[at] -= off / deviation;
+            }
+        }
         Ok(true)
     }
 

@@ -7,7 +7,6 @@ use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PatchSets, P
 use dermis_tomo::mesh::PixelGrid;
 
 use super::pressure::{Field, OF_PRESS, PlateLaw, Pressed};
-use crate::meter::Budget;
 use crate::press::{Effort, Press};
 
 /// Largest change of a logarithm in one step.
@@ -25,7 +24,7 @@ const INVERSE_STEPS: usize = 30;
 const MOST_TYPICAL: f64 = 6.0;
 /// Least number of presses that this area allows for.
 const FEWEST: usize = 3;
-/// Operations of a solution besides the factorisation, for pressures, derivatives and right-hand sides: some 0.3 ms.
+/// Operations of a solution besides the factorisation: pressures, derivatives and right-hand sides take a millisecond.
 const LEAST_WORK: f64 = 1.2e6;
 /// Bisections for the radius of a contact: to a millionth of it.
 const HALVINGS: usize = 20;
@@ -101,8 +100,7 @@ impl PlateModel {
             [at(grid.left_m, width_m, column, columns), at(grid.top_m, -height_m, row, rows)]
         }) {
             if model.is_inside(place) {
-                let contact =
-                    model.contact(&[model.typical(place)], vec![0], 1.0, Effort::Quick, &mut Budget::default())?;
+                let contact = model.contact(&[model.typical(place)], vec![0], 1.0, Effort::Quick)?;
                 model.proposals.extend(contact.map(|made| (place, made.contact.change_v)));
             }
         }
@@ -160,27 +158,20 @@ impl PlateModel {
 
     /// Contacts whose signed sum is the change of the channels. Presses that have ended count negative. The time of a
     /// solution grows with the cube of the area in contact. Under separate plates, presses that lie apart are therefore
-    /// solved together on the coarse sheet, and each alone on both sheets, to add the difference. Solutions beyond the
-    /// budget fail.
-    pub(super) fn contacts(
-        &self,
-        presses: &[Pressed],
-        effort: Effort,
-        budget: &mut Budget,
-    ) -> Result<Vec<Made>, EitError> {
-        budget.spend(LEAST_WORK);
+    /// solved together on the coarse sheet, and each alone on both sheets, to add the difference.
+    pub(super) fn contacts(&self, presses: &[Pressed], effort: Effort) -> Result<Vec<Made>, EitError> {
         let mut made = Vec::new();
         for (has_ended, sign) in [(false, 1.0), (true, -1.0)] {
             let all: Vec<usize> = (0..presses.len()).filter(|&k| presses[k].has_ended == has_ended).collect();
             let groups = self.groups(presses, &all);
             if effort == Effort::Quick || groups.len() < 2 || self.is_joint() {
-                made.extend(self.contact(presses, all, sign, effort, budget)?);
+                made.extend(self.contact(presses, all, sign, effort)?);
                 continue;
             }
-            made.extend(self.contact(presses, all, sign, Effort::Quick, budget)?);
+            made.extend(self.contact(presses, all, sign, Effort::Quick)?);
             for group in groups {
-                made.extend(self.contact(presses, group.clone(), -sign, Effort::Quick, budget)?);
-                made.extend(self.contact(presses, group, sign, Effort::Full, budget)?);
+                made.extend(self.contact(presses, group.clone(), -sign, Effort::Quick)?);
+                made.extend(self.contact(presses, group, sign, Effort::Full)?);
             }
         }
         Ok(made)
@@ -210,7 +201,6 @@ impl PlateModel {
         presses: Vec<usize>,
         sign: f64,
         effort: Effort,
-        budget: &mut Budget,
     ) -> Result<Option<Made>, EitError> {
         if presses.is_empty() {
             return Ok(None);
@@ -230,10 +220,7 @@ impl PlateModel {
         }
         // Presses as large as the skin would take the time of many frames.
         let area_m2: f64 = contacts.iter().map(|(point, _)| self.sheet(effort).points()[*point].area_m2).sum();
-        let most_m2 = MOST_TYPICAL * PI * self.options.typical_radius_m.powi(2) * presses.len().max(FEWEST) as f64;
-        // The factorisation of the cells takes most of the time.
-        let cells = self.sheet(effort).cell_count(&contacts) as f64;
-        if area_m2 > most_m2 || !budget.spend(cells.powi(3) / 3.0) {
+        if area_m2 > MOST_TYPICAL * PI * self.options.typical_radius_m.powi(2) * presses.len().max(FEWEST) as f64 {
             return Err(EitError::Contact { radius_m: (area_m2 / PI).sqrt(), conductance_s_per_m2: 0.0 });
         }
         let contact = self.sheet(effort).contact(&contacts)?;
@@ -258,6 +245,11 @@ impl PlateModel {
             is_same
         });
         found
+    }
+
+    /// Operations that solving for these contacts takes, by the factorisation of their cells.
+    pub(super) fn work(made: &[Made]) -> f64 {
+        made.iter().map(|made| (made.contact.cell_count() as f64).powi(3) / 3.0).sum::<f64>() + LEAST_WORK
     }
 
     /// Change of the channels, volts.

@@ -122,7 +122,7 @@ fn any_number_of_pointers_and_faults_is_borne() {
     }
     assert_eq!((source.pressing.len(), source.faults.len()), (MOST_POINTERS, MOST_FAULTS));
     let told: Vec<String> = source.notices().try_iter().collect();
-    assert!(told.iter().any(|text| text.contains("32 press already")), "{told:?}");
+    assert!(told.iter().any(|text| text.contains("32 pointers are already pressing")), "{told:?}");
 }
 
 #[test]

@@ -240,7 +240,7 @@ fn crosses(corners: [[f64; 2]; 3], [a, b]: Ends) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_estimate::{Effort, PlateFit, Press, PressFit};
+    use dermis_estimate::{PlateFit, Press, PressFit};
 
     const PATCHES: &str = "name = 'patches'\ntitle = 'patches'\nmodality = 'eit'\n[frontend]\n\
         shape = { square = { side_mm = 120.0 } }\n\
@@ -264,7 +264,7 @@ mod tests {
         let change = |elements: [usize; 2]| {
             let model = plates.model_on(elements, &[], || true).unwrap().unwrap();
             let mut volts = Vec::new();
-            PlateFit::new(Arc::new(model), &deviations, &[]).channels_of(&presses, Effort::Full, &mut volts);
+            PlateFit::new(Arc::new(model), &deviations, &[]).channels_of(&presses, &mut volts);
             volts
         };
         let fine = ELEMENTS_UNDER_PATCHES;

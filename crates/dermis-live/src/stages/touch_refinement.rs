@@ -1,23 +1,23 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Effort, Estimate, Estimator, Evidence, Press, PressFit, operations_in};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Memory, Press, PressFit};
 use dermis_skin::Layer;
+use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::force::ForceReading;
 use dermis_touch::{Contact, ContactStrength};
 
+use crate::beside::Beside;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::ended_presses::EndedPresses;
 use crate::stages::force_law::ForceLaw;
 use crate::stages::gathered::Gathered;
 use crate::stages::gone::Gone;
-use crate::stages::held_presses::HeldPresses;
 use crate::stages::model_error::SpotError;
 use crate::stages::plates::fits_contacts;
-use crate::stages::press_image::PressImage;
 use crate::stages::press_peaks::Peaks;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
-use crate::stages::touch_search::{BackgroundSearch, Explained, Pace, Pause, Searched};
+use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, Pause, READY_NS, Searched, TouchSearch};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
@@ -49,20 +49,19 @@ pub(crate) struct SpotStage {
     /// Converts presses to forces, if the file states the layer's response.
     law: Option<ForceLaw>,
     polarity: f64,
-    image: PressImage,
+    grid: PixelGrid,
+    /// Index of each pixel among the image's unknowns; `None` outside.
+    unknowns: Vec<Option<u32>>,
     typical_radius_m: f64,
     /// Share of a press's energy that the model leaves because the skin is not as drawn.
     built_share: f64,
     /// Images join presses.
     is_joint: bool,
     /// A search that takes longer than a frame.
-    search: BackgroundSearch,
-    /// What the quick response of the presses of the last frame lacks (model volts), if fits with the full one take
-    /// longer than a frame.
-    lack: Option<Vec<f64>>,
-    /// Following presses during the search that is under way takes longer than a frame allows.
-    is_too_long: bool,
-    pace: Pace,
+    search: Beside<Searched>,
+    /// The image showed contacts when it began, and has shown none since.
+    is_search_of_contacts: bool,
+    is_search_stale: bool,
     pause: Pause,
     gathered: Gathered,
     explained: f64,
@@ -72,7 +71,9 @@ pub(crate) struct SpotStage {
     of_image: Vec<Contact>,
     /// The presses reported.
     shown: Vec<Press>,
-    held: HeldPresses,
+    /// Positions and radii of presses from when the baseline was fresh.
+    anchors: Vec<Anchor>,
+    is_aged: bool,
     peaks: Peaks,
     /// Remnants of past presses, to be added to the baseline.
     remnants: Vec<Press>,
@@ -86,20 +87,23 @@ impl SpotStage {
     /// presses act through a membrane.
     pub(crate) fn new(prepared: &Prepared, fit: Box<dyn PressFit>, membrane_pa: Option<f64>) -> Self {
         let touch = &prepared.skin.touch;
+        let grid = *prepared.map.grid();
+        let mut unknowns = vec![None; grid.len()];
+        for (unknown, &pixel) in (0..).zip(prepared.map.inside_pixels()) {
+            unknowns[pixel as usize] = Some(unknown);
+        }
         let pitch_m = match &prepared.skin.frontend.layer {
             Layer::Patches(layer) if !fits_contacts(prepared) => Some(1e-3 * layer.pitch_mm),
             _ => None,
         };
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
         let is_joint = fit.is_joint();
-        let typical_radius_m = TYPICAL_RADIUS * prepared.half_width_m();
         let estimator = Estimator::new(fit, evidence, touch.both_signs);
         Self {
             is_joint,
-            search: BackgroundSearch::new(),
-            lack: None,
-            is_too_long: false,
-            pace: Pace::default(),
+            search: Beside::new(),
+            is_search_of_contacts: false,
+            is_search_stale: false,
             pause: Pause::default(),
             gathered: Gathered::default(),
             estimator,
@@ -109,15 +113,17 @@ impl SpotStage {
             both_signs: touch.both_signs,
             law: ForceLaw::of(prepared, membrane_pa),
             polarity: prepared.skin.imaging.polarity.sign(),
-            image: PressImage::new(prepared, typical_radius_m),
-            typical_radius_m,
+            grid,
+            unknowns,
+            typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
             built_share: 0.0,
             explained: if pitch_m.is_some() { PATCHES_EXPLAINED } else { EXPLAINED },
             far_m: pitch_m.map_or(FAR * prepared.half_width_m(), |pitch_m| FAR_PITCHES * pitch_m),
             hints: Vec::with_capacity(MOST_SPOTS),
             of_image: Vec::with_capacity(MOST_SPOTS),
             shown: Vec::with_capacity(MOST_SPOTS),
-            held: HeldPresses::default(),
+            anchors: Vec::new(),
+            is_aged: false,
             peaks: Peaks::default(),
             remnants: Vec::new(),
             ended: EndedPresses::new(touch.both_signs, is_joint),
@@ -141,10 +147,8 @@ impl SpotStage {
 
     /// Continues with a fit that weighs the channels differently, for a fresh or an aged baseline.
     pub(crate) fn set_fit(&mut self, fit: Box<dyn PressFit>, is_aged: bool) {
-        self.held.set_aged(is_aged);
+        self.is_aged = is_aged;
         self.estimator.set_fit(fit);
-        self.search.cancel();
-        self.lack = None;
         self.ended.presses.clear();
         self.estimator.fit_mut().set_error_beyond(self.built_share);
     }
@@ -154,7 +158,7 @@ impl SpotStage {
         if self.shown.is_empty() {
             return None;
         }
-        self.estimator.fit_mut().channels_of(&self.shown, Effort::Full, &mut self.volts);
+        self.estimator.fit_mut().channels_of(&self.shown, &mut self.volts);
         Some(&self.volts)
     }
 
@@ -167,12 +171,11 @@ impl SpotStage {
     pub(crate) fn forget(&mut self) {
         self.estimator.forget();
         self.search.cancel();
-        self.lack = None;
         self.pause = Pause::default();
         self.gathered.forget();
         self.ended.forget();
         self.peaks = Peaks::default();
-        self.held.forget();
+        self.anchors.clear();
         self.remnants.clear();
     }
 
@@ -184,7 +187,7 @@ impl SpotStage {
     /// The presses that explain a frame.
     fn explain(&mut self, difference: &[f64]) -> Explained {
         if let Some(mut rest) = self.explain_without_gone(difference) {
-            self.held.hold(&mut rest.presses);
+            self.hold(&mut rest.presses);
             return Explained::By(rest, true);
         }
         let Some(estimate) = self.estimator.explain(difference, &self.hints) else { return Explained::Nothing };
@@ -201,42 +204,30 @@ impl SpotStage {
         self.concluded(estimate, Some(with_gone))
     }
 
+    /// Explains a frame in the background, with this memory of the frames before it.
+    fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory) {
+        let Some(mut estimator) = self.estimator.copy() else { return };
+        estimator.set_memory(memory);
+        let (frame, hints, is_gone_possible) = (difference.to_vec(), self.hints.clone(), self.ended.is_due());
+        let search = TouchSearch { estimator, frame, hints, is_gone_possible };
+        self.is_search_stale = false;
+        self.is_search_of_contacts = !self.hints.is_empty();
+        self.search.begin(time_ns.saturating_add(READY_NS), move |_| Some(search.run()));
+    }
+
     /// The result of a search in the background, once it is due.
     fn searched(&mut self, time_ns: u64) -> Option<Explained> {
-        let Searched { estimate, with_gone, memory, lack } = self.search.take(time_ns)?;
-        let is_in_vain =
-            |found: &Estimate| with_gone.is_none() && found.presses.len() == self.estimator.presses().len();
-        if self.lack.is_some() && estimate.as_ref().is_some_and(is_in_vain) {
-            self.estimator.set_memory_of_search(memory);
-            return None;
-        }
-        self.search.cancel_renewal();
+        let Searched { estimate, with_gone, memory } = self.search.take(time_ns).filter(|_| !self.is_search_stale)?;
         self.estimator.set_memory(memory);
         let Some(estimate) = estimate else { return Some(Explained::Nothing) };
         let looks_for_gone = self.ended.looks_for(&estimate);
-        let explained = self.concluded(estimate, with_gone.filter(|_| looks_for_gone));
-        let is_long = self.search.took_longer_than(self.pace.at_once_ns());
-        self.lack = lack.filter(|_| is_long && matches!(explained, Explained::By(_, false)));
-        Some(explained)
-    }
-
-    /// Follows the presses of the last frame with the quick response, if they still explain the frame and the full one
-    /// takes too long.
-    fn follow(&mut self, time_ns: u64, difference: &[f64]) -> Option<Estimate> {
-        let renewed = self.search.take_renewal(time_ns, self.pace.at_once_ns());
-        let held = self.lack.take().filter(|_| !self.ended.is_between_searches())?;
-        let lack = renewed.unwrap_or(Some(held))?;
-        let estimate = self.estimator.follow_quickly(difference, &lack);
-        let estimate = estimate.filter(|estimate| self.is_accepted(estimate))?;
-        self.lack = Some(lack);
-        self.search.renew(time_ns, &self.estimator, difference);
-        Some(estimate)
+        Some(self.concluded(estimate, with_gone.filter(|_| looks_for_gone)))
     }
 
     /// The explanation of a frame from that by present presses and, if they were looked for, that by presses that have
     /// ended as well.
     fn concluded(&mut self, mut estimate: Estimate, with_gone: Option<Option<Estimate>>) -> Explained {
-        self.held.hold(&mut estimate.presses);
+        self.hold(&mut estimate.presses);
         match with_gone.and_then(|with_gone| self.ended.judge(&estimate, with_gone)) {
             Some(rest) => Explained::By(rest, true),
             None => Explained::By(estimate, false),
@@ -250,7 +241,7 @@ impl SpotStage {
             return None;
         }
         if !self.estimator.is_at_rest(difference) {
-            self.estimator.fit_mut().channels_of(&self.ended.presses, Effort::Full, &mut self.volts);
+            self.estimator.fit_mut().channels_of(&self.ended.presses, &mut self.volts);
             let rest: Vec<f64> = difference.iter().zip(&self.volts).map(|(all, gone)| all - gone).collect();
             let estimate = self.estimator.explain(&rest, &self.hints)?;
             let energy = |volts: &[f64]| volts.iter().map(|volts| volts * volts).sum::<f64>();
@@ -262,16 +253,31 @@ impl SpotStage {
         None
     }
 
+    /// Keeps presses at the position and radius from when the baseline was fresh, as long as the frame allows it.
+    fn hold(&mut self, presses: &mut [Press]) {
+        self.anchors.retain(|anchor| presses.iter().any(|press| anchor.is_near(press)));
+        for press in presses {
+            match self.anchors.iter_mut().find(|anchor| anchor.is_near(press)) {
+                Some(anchor) if !self.is_aged => anchor.learn(press),
+                Some(anchor) => match anchor.hold(press) {
+                    Some(held) => *press = held,
+                    None => *anchor = Anchor::at(press),
+                },
+                None => self.anchors.push(Anchor::at(press)),
+            }
+        }
+    }
+
     /// Presses that are part of the baseline but have ended, once they have been missing for several frames.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
         if !self.remnants.is_empty() {
-            self.estimator.fit_mut().channels_of(&self.remnants, Effort::Full, &mut self.volts);
+            self.estimator.fit_mut().channels_of(&self.remnants, &mut self.volts);
             self.remnants.clear();
             return Some(Gone::BesideOthers(&self.volts));
         }
         match self.ended.take_certain()? {
             [] => return Some(Gone::Alone),
-            presses => self.estimator.fit_mut().channels_of(presses, Effort::Full, &mut self.volts),
+            presses => self.estimator.fit_mut().channels_of(presses, &mut self.volts),
         }
         self.ended.presses.clear();
         Some(Gone::BesideOthers(&self.volts))
@@ -292,8 +298,7 @@ impl SpotStage {
             self.refine_now(time_ns, difference, imager, lowest, contacts);
             return;
         }
-        self.pace.observe(time_ns);
-        self.search.see(!contacts.is_empty());
+        self.is_search_stale |= contacts.is_empty() && self.is_search_of_contacts;
         match self.searched(time_ns) {
             // This frame starts from the presses found.
             None => {}
@@ -348,51 +353,27 @@ impl SpotStage {
             return self.show(time_ns, explained, imager, lowest, contacts);
         }
         if !self.is_unhurried {
-            let is_first = self.estimator.presses().is_empty() && !self.pause.has_begun();
-            let pace = &self.pace;
-            self.estimator.allow(operations_in(if is_first { pace.at_first_ns() } else { pace.at_once_ns() }));
+            self.estimator.allow(if self.pause.has_begun() { AT_ONCE_IN_VAIN } else { AT_ONCE });
         }
         let memory = self.estimator.memory().clone();
-        let is_after_presses = self.search.is_under_way() || !self.estimator.presses().is_empty();
-        if is_after_presses && !self.is_unhurried && self.estimator.shows_nothing(difference) {
-            self.search.cancel();
-            self.estimator.forget();
-        }
-        if contacts.is_empty() || self.estimator.presses().is_empty() {
-            self.lack = None;
-        }
-        if let Some(mut estimate) = self.follow(time_ns, difference) {
-            if self.estimator.is_out_of_work() && !self.search.is_under_way() {
-                let before = (&self.estimator, self.estimator.memory().clone());
-                self.search.begin(time_ns, before, difference, &self.hints, self.ended.is_due());
-            }
-            self.held.hold(&mut estimate.presses);
-            return self.show(time_ns, Explained::Followed(estimate), imager, lowest, contacts);
-        }
         let explained = match self.search.is_under_way() {
-            true if self.is_too_long => Explained::Later(None),
             true => Explained::Later(self.estimator.follow(difference)),
-            false => {
-                self.is_too_long = false;
-                self.explain(difference)
-            }
+            false => self.explain(difference),
         };
         let Explained::Later(so_far) = explained else {
             return self.show(time_ns, explained, imager, lowest, contacts);
         };
         let so_far = so_far.filter(|estimate| self.is_accepted(estimate));
-        let is_lost = so_far.is_none() && (self.is_too_long || self.estimator.is_out_of_work());
-        self.is_too_long = is_lost;
+        let is_lost = so_far.is_none() && self.estimator.is_out_of_work();
         if !self.search.is_under_way() {
-            let (before, is_gone_possible) = ((&self.estimator, memory.clone()), self.ended.is_due());
-            self.search.begin(time_ns, before, difference, &self.hints, is_gone_possible);
+            self.search(time_ns, difference, memory.clone());
         }
         if is_lost {
             self.estimator.set_memory(memory);
         }
         match so_far {
             Some(mut estimate) => {
-                self.held.hold(&mut estimate.presses);
+                self.hold(&mut estimate.presses);
                 self.show(time_ns, Explained::By(estimate, false), imager, lowest, contacts);
             }
             None if is_lost && !self.shown.is_empty() => self.gathered.repeat(contacts),
@@ -407,11 +388,7 @@ impl SpotStage {
     fn show(&mut self, time_ns: u64, explained: Explained, imager: &Imager, lowest: f64, contacts: &mut Vec<Contact>) {
         self.shown.clear();
         self.peaks.drop_old(time_ns);
-        let (estimate, has_gone, effort) = match explained {
-            Explained::By(estimate, has_gone) => (estimate, has_gone, Effort::Full),
-            Explained::Followed(estimate) => (estimate, false, Effort::Quick),
-            Explained::Nothing | Explained::Later(_) => return,
-        };
+        let Explained::By(estimate, has_gone) = explained else { return };
         if has_gone {
             contacts.clear();
         }
@@ -430,14 +407,13 @@ impl SpotStage {
         self.of_image.append(contacts);
         // In a tank, weak presses may be side lobes of a strong one.
         let strongest = estimate.presses.first().map_or(0.0, Press::strength);
-        let footprints = self.estimator.fit_mut().footprints(&estimate.presses, effort);
+        let footprints = self.estimator.fit_mut().footprints(&estimate.presses);
         for ((press, sigma), footprint) in estimate.presses.iter().zip(&estimate.evidence).zip(footprints) {
             if self.is_tank && press.strength() / strongest < LOBE {
                 continue;
             }
-            self.estimator.fit_mut().channels_of(std::slice::from_ref(press), effort, &mut self.volts);
-            imager.fill_in_left_out(&mut self.volts);
-            let value = self.image.peak_near(press.position_m, imager, &self.volts);
+            self.estimator.fit_mut().channels_of(std::slice::from_ref(press), &mut self.volts);
+            let value = self.image_value(imager, press.position_m);
             if value == 0.0 || !value.is_finite() {
                 continue;
             }
@@ -475,6 +451,30 @@ impl SpotStage {
             self.shown.push(*press);
         }
         contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+    }
+
+    /// Peak of the image of one press alone, whose response is in `volts`.
+    fn image_value(&mut self, imager: &Imager, position_m: [f64; 2]) -> f64 {
+        imager.fill_in_left_out(&mut self.volts);
+        let reach = (self.typical_radius_m / self.grid.pixel_m).ceil().max(1.0) as isize;
+        let Some(middle) = self.grid.pixel_at(position_m) else { return 0.0 };
+        let (row, column) = ((middle / self.grid.columns) as isize, (middle % self.grid.columns) as isize);
+        let mut most: f64 = 0.0;
+        for r in row - reach..=row + reach {
+            for c in column - reach..=column + reach {
+                let on_grid = r >= 0 && c >= 0 && (r as usize) < self.grid.rows && (c as usize) < self.grid.columns;
+                let Some(unknown) =
+                    on_grid.then(|| self.unknowns[r as usize * self.grid.columns + c as usize]).flatten()
+                else {
+                    continue;
+                };
+                let value = imager.value_at(unknown as usize, &self.volts);
+                if value.abs() > most.abs() {
+                    most = value;
+                }
+            }
+        }
+        most
     }
 }
 

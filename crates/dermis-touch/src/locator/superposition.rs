@@ -8,12 +8,9 @@
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
-//! pokes. For a further touch there must be more evidence than for the false second touches that the map of the others
-//! finds in each poke.
+//! pokes. A further touch must be stronger than the false second touches found in each poke by the map of the others.
 
 mod map;
-
-use std::collections::BTreeSet;
 
 use super::copies::squared_distance;
 use super::data::MIN_CHANNELS;
@@ -29,9 +26,9 @@ pub const MOST_TOUCHES: usize = 8;
 const MOST_FRAMES: usize = 800;
 /// Maximum number of frames that choose length and noise.
 const CHOOSING: usize = 300;
-/// Touches whose signatures, before weighting, have a larger cosine than this count as one, unless a labelled frame has
-/// both. With 0.8 instead, the map's errors around a strong touch pass for others: on sums of two pokes of eight
-/// measured skins, fewer pairs are counted right.
+/// Touches whose signatures, before weighting, have a larger cosine than this count as one. With 0.8 instead, the map's
+/// errors around a strong touch pass for others: on sums of two pokes of eight measured skins, fewer pairs are counted
+/// right.
 const MOST_ALIKE: f64 = 0.5;
 /// Minimum number of frames, and the maximum that choose the threshold of a further touch.
 const FEWEST: usize = 40;
@@ -40,9 +37,6 @@ const MOST_LEFT_OUT: usize = 200;
 /// raised by `FEW` over their number, since few of them seldom include a bad one.
 const WRONG: f64 = 0.005;
 const FEW: f64 = 10.0;
-/// Candidates of the growth of the map's errors. The last one, for errors in proportion to the touches, is used if no
-/// frame shows a false touch.
-const GROWTHS: [f64; 8] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0];
 /// Standard deviations by which one position explains a frame better than another if it clearly does.
 const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
@@ -71,62 +65,20 @@ pub struct Superposition {
     map: Map,
     /// Unweighted signatures of unit length, by which touches are told apart: a row for each position.
     shapes: Vec<f32>,
-    /// Pairs of positions, the lower one first, that are told apart because a labelled frame has both.
-    together: BTreeSet<[usize; 2]>,
-    /// Growth of the map's errors with the energy of the touches. Their variance is 1 + growth (energy - 1) times that
-    /// in a frame of one median poke, and not less in weaker frames. 0 for noise alone.
-    growth: f64,
-    /// Minimum evidence for a further touch relative to the map's errors at the others.
+    /// Minimum strength of a further touch relative to the RMS sum of the others, or to a median poke if that is
+    /// stronger.
     least_further: f64,
-    /// Minimum evidence for a first touch, in median pokes.
+    /// Minimum strength of a first touch, in median pokes.
     least_first: f64,
 }
 
-/// Evidence for the touch of a frame for which there is least.
-#[derive(Clone, Copy)]
-struct Least {
-    /// As [`Map::evidence`].
-    evidence: f64,
-    /// Sum of the squared strengths of the other touches.
-    others: f64,
-}
-
-impl Least {
-    /// Evidence relative to the map's errors at the other touches, which grow with their energy.
-    fn relative(self, growth: f64) -> f64 {
-        self.evidence / self.error_variance(growth).sqrt()
-    }
-
-    /// Variance of the map's errors relative to that in a frame of one median poke.
-    fn error_variance(self, growth: f64) -> f64 {
-        1.0 + growth * (self.others - 1.0).max(0.0)
-    }
-}
-
-/// Evidence found in frames by a map learned without them.
+/// Strengths found in frames by a map learned without them.
 #[derive(Default)]
 struct LeftOut {
-    /// Evidence for the first touches.
+    /// Strengths of the first touches.
     firsts: Vec<f64>,
-    /// For each frame, its number of touches and the evidence for the second, third and so on, up to the first false
-    /// one.
-    further: Vec<(usize, Vec<Least>)>,
-}
-
-impl LeftOut {
-    /// The growth of the errors with the largest likelihood, if the evidence for false touches is normal.
-    fn growth(&self) -> f64 {
-        let falses: Vec<Least> =
-            self.further.iter().filter_map(|(count, found)| found.get(count.checked_sub(1)?).copied()).collect();
-        let log_likelihood = |growth: f64| {
-            let mean = |of: fn(f64, f64) -> f64| {
-                let each = falses.iter().map(|least| of(least.error_variance(growth), least.evidence));
-                each.sum::<f64>() / falses.len() as f64
-            };
-            -mean(|variance, _| variance.ln()) - mean(|variance, evidence| evidence.powi(2) / variance).ln()
-        };
-        GROWTHS.into_iter().max_by(|a, b| log_likelihood(*a).total_cmp(&log_likelihood(*b))).unwrap_or(1.0)
-    }
+    /// For each frame, its number of touches and the relative strengths of the second, third and so on.
+    further: Vec<(usize, Vec<f64>)>,
 }
 
 /// Working memory of [`Superposition::explain`], kept by the caller between frames.
@@ -161,10 +113,8 @@ impl Superposition {
         let mut fitted = Self {
             map: learned.map(&all)?.0,
             shapes: learned.shapes(),
-            together: sums.touched_together(&positions_m),
             positions_m,
             weights: weights.iter().map(|weight| weight / typical).collect(),
-            growth: 1.0,
             least_further: 0.0,
             least_first: 0.0,
         };
@@ -190,9 +140,10 @@ impl Superposition {
         self.project(frame, scratch)?;
         scratch.parts.clear();
         while scratch.parts.len() < MOST_TOUCHES {
-            let Some(least) = self.try_another(scratch) else { break };
-            let enough = if scratch.parts.is_empty() { self.least_first } else { self.least_further };
-            if least.relative(self.growth) < enough {
+            let Some(share) = self.try_another(scratch) else { break };
+            let is_touch =
+                if scratch.parts.is_empty() { share >= self.least_first } else { share >= self.least_further };
+            if !is_touch {
                 break;
             }
             std::mem::swap(&mut scratch.parts, &mut scratch.trial);
@@ -274,9 +225,10 @@ impl Superposition {
         Ok(())
     }
 
-    /// Puts the touches found so far and one more into the trial. Returns the least evidence for one of them. `None` if
-    /// nothing more fits.
-    fn try_another(&self, scratch: &mut SuperpositionScratch) -> Option<Least> {
+    /// Puts the touches found so far and one more into the trial. Returns the strength of the weakest, relative to the
+    /// RMS sum of the others or to a median poke if that is stronger; of a first touch, its own. `None` if nothing more
+    /// fits.
+    fn try_another(&self, scratch: &mut SuperpositionScratch) -> Option<f64> {
         scratch.trial.clone_from(&scratch.parts);
         self.leave(scratch, usize::MAX);
         let trial = std::mem::take(&mut scratch.trial);
@@ -290,10 +242,13 @@ impl Superposition {
                 break;
             }
         }
-        let evidence = |part: &Part| self.map.evidence(part.index, part.share);
-        let weakest = scratch.trial.iter().min_by(|a, b| evidence(a).total_cmp(&evidence(b)))?;
+        let weakest = scratch.trial.iter().map(|part| part.share).fold(f64::INFINITY, f64::min);
+        if scratch.trial.len() == 1 {
+            return Some(weakest);
+        }
+        // The map's errors at the other touches add in quadrature.
         let squares: f64 = scratch.trial.iter().map(|part| part.share.powi(2)).sum();
-        Some(Least { evidence: evidence(weakest), others: squares - weakest.share.powi(2) })
+        Some(weakest / (squares - weakest.powi(2)).sqrt().max(1.0))
     }
 
     /// Searches the position of each part again, with the others fixed. Returns true if one has moved.
@@ -340,10 +295,7 @@ impl Superposition {
             if *along <= 0.0 || along * along <= best.0 * square {
                 continue;
             }
-            let is_alike = |other: &Part| {
-                f64::from(dot(shape(p), shape(other.index))) > MOST_ALIKE
-                    && !self.together.contains(&[p.min(other.index), p.max(other.index)])
-            };
+            let is_alike = |other: &Part| f64::from(dot(shape(p), shape(other.index))) > MOST_ALIKE;
             if !others.iter().any(is_alike) {
                 best = (along * along / square, Some((p, f64::from(along / square))));
             }
@@ -395,7 +347,7 @@ impl Superposition {
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Evidence found in each frame by a map learned without it. Each half of the frames is weighted by the errors in
+    /// Strengths found in each frame by a map learned without it. Each half of the frames is weighted by the errors in
     /// the other half, since frames that weight a map show smaller errors than new ones do.
     fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
         let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
@@ -408,32 +360,30 @@ impl Superposition {
                 self.project(labelled[number].frame, &mut scratch)?;
                 scratch.parts.clear();
                 let count = labelled[number].touches_m.len().min(MOST_TOUCHES - 1);
-                let mut found = Vec::with_capacity(count);
+                let mut strengths = Vec::with_capacity(count);
                 for touch in 0..=count {
-                    let Some(least) = self.try_another(&mut scratch) else { break };
+                    let Some(strength) = self.try_another(&mut scratch) else { break };
                     if touch == 0 {
-                        left_out.firsts.push(least.evidence);
+                        left_out.firsts.push(strength);
                     } else {
-                        found.push(least);
+                        strengths.push(strength);
                     }
                     std::mem::swap(&mut scratch.parts, &mut scratch.trial);
                 }
-                left_out.further.push((count, found));
+                left_out.further.push((count, strengths));
             }
         }
         Ok(left_out)
     }
 
-    /// Chooses the growth of the errors, the minimum evidence for a further touch, such that nearly as many numbers of
-    /// touches are right as with any, and that for a first touch.
+    /// Chooses the minimum strength of a further touch, such that nearly as many numbers of touches are right as with
+    /// any, and that of a first touch.
     fn set_thresholds(&mut self, labelled: &[LabelledFrame<'_>], left_out: LeftOut) -> Result<(), LocatorError> {
-        let explained = self.explained(labelled, &mut SuperpositionScratch::default())?;
-        self.growth = left_out.growth();
         let LeftOut { mut firsts, further } = left_out;
-        let right = |enough: f64| {
-            let is_touch = |least: &&Least| least.relative(self.growth) >= enough;
-            let found = |others: &[Least]| 1 + others.iter().take_while(is_touch).count();
-            further.iter().filter(|(count, others)| found(others) == *count).count() as f64
+        let explained = self.explained(labelled, &mut SuperpositionScratch::default())?;
+        let right = |least: f64| {
+            let found = |strengths: &[f64]| 1 + strengths.iter().take_while(|strength| **strength >= least).count();
+            further.iter().filter(|(count, strengths)| found(strengths) == *count).count() as f64
         };
         let steps = (1..=100).map(|step| 0.01 * f64::from(step));
         let most = steps.clone().map(right).fold(0.0, f64::max);

@@ -66,6 +66,11 @@ pub struct PlateContact {
 }
 
 impl PlateContact {
+    /// Number of cells in contact. Solving takes a time that grows with its cube.
+    pub fn cell_count(&self) -> usize {
+        self.cells.len()
+    }
+
     /// True if nothing is in contact.
     pub fn is_open(&self) -> bool {
         self.cells.is_empty()
@@ -143,33 +148,23 @@ impl PlatedSheet {
         })
     }
 
-    /// The cells in contact, ascending, and their conductance (siemens), for these contacts: points (as indices in
-    /// [`PlatedSheet::points`]) with their conductance per area, S/m^2.
-    fn touched(&self, contacts: &[(usize, f64)]) -> (Vec<u32>, Vec<f64>) {
-        let mut conductance_s = vec![0.0; self.plates.len()];
-        for &(point, conductance) in contacts {
-            let PlatePoint { area_m2, cell, .. } = self.points[point];
-            conductance_s[cell as usize] += area_m2 * conductance;
-        }
-        let largest = conductance_s.iter().copied().fold(0.0, f64::max);
-        let touches = |(_, conductance): &(u32, f64)| *conductance > LEAST_CONTACT * largest;
-        (0..).zip(conductance_s).filter(touches).unzip()
-    }
-
-    /// Number of cells in contact. Solving for these contacts takes a time that grows with its cube.
-    pub fn cell_count(&self, contacts: &[(usize, f64)]) -> usize {
-        self.touched(contacts).0.len()
-    }
-
     /// Solves for these contacts: points (as indices in [`PlatedSheet::points`]) with their conductance per area,
     /// S/m^2.
     ///
     /// # Errors
     /// A conductance that is not finite.
     pub fn contact(&self, contacts: &[(usize, f64)]) -> Result<PlateContact, EitError> {
-        let (cells, conductance_s) = self.touched(contacts);
+        let mut conductance_s = vec![0.0; self.plates.len()];
+        for &(point, conductance) in contacts {
+            let PlatePoint { area_m2, cell, .. } = self.points[point];
+            conductance_s[cell as usize] += area_m2 * conductance;
+        }
+        let largest = conductance_s.iter().copied().fold(0.0, f64::max);
+        let touches = |cell: &u32| conductance_s[*cell as usize] > LEAST_CONTACT * largest;
+        let cells: Vec<u32> = (0..self.plates.len() as u32).filter(touches).collect();
         let plates: Vec<u32> = cells.iter().map(|&cell| self.plates[cell as usize]).collect();
-        let touched = self.sheet.solve(cells.clone(), conductance_s, &plates)?;
+        let touched = cells.iter().map(|&cell| conductance_s[cell as usize]).collect();
+        let touched = self.sheet.solve(cells.clone(), touched, &plates)?;
         let change_v = match cells.is_empty() {
             true => vec![0.0; self.channels()],
             false => self.sheet.change_of(&touched),

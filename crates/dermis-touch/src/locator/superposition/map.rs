@@ -1,7 +1,5 @@
 //! The signatures of touches over the skin as a Gaussian process, learned from frames of one or several touches.
 
-use std::collections::BTreeSet;
-
 use faer::linalg::solvers::{DenseSolveCore, Solve};
 use faer::{Mat, MatRef, Side};
 
@@ -11,18 +9,9 @@ use crate::locator::posterior::extent;
 use crate::locator::rows::dot;
 use crate::typical::{evenly, median};
 
-/// Share of the frames' energy that the projection keeps, and maximum number of frames that define it. Noisy frames need
-/// many directions, precise ones few.
-const KEPT_ENERGY: f64 = 0.99;
+/// Maximum rank of the projection, and maximum number of frames that define it.
+const MOST_RANK: usize = 64;
 const MOST_PROJECTED: usize = 300;
-/// Weight of the prior of the map's errors, equal and independent, in frames. The directions in which readings wander
-/// within a session are those in which they wander further until the next one, so the prior must not outweigh them. On
-/// sums of two pokes of seven measured skins, and on one skin in two sessions, 15 to 60 count about equally well.
-const PRIOR_ERRORS: f64 = 30.0;
-/// Weight of a touch's size relative to the map's errors in the evidence for it. Its strength has the rest. On sums of
-/// two pokes of seven measured skins, and on one skin in two sessions, more touches are counted right with 0.25 to 0.5
-/// than with 0, the strength alone.
-const SIGNIFICANCE: f64 = 1.0 / 3.0;
 /// Candidates of the length, relative to the radius of the pokes, and of the noise variance of a frame relative to the
 /// prior variance of a signature.
 const LENGTHS: [f64; 4] = [0.2, 0.35, 0.6, 1.0];
@@ -53,8 +42,6 @@ pub(super) struct Map {
     pub squares: Vec<f32>,
     /// Variance of the map's errors along each direction.
     pub error_variance: f64,
-    /// Median of `squares`.
-    pub typical_square: f64,
 }
 
 /// The signatures learned from frames, not yet weighted by their errors.
@@ -136,20 +123,6 @@ impl<'a> Sums<'a> {
         places
     }
 
-    /// Pairs of candidates, the lower one first, that a frame shows touched at the same time.
-    pub(super) fn touched_together(&self, candidates_m: &[[f64; 2]]) -> BTreeSet<[usize; 2]> {
-        let nearest = |touch_m: &[f64; 2]| {
-            let away = |candidate: &usize| squared_distance(candidates_m[*candidate], *touch_m);
-            (0..candidates_m.len()).min_by(|a, b| away(a).total_cmp(&away(b)))
-        };
-        let mut pairs = BTreeSet::new();
-        for touches_m in self.touches_m.iter().filter(|touches_m| touches_m.len() > 1) {
-            let places: BTreeSet<usize> = touches_m.iter().filter_map(nearest).collect();
-            pairs.extend(places.iter().flat_map(|a| places.range(a + 1..).map(|b| [*a, *b])));
-        }
-        pairs
-    }
-
     /// Positions of all touches.
     fn places_m(&self) -> Vec<[f64; 2]> {
         self.touches_m.iter().flat_map(|touches| touches.iter().copied()).collect()
@@ -164,16 +137,9 @@ impl<'a> Sums<'a> {
             .self_adjoint_eigen(Side::Lower)
             .map_err(|_| LocatorError::Singular { what: "Gram matrix of the pokes" })?;
         let values = eigen.S().column_vector();
-        let enough = KEPT_ENERGY * values.iter().map(|value| value.max(0.0)).sum::<f64>();
-        let mut energy = 0.0;
-        let mut kept = Vec::new();
-        for j in (0..values.nrows()).rev() {
-            if energy >= enough {
-                break;
-            }
-            energy += values[j];
-            kept.push(j);
-        }
+        let largest = values[values.nrows() - 1];
+        let kept: Vec<usize> =
+            (0..values.nrows()).rev().take(MOST_RANK).filter(|&j| values[j] > 1e-9 * largest).collect();
         let combine = Mat::from_fn(rows.len(), kept.len(), |i, j| eigen.U()[(i, kept[j])] / values[kept[j]].sqrt());
         Ok(some.transpose() * &combine)
     }
@@ -281,17 +247,15 @@ impl Learned {
             signatures: single_precision((&self.signatures * &whiten).as_ref()),
             squares: Vec::new(),
             error_variance,
-            typical_square: 0.0,
         };
         map.measure();
-        map.typical_square = median(&map.squares.iter().map(|square| f64::from(*square)).collect::<Vec<_>>());
         Ok((map, single_precision((&self.alpha * &whiten).as_ref())))
     }
 
     /// Symmetric square roots of the inverse covariance of the map's errors and of that covariance, relative to their
     /// mean square along a direction, and that mean square. The errors are those that the map of the other frames makes
     /// in each frame, `alpha / own` (Rasmussen & Williams, eq. 5.12). The covariance has an inverse Wishart prior about
-    /// equal, independent errors.
+    /// equal, independent errors, with as many degrees of freedom as dimensions.
     fn whitening(&self, judged: &[usize]) -> Result<(Mat<f64>, Mat<f64>, f64), LocatorError> {
         let (count, rank) = (judged.len(), self.alpha.ncols());
         let errors = Mat::from_fn(count, rank, |i, r| self.alpha[(judged[i], r)] / self.own[judged[i]]);
@@ -299,8 +263,8 @@ impl Learned {
         let sum: f64 = (0..rank).map(|r| squares[(r, r)]).sum();
         let mean = (sum / (count * rank) as f64).max(f64::MIN_POSITIVE);
         let covariance = Mat::from_fn(rank, rank, |a, b| {
-            let prior = if a == b { PRIOR_ERRORS } else { 0.0 };
-            (squares[(a, b)] / mean + prior) / (count as f64 + PRIOR_ERRORS)
+            let prior = if a == b { rank as f64 } else { 0.0 };
+            (squares[(a, b)] / mean + prior) / (count + rank) as f64
         });
         let eigen = covariance
             .self_adjoint_eigen(Side::Lower)
@@ -346,12 +310,6 @@ impl Map {
             let along = strength * f64::from(*coordinate);
             out.iter_mut().zip(row).for_each(|(value, direction)| *value += along * f64::from(*direction));
         }
-    }
-
-    /// Evidence for a touch, in median pokes: a weighted geometric mean of its strength and its size relative to the
-    /// map's errors, which look like stronger touches where signatures are small.
-    pub(super) fn evidence(&self, position: usize, strength: f64) -> f64 {
-        strength * (f64::from(self.squares[position]) / self.typical_square).powf(0.5 * SIGNIFICANCE)
     }
 
     pub(super) fn signature(&self, position: usize) -> &[f32] {

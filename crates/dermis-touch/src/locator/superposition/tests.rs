@@ -97,42 +97,6 @@ fn labelled_pairs_teach_beside_single_touches() {
 }
 
 #[test]
-fn alike_touches_count_as_one_unless_a_labelled_frame_has_both() {
-    let [a, b] = [[0.03, 0.03], [0.055, 0.03]];
-    let learned = |patterns: &[&[[f64; 2]]]| {
-        let touches: Vec<&[[f64; 2]]> = patterns.iter().copied().cycle().take(90).collect();
-        let pressed = |touches: &[[f64; 2]]| touches.iter().map(|place_m| (*place_m, 1.0)).collect::<Vec<_>>();
-        let frames: Vec<Vec<f64>> = touches.iter().enumerate().map(|(i, t)| frame(&pressed(t), i)).collect();
-        let labelled: Vec<LabelledFrame<'_>> =
-            frames.iter().zip(touches).map(|(frame, touches_m)| LabelledFrame { frame, touches_m }).collect();
-        Superposition::fit(&labelled, &[1.0; CHANNELS]).unwrap().unwrap()
-    };
-    let mut scratch = SuperpositionScratch::default();
-    let mut count = |map: &Superposition, touches: &[([f64; 2], f64)]| {
-        map.explain(&frame(touches, 70_000), &mut scratch).unwrap().len()
-    };
-    let singles = learned(&[&[a], &[b]]);
-    assert_eq!(count(&singles, &[(a, 1.0), (b, 1.0)]), 1);
-    let patterns = learned(&[&[a], &[b], &[a, b]]);
-    assert_eq!(count(&patterns, &[(a, 1.0), (b, 1.0)]), 2);
-    assert_eq!(count(&patterns, &[(a, 1.0)]), 1);
-}
-
-#[test]
-fn errors_that_grow_with_the_touches_and_errors_that_do_not_are_told_apart() {
-    let left_out = |evidence: fn(f64) -> f64| {
-        let least = |i: usize| {
-            let others = (1 + i % 10) as f64;
-            Least { evidence: evidence(others) * (1.5 + dither(i)), others }
-        };
-        LeftOut { firsts: Vec::new(), further: (0..200).map(|i| (1, vec![least(i)])).collect() }
-    };
-    assert!(left_out(f64::sqrt).growth() >= 0.5);
-    assert!(left_out(|_| 1.0).growth() <= 0.1);
-    assert_eq!(LeftOut::default().growth(), 1.0);
-}
-
-#[test]
 fn few_frames_frames_of_other_lengths_and_frames_without_touches_are_refused() {
     let frame = vec![1.0; CHANNELS];
     let one = [[0.0, 0.0]];
