@@ -312,7 +312,7 @@ mod tests {
         refused("", "nothing");
         refused("first,second,third,fourth\n1,2,3,4\n", "no column for sink");
         refused("sink,source,plus,minus\n1,2,3,4\n1,2,3\n", "line 3: 3 values where the first row has 4");
-        refused("1,2,3,4\n1,2,3.5,4\n", "`3.5` is no electrode");
+        refused("1,2,3,4\n1,2,3.5,4\n", "`3.5` is not an electrode");
         refused("1,2,3\n", "3 columns; expected 4");
         refused("1,2,3,ground\n", "no column for");
     }
