@@ -9,7 +9,7 @@ use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
     let Ok(mut recording) = Recording::from_reader(Cursor::new(data), "fuzzed.mcap") else { return };
-    let _ = Skin::parse_any_version(&recording.head().skin_toml, "fuzzed.mcap");
+    let _ = Skin::parse(&recording.head().skin_toml, "fuzzed.mcap");
     let mut counts = [0_u64; 2];
     for count in &mut counts {
         recording.rewind();

@@ -355,17 +355,24 @@ mod tests {
         (coordinates, positions)
     }
 
+    /// The Laplacian of a grid, grounded at its first node: structure and values.
+    fn grounded_grid(n: usize, ordering: Ordering<'_>) -> (SpdStructure, Vec<f64>) {
+        let (_, edges) = grid(n);
+        let mut positions = edges.clone();
+        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
+        positions.push((0, 0));
+        let (structure, slots) = SpdStructure::new(n * n, &positions, ordering).unwrap();
+        let mut values = vec![0.0; structure.value_count()];
+        for (k, &slot) in slots.iter().enumerate() {
+            values[slot as usize] += if k < edges.len() { -1.0 } else { 1.0 };
+        }
+        (structure, values)
+    }
+
     #[test]
     fn solutions_at_a_few_unknowns_are_those_of_the_whole_system() {
         let n = 12;
-        let (coordinates, edges) = grid(n);
-        let mut positions = edges.clone();
-        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
-        let (structure, slots) = SpdStructure::new(n * n, &positions, Ordering::Dissection(&coordinates)).unwrap();
-        let mut values = vec![0.0; structure.value_count()];
-        for (k, slot) in slots.iter().enumerate() {
-            values[*slot as usize] += if k < edges.len() { -1.0 } else { 1.001 };
-        }
+        let (structure, values) = grounded_grid(n, Ordering::Dissection(&grid(n).0));
         let factor = structure.factor(&values).unwrap();
         let (mut memory, columns) = (LocalMemory::default(), WIDTH + 3);
         for unknowns in [&[0_u32][..], &[7, 60, 61, 143], &[100]] {
@@ -388,14 +395,7 @@ mod tests {
     #[test]
     fn triangles_of_the_inverse_are_parts_of_its_columns() {
         let n = 9;
-        let (coordinates, edges) = grid(n);
-        let mut positions = edges.clone();
-        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
-        positions.push((0, 0));
-        let (structure, slots) = SpdStructure::new(n * n, &positions, Ordering::Dissection(&coordinates)).unwrap();
-        let mut values = vec![0.0; structure.value_count()];
-        let weights = edges.iter().map(|_| -1.0).chain(edges.iter().flat_map(|_| [1.0, 1.0])).chain([1.0]);
-        slots.iter().zip(weights).for_each(|(&slot, weight)| values[slot as usize] += weight);
+        let (structure, values) = grounded_grid(n, Ordering::Dissection(&grid(n).0));
         let factor = structure.factor(&values).unwrap();
         let unknowns: Vec<usize> = (0..n * n).rev().filter(|k| k % 5 != 2).collect();
         let columns = structure.inverse_columns(&factor, &unknowns);
@@ -417,16 +417,8 @@ mod tests {
     #[test]
     fn both_orderings_solve_the_grid_laplacian() {
         let n = 20;
-        let (coordinates, edges) = grid(n);
-        for ordering in [Ordering::MinimumDegree, Ordering::Dissection(&coordinates)] {
-            let mut positions = edges.clone();
-            positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
-            positions.push((0, 0));
-            let (structure, slots) = SpdStructure::new(n * n, &positions, ordering).unwrap();
-            let mut values = vec![0.0; structure.value_count()];
-            for (k, &slot) in slots.iter().enumerate() {
-                values[slot as usize] += if k < edges.len() { -1.0 } else { 1.0 };
-            }
+        for ordering in [Ordering::MinimumDegree, Ordering::Dissection(&grid(n).0)] {
+            let (structure, values) = grounded_grid(n, ordering);
             let factor = structure.factor(&values).unwrap();
             let mut x = Mat::from_fn(n * n, 2, |i, j| ((i * 7 + j) % 5) as f64);
             let rhs = x.clone();
@@ -444,10 +436,7 @@ mod tests {
     #[test]
     fn columns_of_the_inverse_solve_for_unit_sources() {
         let n = 12;
-        let (coordinates, edges) = grid(n);
-        let mut positions = edges.clone();
-        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
-        positions.push((0, 0));
+        let (coordinates, _) = grid(n);
         // More sources than are processed together, both at the end of the elimination and scattered.
         let sources: Vec<u32> = (0..20).map(|k| (k * 37 + 5) % (n * n) as u32).collect();
         for ordering in [
@@ -455,11 +444,7 @@ mod tests {
             Ordering::Dissection(&coordinates),
             Ordering::DissectionWithLast(&coordinates, &sources),
         ] {
-            let (structure, slots) = SpdStructure::new(n * n, &positions, ordering).unwrap();
-            let mut values = vec![0.0; structure.value_count()];
-            for (k, &slot) in slots.iter().enumerate() {
-                values[slot as usize] += if k < edges.len() { -1.0 } else { 1.0 };
-            }
+            let (structure, values) = grounded_grid(n, ordering);
             let factor = structure.factor(&values).unwrap();
             let unknowns: Vec<usize> = sources.iter().map(|&source| source as usize).collect();
             let mut expected = Mat::zeros(n * n, unknowns.len());

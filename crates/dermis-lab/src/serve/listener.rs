@@ -19,7 +19,7 @@ const MOST_HOSTS: usize = 8;
 /// Bytes per read.
 const CHUNK: usize = 4096;
 
-/// Where hosts connect.
+/// The socket or terminal to which hosts connect.
 #[derive(Debug)]
 pub enum Door {
     /// A socket; several hosts may connect.

@@ -12,7 +12,7 @@ use super::substitution::{Supernodal, WIDTH};
 pub struct LocalMemory {
     /// Values by place in the elimination order; stale outside the supernodes that take part.
     x: Vec<[f64; WIDTH]>,
-    /// By supernode.
+    /// True for each supernode that takes part.
     takes_part: Vec<bool>,
     /// The supernodes that take part, in elimination order.
     supernodes: Vec<usize>,

@@ -213,7 +213,7 @@ pub(super) struct Linearised<'a> {
     /// The equations, with the priors.
     pub equations: NormalEquations,
     /// Derivatives of the readings by the travels, reading by reading, henries per metre.
-    pub jacobian: Vec<f64>,
+    pub jacobian: &'a [f64],
     /// Derivatives of the readings by the unknowns, unknown by unknown.
     pub columns: &'a [f64],
     /// Derivative of each element's travel by a linear spring's travel.
@@ -234,6 +234,8 @@ pub(super) struct Way<'a, 'f> {
     travels: Travels,
     residual: Vec<f64>,
     tried_residual: Vec<f64>,
+    /// Derivatives of the readings by the travels, reading by reading, at the last equations.
+    jacobian: Vec<f64>,
     /// Derivative of each reading by each unknown, unknown by unknown.
     columns: Vec<f64>,
 }
@@ -253,6 +255,7 @@ impl<'a, 'f> Way<'a, 'f> {
             travels: Travels::default(),
             residual: Vec::new(),
             tried_residual: Vec::new(),
+            jacobian: Vec::new(),
             columns: Vec::new(),
             frame,
         }
@@ -263,10 +266,9 @@ impl<'a, 'f> Way<'a, 'f> {
         self.cost()?;
         let mut equations = NormalEquations::new(self.unknowns());
         self.linearise(&mut equations)?;
-        let jacobian = self.frame.coils.jacobian(&self.travels.travel_m)?;
         Ok(Linearised {
             equations,
-            jacobian,
+            jacobian: &self.jacobian,
             columns: &self.columns,
             stiffening: &self.travels.stiffening,
             residual: &self.residual,
@@ -331,12 +333,12 @@ impl Problem for Way<'_, '_> {
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, MitError> {
         let (unknowns, count, channels) = (self.unknowns(), self.mechanics.count(), self.residual.len());
         self.mechanics.travels(&self.presses, true, &mut self.travels);
-        let jacobian = self.frame.coils.jacobian(&self.travels.travel_m)?;
+        self.jacobian = self.frame.coils.jacobian(&self.travels.travel_m)?;
         self.columns.clear();
         for slopes in self.travels.slopes.chunks_exact(count) {
             let moved: Vec<usize> = (0..count).filter(|&k| slopes[k] != 0.0).collect();
             let of_row = |row: &[f64]| moved.iter().map(|&k| row[k] * slopes[k]).sum::<f64>();
-            self.columns.extend(jacobian.chunks_exact(count).map(of_row));
+            self.columns.extend(self.jacobian.chunks_exact(count).map(of_row));
         }
         let weights = &self.frame.weights;
         let column = |k: usize| &self.columns[k * channels..(k + 1) * channels];

@@ -43,7 +43,7 @@ struct Candidate {
     travels_m: Vec<(usize, f64)>,
 }
 
-/// Response of single elements, with the part removed that the fitted presses take up.
+/// Responses of single elements, without the part that the fitted presses take up.
 struct ElementResponses {
     /// Product of each element's response with the residual.
     products: Vec<f64>,
@@ -102,7 +102,7 @@ impl PressFilter {
 }
 
 impl ElementResponses {
-    /// `None` if the fitted presses cannot be told apart.
+    /// `None` if the equations of the fitted presses are singular.
     fn of(way: &mut Way<'_, '_>) -> Result<Option<Self>, MitError> {
         let point = way.linearised()?;
         let (count, unknowns) = (point.stiffening.len(), point.equations.unknowns());
