@@ -6,10 +6,11 @@
 //! potentials of the plates adjust ([`dermis_tomo::eit::contacts::PlatedSheet`]).
 
 mod fit;
+mod law;
 mod model;
 mod pressure;
 mod weighing;
 
 pub use fit::PlateFit;
+pub use law::PlateLaw;
 pub use model::{PlateModel, PlateOptions};
-pub use pressure::PlateLaw;

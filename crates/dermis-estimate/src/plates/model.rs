@@ -1,12 +1,13 @@
 //! The change of the channels by presses on plates, and the press as reported.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+use std::f64::consts::PI;
 
 use dermis_tomo::eit::EitError;
 use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PatchSets, PlateContact, PlatedSheet};
 use dermis_tomo::mesh::PixelGrid;
 
-use super::pressure::{Field, OF_PRESS, PlateLaw, Pressed};
+use super::law::{Conductance, PlateLaw};
+use super::pressure::{Field, OF_PRESS, Pressed, normal_exactly};
 use crate::press::{Effort, Press};
 
 /// Largest change of a logarithm in one step.
@@ -68,6 +69,7 @@ pub struct PlateModel {
     /// For comparing explanations, and for the final fit.
     sheets: [PlatedSheet; 2],
     pub(super) law: PlateLaw,
+    conductance: Conductance,
     pub(super) options: PlateOptions,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -90,7 +92,8 @@ impl PlateModel {
         grid: PixelGrid,
         inside: Vec<bool>,
     ) -> Result<Self, EitError> {
-        let mut model = Self { sheets, law, options, grid, inside, proposals: Vec::new(), search: None };
+        let (conductance, proposals) = (Conductance::new(law), Vec::new());
+        let mut model = Self { sheets, law, conductance, options, grid, inside, proposals, search: None };
         let (width_m, height_m) = (grid.pixel_m * grid.columns as f64, grid.pixel_m * grid.rows as f64);
         let count = |length_m: f64| (length_m / options.spacing_m).ceil().max(1.0) as usize;
         let (columns, rows) = (count(width_m), count(height_m));
@@ -109,7 +112,7 @@ impl PlateModel {
             let patch = ContactPatch {
                 position_m: [0.0; 2],
                 radius_m: options.typical_radius_m,
-                conductance_s_per_m2: law.conductance(options.typical_pa)[0],
+                conductance_s_per_m2: model.conductance.at(options.typical_pa)[0],
             };
             model.search = Some(PatchSearch::new(model.sheets[0].sheet(), patch, &places)?);
         }
@@ -210,7 +213,7 @@ impl PlateModel {
         let (mut known_pa, mut known) = (f64::NAN, [0.0; 2]);
         for (point, pressure_pa) in self.pressures(presses.iter().map(|&k| &all[k]), effort) {
             if pressure_pa != known_pa {
-                (known_pa, known) = (pressure_pa, self.law.conductance(pressure_pa));
+                (known_pa, known) = (pressure_pa, self.conductance.at(pressure_pa));
             }
             let [conductance, slope] = known;
             if conductance > 0.0 {
@@ -286,29 +289,49 @@ impl PlateModel {
     /// Logarithms of the load and the radius of a press as reported: those of a Gaussian spot of the same conductance
     /// and second moment. Frames determine the conductance far better than pressure and size of the indenter.
     pub(super) fn reported(&self, log_pressure: f64, log_radius: f64) -> [f64; 2] {
-        let (disc_m, spread_m) = (log_radius.exp(), self.law.spread_m);
+        self.reported_with_slopes(log_pressure, log_radius).0
+    }
+
+    /// As [`PlateModel::reported`], with the derivatives: rows are the reported logarithms.
+    pub(super) fn reported_with_slopes(&self, log_pressure: f64, log_radius: f64) -> ([f64; 2], [[f64; 2]; 2]) {
+        let (pressure_pa, disc_m, spread_m) = (log_pressure.exp(), log_radius.exp(), self.law.spread_m);
         let reach_m = disc_m + Field::REACH * spread_m;
-        let (mut total, mut second) = (f64::MIN_POSITIVE, 0.0);
+        // The conductance and its second moment, each followed by its derivatives by both logarithms.
+        let (mut total, mut second) = ([f64::MIN_POSITIVE, 0.0, 0.0], [0.0; 3]);
         for k in 0..RINGS {
-            let at_m = reach_m * (k as f64 + 0.5) / RINGS as f64;
-            let share = 0.5 * libm::erfc((at_m - disc_m) / spread_m * FRAC_1_SQRT_2);
-            let ring = at_m * self.law.conductance(log_pressure.exp() * share)[0];
-            total += ring;
-            second += ring * at_m * at_m;
+            let share_of_reach = (k as f64 + 0.5) / RINGS as f64;
+            let at_m = reach_m * share_of_reach;
+            let [share, density] = normal_exactly((disc_m - at_m) / spread_m);
+            let [g, slope] = self.conductance.at(pressure_pa * share);
+            if g == 0.0 {
+                continue;
+            }
+            // Rings move outwards as the disc grows.
+            let moved_m = disc_m * share_of_reach;
+            let by_pressure = slope * pressure_pa * share;
+            let by_radius = slope * pressure_pa * density * (disc_m - moved_m) / spread_m;
+            let ring = [at_m * g, at_m * by_pressure, at_m * by_radius + moved_m * g];
+            let square = at_m * at_m;
+            let ring_square = [ring[0], ring[1], ring[2] + 2.0 * moved_m * g].map(|value| square * value);
+            for j in 0..3 {
+                total[j] += ring[j];
+                second[j] += ring_square[j];
+            }
         }
         // A spot exp(-d^2 / (2 r^2)) has the second moment 2 r^2 and the integral 2 pi r^2.
-        let square = (0.5 * second / total).max(f64::MIN_POSITIVE);
-        let load = total * reach_m / RINGS as f64 / (square * self.law.saturation_s_per_m2);
-        [load.ln(), 0.5 * square.ln()]
+        let square = (0.5 * second[0] / total[0]).max(f64::MIN_POSITIVE);
+        let load = total[0] * reach_m / RINGS as f64 / (square * self.law.saturation_s_per_m2);
+        let relative = |sums: [f64; 3], j: usize| if sums[0] > 0.0 { sums[j] / sums[0] } else { 0.0 };
+        let of_square = [1, 2].map(|j| relative(second, j) - relative(total, j));
+        let of_load = [relative(total, 1) - of_square[0], relative(total, 2) + disc_m / reach_m - of_square[1]];
+        ([load.ln(), 0.5 * square.ln()], [of_load, of_square.map(|slope| 0.5 * slope)])
     }
 
     /// Force under a press, newtons: the integral of its pressure, `p pi ((R^2 + s^2) Phi(R/s) + R s phi(R/s))` with
     /// the normal distribution Phi and its density phi.
     pub(super) fn force_n(&self, press: &Pressed) -> f64 {
         let (radius_m, spread_m) = (press.log_radius.exp(), self.law.spread_m);
-        let x = radius_m / spread_m;
-        let below = 0.5 * libm::erfc(-x * FRAC_1_SQRT_2);
-        let density = (-0.5 * x * x).exp() / TAU.sqrt();
+        let [below, density] = normal_exactly(radius_m / spread_m);
         let area_m2 = PI * ((radius_m * radius_m + spread_m * spread_m) * below + radius_m * spread_m * density);
         press.log_pressure.exp() * area_m2
     }
@@ -317,9 +340,9 @@ impl PlateModel {
     pub(super) fn contact_radius_m(&self, press: &Pressed) -> f64 {
         let field = Field::new(press, self.law.spread_m);
         let middle_pa = field.pressure_at(press.position_m).unwrap_or(0.0);
-        let half = 0.5 * self.law.conductance(middle_pa)[0];
+        let half = 0.5 * self.conductance.at(middle_pa)[0];
         let at = |distance_m: f64| field.pressure_at([press.position_m[0] + distance_m, press.position_m[1]]);
-        let is_more = |distance_m: f64| at(distance_m).is_some_and(|pressure| self.law.conductance(pressure)[0] > half);
+        let is_more = |distance_m: f64| at(distance_m).is_some_and(|pressure| self.conductance.at(pressure)[0] > half);
         let (mut low, mut high) = (0.0, field.reach_m());
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);
@@ -341,28 +364,17 @@ impl PlateModel {
         self.reported(typical_pa.ln(), typical_radius_m.ln()).map(f64::exp)
     }
 
-    /// Derivatives of [`PlateModel::reported`]: rows are the reported logarithms.
-    pub(super) fn reported_by(&self, log_pressure: f64, log_radius: f64) -> [[f64; 2]; 2] {
-        let h = 1e-4;
-        let slope = |up: [f64; 2], down: [f64; 2]| [0, 1].map(|k| (up[k] - down[k]) / (2.0 * h));
-        let by_pressure =
-            slope(self.reported(log_pressure + h, log_radius), self.reported(log_pressure - h, log_radius));
-        let by_radius = slope(self.reported(log_pressure, log_radius + h), self.reported(log_pressure, log_radius - h));
-        [[by_pressure[0], by_radius[0]], [by_pressure[1], by_radius[1]]]
-    }
-
     /// The press in the parameters of the fit, within their limits, by Newton's method on both logarithms.
     pub(super) fn pressed(&self, press: &Press) -> Pressed {
         let wanted = [press.load.abs().max(1e-6).ln(), press.radius_m.ln()];
         let has_ended = press.load < 0.0;
         let mut at = Pressed { has_ended, ..self.typical(press.position_m) };
         for _ in 0..INVERSE_STEPS {
-            let reported = self.reported(at.log_pressure, at.log_radius);
+            let (reported, [[a, b], [c, d]]) = self.reported_with_slopes(at.log_pressure, at.log_radius);
             let off = [wanted[0] - reported[0], wanted[1] - reported[1]];
             if off.iter().all(|off| off.abs() < 1e-9) {
                 break;
             }
-            let [[a, b], [c, d]] = self.reported_by(at.log_pressure, at.log_radius);
             let determinant = a * d - b * c;
             if determinant.abs() < 1e-9 {
                 break;

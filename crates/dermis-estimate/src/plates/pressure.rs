@@ -5,49 +5,6 @@ use std::sync::LazyLock;
 
 /// Parameters of a press: x, y, logarithm of the pressure, logarithm of the radius.
 pub(super) const OF_PRESS: usize = 4;
-/// Contact below this share of the saturated contact is left out, and contact above `FULL` times as much is complete.
-/// The faint edge of a press covers many cells and carries little current.
-const FAINT: f64 = 0.01;
-const FULL: f64 = 3.0;
-
-/// Conductance of the contact between sheet and plates: `g_max x / (1 + x)` with `x = ((p - p_t) / p_ref)^n` above the
-/// threshold `p_t`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlateLaw {
-    /// p_t: pressure that closes the gap, pascal.
-    pub threshold_pa: f64,
-    /// p_ref: pressure above the threshold at half the saturated conductance, pascal.
-    pub reference_pa: f64,
-    /// n.
-    pub exponent: f64,
-    /// g_max, S/m^2.
-    pub saturation_s_per_m2: f64,
-    /// s: standard deviation of the Gaussian by which pressure spreads on its way to the gap, metres.
-    pub spread_m: f64,
-}
-
-impl PlateLaw {
-    /// Conductance per area (S/m^2) and its derivative with respect to the pressure.
-    pub(super) fn conductance(&self, pressure_pa: f64) -> [f64; 2] {
-        let above = pressure_pa - self.threshold_pa;
-        if above <= 0.0 {
-            return [0.0; 2];
-        }
-        let x = (above / self.reference_pa).powf(self.exponent);
-        let g = self.saturation_s_per_m2 / (1.0 + 1.0 / x);
-        let slope = g * self.exponent / (above * (1.0 + x));
-        let faint = FAINT * self.saturation_s_per_m2;
-        // The smooth step t^2 (3 - 2 t) from the faint contact on.
-        match (g / faint - 1.0) / (FULL - 1.0) {
-            t if t <= 0.0 => [0.0; 2],
-            t if t >= 1.0 => [g, slope],
-            t => {
-                let (share, steep) = (t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / (faint * (FULL - 1.0)));
-                [g * share, slope * (share + g * steep)]
-            }
-        }
-    }
-}
 
 /// A press in the parameters of the fit.
 #[derive(Clone, Copy, Debug)]
@@ -64,14 +21,16 @@ const STEPS: usize = 1024;
 
 /// The normal distribution and its density from minus to plus [`Field::REACH`], in [`STEPS`] steps.
 static NORMAL: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
-    let at = |k: usize| {
-        let u = Field::REACH * (2.0 * k as f64 / STEPS as f64 - 1.0);
-        [0.5 * libm::erfc(-u * FRAC_1_SQRT_2), (-0.5 * u * u).exp() / TAU.sqrt()]
-    };
+    let at = |k: usize| normal_exactly(Field::REACH * (2.0 * k as f64 / STEPS as f64 - 1.0));
     (0..=STEPS).map(at).collect()
 });
 
-/// The normal distribution and its density at a value within [`Field::REACH`].
+/// The normal distribution and its density.
+pub(super) fn normal_exactly(u: f64) -> [f64; 2] {
+    [0.5 * libm::erfc(-u * FRAC_1_SQRT_2), (-0.5 * u * u).exp() / TAU.sqrt()]
+}
+
+/// The normal distribution and its density, from the table, at a value within [`Field::REACH`].
 fn normal(u: f64) -> [f64; 2] {
     let at = (0.5 * (u / Field::REACH + 1.0) * STEPS as f64).clamp(0.0, STEPS as f64);
     let k = (at as usize).min(STEPS - 1);

@@ -1,0 +1,131 @@
+//! The law of the contact between sheet and plates.
+
+/// Contact below this share of the saturated contact is left out, and contact above `FULL` times as much is complete.
+/// The faint edge of a press covers many cells and carries little current.
+const FAINT: f64 = 0.01;
+const FULL: f64 = 3.0;
+
+/// Conductance of the contact between sheet and plates: `g_max x / (1 + x)` with `x = ((p - p_t) / p_ref)^n` above the
+/// threshold `p_t`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlateLaw {
+    /// p_t: pressure that closes the gap, pascal.
+    pub threshold_pa: f64,
+    /// p_ref: pressure above the threshold at half the saturated conductance, pascal.
+    pub reference_pa: f64,
+    /// n.
+    pub exponent: f64,
+    /// g_max, S/m^2.
+    pub saturation_s_per_m2: f64,
+    /// s: standard deviation of the Gaussian by which pressure spreads on its way to the gap, metres.
+    pub spread_m: f64,
+}
+
+impl PlateLaw {
+    /// Conductance per area over the saturated one at `(p - p_t) / p_ref`, and its derivative.
+    fn share(&self, relative: f64) -> [f64; 2] {
+        let x = relative.powf(self.exponent);
+        let share = 1.0 / (1.0 + 1.0 / x);
+        [share, share * self.exponent / (relative * (1.0 + x))]
+    }
+}
+
+/// Mantissa bits that number the knots within an octave. Cubics between 32 knots per octave are off by at most 1e-7 of
+/// the saturated contact.
+const KNOT_BITS: u32 = 5;
+/// Octaves of the table above the faint contact. Beyond it, the law itself is evaluated.
+const OCTAVES: i32 = 24;
+
+/// A law with a table of it: fits evaluate it at every point under a press, and a power takes the longest of all they
+/// do there.
+#[derive(Clone, Debug)]
+pub(super) struct Conductance {
+    law: PlateLaw,
+    /// Number of the first knot.
+    first: u64,
+    /// Values and derivatives at the knots, as by [`PlateLaw::share`].
+    knots: Vec<[f64; 2]>,
+}
+
+/// The number of the last knot at or below a positive value.
+fn knot(relative: f64) -> u64 {
+    relative.to_bits() >> (f64::MANTISSA_DIGITS - 1 - KNOT_BITS)
+}
+
+/// The value at a knot.
+fn at_knot(number: u64) -> f64 {
+    f64::from_bits(number << (f64::MANTISSA_DIGITS - 1 - KNOT_BITS))
+}
+
+impl Conductance {
+    pub fn new(law: PlateLaw) -> Self {
+        // Where the contact is faint.
+        let least = (FAINT / (1.0 - FAINT)).powf(law.exponent.recip());
+        let (first, last) = (knot(least), knot(least * 2f64.powi(OCTAVES)));
+        Self { law, first, knots: (first..=last + 1).map(|number| law.share(at_knot(number))).collect() }
+    }
+
+    /// As [`PlateLaw::share`], by cubics between the knots; 0 below the faint contact.
+    fn share(&self, relative: f64) -> [f64; 2] {
+        let number = knot(relative);
+        let Some(at) = number.checked_sub(self.first) else { return [0.0; 2] };
+        let Some(&[[low, low_slope], [high, high_slope]]) = self.knots.get(at as usize..at as usize + 2) else {
+            return self.law.share(relative);
+        };
+        let from = at_knot(number);
+        let width = at_knot(number + 1) - from;
+        let t = (relative - from) / width;
+        let (rise, a, b) = (high - low, width * low_slope, width * high_slope);
+        // Hermite's cubic low + a t + (3 rise - 2 a - b) t^2 + (a + b - 2 rise) t^3.
+        let (square, cube) = (3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise);
+        let share = low + t * (a + t * (square + t * cube));
+        [share, (a + t * (2.0 * square + 3.0 * t * cube)) / width]
+    }
+
+    /// Conductance per area (S/m^2) and its derivative with respect to the pressure.
+    pub fn at(&self, pressure_pa: f64) -> [f64; 2] {
+        let PlateLaw { threshold_pa, reference_pa, saturation_s_per_m2, .. } = self.law;
+        let above = pressure_pa - threshold_pa;
+        if above <= 0.0 {
+            return [0.0; 2];
+        }
+        let [share, by_relative] = self.share(above / reference_pa);
+        let (g, slope) = (saturation_s_per_m2 * share, saturation_s_per_m2 * by_relative / reference_pa);
+        let faint = FAINT * saturation_s_per_m2;
+        // The smooth step t^2 (3 - 2 t) from the faint contact on.
+        match (g / faint - 1.0) / (FULL - 1.0) {
+            t if t <= 0.0 => [0.0; 2],
+            t if t >= 1.0 => [g, slope],
+            t => {
+                let (share, steep) = (t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / (faint * (FULL - 1.0)));
+                [g * share, slope * (share + g * steep)]
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_is_the_law() {
+        for exponent in [0.4, 1.0, 1.7, 3.0] {
+            let law =
+                PlateLaw { threshold_pa: 2e3, reference_pa: 9e3, exponent, saturation_s_per_m2: 50.0, spread_m: 1e-3 };
+            let table = Conductance::new(law);
+            for k in 0..4000 {
+                let relative = 1e-6 * 1.01_f64.powi(k);
+                let [share, slope] = law.share(relative);
+                let [near, near_slope] = table.share(relative);
+                if share < FAINT {
+                    assert!(near < 1.05 * FAINT, "{relative}: {near}");
+                    continue;
+                }
+                // The error of a cubic is h^4 / 384 times the fourth derivative, and that of its slope h^3 / 72 sqrt(3).
+                assert!((near - share).abs() < 1e-7, "{exponent}, {relative}: {near} {share}");
+                assert!((near_slope / slope - 1.0).abs() < 1e-4, "{exponent}, {relative}: {near_slope} {slope}");
+            }
+        }
+    }
+}
