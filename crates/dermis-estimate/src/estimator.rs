@@ -1,21 +1,13 @@
 //! Decides how many presses explain a frame.
 
 mod proposals;
+mod superfluous;
 
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press, PressFit};
 
-/// Presses cannot overlap: two that are nearer than this share of the sum of their radii are one.
-const LEAST_APART: f64 = 1.0;
-/// A press whose own significance exceeds the threshold by this factor is kept without a refit that leaves it out.
-const CLEARLY: f64 = 2.0;
 /// Largest standard deviation of the position of a press, in typical radii.
 const MOST_SIGMA: f64 = 1.0;
-/// The same for a press among several without which more than this share of the frame is left unexplained, and largest
-/// radius of that press. Drift that is taken for a press is weak beside a true one, or wide.
-const MOST_SIGMA_NEEDED: f64 = 4.0;
-const LEFT_WITHOUT: f64 = 0.02;
-const WIDEST_NEEDED: f64 = 2.0;
 /// Largest load. An inclusion that insulates or conducts perfectly responds like at most 2; twice that leaves room
 /// for gains that the file doesn't know.
 const MOST_LOAD: f64 = 4.0;
@@ -23,13 +15,13 @@ const MOST_LOAD: f64 = 4.0;
 const LEAST_SIGNIFICANT: f64 = 2.0;
 /// The first press is looked for only if the gain of the matched filter reaches this share of the squared threshold.
 const PROMISING: f64 = 0.6;
-/// Largest number of operations spent on one frame: some 100 ms. It is counted rather than timed, so that replays
+/// Largest number of operations spent on one frame: some 60 ms. It is counted rather than timed, so that replays
 /// agree.
 const MOST_WORK: f64 = 4e8;
 /// The same for the search for presses that have ended.
 const MOST_WORK_GONE: f64 = 2e8;
 /// Time that an operation takes on one core, nanoseconds.
-const OPERATION_NS: f64 = 0.25;
+const OPERATION_NS: f64 = 0.15;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
 /// After a failed search for further presses, wait this many frames before the next, and twice as many after each
@@ -289,74 +281,6 @@ impl Estimator {
             1 => Evidence::of(null, &of.cost, true),
             _ => press.significance() / Evidence::correlation(&of.cost).sqrt(),
         }
-    }
-
-    /// True if a press whose position is indefinite may stay if the frame clearly needs it. Far from the electrodes,
-    /// place, radius and strength trade off, but that something presses there may be beyond doubt.
-    fn may_be_vague(&self, press: &Press, of: &Explanation) -> bool {
-        let typical_m = self.fit.typical_radius_m();
-        let is_near = press.place_sigma_m() <= MOST_SIGMA_NEEDED * typical_m;
-        let is_local = press.radius_m <= WIDEST_NEEDED * typical_m;
-        of.presses.len() > 1 && of.cost.is_explained() && is_near && is_local && self.may_be(press)
-    }
-
-    /// Removes the presses that an explanation doesn't need.
-    fn without_superfluous(&mut self, mut of: Explanation, null: &Cost) -> Explanation {
-        // Indefinite presses that the frame needs.
-        let mut needed: Vec<usize> = Vec::new();
-        while !of.presses.is_empty() {
-            let is_sound = |press: &Press| self.may_be(press) && self.is_placed(press, of.presses.len());
-            let sureness = |press: &Press| if is_sound(press) { self.sureness(press, &of, null) } else { -1.0 };
-            let worst = (0..of.presses.len())
-                .filter(|k| !needed.contains(k))
-                .map(|k| (k, sureness(&of.presses[k])))
-                .min_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((worst, sureness)) = worst else { break };
-            let overlaps = self.overlapping(&of.presses);
-            if sureness > CLEARLY * self.evidence.begin && overlaps.is_none() {
-                break;
-            }
-            let worst = if sureness < 0.0 { worst } else { overlaps.unwrap_or(worst) };
-            let mut others = of.presses.clone();
-            others.remove(worst);
-            let is_first = others.is_empty();
-            let fewer = if is_first {
-                Some(Explanation { presses: others, cost: *null })
-            } else {
-                self.fitted(&others, Effort::Full)
-            };
-            let Some(fewer) = fewer else { break };
-            let support = Evidence::of(&fewer.cost, &of.cost, is_first);
-            let is_needed = if sureness >= 0.0 {
-                support >= self.evidence.hold
-            } else {
-                let is_much_left = fewer.cost.unexplained() > LEFT_WITHOUT;
-                is_much_left && support >= self.evidence.begin && self.may_be_vague(&of.presses[worst], &of)
-            };
-            if is_needed && overlaps.is_none() {
-                if sureness >= 0.0 {
-                    break;
-                }
-                needed.push(worst);
-                continue;
-            }
-            needed.clear();
-            of = fewer;
-        }
-        of
-    }
-
-    /// The weaker of two presses that overlap.
-    fn overlapping(&self, presses: &[Press]) -> Option<usize> {
-        for a in 1..presses.len() {
-            for b in 0..a {
-                let (p, q) = (&presses[a], &presses[b]);
-                if p.load * q.load > 0.0 && p.distance_m(q) < LEAST_APART * (p.radius_m + q.radius_m) {
-                    return Some(if p.strength().abs() < q.strength().abs() { a } else { b });
-                }
-            }
-        }
-        None
     }
 
     /// An explanation with more presses, if the frame supports them.

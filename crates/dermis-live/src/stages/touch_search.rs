@@ -3,7 +3,7 @@
 
 use dermis_estimate::{Estimate, Estimator, Memory, Press};
 
-/// Most operations of a search within a frame: some 50 ms on one slow core. One press takes a twentieth of them, and
+/// Most operations of a search within a frame: some 30 ms on one core. One press takes a twentieth of them, and
 /// three presses that are followed take half.
 pub(super) const AT_ONCE: f64 = 2e8;
 /// The same while no presses explain the frames: the search fails or takes long, and goes on in the background anyway.
