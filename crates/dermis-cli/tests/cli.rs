@@ -246,7 +246,8 @@ fn the_examples_of_every_help_run() {
     let mut ran = 0;
     for command in documented_commands(&desk) {
         let words: Vec<&str> = command.iter().map(String::as_str).chain(["--help"]).collect();
-        let help = desk.done(&words);
+        // Long examples go on in the next line.
+        let help = desk.done(&words).replace("\\\n", "");
         let examples: Vec<&str> = help.lines().filter_map(|line| line.strip_prefix("  dermis ")).collect();
         assert!(!examples.is_empty(), "the help of {command:?} has no example:\n{help}");
         for example in examples {
@@ -366,7 +367,9 @@ fn documented_commands(desk: &Desk) -> Vec<Vec<String>> {
     let commands = |words: &[&str]| -> Vec<String> {
         let help = desk.done(&[words, &["--help"]].concat());
         let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+        // A line that is indented further continues a description.
         listed
+            .filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')))
             .filter_map(|line| line.split_whitespace().next())
             .filter(|name| *name != "help")
             .map(str::to_owned)

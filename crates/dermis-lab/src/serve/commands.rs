@@ -9,22 +9,23 @@ use dermis_twin::PressRange;
 
 /// The available commands, as help text.
 pub const WORDS: &str = "\
-press X_MM Y_MM FORCE_N [RADIUS_MM]   press there, or go on pressing there
-release                               let go
-fault electrode N open                electrode N, counted from 1, loses its contact
-fault electrodes N M shorted          a wire connects two electrodes
-fault coil N dead                     coil N, counted from 1, neither makes nor sees a field
-fault channel N stuck MILLIVOLT       channel N, counted from 1, always reads the same
-fault channel N noisy MILLIVOLT       channel N has noise of this standard deviation besides
-fault frames lost SHARE               so many of the frames (0 to 1) are lost on the way
-fault frames repeated SHARE           so many of the frames are copies of the one before
-repair                                nothing is broken any more
-cut X0_MM Y0_MM X1_MM Y1_MM           a blade cuts a self-healing sheet from one point to another
-heal X_MM Y_MM RADIUS_MM CELSIUS HOURS  a heat pad is laid on it (90 C for 2 h heal)
-time-lapse FACTOR                     healing goes so many times as fast from now on
-drift PERCENT                         its conductivity rises as a whole by so much a minute
-renew                                 a new sheet
-or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}}, {\"fault\": {\"electrode_open\": 3}}, \"repair\"";
+press X_MM Y_MM FORCE_N [RADIUS_MM]     press there, or move the press there
+release                                 let go
+fault electrode N open                  electrode N, counted from 1, loses contact
+fault electrodes N M shorted            a wire connects two electrodes
+fault coil N dead                       coil N, counted from 1, has no field
+fault channel N stuck MILLIVOLT         channel N, counted from 1, always reads this
+fault channel N noisy MILLIVOLT         channel N gets extra noise of this sigma
+fault frames lost SHARE                 this share of the frames (0 to 1) is lost
+fault frames repeated SHARE             this share of the frames is sent twice
+repair                                  remove all faults
+cut X0_MM Y0_MM X1_MM Y1_MM             a blade cuts a self-healing sheet
+heal X_MM Y_MM RADIUS_MM CELSIUS HOURS  heat a disc of it (90 C for 2 h heals)
+time-lapse FACTOR                       healing runs faster by this factor
+drift PERCENT                           the conductivity rises by this per minute
+renew                                   replace the sheet by a new one
+or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}},
+{\"fault\": {\"electrode_open\": 3}}, \"repair\"";
 
 /// A command as JSON.
 #[derive(Debug, Deserialize)]
