@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn malformed_files_say_what_was_expected() {
+    fn malformed_files_are_refused_with_the_expectation() {
         for (name, text, expected) in [
             ("a.3ds", "MM", "format \"3DS\": expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB"),
             ("a.glb", "glTF", "the header of a GLB file"),

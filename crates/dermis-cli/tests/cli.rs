@@ -154,7 +154,7 @@ fn bad_usage_is_refused() {
 }
 
 #[test]
-fn what_cannot_be_written_is_a_failure_without_remains() {
+fn a_failed_write_leaves_no_file() {
     let desk = Desk::with(&[("case.json", SQUARE)]);
     let message = desk.refused(&["solve", "case.json", "--sigma", "hom", "--voltages", "no/such/v.npy"], 2);
     assert!(message.contains("no/such/v.npy"), "{message}");
@@ -302,7 +302,7 @@ fn measured_files(desk: &Desk) {
 }
 
 #[test]
-fn frames_that_do_not_fit_the_skin_leave_nothing_behind() {
+fn frames_that_do_not_fit_the_skin_leave_no_file() {
     let desk = Desk::with(&[("short.csv", "1,2,3\n"), ("few.csv", "x_m,y_m\n0,0\n"), ("off.csv", &off_the_skin())]);
     measured_files(&desk);
     let positions = std::fs::read_to_string(desk.path("positions.csv")).expect("a file");

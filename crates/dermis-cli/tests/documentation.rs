@@ -120,7 +120,7 @@ fn help(words: &[&str]) -> String {
 }
 
 #[test]
-fn commands_and_flags_of_the_book_are_those_of_the_command() {
+fn commands_and_flags_in_the_book_exist() {
     let mut known: BTreeMap<Vec<String>, String> = BTreeMap::new();
     let mut seen = 0;
     for page in pages() {

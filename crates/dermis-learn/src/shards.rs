@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_is_continued_where_it_was_left() {
+    fn an_interrupted_set_is_resumed() {
         let folder = tempfile::tempdir().unwrap();
         let set = TrainingSet::create(folder.path(), manifest()).unwrap();
         assert_eq!(set.missing(), [0, 1, 2]);

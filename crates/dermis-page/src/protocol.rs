@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_are_read_and_others_explained() {
+    fn commands_are_parsed_and_bad_ones_explained() {
         let press = r#"{"v":1,"id":3,"command":{"press":{"pointer_id":1,"x_mm":2,"y_mm":-3.5,"radius_mm":10,"pressure_kpa":80}}}"#;
         let expected = Press { pointer_id: 1, x_mm: 2.0, y_mm: -3.5, radius_mm: 10.0, pressure_kpa: 80.0 };
         assert_eq!(parse(press), Ok(Said::Ask(3, Command::Press(expected))));

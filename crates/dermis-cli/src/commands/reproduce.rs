@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn papers_and_experiments_mix_and_come_once_in_their_order() {
+    fn papers_and_experiments_mix_and_run_once_in_order() {
         assert_eq!(ids(&["P", "i3", "I", "I1", "h1"]), ["H1", "I1", "I3", "P1", "P2", "P3"]);
         assert_eq!(ids(&["p", "P"]), ["P1", "P2", "P3"]);
         assert_eq!(ids(&["E10", "I-SNR"]), ["E10", "I-SNR"]);

@@ -24,7 +24,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_is_said_ever_more_rarely_and_something_else_at_once() {
+    fn repeated_messages_become_rarer_and_new_ones_are_logged_at_once() {
         let mut falling = Falling::default();
         let told = (0..1000).filter(|k| falling.count(&format!("silent for {k} s")).is_some()).count();
         assert_eq!(told, 10);

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn before_the_deadline_nothing_is_owed() {
+    fn nothing_is_due_before_the_deadline() {
         let (mut owed, mut inbox, _frames) = owed();
         for _ in 0..100 {
             inbox.bad(1);
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_frames_in_a_row_end_a_connection_with_what_was_wrong() {
+    fn damaged_frames_in_a_row_end_a_connection_with_the_reason() {
         let (mut owed, mut inbox, _frames) = owed();
         for damaged in 1..=MOST_DAMAGED {
             inbox.bad_because("a line of 100 numbers, expected 208".to_owned());
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn where_all_that_comes_is_frames_any_byte_is_owed_one() {
+    fn any_byte_of_a_stream_of_frames_must_lead_to_a_frame() {
         let (mut owed, mut inbox, _frames) = owed();
         assert!(owed.heard(1, &mut inbox, true, OVER).is_err());
     }

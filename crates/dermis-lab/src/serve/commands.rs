@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_mean_nothing_say_what_does() {
+    fn meaningless_lines_are_answered_with_the_valid_ones() {
         assert_eq!(command_of("  ", &PRESS), Ok(None));
         for (line, expected) in [
             ("pres 1 2 3", "press X_MM Y_MM FORCE_N"),

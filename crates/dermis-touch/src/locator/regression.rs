@@ -442,7 +442,7 @@ mod tests {
     /// With few examples and no prior, products of signatures are summed over the examples. Up to rounding, they
     /// agree with direct products.
     #[test]
-    fn products_without_signatures_are_those_of_signatures() {
+    fn products_without_signatures_equal_those_of_signatures() {
         let (design, prior, map) = made_up(10, 60);
         let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 0.3 };
         let fitted =

@@ -142,7 +142,7 @@ fn two_presses_a_quarter_of_the_longer_side_apart_are_two() {
 }
 
 #[test]
-fn two_presses_are_two_on_other_sizes_and_numbers_of_electrodes() {
+fn two_presses_are_resolved_on_other_sizes_and_electrode_counts() {
     let mut gel = example("gel-pad");
     gel.frontend.shape = Shape::Square { side_mm: 80.0 };
     let Electrodes::Rim { count, .. } = &mut gel.frontend.electrodes else { panic!() };

@@ -109,7 +109,7 @@ fn every_press_is_one_touch_in_its_place() {
 
 /// Without a watch for damage, which has a test of its own for releases.
 #[test]
-fn presses_in_the_baseline_that_end_leave_no_ghosts_and_hide_no_press() {
+fn presses_that_end_after_the_baseline_leave_no_ghosts_and_hide_no_press() {
     for places in [&[[-20.0, 12.0]][..], &[[-20.0, 12.0], [15.0, -25.0]]] {
         let mut skin = Skin::open("healing-square").unwrap();
         skin.damage.watch = false;

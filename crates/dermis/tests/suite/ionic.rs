@@ -133,7 +133,7 @@ fn weights_at_three_radii_are_found() {
 }
 
 #[test]
-fn the_smallest_weight_is_felt_at_three_radii() {
+fn the_smallest_weight_is_detected_at_three_radii() {
     let mut bench = Bench::new("ionic-disc");
     for radius_mm in [0.0, 30.0, 60.0] {
         for angle_deg in [10.0, 130.0, 250.0] {
@@ -148,7 +148,7 @@ fn the_smallest_weight_is_felt_at_three_radii() {
 }
 
 #[test]
-fn touches_at_once_are_told_apart() {
+fn simultaneous_touches_are_resolved() {
     let mut bench = Bench::new("ionic-disc");
     for (count, radius_mm) in [(2, 40.0), (2, 50.0), (3, 40.0), (3, 60.0), (4, 40.0), (4, 50.0), (4, 60.0), (6, 60.0)] {
         let places = evenly(count, radius_mm);

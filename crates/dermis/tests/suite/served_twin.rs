@@ -129,7 +129,7 @@ fn frames_are_the_twins_and_a_restart_is_survived() {
 }
 
 #[test]
-fn several_hosts_have_the_same_frames_whoever_else_says_nothing_or_goes() {
+fn several_hosts_get_the_same_frames_despite_silent_or_leaving_ones() {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("an address");
     let instrument = Instrument::start(listener);

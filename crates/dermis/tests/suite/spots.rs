@@ -113,7 +113,7 @@ fn the_sandwich_places_presses_four_times_as_well_as_its_image() {
 }
 
 #[test]
-fn a_press_under_a_membrane_has_its_force_whatever_its_radius() {
+fn the_force_of_a_press_under_a_membrane_does_not_depend_on_its_radius() {
     // A narrow press makes a deeper dent for its force, and the response to large dents is nonlinear. Measured: 2.5 to
     // 5 % too low, since 5 % of a load acts late.
     let mut rig = Rig::new("ionic-disc").unwrap();
@@ -134,7 +134,7 @@ fn patches_are_placed_no_worse() {
 }
 
 #[test]
-fn odd_frames_hold_no_press() {
+fn frame_faults_contain_no_press() {
     let prepared = Prepared::new(Skin::open("piezo-square").unwrap()).unwrap();
     let reference = Reference::from_baseline(&prepared, &prepared.voltages, None).unwrap();
     let mut imager = Imager::new(&prepared, &reference, &[]).unwrap();
