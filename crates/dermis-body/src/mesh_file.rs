@@ -1,17 +1,17 @@
 //! Reads the triangles of mesh files: STL, OBJ, PLY, COLLADA and glTF. Colours, textures and normals are ignored. Axes
 //! are not converted: in a file with y up, y stays up.
 
+mod bounded_read;
 mod collada;
 mod gltf;
 mod numbers;
 mod obj;
 mod ply;
 mod stl;
-mod whole;
 
 use std::path::Path;
 
-use whole::read_whole;
+use bounded_read::read_whole;
 
 /// Corners of the triangles in a mesh file, three each. COLLADA and glTF files give metres, others their own unit.
 ///

@@ -3,7 +3,7 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::falling::Falling;
+use super::log_limit::LogLimit;
 use super::{Connect, Dialogue, Inbox, Link, StreamOptions};
 use crate::HostStamp;
 
@@ -20,7 +20,7 @@ pub(super) fn run(
 ) {
     let shared = inbox.shared();
     let mut wait = options.first_wait;
-    let mut ended = Falling::default();
+    let mut ended = LogLimit::default();
     let mut owed = Owed::new(connect.name());
     let mut buffer = vec![0; CHUNK];
     while !shared.is_stopped() {
@@ -104,7 +104,7 @@ const SLOWEST: u32 = 10;
 /// Watches for a device that sends bytes but no complete frames.
 struct Owed {
     name: String,
-    damaged: Falling,
+    damaged: LogLimit,
     /// Time of the last complete frame, followed by the numbers of frames and of damaged ones at that time, and the
     /// number of bytes since.
     since: Instant,
@@ -118,7 +118,7 @@ struct Owed {
 
 impl Owed {
     fn new(name: &str) -> Self {
-        let (name, damaged, since) = (name.to_owned(), Falling::default(), Instant::now());
+        let (name, damaged, since) = (name.to_owned(), LogLimit::default(), Instant::now());
         Self { name, damaged, since, taken: 0, bad: 0, bytes: 0, seen: 0, troubled: false }
     }
 

@@ -10,9 +10,9 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
 
-use super::copies::matern52;
 use super::data::{LeaveOneOut, LeftOut, MIN_EXAMPLES};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
+use super::pair_correlations::matern52;
 use super::posterior::quantile;
 use crate::typical::median;
 

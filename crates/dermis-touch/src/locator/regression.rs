@@ -11,10 +11,10 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, RowRef, Side};
 
 use super::channel_covariance::{ChannelPrior, channel_factor};
-use super::copies::matern52;
 use super::data::Hyperparameters;
 use super::design::{Design, Prior};
 use super::error::LocatorError;
+use super::pair_correlations::matern52;
 use crate::typical::median;
 
 /// Noise of the strongest frames relative to the median frame: the part that is independent of amplitude.

@@ -10,10 +10,10 @@
 
 use faer::{Mat, Side};
 
-use super::copies::Copies;
 use super::data::Hyperparameters;
 use super::design::{Design, Prior};
 use super::error::LocatorError;
+use super::pair_correlations::Copies;
 use super::regression::example_noise;
 
 /// Lower bound on the variance of a channel, as a share of the mean.
