@@ -109,7 +109,7 @@ fn the_liquid_disc_places_presses_four_times_as_well_as_its_image() {
 #[test]
 fn the_sandwich_places_presses_four_times_as_well_as_its_image() {
     // Measured: from 0.77 to 0.17 mm on average, from 1.4 to 1.1 mm at most.
-    check("healing-square", 0.01, &[8.0, 25.0], 0.4);
+    check("healing-square", 0.01, &[8.0, 25.0], 0.25);
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn the_force_of_a_press_under_a_membrane_does_not_depend_on_its_radius() {
         let image = rig.image(&frame).unwrap();
         let found_n = rig.touches(&image).unwrap()[0].force.and_then(|force| force.nearest_n()).unwrap();
         println!("{force_n} N on {radius_m} m: {found_n:.3} N");
-        assert!((found_n / force_n - 1.0).abs() < 0.1, "{force_n} N on {radius_m} m: {found_n} N");
+        assert!((found_n / force_n - 1.0).abs() < 0.07, "{force_n} N on {radius_m} m: {found_n} N");
         rig.frames(&[], 30).unwrap();
     }
 }

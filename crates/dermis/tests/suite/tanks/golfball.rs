@@ -8,7 +8,7 @@ use super::measured;
 #[test]
 fn balls_are_located() {
     let Some(file) = measured("golfball", "phantom_A.csv") else { return };
-    for ((frame, balls), limit_mm) in SETUPS.into_iter().zip([10.0, 15.0, 20.0]) {
+    for ((frame, balls), limit_mm) in SETUPS.into_iter().zip([5.0, 10.5, 17.0]) {
         let outcome = setup(&file, frame).unwrap();
         println!("golfball {frame}: {:?}, order {:.4}", outcome.touches, outcome.report.order.correlation);
         assert_eq!(outcome.touches.len(), balls.len(), "{frame}");
