@@ -25,8 +25,8 @@ fn press(bench: &mut Bench, pointer: u64, [x_mm, y_mm]: [f64; 2], pressure_pa: f
     bench.twin.scene_mut().press(pointer, x_mm * 1e-3, y_mm * 1e-3, RADIUS_M, pressure_pa).unwrap();
 }
 
-/// Largest and mean error of single touches, mm.
-fn errors(bench: &mut Bench, places: &[[f64; 2]], pressure_pa: f64) -> (f64, f64) {
+/// Largest and mean error of single touches.
+fn errors_mm(bench: &mut Bench, places: &[[f64; 2]], pressure_pa: f64) -> (f64, f64) {
     let mut errors = Vec::new();
     for &place in places {
         press(bench, 0, place, pressure_pa);
@@ -82,7 +82,7 @@ fn single_touches_on_the_disc_are_found_in_their_places() {
             [radius * angle.cos(), radius * angle.sin()]
         })
         .collect();
-    let (largest, mean) = errors(&mut bench, &places, 5e3);
+    let (largest, mean) = errors_mm(&mut bench, &places, 5e3);
     println!("disc: mean {mean:.2} mm, largest {largest:.2} mm");
     // A patch is shorted as a whole, so its pitch of 10 mm shows in the positions.
     assert!(mean < 3.0 && largest < 6.0, "mean {mean:.2} mm, largest {largest:.2} mm");
@@ -111,7 +111,7 @@ fn the_cylinder_tells_light_from_hard_and_one_from_two() {
     bench.release(SETTLE);
     let places: Vec<[f64; 2]> =
         (0..9).map(|k| [-52.0 + 50.0 * f64::from(k % 3), -47.0 + 51.0 * f64::from(k / 3)]).collect();
-    let (largest, mean) = errors(&mut bench, &places, 5e3);
+    let (largest, mean) = errors_mm(&mut bench, &places, 5e3);
     println!("cylinder: mean {mean:.2} mm, largest {largest:.2} mm");
     assert!(mean < 2.5 && largest < 5.0, "mean {mean:.2} mm, largest {largest:.2} mm");
 }
