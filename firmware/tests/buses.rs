@@ -56,7 +56,7 @@ fn a_measurement_is_a_selection_and_a_conversion() {
 }
 
 #[test]
-fn an_abandoned_conversion_is_not_taken_for_the_next() {
+fn an_abandoned_conversion_is_not_mistaken_for_the_next() {
     // Both are single-ended, so the chip's driver alone couldn't distinguish their results.
     let mut first = conversion([0x43, 0xe3], 111);
     let second = conversion([0x43, 0xe3], 222);

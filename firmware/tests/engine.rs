@@ -93,7 +93,7 @@ fn check_adjacent(values: &[f64], current_a: f64, tolerance_v: f64) {
 }
 
 #[test]
-fn readings_are_those_of_the_ring() {
+fn readings_agree_with_the_ring() {
     let mut bench = bench(vec![Order::ProtocolName("adjacent".into()), Order::Gain(Some(5))], true);
     for n in 0..3 {
         let (frame, _) = bench.frame();
@@ -192,7 +192,7 @@ fn every_command_is_answered() {
 }
 
 #[test]
-fn a_setting_in_the_midst_of_a_frame_begins_it_anew_and_loses_none() {
+fn a_setting_during_a_frame_restarts_it_and_loses_none() {
     let mut bench = bench(vec![Order::ProtocolName("adjacent".into()), Order::Gain(Some(5))], true);
     bench.frame();
     // Beyond the first part of the frame, which has 128 readings.
@@ -265,7 +265,7 @@ fn noise_on_the_line_costs_no_frame() {
 }
 
 #[test]
-fn lists_that_follow_from_a_rule_are_what_their_names_say() {
+fn lists_from_a_rule_match_their_names() {
     let list = |named: Named, electrodes: u8| -> Vec<[u8; 4]> {
         (0..named.len(electrodes)).map(|index| named.measurement(electrodes, index)).collect()
     };

@@ -70,7 +70,7 @@ fn board(chips: &Shared<Sheet>) -> Mux64<Spi<Sheet>, Wires<Sheet>, Pause<Sheet>>
 }
 
 #[test]
-fn the_firmwares_bytes_give_the_touch_where_the_skin_is_pressed() {
+fn the_firmwares_bytes_give_the_touch_at_the_press() {
     let mut skin = Skin::open("piezo-disc").expect("a built-in skin");
     // Coarser images than the file's 32 pixels per side, which halves the time for the operator.
     skin.imaging.grid = 24;

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_later_folder_is_looked_at_where_the_first_lacks_the_set() {
+    fn a_later_folder_is_searched_if_the_first_lacks_the_set() {
         let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         std::fs::create_dir_all(second.path().join("golfball")).unwrap();
         std::fs::write(second.path().join("golfball/phantom_A.csv"), vec![b'0'; 11612]).unwrap();

@@ -1,5 +1,5 @@
-// The skin on the book's first page, as a reader sees it: first a picture, then a skin that feels presses in the
-// right place. BOOK names the built book, including the output of scripts/wasm-demo.
+// The skin on the book's first page, as a reader sees it: first a picture, then a skin that shows presses in the right
+// place. BOOK names the built book, including the output of scripts/wasm-demo.
 
 import assert from "node:assert/strict";
 import { readdir, stat } from "node:fs/promises";
@@ -72,14 +72,14 @@ after(async () => {
   await server?.stop();
 });
 
-test("what the page loads has at most 4 MB", async (t) => {
+test("the page loads at most 4 MB", async (t) => {
   let sum = 0;
   for (const name of await readdir(join(book, "poke"))) sum += (await stat(join(book, "poke", name))).size;
   t.diagnostic(`${sum} bytes`);
   assert.ok(sum <= MOST_BYTES, `${sum} bytes`);
 });
 
-test("the first page loads no skin before it is asked to, then one that feels a press where it is made", async (t) => {
+test("the first page loads no skin until it is asked to, and then shows a press where it is made", async (t) => {
   const { page, requests, complaints } = await open(server.address);
   await page.locator("#poke-start img").scrollIntoViewIfNeeded();
   assert.deepEqual(requests.filter((url) => url.includes("/poke/")), []);
@@ -90,7 +90,7 @@ test("the first page loads no skin before it is asked to, then one that feels a 
   assert.equal(await frame.locator("#skin-name").textContent(), "ionic-disc");
   for (const [x_mm, y_mm] of [[30, -20], [-40, 15]]) {
     await pressInFrame(page, frame, x_mm, y_mm);
-    t.diagnostic(`felt after ${(await waitForTouch(frame, x_mm, y_mm)).toFixed(0)} ms`);
+    t.diagnostic(`touch after ${(await waitForTouch(frame, x_mm, y_mm)).toFixed(0)} ms`);
     await keepPicture(page, `book-press-${x_mm}`);
     await page.mouse.up();
   }
@@ -108,7 +108,7 @@ test("the first page loads no skin before it is asked to, then one that feels a 
   await page.close();
 });
 
-test("all of the page stands beside it, and what the skin cannot do is said", async () => {
+test("the whole page opens on its own, and says what this skin cannot do", async () => {
   const { page, complaints } = await open(`${server.address}/poke/index.html`);
   await ready(page);
   assert.equal(await page.locator("#record").isVisible(), false);
@@ -124,7 +124,7 @@ test("all of the page stands beside it, and what the skin cannot do is said", as
   await page.close();
 });
 
-test("a book without the skin says how it is made", async () => {
+test("a book without the skin says how to build it", async () => {
   const bare = await serveFiles(book, "/poke/");
   const { page } = await open(bare.address);
   await page.click("#poke-start");

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sources_are_read_and_written_alike() {
+    fn sources_survive_printing_and_parsing() {
         for text in ["-", "tcp:10.0.0.5:7000", "tcp:[::1]:7000", "ros2:/joints", "sweep", "page", "joints.jsonl"] {
             assert_eq!(text.parse::<JointSource>().unwrap().to_string(), text);
         }

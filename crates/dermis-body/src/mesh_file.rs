@@ -1,17 +1,17 @@
 //! Reads the triangles of mesh files: STL, OBJ, PLY, COLLADA and glTF. Colours, textures and normals are ignored. Axes
 //! are not converted: in a file with y up, y stays up.
 
+mod bounded_read;
 mod collada;
 mod gltf;
 mod numbers;
 mod obj;
 mod ply;
 mod stl;
-mod whole;
 
 use std::path::Path;
 
-use whole::read_whole;
+use bounded_read::read_whole;
 
 /// Corners of the triangles in a mesh file, three each. COLLADA and glTF files give metres, others their own unit.
 ///
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn malformed_files_say_what_was_expected() {
+    fn malformed_files_are_refused_with_the_expectation() {
         for (name, text, expected) in [
             ("a.3ds", "MM", "format \"3DS\": expected STL, OBJ, PLY, COLLADA (DAE), glTF or GLB"),
             ("a.glb", "glTF", "the header of a GLB file"),

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn quaternions_come_back_whichever_of_their_parts_is_largest() {
+    fn quaternions_are_recovered_for_any_largest_part() {
         let turns = [[0.2, 0.1, -0.3], [3.1, 0.0, 0.0], [0.0, 1.5, 3.0], [0.0, 0.0, 3.1], [3.0, -1.2, 2.9]];
         for rpy in turns {
             let transform = Transform::from_xyz_rpy([0.0, 1.0, 0.0], rpy);

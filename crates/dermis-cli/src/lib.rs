@@ -46,7 +46,7 @@ pub use commands::{LivePage, sources};
 
 /// Tomographic tactile skins: from a skin file to touches.
 #[derive(Parser)]
-#[command(name = "dermis", version, propagate_version = true)]
+#[command(name = "dermis", version, propagate_version = true, max_term_width = 100)]
 struct Cli {
     /// Print more on stderr; twice for details.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]

@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn control_characters_are_shown_and_all_other_text_stays() {
+    fn control_characters_are_escaped_and_other_text_is_kept() {
         let (bad, good) = ("a\x1b]0;title\x07b\u{9b}31m \u{7f}", "a\\x1b]0;title\\x07b\\x9b31m \\x7f");
         assert_eq!(plain(bad), good);
         let kept = "25 \u{b5}m \u{b0} \u{4e2d}\u{1f600}\tline\n";

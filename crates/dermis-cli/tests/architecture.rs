@@ -91,7 +91,7 @@ fn table() -> Vec<Row> {
 }
 
 #[test]
-fn the_table_of_crates_says_who_uses_whom() {
+fn the_table_of_crates_lists_their_dependencies() {
     let (manifests, table) = (manifests(), table());
     let floors: BTreeMap<&str, u32> = table.iter().map(|row| (row.name.as_str(), row.floor)).collect();
     let present: BTreeSet<&str> = manifests.keys().map(String::as_str).collect();
@@ -130,7 +130,7 @@ fn the_diagram_shows_only_what_the_table_allows() {
 }
 
 #[test]
-fn files_do_not_depend_on_each_other_in_a_circle() {
+fn files_of_a_crate_have_no_cyclic_dependencies() {
     for name in manifests().keys() {
         let graph = file_graph::file_graph(&crates().join(name).join("src"));
         assert!(graph.values().any(|uses| !uses.is_empty()), "{name}: no file names another");

@@ -154,7 +154,7 @@ fn bad_usage_is_refused() {
 }
 
 #[test]
-fn what_cannot_be_written_is_a_failure_without_remains() {
+fn a_failed_write_leaves_no_file() {
     let desk = Desk::with(&[("case.json", SQUARE)]);
     let message = desk.refused(&["solve", "case.json", "--sigma", "hom", "--voltages", "no/such/v.npy"], 2);
     assert!(message.contains("no/such/v.npy"), "{message}");
@@ -246,7 +246,8 @@ fn the_examples_of_every_help_run() {
     let mut ran = 0;
     for command in documented_commands(&desk) {
         let words: Vec<&str> = command.iter().map(String::as_str).chain(["--help"]).collect();
-        let help = desk.done(&words);
+        // Long examples go on in the next line.
+        let help = desk.done(&words).replace("\\\n", "");
         let examples: Vec<&str> = help.lines().filter_map(|line| line.strip_prefix("  dermis ")).collect();
         assert!(!examples.is_empty(), "the help of {command:?} has no example:\n{help}");
         for example in examples {
@@ -301,7 +302,7 @@ fn measured_files(desk: &Desk) {
 }
 
 #[test]
-fn frames_that_do_not_fit_the_skin_leave_nothing_behind() {
+fn frames_that_do_not_fit_the_skin_leave_no_file() {
     let desk = Desk::with(&[("short.csv", "1,2,3\n"), ("few.csv", "x_m,y_m\n0,0\n"), ("off.csv", &off_the_skin())]);
     measured_files(&desk);
     let positions = std::fs::read_to_string(desk.path("positions.csv")).expect("a file");
@@ -366,7 +367,9 @@ fn documented_commands(desk: &Desk) -> Vec<Vec<String>> {
     let commands = |words: &[&str]| -> Vec<String> {
         let help = desk.done(&[words, &["--help"]].concat());
         let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+        // A line that is indented further continues a description.
         listed
+            .filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')))
             .filter_map(|line| line.split_whitespace().next())
             .filter(|name| *name != "help")
             .map(str::to_owned)

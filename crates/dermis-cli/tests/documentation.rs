@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use dermis_skin::{BUILTIN_NAMES, Skin};
+use dermis_skin::{BUILTIN_NAMES, Skin, json_schema};
+use serde_json::Value;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -113,6 +114,52 @@ fn every_key_of_a_skin_file_is_in_the_book() {
     }
 }
 
+/// Collects the defaults that a JSON Schema states, by key.
+fn defaults_of(node: &Value, found: &mut BTreeMap<String, Vec<Value>>) {
+    let stated = node.get("properties").and_then(Value::as_object).into_iter().flatten();
+    for (key, property) in stated {
+        found.entry(key.clone()).or_default().extend(property.get("default").cloned());
+    }
+    match node {
+        Value::Object(members) => members.values().for_each(|member| defaults_of(member, found)),
+        Value::Array(items) => items.iter().for_each(|item| defaults_of(item, found)),
+        _ => {}
+    }
+}
+
+/// The book rounds numbers. The same key may be in several tables, with different defaults.
+#[test]
+fn defaults_in_the_book_are_those_of_the_schema() {
+    let mut known = BTreeMap::new();
+    defaults_of(&json_schema(), &mut known);
+    let chapter = text(&root().join("docs/src/skin-file.md"));
+    let mut compared = 0;
+    for row in chapter.lines().filter(|line| line.starts_with("| `")) {
+        let cells: Vec<&str> = row.trim_matches('|').split('|').map(str::trim).collect();
+        let keys: Vec<&str> = cells[0].split('`').skip(1).step_by(2).collect();
+        let stated: Vec<&str> = if keys.len() > 1 { cells[1].split(", ").collect() } else { vec![cells[1]] };
+        for (key, stated) in keys.iter().zip(stated) {
+            // Numbers, words in quotes, true and false; most others are explained in words.
+            let Ok(stated) = serde_json::from_str::<Value>(stated.trim_matches('`')) else { continue };
+            if stated.is_array() {
+                continue;
+            }
+            let defaults: Vec<&Value> =
+                known.get(*key).into_iter().flatten().filter(|value| !value.is_null()).collect();
+            let agrees = |value: &&Value| match (value.as_f64(), stated.as_f64()) {
+                (Some(value), Some(stated)) => (value - stated).abs() <= 1e-3 * value.abs(),
+                _ => **value == stated,
+            };
+            assert!(
+                defaults.is_empty() || defaults.iter().any(agrees),
+                "{key}: the book says {stated}, not {defaults:?}"
+            );
+            compared += usize::from(!defaults.is_empty());
+        }
+    }
+    assert!(compared > 40, "only {compared} defaults were compared");
+}
+
 /// The help text of a command.
 fn help(words: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_dermis")).args(words).arg("--help").output();
@@ -120,7 +167,7 @@ fn help(words: &[&str]) -> String {
 }
 
 #[test]
-fn commands_and_flags_of_the_book_are_those_of_the_command() {
+fn commands_and_flags_in_the_book_exist() {
     let mut known: BTreeMap<Vec<String>, String> = BTreeMap::new();
     let mut seen = 0;
     for page in pages() {

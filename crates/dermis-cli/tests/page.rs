@@ -173,7 +173,7 @@ async fn request(requests: &Receiver<Request>) -> Request {
 }
 
 #[test]
-fn a_port_in_use_is_named_with_what_to_do() {
+fn a_port_in_use_is_named_with_advice() {
     let served = serve();
     let address = served.server.local_addr();
     let (commands, _requests) = bounded(1);
@@ -401,7 +401,7 @@ async fn a_page_that_does_not_acknowledge_misses_updates_and_others_do_not() {
 }
 
 #[tokio::test]
-async fn a_page_that_never_reads_holds_up_nobody() {
+async fn a_page_that_never_reads_blocks_nobody() {
     let served = serve_with(PageOptions { most_updates_per_s: 1000, ..PageOptions::default() }, true, 64);
     let address = served.server.local_addr();
     let _stuck = open(address).await;

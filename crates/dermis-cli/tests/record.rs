@@ -205,7 +205,7 @@ fn a_full_disk_stops_the_recording_and_not_the_stream() {
 }
 
 #[test]
-fn every_command_that_reads_a_damaged_recording_ends_with_3_and_says_so() {
+fn every_command_that_reads_a_damaged_recording_reports_it_and_exits_with_3() {
     let desk = tempfile::tempdir().expect("a directory");
     resting(&desk.path().join("whole.mcap"), 1500);
     let whole = std::fs::read(desk.path().join("whole.mcap")).expect("a file");
@@ -275,7 +275,7 @@ fn a_disk_that_is_full_from_the_start_is_refused() {
 }
 
 #[test]
-fn what_the_source_lost_is_counted_again_by_the_replay() {
+fn the_replay_counts_the_sources_losses() {
     let desk = tempfile::tempdir().expect("a directory");
     let skin = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../dermis-skin/skins/healing-square.toml");
     let skin = std::fs::read_to_string(skin).expect("a skin file");
@@ -326,7 +326,7 @@ fn wait_for(file: &Path) {
 
 #[cfg(unix)]
 #[test]
-fn a_file_that_appears_meanwhile_is_not_replaced() {
+fn a_file_that_appears_in_the_meantime_is_not_replaced() {
     let desk = tempfile::tempdir().expect("a directory");
     let mut running = recording(desk.path(), "3");
     wait_for(&desk.path().join("a.partial.mcap"));
@@ -343,7 +343,7 @@ fn a_file_that_appears_meanwhile_is_not_replaced() {
 
 #[cfg(unix)]
 #[test]
-fn an_interruption_at_any_moment_leaves_a_whole_recording_or_none() {
+fn an_interruption_at_any_moment_leaves_a_complete_recording_or_none() {
     for milliseconds in [1, 60, 150, 300, 500, 1200] {
         let desk = tempfile::tempdir().expect("a directory");
         let mut running = recording(desk.path(), "20");

@@ -131,7 +131,7 @@ fn a_twin_that_is_served_is_run_from_its_address() {
 }
 
 #[test]
-fn a_twin_is_not_served_to_the_network_unless_that_is_said() {
+fn a_twin_is_served_to_the_network_only_on_request() {
     let refused = Command::new(env!("CARGO_BIN_EXE_dermis")).args(["twin", "serve", "--tcp", "0.0.0.0:0"]).output();
     let refused = refused.expect("the command starts");
     assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));

@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_appears_meanwhile_is_not_replaced() {
+    fn a_file_that_appears_in_the_meantime_is_not_replaced() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("out.csv");
         let error = write_atomic(&path, |out| {
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_stands_under_the_final_name_while_writing() {
+    fn the_final_name_does_not_exist_while_writing() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("out.csv");
         let seen = write_atomic(&path, |out| {

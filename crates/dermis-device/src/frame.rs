@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn refilling_forgets_what_was_there() {
+    fn refilling_forgets_earlier_values() {
         let mut frame = Frame { device_time_ns: Some(5), imaginary: vec![1.0], ..Frame::default() };
         frame.refill(1, HostStamp { monotonic_ns: 7, wall_ns: 9 }, &[0.5], &[]);
         assert_eq!(

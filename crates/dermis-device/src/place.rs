@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_appears_after_the_command_began_is_kept_even_if_its_writing_begins_later() {
+    fn a_file_that_appears_after_the_command_began_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let (new, old) = (folder.path().join("new.csv"), folder.path().join("old.csv"));
         fs::write(&old, "before").unwrap();
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_appeared_meanwhile_is_kept_and_so_is_the_finished_one() {
+    fn a_file_that_appeared_in_the_meantime_is_kept_next_to_the_finished_one() {
         let folder = tempfile::tempdir().unwrap();
         let (part, target) = (folder.path().join("x.part"), folder.path().join("x"));
         fs::write(&part, "new").unwrap();

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn every_frame_comes_once_and_then_the_end() {
+    fn every_frame_arrives_once_and_then_the_end() {
         let mut source = Playback::new(table(), Pacing::Immediate, Repeat::Once).unwrap();
         assert_eq!(drain(&mut source, 9), [(0, vec![1.0, 2.0]), (1, vec![3.0, 4.0]), (2, vec![5.0, 6.0])]);
         assert_eq!(source.next_frame(&mut Frame::default(), Duration::ZERO).unwrap(), SourceEvent::End);
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn repetitions_go_on_counting_and_gaps_are_lost_frames() {
+    fn repetitions_continue_the_numbering_and_gaps_are_lost_frames() {
         let table = table().with_sequences(vec![5, 8, 9]).unwrap();
         let mut source = Playback::new(table, Pacing::Immediate, Repeat::Forever).unwrap();
         let numbers: Vec<u64> = drain(&mut source, 7).iter().map(|(sequence, _)| *sequence).collect();

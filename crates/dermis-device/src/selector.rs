@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn malformed_text_says_what_was_expected() {
+    fn malformed_text_is_refused_with_the_expectation() {
         for (text, expected) in [
             ("", "a file path"),
             ("file:", "a file path"),

@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_choices_list_what_exists() {
+    fn impossible_choices_are_refused_with_the_options() {
         for item in ["a", "target", "4", "4..", "2..2", "3..2", "0..5"] {
             let message = table().select(&item.parse().unwrap()).unwrap_err().to_string();
             assert!(message.contains("ref") && message.contains("from 0 to 3"), "{item}: {message}");

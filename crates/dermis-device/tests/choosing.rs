@@ -23,7 +23,7 @@ fn rows(count: usize, columns: usize) -> String {
 }
 
 #[test]
-fn tables_are_told_apart_by_shape() {
+fn tables_are_distinguished_by_shape() {
     assert_eq!(detected(&format!("ref,b\n{}", rows(256, 2))), Format::Golfball);
     assert_eq!(detected(&format!("ref,b\n{}", rows(2356, 2))), Format::Ktc);
     // With other names, the same numbers of rows are frames with few channels.
@@ -62,7 +62,7 @@ fn a_given_format_overrides_recognition() {
 }
 
 #[test]
-fn arrays_are_recognised_whatever_their_name() {
+fn arrays_are_recognised_under_any_name() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("frames.dat");
     npy::write_f64(&path, &[2, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).unwrap();

@@ -124,7 +124,7 @@ fn gaps_are_counted_exactly_also_where_the_number_wraps() {
 }
 
 #[test]
-fn a_lost_connection_costs_exactly_what_the_device_took_meanwhile() {
+fn a_lost_connection_loses_exactly_the_frames_taken_in_the_meantime() {
     let mut line = Line::new(7);
     line.connect().unwrap();
     (0..5).for_each(|sequence| line.send_frame(sequence));
@@ -135,7 +135,7 @@ fn a_lost_connection_costs_exactly_what_the_device_took_meanwhile() {
 }
 
 #[test]
-fn frames_that_come_twice_or_late_are_dropped_and_counted() {
+fn repeated_and_late_frames_are_dropped_and_counted() {
     let mut line = Line::new(7);
     line.connect().unwrap();
     for sequence in [10, 11, 11, 10, 12, 14, 13, 15] {
@@ -166,7 +166,7 @@ fn a_reset_device_is_started_again_and_its_gap_follows_from_its_rate() {
 }
 
 #[test]
-fn a_device_without_boot_number_may_count_anew_after_a_connection() {
+fn a_device_without_boot_number_may_restart_its_numbering_after_reconnecting() {
     let mut line = Line::new(0);
     line.connect().unwrap();
     (100..103).for_each(|sequence| line.send_frame(sequence));
@@ -178,7 +178,7 @@ fn a_device_without_boot_number_may_count_anew_after_a_connection() {
 }
 
 #[test]
-fn a_device_that_counts_anew_without_a_word_is_believed_in_the_end() {
+fn a_device_that_restarts_its_numbering_silently_is_accepted_eventually() {
     let mut line = Line::new(7);
     line.connect().unwrap();
     line.send_frame(1000);
@@ -200,7 +200,7 @@ fn another_device_on_the_port_is_refused_by_its_channels() {
 }
 
 #[test]
-fn the_hello_is_said_again_and_silence_ends_the_handshake() {
+fn the_hello_is_repeated_and_silence_ends_the_handshake() {
     let mut host = WireHost::new();
     let mut send = Vec::new();
     host.open(&mut send);
@@ -251,7 +251,7 @@ fn reply_to(device: &mut WireDevice, command: Command<'_>) -> (ReplyStatus, Vec<
 }
 
 #[test]
-fn a_device_says_how_it_is_set_and_what_it_measures_of_itself() {
+fn a_device_reports_its_settings_and_self_test() {
     let mut device = WireDevice::new(DeviceInfo { amplitude_a: 2e-3, frequency_hz: 954.0, ..info(7, 3) });
     assert_eq!(reply_to(&mut device, Command::SelfTest), (ReplyStatus::Unknown, vec![]));
     device.set_measured(&[1.0], &[3.5, f32::NAN]);

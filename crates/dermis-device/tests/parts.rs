@@ -107,7 +107,7 @@ fn parts_are_joined_with_their_times_status_and_gain() {
 }
 
 #[test]
-fn a_missing_part_costs_its_frame_and_a_frame_begun_anew_costs_nothing() {
+fn a_missing_part_loses_its_frame_and_a_restarted_frame_loses_none() {
     let mut line = Line::new();
     for sequence in 0..6 {
         for (n, part) in parts(sequence).iter().enumerate() {
@@ -127,7 +127,7 @@ fn a_missing_part_costs_its_frame_and_a_frame_begun_anew_costs_nothing() {
 }
 
 #[test]
-fn of_a_damaged_stream_of_parts_every_frame_is_whole_and_true_or_counted() {
+fn every_frame_of_a_damaged_stream_is_correct_or_counted_as_lost() {
     const FRAMES: u32 = 2000;
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
     let mut below = |limit: usize| {

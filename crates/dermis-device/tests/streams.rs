@@ -199,7 +199,7 @@ fn a_stream_begins_when_its_first_frame_is_asked_for() {
 }
 
 #[test]
-fn a_stalled_device_is_idle_then_connected_anew_and_never_holds_up_its_reader() {
+fn a_stalled_device_is_idle_then_reconnected_and_never_blocks_its_reader() {
     let (listener, selector) = listen();
     let events = Events::default();
     let told = events.clone();
@@ -226,7 +226,7 @@ fn a_stalled_device_is_idle_then_connected_anew_and_never_holds_up_its_reader() 
 }
 
 #[test]
-fn a_device_that_is_not_there_or_says_nothing_is_an_error_with_its_reason() {
+fn an_absent_or_silent_device_is_an_error_with_the_reason() {
     let (listener, selector) = listen();
     drop(listener);
     let expected = format!("{selector}: cannot connect: ");

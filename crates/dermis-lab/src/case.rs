@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn a_case_is_read_and_other_keys_are_passed_over() {
+    fn a_case_is_read_and_unknown_keys_are_ignored() {
         let case = parse(SQUARE).unwrap();
         assert_eq!(case.body.mesh.element_count(), 4);
         assert_eq!(case.body.electrodes[1].contact, Contact::Point(1));

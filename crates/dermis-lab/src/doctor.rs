@@ -476,7 +476,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn contacts_are_named_by_what_is_wrong_with_them() {
+    fn faulty_contacts_are_named_with_their_fault() {
         let skin = Skin::open("healing-square").unwrap();
         let of = |ohms: &[f32]| contact_impedance(&skin, Some(ohms));
         assert_eq!(of(&[2.0, 3.0, 2.5]).answer, Answer::Good);

@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_of_other_sizes_and_signs_are_told_at_every_magnitude_and_presses_are_not() {
+    fn frames_of_other_scale_or_sign_are_detected_and_presses_are_not() {
         let rest: Vec<f64> = (0..40).map(|k| 1e-3 * (1.0 + f64::from(k % 7))).collect();
         let with = |of: &dyn Fn(f64) -> f64| rest.iter().map(|v| of(*v)).collect::<Vec<f64>>();
         for power in 3..15 {

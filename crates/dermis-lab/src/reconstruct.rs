@@ -76,9 +76,6 @@ pub struct Report {
     pub circuit: Option<CircuitFit>,
 }
 
-/// Assumed rate of frames without time stamps if the skin file gives none.
-const DEFAULT_FRAMES_PER_S: f64 = 20.0;
-
 /// Reconstructs all frames. `progress` gets the work done and the total: frames, or Gauss-Newton steps if the skin
 /// file asks for them.
 ///
@@ -262,7 +259,7 @@ fn reconstruct_to(
     if let Some(path) = &request.images {
         sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));
     }
-    let rate = prepared.skin.backend.frames_per_s.unwrap_or(DEFAULT_FRAMES_PER_S);
+    let rate = prepared.skin.backend.frame_rate_hz();
     let mut image = vec![f32::NAN; grid.len()];
     let unknown = vec![f64::NAN; prepared.channels()];
     let rim = prepared.rim_pixels();

@@ -70,7 +70,7 @@ impl Rig {
     ) -> Result<Self, Error> {
         // Every frame counts by itself, because presses are held still and averaged here.
         skin.touch.least_frames = 1;
-        let frame_s = 1.0 / skin.backend.frames_per_s.unwrap_or(20.0);
+        let frame_s = 1.0 / skin.backend.frame_rate_hz();
         let prepared = Prepared::new(skin)?;
         let rest = read(&mut frontend, &mut instrument, &[], BASELINE_FRAMES, frame_s)?;
         let reference = Reference::of(&prepared, &rest)?;

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_refuses_and_an_ended_twin_says_so() {
+    fn a_full_queue_and_an_ended_twin_refuse_commands() {
         let queue = CommandQueue::default();
         let sender = queue.sender();
         let sent = (0..20_000).filter(|k| sender.send(press(*k, 0.0)).is_ok()).count();

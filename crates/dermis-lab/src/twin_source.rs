@@ -84,7 +84,7 @@ impl TwinSource {
         let TwinKit { twin, press, demo } = TwinKit::of(skin)?;
         let commands = CommandQueue::default();
         let sender = commands.sender();
-        let rate = skin.backend.frames_per_s.unwrap_or(50.0);
+        let rate = skin.backend.frame_rate_hz();
         let source = Self {
             name: format!("twin:{}", skin.name),
             layout: Layout::Channels { count: twin.frontend().channel_count() },

@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn a_first_model_is_kept_in_the_same_files() {
+    fn a_first_model_is_stored_in_the_same_files() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("m.json");
         let (mut model, mut first) = (some_model(), some_model());

@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn held_out_frames_score_below_one_and_strange_ones_above() {
+    fn held_out_frames_score_below_one_and_novel_ones_above() {
         let novelty = Novelty::fit(&frames(4000, 1, 0.0), &frames(4000, 2, 0.0)).unwrap();
         let beyond = |frames: Vec<Vec<f32>>| frames.iter().filter(|f| novelty.score(f) > 1.0).count();
         // Binomial: 4 of 4000 expected, standard deviation 2; the threshold has an error of the same size.

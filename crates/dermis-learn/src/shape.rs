@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_tensors_are_those_of_the_drawing() {
+    fn the_tensors_match_the_drawing() {
         let shape = UNetShape { inputs: 1, classes: 3, width: 8, levels: 4 };
         let tensors = shape.tensors();
         // Seven stages of two blocks of five tensors, plus two for the head.
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn shapes_that_cannot_be_are_named() {
+    fn impossible_shapes_are_named() {
         let good = UNetShape { inputs: 1, classes: 3, width: 8, levels: 4 };
         good.check().unwrap();
         good.check_image(64, 64).unwrap();

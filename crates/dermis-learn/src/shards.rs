@@ -209,8 +209,9 @@ impl TrainingSet {
         let refuse = |field: &str, reason: String| LearnError::content(file, field, reason);
         let manifest = &self.manifest;
         let samples = manifest.samples_of(number);
-        let parsed = SafeTensors::deserialize(content)
-            .map_err(|error| refuse("header", format!("no safetensors: {error}; remove the file to make it anew")))?;
+        let parsed = SafeTensors::deserialize(content).map_err(|error| {
+            refuse("header", format!("no safetensors: {error}; remove the file to create it again"))
+        })?;
         let tensor = |name: &str, dtype: Dtype, dims: &[usize]| {
             let view = parsed.tensor(name).map_err(|error| refuse(name, error.to_string()))?;
             if view.dtype() != dtype || view.shape() != dims {
@@ -262,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_is_continued_where_it_was_left() {
+    fn an_interrupted_set_is_resumed() {
         let folder = tempfile::tempdir().unwrap();
         let set = TrainingSet::create(folder.path(), manifest()).unwrap();
         assert_eq!(set.missing(), [0, 1, 2]);

@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_to_the_bit() {
+    fn written_data_are_read_back_bit_for_bit() {
         let tensors = some();
         let bytes = tensors.to_bytes().unwrap();
         let read = Tensors::from_bytes(&bytes, Path::new("w")).unwrap();
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn other_architectures_numbers_and_types_are_refused() {
+    fn unknown_architectures_numbers_and_types_are_refused() {
         let tensors = some();
         let wide = UNetShape { width: 4, ..SHAPE };
         let error = tensors.check(&wide, Path::new("w")).unwrap_err().to_string();

@@ -30,7 +30,7 @@ fn a_state_dict_of_pytorch_runs_as_it_does_there() {
 }
 
 #[test]
-fn what_is_written_here_is_the_state_dict_again() {
+fn written_weights_are_the_same_state_dict() {
     let weights = read("state_dict.safetensors");
     let bytes = weights.to_bytes().unwrap();
     let again = Tensors::from_bytes(&bytes, &PathBuf::from("again")).unwrap();

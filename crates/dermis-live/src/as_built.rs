@@ -8,12 +8,12 @@
 mod build;
 mod errors;
 mod fit;
-mod rest;
+mod from_baseline;
 mod spots;
 
 pub use build::Build;
 pub(crate) use errors::{RADIUS_UNKNOWN, places};
 pub(crate) use fit::{BuildFit, Built};
-pub use rest::from_rest;
-pub(crate) use rest::{AS_DRAWN, is_off, is_wanted, learns_from_rest};
+pub use from_baseline::from_rest;
+pub(crate) use from_baseline::{AS_DRAWN, is_off, is_wanted, learns_from_rest};
 pub(crate) use spots::{LOAD, PARAMETERS, RADIUS, Spots};

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn other_work_takes_the_place_of_what_is_under_way_which_is_told() {
+    fn new_work_replaces_and_cancels_running_work() {
         let (tell, told) = channel();
         let mut beside = Beside::new();
         beside.begin(100, move |wanted| {

@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn pokes_far_below_the_weakest_touch_are_seen_as_nothing() {
+    fn pokes_far_below_the_weakest_touch_are_not_detected() {
         let prepared = Prepared::new(Skin::open("em-8").unwrap()).unwrap();
         let rest = prepared.voltages.clone();
         let positions_m = grid(36, 0.02, [-0.05, -0.05]);

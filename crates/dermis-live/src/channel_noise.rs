@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn what_channels_have_in_common_makes_their_noise_sure() {
+    fn pooling_channels_reduces_the_error_of_their_noise() {
         let levels = levels();
         let truth: Vec<f64> = levels.iter().map(|level| (1e-6_f64.powi(2) + (1e-4 * level).powi(2)).sqrt()).collect();
         let alone = measured(&truth, 1);

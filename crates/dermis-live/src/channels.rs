@@ -374,14 +374,14 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_count_says_both_numbers() {
+    fn a_wrong_count_is_refused_with_both_numbers() {
         let protocol = Skin::open("sciospec-tank").unwrap().protocol().unwrap();
         let error = ChannelLayout::new(&Layout::Channels { count: 207 }, &protocol, "x.csv").unwrap_err();
         assert_eq!(error.to_string(), "frames of x.csv: expected 208 channels, got 207 channels");
     }
 
     #[test]
-    fn a_file_of_other_drives_says_which_it_holds() {
+    fn a_file_with_other_drives_lists_them() {
         let protocol = Skin::open("sciospec-tank").unwrap().protocol().unwrap();
         let refused = |stimulations: Vec<(usize, usize)>| {
             let layout = Layout::SingleEnded { electrodes: 16, stimulations };

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_set_back_or_ahead_is_marked_and_time_goes_on_at_its_pace() {
+    fn clock_jumps_are_marked_and_time_continues_at_the_same_pace() {
         for (jump_ns, read_ns) in [(-3_600_000_000_000_i64, 400_000_000), (7_200_000_000_000, 10_800_400_000_000)] {
             let start_ns = 3_600_000_000_000;
             let mut clock = running(start_ns);

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrored_shifted_and_unrelated_labels_are_told_apart() {
+    fn mirrored_shifted_and_unrelated_labels_are_distinguished() {
         let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
         // In random order: neighbours in the table are not neighbours on the skin.
         let place = |k: usize| [1e-3 * ((k * 37 % 83) as f64 - 40.0), 1e-3 * ((k * 53 % 71) as f64 - 30.0) * 0.8];

@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_are_those_of_sorted_durations_within_a_bucket() {
+    fn quantiles_agree_with_sorted_durations_within_a_bucket() {
         let mut state = 1_u64;
         let mut durations: Vec<u64> = (0..5000)
             .map(|_| {
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_after_forgetting_is_what_was_recorded_since() {
+    fn forgetting_leaves_only_later_records() {
         let (mut all, mut recent) = (LatencyHistogram::new(), LatencyHistogram::new());
         for us in [900, 80_000, 3] {
             all.record(Duration::from_micros(us));
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_recorded_is_zero_everywhere() {
+    fn an_empty_record_is_zero_everywhere() {
         assert_eq!(LatencyHistogram::new().summary(), LatencySummary::default());
     }
 }

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn every_pair_of_built_in_skins_is_told_apart_and_each_knows_itself() {
+    fn built_in_skins_are_distinguished_and_recognise_themselves() {
         let skins: Vec<Skin> = BUILTIN_NAMES.iter().map(|name| Skin::open(name).unwrap()).collect();
         for recorded in &skins {
             let stored = Skin::parse(&recorded.to_toml(), "a recording").unwrap();
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_skin_of_twice_the_side_is_another_one_and_says_which_key() {
+    fn a_skin_of_twice_the_side_is_refused_with_the_key_that_differs() {
         let text = builtin_text("healing-square").unwrap();
         let doubled = Skin::parse(&text.replace("side_mm = 100.0", "side_mm = 200.0"), "doubled").unwrap();
         let error = check_frames("h.mcap", &Skin::open("healing-square").unwrap(), &doubled).unwrap_err().to_string();

@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn deviations_are_those_of_the_inverse() {
+    fn deviations_agree_with_the_inverse() {
         let (normal, _) = problem(5, 9);
         let travel = [0.1, 0.0, 0.2, 0.0, 0.1];
         let found = deviations(&normal, &travel);

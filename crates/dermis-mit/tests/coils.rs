@@ -105,7 +105,7 @@ fn first_row(array: &CoilArray) -> Vec<f64> {
 }
 
 #[test]
-fn published_arrays_are_what_they_were_before_they_were_descriptions() {
+fn published_arrays_have_not_changed() {
     let arrays: [(PublishedArray, &[u64], &[u64]); 3] = [
         (EM_8, &EM_8_H, &EM_8_SHIELD_H),
         (EM_16_CIRCULAR, &CIRCULAR_H, &CIRCULAR_SHIELD_H),
@@ -258,7 +258,7 @@ fn grids_leave_places_out() {
 }
 
 #[test]
-fn coils_that_cannot_be_are_refused_with_field_value_and_expectation() {
+fn impossible_coils_are_refused_with_field_value_and_expectation() {
     let spec = CoilSpec::spiral(CoilShape::Round, 10.0 * MM, 20.0 * MM, 10);
     let two = CoilSpec { layers: 2, layer_pitch_m: 1.0 * MM, ..spec };
     let wire = |diameter_m: f64| Conductor::Wire { diameter_m };
@@ -307,7 +307,7 @@ fn coils_that_cannot_be_are_refused_with_field_value_and_expectation() {
 }
 
 #[test]
-fn pairs_that_lie_alike_have_one_mutual_inductance_and_others_their_own() {
+fn mutual_inductances_of_arrays_equal_those_of_pairs() {
     // Round and square coils, one of them in a layer above, over a shield.
     let round = |x: f64, y: f64, z: f64| Coil::circular_spiral([x, y, z], 0.012, 0.036, 6).unwrap();
     let square = |x: f64, y: f64| Coil::square_spiral([x, y, 0.0], 0.012, 0.036, 6).unwrap();

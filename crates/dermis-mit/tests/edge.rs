@@ -265,7 +265,7 @@ fn a_coil_over_a_large_plate_changes_as_over_an_infinite_one() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_with_its_number() {
+fn invalid_values_are_refused_with_the_value() {
     let axis = vec![0.0, 0.01, 0.02];
     let mesh = box_mesh(&[axis.clone(), axis.clone(), axis], |_| 1).unwrap();
     let system = |material: Material, frequency_hz: f64| {

@@ -132,7 +132,7 @@ fn spirals_have_the_reference_s_inductances() {
 }
 
 #[test]
-fn a_shield_is_a_plane_through_which_no_flux_goes() {
+fn no_flux_passes_through_a_shield() {
     let coil = spiral(0.0).with_shield(-0.004);
     for (x, y) in [(0.0, 0.0), (0.02, 0.01), (0.06, -0.03)] {
         let b = coil.flux_density([x, y, -0.004]);
@@ -144,7 +144,7 @@ fn a_shield_is_a_plane_through_which_no_flux_goes() {
 }
 
 #[test]
-fn spheres_answer_as_the_closed_form_says() {
+fn the_response_of_spheres_agrees_with_the_closed_form() {
     let file = reference("sphere_polarizability.json");
     let mut worst: f64 = 0.0;
     for row in file["rows"].as_array().unwrap() {
@@ -257,7 +257,7 @@ fn coils_over_each_other_have_tables_of_their_own() {
 }
 
 #[test]
-fn neighbours_excite_each_other_as_a_direct_solution_says() {
+fn mutual_excitation_of_neighbours_agrees_with_a_direct_solution() {
     let array = CoilArray::of_coils(vec![spiral(-0.0375), spiral(0.0375)]).unwrap();
     let places: Vec<[f64; 2]> =
         (0..9).map(|k| [0.02 * ((k % 3) as f64 - 1.0), 0.02 * ((k / 3) as f64 - 1.0)]).collect();
@@ -315,7 +315,7 @@ fn neighbours_excite_each_other_as_a_direct_solution_says() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_its_numbers() {
+fn impossible_input_is_refused_with_its_numbers() {
     let near = CoilArray::of_coils(vec![spiral(0.0), spiral(0.06)]).unwrap_err();
     assert!(matches!(near, MitError::CoilsOverlap { first: 1, second: 2, .. }), "{near}");
     assert!(CoilArray::of_coils(Vec::new()).is_err());

@@ -96,7 +96,7 @@ fn rings_too_thick_for_the_skin_depth_are_warned_of_and_bad_ones_refused() {
 }
 
 #[test]
-fn a_body_that_wire_comes_too_near_to_for_multipoles_is_solved_by_elements() {
+fn a_body_too_near_a_wire_for_multipoles_is_solved_by_elements() {
     // A ring of 3 mm above the middle of the cylinder, and a coil at its side.
     let near = Coil::circular_spiral([0.0; 3], 0.0055, 0.0065, 1).unwrap();
     let beside = Coil::circular_spiral([0.06, 0.0, 0.0], 0.03, 0.04, 4).unwrap();

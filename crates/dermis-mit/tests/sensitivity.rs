@@ -126,7 +126,7 @@ fn a_weak_sphere_answers_each_harmonic_by_the_integral_of_its_field() {
 }
 
 #[test]
-fn slopes_by_height_of_a_weak_body_are_those_of_its_sensitivity() {
+fn slopes_by_height_of_a_weak_body_agree_with_its_sensitivity() {
     let array = pair_of_coils();
     let (radius_m, place, height) = (0.0025, [0.004, 0.003], 0.02);
     let sphere = Sphere { radius_m, conductivity_s_per_m: 1e-3, relative_permeability: 1.0 + 1e-6 };

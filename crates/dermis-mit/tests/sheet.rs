@@ -78,7 +78,7 @@ fn the_impedance_is_that_of_both_limits() {
 }
 
 #[test]
-fn a_bent_sheet_is_the_same_sheet_elsewhere() {
+fn a_tilted_sheet_responds_like_a_flat_one() {
     // A tilted plate, and a dipole rotated with it.
     let (mesh, angle) = (SheetMesh::rectangle([0.02, 0.02], [6, 6]).unwrap(), 0.3_f64);
     let (sine, cosine) = angle.sin_cos();
@@ -121,7 +121,7 @@ fn two_coils() -> CoilArray {
 }
 
 #[test]
-fn a_plate_of_a_few_points_answers_as_its_sheet() {
+fn a_plate_of_a_few_points_responds_like_its_sheet() {
     let array = two_coils();
     let material = SheetMaterial { thickness_m: 0.001, conductivity_s_per_m: 3.5e7 };
     let sheet = Sheet::new(&SheetMesh::rectangle([0.02, 0.03], [8, 8]).unwrap(), &material, 2e4).unwrap();
@@ -164,7 +164,7 @@ fn plates_over_coils_excite_each_other_as_one_sheet_of_many_pieces() {
 }
 
 #[test]
-fn plates_in_each_other_or_in_wire_are_refused() {
+fn plates_that_intersect_each_other_or_wire_are_refused() {
     let array = two_coils();
     let plate = Plate::new([0.02, 0.02], &ALUMINIUM, 2e4, 4, 4).unwrap();
     let new = |places: &[[f64; 2]], heights| Plates::new(&array, plate.clone(), places, heights, None);

@@ -43,7 +43,7 @@ pub struct Encoded {
 
 /// A message from a page.
 #[derive(Debug, PartialEq)]
-pub enum Said<C> {
+pub enum PageMessage<C> {
     /// The update with this sequence number has been shown.
     Acknowledge(u64),
     /// A request; the number is returned in the answer.
@@ -118,12 +118,12 @@ struct Alive {
     hub: HubStats,
 }
 
-impl<C> Said<C> {
+impl<C> PageMessage<C> {
     /// The same message with another type of command.
-    pub fn map<D>(self, change: impl FnOnce(C) -> D) -> Said<D> {
+    pub fn map<D>(self, change: impl FnOnce(C) -> D) -> PageMessage<D> {
         match self {
-            Self::Acknowledge(sequence) => Said::Acknowledge(sequence),
-            Self::Ask(id, command) => Said::Ask(id, change(command)),
+            Self::Acknowledge(sequence) => PageMessage::Acknowledge(sequence),
+            Self::Ask(id, command) => PageMessage::Ask(id, change(command)),
         }
     }
 }
@@ -220,7 +220,7 @@ pub fn noise(values: &[f32]) -> Bytes {
 ///
 /// # Errors
 /// A sentence for the page that states the fault and what was expected, with the request's number if it was readable.
-pub fn parse<C: DeserializeOwned>(text: &str) -> Result<Said<C>, (u64, String)> {
+pub fn parse<C: DeserializeOwned>(text: &str) -> Result<PageMessage<C>, (u64, String)> {
     let incoming: Incoming<C> =
         serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
     let id = incoming.id.unwrap_or(0);
@@ -228,8 +228,8 @@ pub fn parse<C: DeserializeOwned>(text: &str) -> Result<Said<C>, (u64, String)> 
         return Err((id, format!("message of version {}; expected {PROTOCOL_VERSION}: reload the page", incoming.v)));
     }
     match (incoming.ack, incoming.id, incoming.command) {
-        (Some(sequence), None, None) => Ok(Said::Acknowledge(sequence)),
-        (None, Some(id), Some(command)) => Ok(Said::Ask(id, command)),
+        (Some(sequence), None, None) => Ok(PageMessage::Acknowledge(sequence)),
+        (None, Some(id), Some(command)) => Ok(PageMessage::Ask(id, command)),
         _ => Err((id, "message not understood: expected either ack, or id and command".into())),
     }
 }
@@ -308,12 +308,12 @@ mod tests {
     }
 
     #[test]
-    fn commands_are_read_and_others_explained() {
+    fn commands_are_parsed_and_bad_ones_explained() {
         let press = r#"{"v":1,"id":3,"command":{"press":{"pointer_id":1,"x_mm":2,"y_mm":-3.5,"radius_mm":10,"pressure_kpa":80}}}"#;
         let expected = Press { pointer_id: 1, x_mm: 2.0, y_mm: -3.5, radius_mm: 10.0, pressure_kpa: 80.0 };
-        assert_eq!(parse(press), Ok(Said::Ask(3, Command::Press(expected))));
-        assert_eq!(parse(r#"{"v":1,"id":4,"command":"record_start"}"#), Ok(Said::Ask(4, Command::RecordStart)));
-        assert_eq!(parse::<Command>(r#"{"v":1,"ack":88}"#), Ok(Said::Acknowledge(88)));
+        assert_eq!(parse(press), Ok(PageMessage::Ask(3, Command::Press(expected))));
+        assert_eq!(parse(r#"{"v":1,"id":4,"command":"record_start"}"#), Ok(PageMessage::Ask(4, Command::RecordStart)));
+        assert_eq!(parse::<Command>(r#"{"v":1,"ack":88}"#), Ok(PageMessage::Acknowledge(88)));
         for (wrong, hint) in [
             (r#"{"v":2,"ack":1}"#, "version 2"),
             (r#"{"v":1}"#, "expected either"),
@@ -331,9 +331,9 @@ mod tests {
     fn commands_of_a_bodys_page_name_a_patch_or_joints() {
         let tare = r#"{"v":1,"id":3,"command":{"patch":{"number":2,"command":{"tare":{"force":false}}}}}"#;
         let command = Command::Tare { force: false };
-        assert_eq!(parse(tare), Ok(Said::Ask(3, BodyCommand::Patch(PatchCommand { number: 2, command }))));
+        assert_eq!(parse(tare), Ok(PageMessage::Ask(3, BodyCommand::Patch(PatchCommand { number: 2, command }))));
         let joints = r#"{"v":1,"id":4,"command":{"joints":{"elbow":0.5}}}"#;
-        assert_eq!(parse(joints), Ok(Said::Ask(4, BodyCommand::Joints([("elbow".to_owned(), 0.5)].into()))));
+        assert_eq!(parse(joints), Ok(PageMessage::Ask(4, BodyCommand::Joints([("elbow".to_owned(), 0.5)].into()))));
         let (id, text) = parse::<BodyCommand>(r#"{"v":1,"id":5,"command":{"tare":{"force":false}}}"#).unwrap_err();
         assert!(id == 0 && text.contains("unknown variant `tare`, expected `patch` or `joints`"), "{text}");
     }

@@ -86,7 +86,7 @@ fn poked(name: &str) -> (Calibration, Vec<[f64; 2]>) {
 }
 
 #[test]
-fn amplitudes_of_a_calibrated_skin_are_in_pokes_and_its_colours_in_the_units_of_its_image() {
+fn calibrated_amplitudes_are_in_pokes_and_colours_in_image_units() {
     let (calibration, places) = poked("ionic-disc");
     assert!(calibration.correction().is_none(), "images are made with the measured Jacobian");
     let mut line = Line::new("ionic-disc", Some(calibration));
@@ -111,7 +111,7 @@ fn colours_of_both_signs_are_on_both_sides_of_zero() {
 }
 
 #[test]
-fn the_press_that_a_skin_is_made_for_fills_half_the_range() {
+fn the_typical_press_fills_half_the_range() {
     for name in
         ["healing-square", "ionic-disc", "ionic-square", "piezo-square", "sciospec-tank", "em-8", "em-16-square"]
     {

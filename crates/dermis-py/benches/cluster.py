@@ -37,8 +37,8 @@ def tasks():
             pass
 
 
-def watched(stop, seen, kill):
-    """Records the peak memory of one worker (on Linux, its unshared memory) and of all; kills one on request."""
+def watch(stop, seen, kill):
+    """Records the peak memory of a worker, resident and unshared; kills one on request."""
     while not stop.wait(0.05):
         for process in tasks():
             try:
@@ -59,7 +59,7 @@ def measure(workers, skin, samples, shard, folder, kill=False):
     # Start the workers before the clock.
     ray.get([ray.remote(num_cpus=1)(lambda: time.sleep(0.2)).remote() for _ in range(2 * workers)])
     stop, seen = threading.Event(), {}
-    watcher = threading.Thread(target=watched, args=(stop, seen, kill))
+    watcher = threading.Thread(target=watch, args=(stop, seen, kill))
     watcher.start()
     driver = psutil.Process().cpu_times()
     begun = time.perf_counter()
@@ -74,30 +74,30 @@ def measure(workers, skin, samples, shard, folder, kill=False):
 
 
 def dispatch(workers=2, count=2000):
-    """Time of the driver and wall-clock time, seconds, for a task that does nothing, with arguments like a
-    shard's."""
+    """Wall-clock time and CPU time of the driver per empty task with arguments like a shard's, seconds, and the size of
+    the arguments, bytes."""
     from dermis.ray import _fan_out
 
     toml = dermis.Skin("healing-square").to_toml()
     ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, configure_logging=False)
-    _fan_out(nothing, [(toml, number) for number in range(50)], "task")
+    _fan_out(empty, [(toml, number) for number in range(50)], "task")
     driver = psutil.Process().cpu_times()
     begun = time.perf_counter()
-    _fan_out(nothing, [(toml, number) for number in range(count)], "task")
+    _fan_out(empty, [(toml, number) for number in range(count)], "task")
     took = time.perf_counter() - begun
     spent = psutil.Process().cpu_times()
     ray.shutdown()
     return took / count, (spent.user + spent.system - driver.user - driver.system) / count, len(toml)
 
 
-def nothing(toml, number):
+def empty(toml, number):
     return number
 
 
 def main():
     words = {"samples": "240", "shard": "20", "skin": "healing-square", **dict(word.split("=", 1) for word in sys.argv[1:])}
     samples, shard, skin = int(words["samples"]), int(words["shard"]), words["skin"]
-    print(f"train_set({skin!r}, {samples}), {shard} samples a shard, {os.cpu_count()} processors")
+    print(f"train_set({skin!r}, {samples}), {shard} samples per shard, {os.cpu_count()} processors")
     with TemporaryDirectory() as folder:
         alone = Path(folder) / "alone"
         begun = time.perf_counter()
@@ -106,19 +106,19 @@ def main():
         took = time.perf_counter() - begun
         wanted = hashes(alone)
         size = sum(file.stat().st_size for file in alone.iterdir())
-        print(f"without Ray: {took:.1f} s, {samples / took:.1f} samples/s; {size} bytes in all, {size / samples:.0f} a sample", flush=True)
+        print(f"without Ray: {took:.1f} s, {samples / took:.1f} samples/s; {size} bytes in total, {size / samples:.0f} per sample", flush=True)
         for workers, kill in ((1, False), (2, False), (4, False), (2, True)):
             together = Path(folder) / f"{workers}-{kill}"
             took, driver_s, seen = measure(workers, skin, samples, shard, together, kill)
-            same = "the same bytes" if hashes(together) == wanted else "OTHER BYTES"
+            same = "the same bytes" if hashes(together) == wanted else "DIFFERENT BYTES"
             killed = ", one killed" if "killed" in seen else ""
             print(
-                f"{workers} workers{killed}: {took:.1f} s, {samples / took:.1f} samples/s, {same}; driver {driver_s:.2f} s of a processor; "
-                f"worker {seen['rss'] / 2**20:.0f} MiB resident, {seen['uss'] / 2**20:.0f} MiB its own",
+                f"{workers} workers{killed}: {took:.1f} s, {samples / took:.1f} samples/s, {same}; driver {driver_s:.2f} s of CPU; "
+                f"worker {seen['rss'] / 2**20:.0f} MiB resident, {seen['uss'] / 2**20:.0f} MiB unshared",
                 flush=True,
             )
     clock_s, driver_s, words = dispatch()
-    print(f"a task that does nothing: {1e3 * clock_s:.2f} ms of the clock, {1e3 * driver_s:.2f} ms of the driver's processor, {words} bytes of arguments")
+    print(f"empty task: {1e3 * clock_s:.2f} ms wall clock, {1e3 * driver_s:.2f} ms driver CPU, {words} bytes of arguments")
 
 
 if __name__ == "__main__":

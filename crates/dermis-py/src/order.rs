@@ -55,10 +55,9 @@ pub fn search_order<'py>(
     let candidates: Vec<(f64, &str)> =
         found.candidates.iter().map(|candidate| (candidate.correlation, candidate.description.as_str())).collect();
     dict.set_item("candidates", candidates)?;
-    if let Some((source, signs)) = mapped {
-        dict.set_item("source", array1(py, source.into_iter().map(i64::from).collect()))?;
-        dict.set_item("sign", array1(py, signs))?;
-    }
+    let (source, signs) = mapped.unzip();
+    dict.set_item("source", source.map(|list| array1(py, list.into_iter().map(i64::from).collect())))?;
+    dict.set_item("sign", signs.map(|list| array1(py, list)))?;
     Ok(dict)
 }
 

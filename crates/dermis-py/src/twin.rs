@@ -15,8 +15,6 @@ use crate::frame::PyFrame;
 use crate::skin::{PySkin, skin_of};
 use crate::work::{lock, run, run_interruptibly};
 
-/// Frame rate if the skin file gives none, frames per second, as in the command.
-const FRAMES_PER_S: f64 = 50.0;
 /// Longest fade, seconds.
 const MOST_FADE_S: f64 = 60.0;
 /// Steps without a frame after which to give up on an instrument that loses all frames.
@@ -85,7 +83,7 @@ impl PyTwin {
             *kit.twin.scene_mut() = Scene::new(options, None)?.on(kit.twin.frontend().extent())?;
             Ok(kit)
         })?;
-        let period_s = 1.0 / skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
+        let period_s = 1.0 / skin.backend.frame_rate_hz();
         let running = Running { twin: kit.twin, time_s: 0.0, truth: Vec::new(), values: Vec::new() };
         Ok(Self { skin, period_s, press: kit.press, running: Mutex::new(running) })
     }

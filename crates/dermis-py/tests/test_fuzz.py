@@ -1,4 +1,4 @@
-"""The boundary under arbitrary arrays: a result or an exception of dermis, never anything else."""
+"""Arbitrary arguments: every call returns a result or raises an exception of dermis, nothing else."""
 
 import os
 import subprocess
@@ -116,7 +116,7 @@ def test_operators(jacobian, rule):
 # Types that people confuse, in addition to valid ones.
 NUMBERS = st.one_of(st.floats(), st.integers(-(2**70), 2**70), st.none(), st.text(max_size=5), st.booleans())
 # Python's own exceptions for arguments of the wrong type.
-PYTHON_S = (TypeError, OverflowError)
+PYTHON_ERRORS = (TypeError, OverflowError)
 
 
 def attempt(*calls, also=()):
@@ -140,7 +140,7 @@ def test_calibrations(model, baselines, frames, positions, loads):
         lambda: dermis.calibrate(model, baselines, two, places),
         lambda: dermis.calibrate(model, rest, two, places, forces_n=loads),
         lambda: dermis.calibrate(model, rest, two, places, depths_m=loads),
-        also=PYTHON_S,
+        also=PYTHON_ERRORS,
     )
 
 
@@ -150,7 +150,7 @@ def test_designs(disc, numbers):
     places = numbers.get("places")
     if isinstance(places, int) and 16 < places <= 128:
         numbers["places"] = 16
-    attempt(lambda: dermis.design(disc, **numbers), also=PYTHON_S)
+    attempt(lambda: dermis.design(disc, **numbers), also=PYTHON_ERRORS)
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_sessions(session, numbers, named):
         lambda: session.release(*numbers[:1]),
         lambda: session.set_hyperparameter(*numbers[:1]),
         lambda: session.tare(force=bool(numbers)),
-        also=PYTHON_S,
+        also=PYTHON_ERRORS,
     )
     assert next(session).image.ndim == 2
 
@@ -179,7 +179,7 @@ def test_opening(source, named):
     for scheme in ("", "twin:", "file:"):
         if "tcp" in source or "serial" in source:
             return
-        attempt(lambda: dermis.open(scheme + source, **named).close(), also=(*PYTHON_S, ValueError))
+        attempt(lambda: dermis.open(scheme + source, **named).close(), also=(*PYTHON_ERRORS, ValueError))
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +193,7 @@ def recorded(tmp_path_factory):
 @PATIENT
 @given(data=st.data())
 def test_recordings(recorded, data):
-    """Bytes changed, removed and inserted: frames, or an exception."""
+    """Recordings with bytes changed, removed and inserted give frames or an exception."""
     whole = recorded.read_bytes()
     damaged = bytearray(whole)
     for _ in range(data.draw(st.integers(1, 6))):
@@ -224,7 +224,7 @@ def test_parts_of_recordings(recorded, start, stop):
     recording = dermis.Recording(recorded)
     try:
         frames = recording.frames(start, stop)
-    except (dermis.Error, *PYTHON_S):
+    except (dermis.Error, *PYTHON_ERRORS):
         return
     assert frames.shape == (len(range(40)[start:stop]), 208)
 
@@ -252,7 +252,7 @@ def test_parts_of_models(first, second, numbers):
         lambda: mesh.grid(number if not isinstance(number, int) else abs(number) % 100).to_pixels(first),
     ]
     # A centre that isn't a pair of numbers is rejected by pyo3.
-    attempt(*calls, also=(*PYTHON_S, ValueError))
+    attempt(*calls, also=(*PYTHON_ERRORS, ValueError))
 
 
 @PATIENT
@@ -267,13 +267,13 @@ def test_coils(places, numbers, middle):
         lambda: mit.Coils(two, inner_m=numbers[0], outer_m=numbers[1], turns=turns, inductance_h=numbers[3], shield_z_m=numbers[4]),
         lambda: coils.changes_h(mit.Body.sphere(*numbers[:3], relative_permeability=numbers[3]), (0.0, 0.0, 0.03)),
         lambda: coils.changes_h(ball, middle),
-        also=(*PYTHON_S, ValueError),
+        also=(*PYTHON_ERRORS, ValueError),
     )
 
 
 @PATIENT
 @given(values=ARRAYS, number=NUMBERS, text=st.text(max_size=20))
-def test_what_is_left(skin, model, pipe, values, number, text):
+def test_other_calls(skin, model, pipe, values, number, text):
     attempt(
         lambda: dermis.Frame(values, sequence=number, time_s=number),
         lambda: pipe.process(dermis.Frame(values)),
@@ -289,5 +289,5 @@ def test_what_is_left(skin, model, pipe, values, number, text):
         lambda: dermis.Network.load(text),
         lambda: dermis.Calibration.load(text),
         lambda: dermis.read_frames(text),
-        also=(*PYTHON_S, ValueError),
+        also=(*PYTHON_ERRORS, ValueError),
     )

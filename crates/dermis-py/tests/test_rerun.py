@@ -96,7 +96,7 @@ def test_a_file_holds_the_results(pressed, tmp_path):
     assert said == ["learning the baseline", "sound"]
 
 
-def test_the_clock_is_the_recordings(tmp_path):
+def test_times_are_those_of_the_recording(tmp_path):
     recorded = tmp_path / "press.mcap"
     command = [sys.executable, "-m", "dermis", "record", "healing-square", "--speed", "0", "--frames", "80", "--out", recorded]
     subprocess.run(command, check=True, capture_output=True)
@@ -113,7 +113,7 @@ def test_the_clock_is_the_recordings(tmp_path):
         np.testing.assert_allclose(seconds - seconds[0], times_s - times_s[0], atol=1e-6)
 
 
-def test_reruns_command_finds_no_fault(pressed, tmp_path):
+def test_the_rerun_command_finds_no_fault(pressed, tmp_path):
     command = shutil.which("rerun", path=str(Path(sys.executable).parent))
     if command is None:
         pytest.skip("the command rerun is not installed")
@@ -139,7 +139,7 @@ def test_a_bent_skin_in_the_robots_frame(tmp_path):
     np.testing.assert_allclose(moved[-1][0], [0.1, 0.2, 0.3], atol=1e-7)
 
 
-def test_a_scale_of_ones_own_is_kept(pressed, tmp_path):
+def test_a_given_scale_is_kept(pressed, tmp_path):
     skin, results = pressed
     save(results, tmp_path / "own.rrd", skin=skin, full_scale=0.5)
     scales = cells(tmp_path / "own.rrd", "skin/plots/scale", "scalars")
@@ -149,7 +149,7 @@ def test_a_scale_of_ones_own_is_kept(pressed, tmp_path):
     assert scales == sorted(scales) and scales[-1] > scales[0]
 
 
-def test_health_is_a_line_for_each_change(tmp_path):
+def test_health_has_one_line_per_change(tmp_path):
     skin = dermis.Skin("healing-square")
     twin, pipe = dermis.Twin(skin, seed=1), dermis.Pipeline(skin)
     frames = [twin.step().values for _ in range(120)]
@@ -175,7 +175,7 @@ def test_results_go_to_a_stream_one_by_one(pressed):
     assert memory.num_msgs() > 0
 
 
-def test_what_is_wrong_is_named(pressed, tmp_path):
+def test_bad_input_is_named(pressed, tmp_path):
     skin, results = pressed
     path = tmp_path / "x.rrd"
     for options, words in [

@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_that_cannot_be_are_refused() {
+    fn impossible_lengths_are_refused() {
         let message = [0, 1, 0, 0, 255, 255, 255, 255, 1, 2, 3];
         assert_eq!(CdrReader::new(&message).unwrap().string(), None);
         assert_eq!(CdrReader::new(&message).unwrap().doubles(&mut Vec::new()), None);

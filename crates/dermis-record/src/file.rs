@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_abandoned_file_keeps_what_was_whole_and_says_why() {
+    fn an_abandoned_file_keeps_its_complete_part_and_the_reason() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("press.mcap");
         let mut file = Box::new(PartialFile::create(&path).unwrap());

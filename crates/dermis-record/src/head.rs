@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_named() {
+    fn missing_parts_are_named() {
         let (field, reason) = RecordingHead::from_metadata(&BTreeMap::new()).unwrap_err();
         assert_eq!((field.as_str(), reason.contains("not found")), ("metadata dermis.recording, key version", true));
     }

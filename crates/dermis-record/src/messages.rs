@@ -292,7 +292,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn frames_come_back_bit_for_bit(
+        fn frames_are_read_back_bit_for_bit(
             sequence: u64, device_time_ns: Option<u64>, host_monotonic_ns: u64, host_wall_ns: u64,
             values: Vec<u64>, imaginary: Vec<u64>, status: u16, gain: Option<u8>, channel_times_ns: Vec<u64>,
         ) {
@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn touches_come_back_with_those_that_ended() {
+    fn touches_are_read_back_with_those_that_ended() {
         let mut touches = [touch(1, TouchPhase::Begin, 3.0, -4.0)];
         let covariance_m2 = [[4e-6, 0.0], [0.0, 9e-6]];
         touches[0].other_place = Some(PlaceHypothesis { position_m: [-3e-3, 4e-3], covariance_m2, probability: 0.25 });

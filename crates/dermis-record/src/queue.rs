@@ -447,7 +447,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_is_written_and_the_file_completed() {
+    fn rows_that_fit_are_written_and_the_file_completed() {
         let disk = Disk::new(1 << 24);
         let handle = RecorderHandle::spawn(disk.recorder(3), 100).unwrap();
         assert!((0..100).all(|sequence| handle.offer(&frame(sequence, 3))));

@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_disk_refuses_reaches_who_writes_once_and_never_holds_it_up() {
+    fn disk_errors_reach_the_writer_once_and_never_block_it() {
         let (go, wait) = channel::<()>();
         let (done, ended) = channel();
         let sync = move || {

@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn nine_hundred_pads_are_told_to_need_more_than_a_laptop() {
+    fn nine_hundred_pads_are_estimated_to_need_more_than_a_laptop() {
         let skin = changed("piezo-disc", "per_side = 8", "per_side = 30");
         let budget = Budget::of_imaging(&skin);
         // Refusal depends on the machine.

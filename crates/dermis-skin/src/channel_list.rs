@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_list_is_refused_with_its_line() {
+    fn invalid_lists_are_refused_with_their_line() {
         let refused = |text: &str, says: &str| {
             let message = read(text).unwrap_err();
             assert!(message.contains(says) && message.starts_with("list.csv: line "), "{message}");

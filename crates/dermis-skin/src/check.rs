@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_stands_at_a_key_is_refused_by_its_name_or_makes_a_skin() {
+    fn any_value_of_a_key_is_refused_by_name_or_makes_a_skin() {
         let (mut refused, mut named, mut taken) = (0, 0, 0);
         let mut seen = std::collections::BTreeSet::new();
         for name in BUILTIN_NAMES {

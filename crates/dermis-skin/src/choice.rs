@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_understood_is_named() {
+    fn unknown_input_is_named() {
         let message = "smooth".parse::<PriorChoice>().unwrap_err().to_string();
         assert!(message.contains("smooth") && message.contains("laplace"), "{message}");
         assert!("\"\nvalue = 3".parse::<HyperparameterChoice>().is_err());

@@ -125,7 +125,7 @@ impl Shape {
                 checker.within("frontend.shape.rectangle.height_mm", *height_mm, 1.0, MOST_MM)?;
                 let (low, high) = (width_mm.min(*height_mm), width_mm.max(*height_mm));
                 if high > 50.0 * low {
-                    let expected = "sides of which the longer is at most 50 times the shorter";
+                    let expected = "a longer side of at most 50 times the shorter";
                     return Err(checker.refused(
                         "frontend.shape.rectangle",
                         format!("{width_mm} x {height_mm}"),

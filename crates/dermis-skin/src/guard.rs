@@ -89,7 +89,7 @@ mod tests {
     use crate::{Skin, builtin_text};
 
     #[test]
-    fn the_table_is_read_checked_and_left_out_where_nothing_is_said() {
+    fn the_table_is_read_checked_and_optional() {
         let text = builtin_text("healing-square").unwrap();
         let with = |table: &str| Skin::parse(&format!("{text}\n[guard]\n{table}\n"), "a page");
         let skin = with("force_n = 5.0\npressure_kpa = 40.0\nstale_after_ms = 80.0").unwrap();

@@ -42,7 +42,7 @@ mod tests {
     use crate::{Skin, builtin_text};
 
     #[test]
-    fn the_table_is_read_checked_and_left_out_where_nothing_is_said() {
+    fn the_table_is_read_checked_and_optional() {
         let text = builtin_text("healing-square").unwrap();
         let with = |table: &str| Skin::parse(&format!("{text}\n[health]\n{table}\n"), "a page");
         let skin = with("watch = false\nfull_scale_mv = 125.0\nrecover_frames = 20").unwrap();

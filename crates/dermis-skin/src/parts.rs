@@ -161,7 +161,7 @@ mod tests {
     use crate::{Skin, builtin_text};
 
     #[test]
-    fn parts_beside_a_skin_file_are_read_and_built_in_ones_known() {
+    fn parts_next_to_a_skin_file_and_built_in_parts_are_read() {
         let folder = tempfile::tempdir().unwrap();
         let text = builtin_text("healing-square").unwrap();
         let (head, rest) = text.split_once("[backend]").unwrap();

@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_comes_back_as_written_and_a_sound_twin_needs_less() {
+    fn the_table_survives_writing_and_a_faultless_twin_needs_less() {
         let skin = with("{ open_electrodes = [1], shorted_pairs = [[15, 16]], from_s = 2.0, until_s = 3.0 }, { stuck_channels = [{ channel = 1, value_mv = 5.0 }], dropped_share = 0.1 }").unwrap();
         assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
         assert!(!Skin::open("golfball-tank").unwrap().to_toml().contains("[twin"), "nothing said, nothing written");
@@ -418,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_that_cannot_be_are_refused_with_value_and_field() {
+    fn impossible_faults_are_refused_with_value_and_field() {
         let error = |faults: &str| with(faults).unwrap_err().to_string();
         let open = error("{ open_electrodes = [3, 17] }");
         assert_eq!(open, "a page: twin.faults.open_electrodes = 17: expected electrodes 1 to 16");
@@ -440,7 +440,7 @@ mod tests {
     }
 
     #[test]
-    fn coils_break_where_there_are_coils() {
+    fn only_skins_with_coils_have_coil_faults() {
         let text = builtin_text("em-8").unwrap();
         let with =
             |faults: &str| Skin::parse(&text.replace("[twin]", &format!("[twin]\nfaults = [{faults}]")), "a page");

@@ -243,7 +243,7 @@ fn is_number(schema: &Json, root: &Json) -> bool {
 }
 
 #[test]
-fn no_number_is_taken_that_is_none_or_beyond_all_bounds() {
+fn numbers_that_are_not_finite_or_out_of_range_are_refused() {
     let mut seen = BTreeSet::new();
     let mut tried = 0;
     for (name, changes) in SKINS {
@@ -272,7 +272,7 @@ fn no_number_is_taken_that_is_none_or_beyond_all_bounds() {
 }
 
 #[test]
-fn inductances_are_those_of_coils() {
+fn inductances_agree_with_the_coils() {
     let with = |uh: &str| {
         let text = toml::to_string(&skin("em-8", &[("frontend.coils.inductance_uh", uh)])).expect("TOML");
         Skin::parse(&text, "made.toml").map(|_| ()).map_err(|error| error.to_string())

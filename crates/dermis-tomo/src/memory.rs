@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_does_not_fit_is_refused_with_both_sizes_and_nothing_is_allocated() {
+    fn oversized_requests_are_refused_with_both_sizes_and_without_allocating() {
         let error = zeros(1 << 50, || "a factor".into()).unwrap_err();
         let text = error.to_string();
         assert!(text.starts_with("a factor needs about 9007.2 TB, more than the "), "{text}");

@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn solutions_at_a_few_unknowns_are_those_of_the_whole_system() {
+    fn solutions_at_a_few_unknowns_equal_those_of_the_whole_system() {
         let n = 12;
         let (structure, values) = grounded_grid(n, Ordering::Dissection(&grid(n).0));
         let factor = structure.factor(&values).unwrap();

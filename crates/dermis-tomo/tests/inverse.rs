@@ -54,7 +54,7 @@ fn largest_difference(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 }
 
 #[test]
-fn every_form_is_the_operator_of_the_definition() {
+fn every_form_equals_the_operator_of_the_definition() {
     let skin = skin();
     // Fewer channels than unknowns, and more, which use different forms of the operator.
     let few = 15;

@@ -144,7 +144,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn is_as_cheap_as_the_best_of_all(
+        fn the_assignment_costs_as_little_as_the_best_permutation(
             cost in (1usize..5, 0usize..5).prop_flat_map(|(rows, columns)| {
                 let entry = prop_oneof![3 => 0.0..20.0f64, 1 => Just(FORBIDDEN)];
                 proptest::collection::vec(proptest::collection::vec(entry, columns), rows)
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_to_assign() {
+    fn an_empty_assignment_is_empty() {
         let mut solver = Assignment::default();
         assert!(solver.solve(0, 3, 1.0, |_, _| 0.0).is_empty());
         assert_eq!(solver.solve(2, 0, 1.0, |_, _| 0.0), [None, None]);

@@ -455,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn another_press_begins_anew_at_once() {
+    fn another_press_starts_over_at_once() {
         let (places, mut hypotheses) = follower();
         let at = |place: [f64; 2]| bells(&places, &[(place, 1.0, 0.004)]);
         for frame in 0..50 {
@@ -483,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_no_probability_tells_nothing() {
+    fn candidates_without_probability_carry_no_information() {
         let (places, mut hypotheses) = follower();
         for odd in [vec![0.0; places.len()], vec![f64::NAN; places.len()], vec![1.0; 3]] {
             assert!(hypotheses.follow(0, &odd).is_none());

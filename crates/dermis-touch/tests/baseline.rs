@@ -162,7 +162,7 @@ fn uniform() -> Baseline {
 const REST: [f64; 4] = [1.0, -2.0, 0.5, 3.0];
 
 #[test]
-fn uniform_compensation_follows_what_is_alike_everywhere_and_nothing_else() {
+fn uniform_compensation_follows_only_uniform_changes() {
     let follow = |values: [f64; 4]| {
         let mut baseline = uniform();
         for frame in 8..1008_u64 {

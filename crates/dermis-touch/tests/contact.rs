@@ -84,7 +84,7 @@ fn two_touches_part_at_their_saddle() {
 }
 
 #[test]
-fn four_touches_are_found_where_they_are() {
+fn four_touches_are_located() {
     let touches =
         [bell(30.0, 30.0, 6.0, 1.0), bell(-30.0, 30.0, 6.0, 0.8), bell(0.0, -30.0, 6.0, 0.6), bell(0.0, 5.0, 6.0, 0.5)];
     let contacts = find(&paint(&square(), &touches), 0.01);

@@ -87,7 +87,7 @@ fn fit(examples: &Examples) -> FusedLocator {
 }
 
 #[test]
-fn more_pokes_make_it_better_and_its_sigma_stays_honest() {
+fn more_pokes_reduce_the_error_and_sigma_stays_calibrated() {
     let held_out = pokes(300, 99, plain);
     let mut before = f64::INFINITY;
     for count in [20, 80, 320] {
@@ -110,7 +110,7 @@ fn both_experts_together_are_no_worse_than_either_alone() {
 }
 
 #[test]
-fn physics_is_used_where_it_helps_and_left_out_where_it_does_not() {
+fn physics_is_used_only_if_it_helps() {
     let made = pokes(30, 3, plain);
     let right: Vec<f64> = map().iter().flat_map(|p| (0..CHANNELS).map(|k| signature(*p, k))).collect();
     let mut random = Random(77);
@@ -165,7 +165,7 @@ fn many_pokes_are_fitted_by_landmarks() {
 /// One poke more than can be solved exactly must not make positions worse or sigma wrong. The median of 300 errors
 /// scatters by about 6 %, hence the tolerance.
 #[test]
-fn a_few_pokes_more_than_are_solved_exactly_do_no_harm() {
+fn slightly_more_pokes_than_are_solved_exactly_do_no_harm() {
     let held_out = pokes(300, 95, plain);
     let exact = FusedOptions { exact_examples: 400, landmarks: 400, ..FusedOptions::default() };
     let fit = |count: usize, options: &FusedOptions| {
@@ -182,7 +182,7 @@ fn a_few_pokes_more_than_are_solved_exactly_do_no_harm() {
 }
 
 #[test]
-fn what_is_stored_reads_back_the_same() {
+fn stored_data_are_read_back_unchanged() {
     let locator = fit(&pokes(40, 8, plain).examples());
     let text = serde_json::to_string(&locator).expect("JSON");
     let back: FusedLocator = serde_json::from_str(&text).expect("a locator");
@@ -194,7 +194,7 @@ fn what_is_stored_reads_back_the_same() {
 }
 
 #[test]
-fn dead_constant_and_missing_channels_are_borne() {
+fn dead_constant_and_missing_channels_are_tolerated() {
     let mut made = pokes(120, 9, plain);
     for (i, frame) in made.frames.chunks_exact_mut(CHANNELS).enumerate() {
         frame[3] = 0.0;
@@ -217,7 +217,7 @@ fn dead_constant_and_missing_channels_are_borne() {
 }
 
 #[test]
-fn contradictory_pokes_are_found_and_duplicates_are_borne() {
+fn contradictory_pokes_are_found_and_duplicates_tolerated() {
     let mut made = pokes(100, 10, plain);
     for i in 0..10 {
         made.positions_m.push(made.positions_m[i]);
@@ -232,7 +232,7 @@ fn contradictory_pokes_are_found_and_duplicates_are_borne() {
 }
 
 #[test]
-fn errors_say_what_is_wrong() {
+fn errors_state_the_cause() {
     let made = pokes(4, 11, plain);
     let few = Examples::new(CHANNELS, made.frames, made.positions_m).expect_err("four pokes are too few");
     assert!(few.to_string().contains("at least 5"), "{few}");
@@ -252,7 +252,7 @@ fn errors_say_what_is_wrong() {
 }
 
 #[test]
-fn drift_is_told_from_its_absence() {
+fn drift_is_distinguished_from_its_absence() {
     let made = pokes(200, 12, plain);
     let steady = SessionDrift::measure(&made.examples()).expect("a statistic");
     assert!(steady.z.abs() < 3.0, "{steady:?}");
@@ -267,7 +267,7 @@ fn drift_is_told_from_its_absence() {
 /// With many channels and few pokes, directions made for the pokes must not mistake the noise of another frame for a
 /// position.
 #[test]
-fn few_pokes_of_many_noisy_channels_foretell_the_error_on_others() {
+fn few_pokes_of_many_noisy_channels_predict_the_error_on_others() {
     const MANY: usize = 600;
     const NOISE: f64 = 0.05;
     let made = |count: usize, seed: u64| -> (Vec<f64>, Vec<[f64; 2]>) {

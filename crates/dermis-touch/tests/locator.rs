@@ -122,7 +122,7 @@ fn median_error_mm(locator: &Locator, test: &Pokes) -> f64 {
 }
 
 #[test]
-fn sigma_is_honest_and_the_load_is_found() {
+fn sigma_is_calibrated_and_the_load_is_found() {
     let (train, test) = (poke(120, 1), poke(400, 2));
     let locator = train.fit();
     let mut within = [0.0; 2];
@@ -141,7 +141,7 @@ fn sigma_is_honest_and_the_load_is_found() {
 }
 
 #[test]
-fn the_report_foretells_the_error_on_new_pokes() {
+fn the_report_predicts_the_error_on_new_pokes() {
     let locator = poke(120, 3).fit();
     let foretold = 1e3 * locator.leave_one_out().median_error_m;
     let seen = median_error_mm(&locator, &poke(400, 4));
@@ -257,7 +257,7 @@ fn two_touches_are_novel() {
 }
 
 #[test]
-fn pokes_are_suggested_where_there_were_none() {
+fn pokes_are_suggested_at_places_without_any() {
     let mut train = poke(120, 21);
     let left: Vec<usize> = (0..120).filter(|i| train.positions_m[*i][0] < -0.01).collect();
     train.frames = left.iter().map(|&i| train.frames[i].clone()).collect();
@@ -288,7 +288,7 @@ fn many_channels_are_projected() {
 }
 
 #[test]
-fn a_stored_locator_answers_alike() {
+fn a_stored_locator_gives_the_same_answers() {
     let (train, test) = (poke(30, 24), poke(5, 25));
     let locator = train.fit();
     let text = serde_json::to_string(&locator).expect("stored");

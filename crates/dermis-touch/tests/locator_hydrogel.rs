@@ -222,7 +222,7 @@ fn ten_pokes_are_worth_more_than_none() {
 }
 
 #[test]
-fn sigma_grows_where_nothing_was_poked() {
+fn sigma_grows_far_from_pokes() {
     let Some(pokes) = load() else { return };
     let mut unpoked = Errors::default();
     let (mut sigma_poked, mut sigma_unpoked) = (Vec::new(), Vec::new());

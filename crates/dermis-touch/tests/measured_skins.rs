@@ -67,7 +67,7 @@ fn fit(examples: &Examples) -> FusedLocator {
 
 /// Six in ten of these pokes are within 20 mm of the middle, and none is beyond 40 mm.
 #[test]
-fn sigmas_hold_where_pokes_are_unevenly_spread() {
+fn sigmas_hold_for_unevenly_spread_pokes() {
     let Some(skin) = Skin::read("cam09", "03") else { return };
     let (median_m, [one, more]) = skin.judge(&fit(&skin.examples(&skin.rows(400))));
     println!("median {:.2} mm, within 1 sigma {one:.2}, within 2.5 {more:.3}", 1e3 * median_m);

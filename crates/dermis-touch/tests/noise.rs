@@ -84,7 +84,7 @@ fn few_frames_still_give_weights() {
 }
 
 #[test]
-fn shrinkage_comes_nearer_to_the_truth_than_the_sample() {
+fn shrinkage_is_closer_to_the_truth_than_the_sample() {
     let channels = 20;
     let truth = |row: usize, column: usize| {
         f64::powi(2.0, (row + column) as i32) * 0.6f64.powi((row as i32 - column as i32).abs())

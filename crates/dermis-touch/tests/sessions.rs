@@ -58,7 +58,7 @@ fn judge(locator: &FusedLocator, changed: f64) -> (Vec<f64>, f64) {
 }
 
 #[test]
-fn an_earlier_session_counts_as_much_as_the_skin_resembles_it() {
+fn an_earlier_session_is_weighted_by_its_similarity() {
     let old = examples(0..OLD, 0.0);
     let fit = |examples: &Examples| FusedLocator::fit(examples, &map(), &FusedOptions::default()).unwrap();
     let unchanged = fit(&old);

@@ -60,7 +60,7 @@ fn on_both(params: ContactParams, bells: &[Bell]) -> (Vec<Contact>, Vec<Contact>
 }
 
 #[test]
-fn one_bump_lies_at_the_same_place_on_a_grid_and_on_a_mesh() {
+fn a_bump_has_the_same_place_on_a_grid_and_on_a_mesh() {
     let params = ContactParams { correlation_length_m: 6e-3, ..Default::default() };
     for (x, y) in [(12.3, -20.7), (-31.1, 4.9), (0.0, 0.0), (22.2, 35.0)] {
         let (grid, surface) = on_both(params, &[bell(x, y, 8.0, 2.0)]);
@@ -83,7 +83,7 @@ fn one_bump_lies_at_the_same_place_on_a_grid_and_on_a_mesh() {
 }
 
 #[test]
-fn white_noise_moves_the_centroid_as_much_on_a_mesh_as_it_says() {
+fn the_scatter_of_a_centroid_on_a_mesh_agrees_with_its_sigma() {
     let cells: ImageCells = mesh().into();
     let clean = sampled(&cells, &[bell(3.1, -4.3, 8.0, 1.0)]);
     let mut finder = ContactFinder::new(cells, ContactParams::default()).unwrap();
@@ -104,7 +104,7 @@ fn white_noise_moves_the_centroid_as_much_on_a_mesh_as_it_says() {
 }
 
 #[test]
-fn two_bumps_stay_two_and_near_ones_stay_one() {
+fn two_bumps_stay_two_and_close_ones_stay_one() {
     let apart = |gap_mm: f64| {
         let bells = [bell(-gap_mm / 2.0, 1.0, 8.0, 1.0), bell(gap_mm / 2.0, 1.0, 8.0, 0.9)];
         on_both(ContactParams::default(), &bells)
@@ -121,7 +121,7 @@ fn two_bumps_stay_two_and_near_ones_stay_one() {
 }
 
 #[test]
-fn nearness_is_measured_in_metres() {
+fn neighbourhoods_are_measured_in_metres() {
     let params = ContactParams { min_separation_m: 0.03, ..Default::default() };
     let (grid, surface) = on_both(params, &[bell(-13.0, 1.0, 8.0, 1.0), bell(13.0, 1.0, 8.0, 0.9)]);
     assert_eq!((grid.len(), surface.len()), (1, 1));

@@ -122,7 +122,7 @@ fn through_images(paths: &[Path], frames: u64, noise_sigma: f64) -> (Vec<u64>, u
 }
 
 #[test]
-fn touches_that_cross_while_merged_go_on_their_way() {
+fn touches_that_cross_while_merged_continue_on_their_paths() {
     // Head on, with 4 mm between their paths: a single contact while they pass.
     let paths: [Path; 2] = [|t| (-40.0 + t, 2.0), |t| (40.0 - t, -2.0)];
     let (ids, begins, merged) = through_images(&paths, 80, 0.02);
@@ -134,7 +134,7 @@ fn touches_that_cross_while_merged_go_on_their_way() {
 }
 
 #[test]
-fn touches_that_meet_and_rest_come_out_where_they_went_in() {
+fn touches_that_meet_and_rest_part_in_their_places() {
     // They approach, rest as one contact for 2 s (longer than the velocity is remembered), and go back.
     fn ramp(t: f64) -> f64 {
         let way = if t < 32.0 {
@@ -171,7 +171,7 @@ fn touches_that_meet_and_rest_come_out_where_they_went_in() {
 }
 
 #[test]
-fn a_merge_in_a_contact_that_is_known_to_be_of_one_touch_ends_soon() {
+fn a_merge_in_a_contact_of_one_touch_ends_soon() {
     let mut tracker = tracker();
     for frame in 0..10 {
         let gap = 12.0 - frame as f64;
@@ -189,7 +189,7 @@ fn a_merge_in_a_contact_that_is_known_to_be_of_one_touch_ends_soon() {
 }
 
 #[test]
-fn a_single_touch_that_is_kept_alone_takes_no_other() {
+fn a_touch_that_is_kept_single_merges_with_no_other() {
     let mut tracker = tracker();
     tracker.keep_single_alone();
     let single = |x_mm: f64| Contact { is_single: true, ..contact(x_mm, 0.0, ContactStrength::Strong) };
@@ -238,7 +238,7 @@ fn presses_one_after_the_other_never_merge() {
 }
 
 #[test]
-fn a_contact_that_jumps_beside_two_touches_is_one_of_them_alone() {
+fn a_contact_that_jumps_between_two_touches_belongs_to_one_of_them() {
     let mut tracker = tracker();
     for frame in 0..10 {
         step(&mut tracker, frame, &[(-3.0, 0.0), (3.0, 0.0)]);
@@ -281,7 +281,7 @@ fn weak_contacts_begin_nothing() {
 }
 
 #[test]
-fn a_lost_frame_costs_nothing() {
+fn a_lost_frame_does_no_harm() {
     let mut tracker = tracker();
     let mut begins = 0;
     for frame in 0..60u64 {

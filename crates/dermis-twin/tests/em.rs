@@ -180,7 +180,7 @@ fn heights_of_one_to_four_elements_by_a_coarser_model() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_and_off_the_skin_nothing_happens() {
+fn impossible_input_is_refused_and_presses_off_the_skin_do_nothing() {
     let mut skin = even(em_8());
     let rest = frame(&mut skin, &[]);
     assert_eq!(frame(&mut skin, &[press([0.09, 0.0], 5.0)]), rest);

@@ -62,7 +62,7 @@ fn an_open_electrode_changes_exactly_the_channels_that_use_it() {
 }
 
 #[test]
-fn a_stuck_channel_and_a_short_come_through_every_twin() {
+fn a_stuck_channel_and_a_short_show_in_every_twin() {
     for (name, mut twin, protocol) in skins() {
         let sound = step(&mut twin, 0.0);
         let stuck = Fault::StuckChannel { channel: 7, value_v: 0.25 };

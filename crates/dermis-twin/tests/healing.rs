@@ -46,7 +46,7 @@ fn conductivity_rises_while_heated_and_falls_after() {
 }
 
 #[test]
-fn what_lies_outside_the_pad_or_stays_cool_does_not_heal() {
+fn cuts_outside_the_pad_or_cool_ones_do_not_heal() {
     let mut wear = Wear::new(Some(healing_law()));
     wear.treat(&Treatment::Cut(Cut::open([-0.01, 0.0], [0.01, 0.0]))).unwrap();
     // The right half is under the pad.
@@ -64,7 +64,7 @@ fn what_lies_outside_the_pad_or_stays_cool_does_not_heal() {
 }
 
 #[test]
-fn time_lapse_hurries_healing_and_nothing_else() {
+fn time_lapse_speeds_up_healing_only() {
     let mut wear = Wear::new(Some(healing_law()));
     for treatment in [Treatment::TimeLapse(3600.0), Treatment::Warm(1e-3)] {
         wear.treat(&treatment).unwrap();
@@ -78,7 +78,7 @@ fn time_lapse_hurries_healing_and_nothing_else() {
 }
 
 #[test]
-fn nonsense_is_refused() {
+fn bad_input_is_refused() {
     let mut wear = Wear::new(Some(healing_law()));
     let pad = published::heating([0.0; 2], 0.02);
     for treatment in [

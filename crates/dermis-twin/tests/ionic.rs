@@ -157,7 +157,7 @@ fn pressing_lowers_conductance() {
 }
 
 #[test]
-fn too_heavy_a_load_touches_the_bottom_and_says_so() {
+fn too_heavy_a_load_touches_the_bottom_and_is_reported() {
     let mut skin = LiquidSkin::new(prompt()).unwrap();
     let heavy = Indenter { load: Load::ForceN(6.0), ..weights(10.0, 0.0, 1) };
     let frame = read(&mut skin, &[heavy]);
@@ -187,7 +187,7 @@ fn the_loop_of_nine_weights_up_and_down_is_thin() {
 }
 
 #[test]
-fn memory_is_of_the_load_whatever_the_steps() {
+fn memory_depends_on_the_load_for_any_step() {
     let memory = Some(Memory { share: 0.3, time_constant_s: 2.0 });
     let after = |steps: u32| {
         let mut skin = LiquidSkin::new(LiquidOptions { memory, ..ionic_disc() }).unwrap();
@@ -250,7 +250,7 @@ fn seeds_repeat_and_differ() {
 }
 
 #[test]
-fn nonsense_is_refused_by_name() {
+fn bad_input_is_refused_by_name() {
     let refused = |options: LiquidOptions| LiquidSkin::new(options).unwrap_err().to_string();
     let error = refused(LiquidOptions { depth_m: -1.0, ..prompt() });
     assert_eq!(error, "depth_m: -1 refused; expected positive and finite");

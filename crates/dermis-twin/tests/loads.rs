@@ -68,7 +68,7 @@ fn a_ramp_raises_the_signal_of_every_twin() {
 }
 
 #[test]
-fn taps_and_sines_come_through_every_twin() {
+fn taps_and_sines_show_in_every_twin() {
     for (name, make, pressure) in SKINS {
         let seen = run(make, Script::taps(PLACE, pressure, 2.0, 0.5, 3).unwrap(), 29);
         let most = seen.iter().map(|(_, change)| *change).fold(0.0, f64::max);
@@ -100,7 +100,7 @@ fn random_touches_press_every_twin() {
 }
 
 #[test]
-fn loads_that_no_skin_bears_are_refused_where_they_are_given() {
+fn unbearable_loads_are_refused_at_the_call() {
     for (name, make, pressure) in SKINS {
         let mut twin = make(None).unwrap();
         let good = Indenter::disc([0.01, 0.0], 0.01, pressure);
@@ -129,7 +129,7 @@ fn loads_that_no_skin_bears_are_refused_where_they_are_given() {
 }
 
 #[test]
-fn a_membrane_on_the_bottom_is_said() {
+fn a_membrane_on_the_bottom_is_reported() {
     let mut twin = ionic(None).unwrap();
     let mut frame = Vec::new();
     twin.step(0.0, &mut frame).unwrap();

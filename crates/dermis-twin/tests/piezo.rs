@@ -104,7 +104,7 @@ fn the_matrix_of_impedances_is_reciprocal() {
 }
 
 #[test]
-fn pressing_harder_always_lowers_what_the_drives_spend() {
+fn pressing_harder_always_lowers_the_power_of_the_drives() {
     // Rayleigh: closing contacts can only lower the power of given currents, here the voltage of each source.
     let mut skin = PatchedSkin::new(coarse(piezo_square())).unwrap();
     let sources = |frame: &[f64]| -> Vec<f64> { (0..64).map(|k| frame[64 * k + (k + 1) % 64]).collect() };
@@ -190,7 +190,7 @@ fn bending_changes_nothing() {
 }
 
 #[test]
-fn nonsense_is_refused() {
+fn bad_input_is_refused() {
     let refused = |options: PatchedOptions| PatchedSkin::new(options).unwrap_err().to_string();
     let mut options = piezo_square();
     options.patches.pitch_m = 2e-3;

@@ -10,7 +10,7 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_page::feed::PageFeed;
 use dermis_page::message::{Answer, HubStats, Level, Notice};
-use dermis_page::protocol::{self, Encoded, Said};
+use dermis_page::protocol::{self, Encoded, PageMessage};
 use dermis_page::{Announcer, Command, Scene, scene};
 use dermis_skin::Skin;
 use dermis_twin::from_skin::treatment_of;
@@ -116,11 +116,11 @@ impl Engine {
     /// Handles a message from the page: an acknowledgement or a request.
     pub fn hear(&mut self, text: &str) {
         let (id, answer) = match protocol::parse::<Command>(text) {
-            Ok(Said::Acknowledge(sequence)) => {
+            Ok(PageMessage::Acknowledge(sequence)) => {
                 self.acknowledged = sequence.clamp(self.acknowledged, self.sequence);
                 return;
             }
-            Ok(Said::Ask(id, command)) => (id, command.check(&self.scene).and_then(|()| self.obey(command))),
+            Ok(PageMessage::Ask(id, command)) => (id, command.check(&self.scene).and_then(|()| self.obey(command))),
             Err((id, refusal)) => (id, Err(refusal)),
         };
         let (ok, text) = match answer {

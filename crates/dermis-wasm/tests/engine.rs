@@ -92,7 +92,7 @@ fn the_scene_comes_first_and_images_fill_its_grid() {
 }
 
 #[test]
-fn a_press_is_felt_where_it_is_made_follows_and_ends() {
+fn a_press_is_located_followed_and_ended() {
     let mut page = Page::new();
     page.ready();
     for (kind, x_mm, y_mm) in [("press", 30.0, -20.0), ("move", -25.0, 35.0)] {
@@ -117,7 +117,7 @@ fn a_press_is_felt_where_it_is_made_follows_and_ends() {
 }
 
 #[test]
-fn what_cannot_be_done_is_refused_with_its_reason() {
+fn impossible_requests_are_refused_with_the_reason() {
     let mut page = Page::new();
     page.ready();
     let cases = [
@@ -158,7 +158,7 @@ fn a_page_that_acknowledges_nothing_gets_eight_updates_and_then_the_newest() {
 }
 
 #[test]
-fn a_pause_is_no_time_for_the_twin() {
+fn the_twins_time_stops_during_a_pause() {
     let mut page = Page::new();
     page.ready();
     page.now_ns += 3_600_000_000_000;

@@ -74,7 +74,7 @@ fn decode_random(chunks: usize, seed: u64) -> u64 {
 }
 
 #[test]
-fn sixteen_million_random_bytes_hold_no_message() {
+fn sixteen_million_random_bytes_contain_no_message() {
     // One packet in 2^32 has the right checksum by chance. One byte in 256 is a zero on average, which makes 2^16
     // packets; adjacent zeros enclose nothing.
     let bad = decode_random(4096, 0x9e37_79b9_7f4a_7c15);
@@ -83,7 +83,7 @@ fn sixteen_million_random_bytes_hold_no_message() {
 
 #[test]
 #[ignore = "a long run, once for every change of the decoder"]
-fn a_billion_random_bytes_hold_no_message() {
+fn a_billion_random_bytes_contain_no_message() {
     let bad = decode_random(250_000, 0x2545_f491_4f6c_dd1d);
     assert!((3_900_000..4_100_000).contains(&bad), "{bad}");
 }
@@ -145,13 +145,13 @@ fn decode_damaged(frames: u32, seed: u64) {
 }
 
 #[test]
-fn of_twenty_thousand_frames_those_left_alone_are_found() {
+fn undamaged_frames_among_twenty_thousand_are_found() {
     decode_damaged(20_000, 0x1234_5678_9abc_def1);
 }
 
 #[test]
 #[ignore = "a long run, once for every change of the decoder"]
-fn of_ten_million_frames_those_left_alone_are_found() {
+fn undamaged_frames_among_ten_million_are_found() {
     decode_damaged(10_000_000, 0x0fed_cba9_8765_4321);
 }
 

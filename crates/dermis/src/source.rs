@@ -107,9 +107,6 @@ pub use dermis_device::acquire::AcquisitionCounters;
 /// Shown with [`Acquisition`].
 pub use dermis_device::acquire::Next;
 
-/// Frame rate of files without times if the skin file gives none either, frames per second.
-const FRAMES_PER_S: f64 = 20.0;
-
 /// Options for opening a source.
 ///
 /// ```
@@ -234,7 +231,7 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
         Box::new(Replay::new(Recording::open(&spec.path)?, pacing(None), Repeat::Once)?)
     } else {
         let table = read_frames_of(skin, spec, options.read.clone())?;
-        let usual = skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
+        let usual = skin.backend.frame_rate_hz();
         let rate = (table.times_s().is_none() || options.speed != 1.0).then_some(usual);
         // Frames without times are spaced at the skin's rate, however fast they are played.
         let table = match table.times_s() {

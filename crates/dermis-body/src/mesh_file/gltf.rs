@@ -6,8 +6,8 @@ use std::path::{Component, Path};
 
 use serde::Deserialize;
 
+use super::bounded_read::read_whole;
 use super::numbers::{Affine, Placed, fan, strip};
-use super::whole::read_whole;
 
 /// Extensions under which corners are read as without them.
 const HARMLESS: [&str; 2] = ["KHR_mesh_quantization", "KHR_texture_transform"];

@@ -30,7 +30,7 @@ fn message(urdf: &str, body: &str) -> String {
 }
 
 #[test]
-fn what_is_wrong_with_a_robot_is_told_with_its_line() {
+fn faults_of_a_robot_are_reported_with_their_line() {
     let joint = |from: &str, to: &str| ARM.replacen(from, to, 1);
     let cases = [
         (joint("</robot>", ""), "arm.urdf, line 6: not XML"),
@@ -91,7 +91,7 @@ fn what_is_wrong_with_a_robot_is_told_with_its_line() {
 }
 
 #[test]
-fn what_is_wrong_with_a_body_is_told_with_its_line() {
+fn faults_of_a_body_are_reported_with_their_line() {
     let body = |from: &str, to: &str| BODY.replacen(from, to, 1);
     let cases = [
         (
@@ -155,7 +155,7 @@ fn a_body_leaves_out_its_bad_patches_and_names_each() {
 }
 
 #[test]
-fn meshes_are_found_in_packages_and_looked_into() {
+fn meshes_are_found_in_packages_and_read() {
     let folder = tempfile::tempdir().unwrap();
     let problems = |body: &str| {
         write(folder.path(), ARM, body);
@@ -183,7 +183,7 @@ fn meshes_are_found_in_packages_and_looked_into() {
 }
 
 #[test]
-fn a_skin_file_may_say_where_it_is_mounted() {
+fn a_skin_file_may_state_its_mount() {
     let folder = tempfile::tempdir().unwrap();
     let mut skin = dermis_skin::Skin::open("healing-square").unwrap();
     skin.mount = Some(dermis_skin::Mount { link: "hand".into(), xyz_mm: [0.0, 0.0, 20.0], rpy_deg: [0.0, 180.0, 0.0] });

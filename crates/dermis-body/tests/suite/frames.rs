@@ -19,7 +19,7 @@ fn reference() -> Vec<[f64; 14]> {
 }
 
 #[test]
-fn links_are_where_pinocchio_and_yourdfpy_have_them_at_a_thousand_joint_states() {
+fn link_poses_agree_with_pinocchio_and_yourdfpy_at_a_thousand_joint_states() {
     let file = data("branched.urdf");
     let kinematics = Kinematics::new(&Urdf::open(&file).unwrap(), &file).unwrap();
     let rows = reference();
@@ -46,7 +46,7 @@ fn links_are_where_pinocchio_and_yourdfpy_have_them_at_a_thousand_joint_states()
 }
 
 #[test]
-fn patches_on_an_arm_are_where_a_table_has_them() {
+fn patches_on_an_arm_have_the_tabulated_poses() {
     let body = Body::open(&data("link-frames/arm.toml")).unwrap();
     let table = std::fs::read_to_string(data("link-frames/expected.csv")).unwrap();
     let mut compared = 0;

@@ -12,7 +12,7 @@ fn branched() -> Kinematics {
 }
 
 #[test]
-fn a_link_is_nowhere_until_every_joint_on_the_way_has_a_value() {
+fn a_link_has_no_pose_until_every_joint_on_the_way_has_a_value() {
     let kinematics = branched();
     let mut joints = kinematics.unknown();
     let palm = kinematics.link("palm").unwrap();
@@ -54,7 +54,7 @@ fn lines_of_both_kinds_move_joints() {
 }
 
 #[test]
-fn a_bad_line_is_named_and_moves_nothing() {
+fn a_bad_line_is_reported_and_moves_nothing() {
     let kinematics = branched();
     let before = kinematics.at_rest();
     let cases = [

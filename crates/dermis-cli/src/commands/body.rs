@@ -28,10 +28,16 @@ Every problem is listed with its file and line. Exit code 1: problems were found
 
 const DRAW_EXAMPLE: &str = "\
 Example:
-  dermis body draw arm/arm.toml --out arm.png --joint shoulder_yaw=0.5 --joint elbow=1.2
+  dermis body draw arm/arm.toml --out arm.png --joint shoulder_yaw=0.5 \\
+      --joint elbow=1.2
 
-Joints that are not named take the value of joints.at in the body file, or else 0 or the limit nearest to it. Boxes,
+Joints that are not named take the value of joints.at in the body file, or else 0 or the limit nearest to it. Boxes, \
 cylinders and spheres are drawn; meshes are not.";
+
+const DEMO_EXAMPLE: &str = "\
+Example:
+  dermis body demo my-arm
+  dermis run my-arm/arm.toml --headless --frames 50 --speed 0";
 
 /// Arguments of `dermis body`.
 #[derive(clap::Args)]
@@ -63,13 +69,16 @@ enum Action {
         #[arg(long, value_name = "NAME=VALUE", value_parser = joint_value)]
         joint: Vec<(String, f64)>,
         /// Width of the picture.
-        #[arg(long, value_name = "PIXELS", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(300..=8000))]
+        #[arg(
+            long,
+            value_name = "PIXELS",
+            default_value_t = 1500,
+            value_parser = clap::value_parser!(u32).range(300..=8000)
+        )]
         width_px: u32,
     },
     /// Write a demonstration: an arm with four skins, each played by its twin.
-    #[command(
-        after_help = "Example:\n  dermis body demo my-arm\n  dermis run my-arm/arm.toml --headless --frames 50 --speed 0"
-    )]
+    #[command(after_help = DEMO_EXAMPLE)]
     Demo {
         /// Output folder, created if needed.
         #[arg(value_name = "FOLDER")]

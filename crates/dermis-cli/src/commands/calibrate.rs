@@ -35,25 +35,30 @@ use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis calibrate hydrogel-disc --baseline before.csv --frames pressed.csv --positions positions.csv --out c.json
-  dermis calibrate hydrogel-disc --differences --frames differences.csv --positions positions.csv --out d.json
-  dermis calibrate --outline-mm 171 --channels 192 --write-skin gel.toml --differences --frames differences.csv --positions positions.csv --out gel.json
-  dermis calibrate hydrogel-disc --baseline baselines.csv --frames touches.csv --write-skin mine.toml
+  dermis calibrate hydrogel-disc --baseline before.csv --frames pressed.csv \\
+      --positions positions.csv --out c.json
+  dermis calibrate hydrogel-disc --differences --frames differences.csv \\
+      --positions positions.csv --out d.json
+  dermis calibrate --outline-mm 171 --channels 192 --write-skin gel.toml \\
+      --differences --frames differences.csv --positions positions.csv \\
+      --out gel.json
+  dermis calibrate hydrogel-disc --baseline baselines.csv \\
+      --frames touches.csv --write-skin mine.toml
   dermis calibrate ionic-disc --twin --forces forces.json --curve quadratic
   dermis calibrate healing-square --twin --pokes 12 --out c.json
 
-The baseline has one frame for all pokes, or one per poke; with --differences the frames are already differences from the
-untouched skin. --start EARLIER.json uses an earlier calibration of this skin or of another of its family: the new pokes
-decide whether its pokes are pooled with them, or it becomes a prior, is kept unchanged or is ignored. The positions have
-the columns x_m, y_m (or x_mm, y_mm) and, if the load is known, depth_m, depth_mm or force_n. Rows with the same number in
-the column `group` are touches in one frame. Positions that look mirrored, rotated or shifted by a row are reported, and
-positions unrelated to the frames are refused. If only the outline of a skin is known, --outline-mm and --channels replace
-the skin file, and --write-skin writes one for `run` and `reconstruct`. Without positions, the readout's circuit is found
-from 20 or more frames of unknown touches.
+The baseline has one frame for all pokes, or one per poke; with --differences the frames are already differences from \
+the untouched skin. --start EARLIER.json uses an earlier calibration of this skin or of another of its family: the \
+new pokes decide whether its pokes are pooled with them, or it becomes a prior, is kept unchanged or is ignored. The \
+positions have the columns x_m, y_m (or x_mm, y_mm) and, if the load is known, depth_m, depth_mm or force_n. Rows \
+with the same number in the column `group` are touches in one frame. Positions that look mirrored, rotated or shifted \
+by a row are reported, and positions unrelated to the frames are refused. If only the outline of a skin is known, \
+--outline-mm and --channels replace the skin file, and --write-skin writes one for `run` and `reconstruct`. Without \
+positions, the readout's circuit is found from 20 or more frames of unknown touches.
 
-The report gives the leave-one-out error, the benefit of physics and of each part of the locator, and the places where
-more pokes would help most. A force calibration (--forces) is made from pokes with force_n, or by pressing the skin's twin
-in nine places; `run` and `reconstruct` read it with --forces.";
+The report gives the leave-one-out error, the benefit of physics and of each part of the locator, and the places \
+where more pokes would help most. A force calibration (--forces) is made from pokes with force_n, or by pressing the \
+skin's twin in nine places; `run` and `reconstruct` read it with --forces.";
 
 /// Arguments of `dermis calibrate`.
 #[derive(clap::Args)]
@@ -62,7 +67,12 @@ pub struct Arguments {
     #[command(flatten)]
     skin: SkinWord,
     /// Outline of a skin without a skin file: width x height, or a diameter; the origin is its centre.
-    #[arg(long, value_name = "WxH|D", conflicts_with_all = ["skin", "option", "twin"], requires_all = ["channels", "write_skin"])]
+    #[arg(
+        long,
+        value_name = "WxH|D",
+        conflicts_with_all = ["skin", "option", "twin"],
+        requires_all = ["channels", "write_skin"]
+    )]
     outline_mm: Option<Extent>,
     /// Number of channels of that skin.
     #[arg(long, value_name = "N", requires = "outline_mm")]
@@ -92,7 +102,8 @@ pub struct Arguments {
     /// Don't use the skin file's physics, even where it would help.
     #[arg(long)]
     no_physics: bool,
-    /// Earlier calibration of this skin, or of another in its family. If several are given, the new pokes decide which is used.
+    /// Earlier calibration of this skin, or of another in its family. If several are given, the new pokes decide which
+    /// is used.
     #[arg(long, value_name = "FILE.json")]
     start: Vec<PathBuf>,
     /// Output file for the calibration.
@@ -108,7 +119,13 @@ pub struct Arguments {
     #[arg(long, conflicts_with_all = ["baseline", "frames", "positions", "start"])]
     twin: bool,
     /// Number of presses on the twin, at random places, that --out is fitted to.
-    #[arg(long, value_name = "N", default_value_t = 40, requires = "twin", value_parser = clap::value_parser!(u32).range(4..=20_000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 40,
+        requires = "twin",
+        value_parser = clap::value_parser!(u32).range(4..=20_000)
+    )]
     pokes: u32,
     /// Force as a function of the signal.
     #[arg(long, value_enum, default_value_t = Shape::Linear)]
@@ -421,6 +438,3 @@ fn today() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     date_of(seconds / 86_400)
 }
-
-#[cfg(test)]
-mod tests;

@@ -14,8 +14,8 @@ Examples:
   dermis completions bash
   dermis completions man --out man
 
-Bash: dermis completions bash > ~/.local/share/bash-completion/completions/dermis. Zsh: save the output as _dermis in a
-folder of $fpath. Fish: save it as ~/.config/fish/completions/dermis.fish. Manual pages: with --out
+Bash: dermis completions bash > ~/.local/share/bash-completion/completions/dermis. Zsh: save the output as _dermis in \
+a folder of $fpath. Fish: save it as ~/.config/fish/completions/dermis.fish. Manual pages: with --out \
 ~/.local/share/man/man1, man finds them without -M.";
 
 /// Formats that can be written.

@@ -15,12 +15,13 @@ use crate::exit::Outcome;
 const EXAMPLE: &str = "\
 Examples:
   dermis conductance healing-square --frames rest.csv
-  dermis conductance healing-square --frames 'rest.csv#0..1' --out sheet.npy --json
+  dermis conductance healing-square --frames 'rest.csv#0..1' --out sheet.npy \\
+      --json
 
-Averages the frames and fits the conductance of the sheet to them, with its standard deviation: one number for the sheet,
-and the places that differ from it. Current, electrodes and contact impedance are taken from the skin file, whose
-conductivity is only the starting value. sheet.npy is 2 x rows x columns (f64, siemens): the image and its standard
-deviation, row 0 at the top, NaN outside.";
+Averages the frames and fits the conductance of the sheet to them, with its standard deviation: one number for the \
+sheet, and the places that differ from it. Current, electrodes and contact impedance are taken from the skin file, \
+whose conductivity is only the starting value. sheet.npy is 2 x rows x columns (f64, siemens): the image and its \
+standard deviation, row 0 at the top, NaN outside.";
 
 /// Arguments of `dermis conductance`.
 #[derive(clap::Args)]

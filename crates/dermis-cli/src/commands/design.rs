@@ -27,11 +27,11 @@ Examples:
   dermis design golfball-tank --map 8 --improve count,drive --winner better.toml
   dermis design healing-square --tolerances --samples 1 --pokes 0
 
-Bounds are Cramer-Rao bounds: no unbiased method does better at this noise. \"Worst\" leaves out the outermost tenth of the
-area. By default the noise is the skin file's, the same for every channel; --noise-uv sets it in microvolts, --snr-db makes it
-proportional to the reading. Several skins, and the candidates of a search, are compared with the first skin's instrument
-and the same time per frame, so that more readings are noisier. --tolerances builds the skin many times with manufacturing
-errors and reports the cost of each error.";
+Bounds are Cramer-Rao bounds: no unbiased method does better at this noise. \"Worst\" leaves out the outermost tenth \
+of the area. By default the noise is the skin file's, the same for every channel; --noise-uv sets it in microvolts, \
+--snr-db makes it proportional to the reading. Several skins, and the candidates of a search, are compared with the \
+first skin's instrument and the same time per frame, so that more readings are noisier. --tolerances builds the skin \
+many times with manufacturing errors and reports the cost of each error.";
 
 /// Arguments of `dermis design`.
 #[derive(clap::Args)]
@@ -65,10 +65,20 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.toml", requires = "improve")]
     winner: Option<PathBuf>,
     /// Try the skin with manufacturing errors; a TOML file gives their sizes.
-    #[arg(long, value_name = "FILE.toml", num_args = 0..=1, conflicts_with_all = ["improve", "snr_db", "noise_uv", "force"])]
+    #[arg(
+        long,
+        value_name = "FILE.toml",
+        num_args = 0..=1,
+        conflicts_with_all = ["improve", "snr_db", "noise_uv", "force"]
+    )]
     tolerances: Option<Option<PathBuf>>,
     /// Samples per row.
-    #[arg(long, default_value_t = 200, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(
+        long,
+        default_value_t = 200,
+        requires = "tolerances",
+        value_parser = clap::value_parser!(u32).range(1..=10_000)
+    )]
     samples: u32,
     /// Presses per sample.
     #[arg(long, default_value_t = 5, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=64))]

@@ -19,8 +19,8 @@ Examples:
   dermis device twin:healing-square
   dermis device twin:healing-square shot --json
 
-Real instruments are serial:/dev/ttyACM0, serial:2341:0043 or tcp:HOST:PORT. Settings last until the device is reset or set
-again; `dermis run` sets it as the skin file says.";
+Real instruments are serial:/dev/ttyACM0, serial:2341:0043 or tcp:HOST:PORT. Settings last until the device is reset \
+or set again; `dermis run` sets it as the skin file says.";
 
 /// Longest wait for a requested frame. A slow converter takes seconds for thousands of readings.
 const FRAME: Duration = Duration::from_secs(60);

@@ -15,8 +15,8 @@ Examples:
   dermis devices
   dermis devices --json
 
-Opens every port with a USB device and asks the device to identify itself. Opening a port resets many boards; --no-ask
-only lists the ports. Pass a selector that is printed to `dermis run SKIN --source SELECTOR`.";
+Opens every port with a USB device and asks the device to identify itself. Opening a port resets many boards; \
+--no-ask only lists the ports. Pass a selector that is printed to `dermis run SKIN --source SELECTOR`.";
 
 /// Arguments of `dermis devices`.
 #[derive(clap::Args)]

@@ -17,9 +17,9 @@ Examples:
   dermis export press.mcap --table touches --out touches.parquet
   dermis export press.mcap#0..60 --out baseline.csv
 
-Tables: frames (number, times in nanoseconds, one column per channel), touches, baselines, events. NPY holds only the
-frames' readings: frames x channels. Any other file (CSV, MATLAB, Excel, a ROS bag, ...) has frames only, and is converted
-to the new format. Exit code 3: part of the recording could not be read.";
+Tables: frames (number, times in nanoseconds, one column per channel), touches, baselines, events. NPY holds only the \
+frames' readings: frames x channels. Any other file (CSV, MATLAB, Excel, a ROS bag, ...) has frames only, and is \
+converted to the new format. Exit code 3: part of the recording could not be read.";
 
 /// Arguments of `dermis export`.
 #[derive(clap::Args)]

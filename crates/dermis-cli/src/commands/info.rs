@@ -20,7 +20,7 @@ Examples:
   dermis info press.mcap --json
   dermis info frames.csv
 
-Reads the whole file and verifies every checksum of a recording. For a file of frames, it reports how the file was
+Reads the whole file and verifies every checksum of a recording. For a file of frames, it reports how the file was \
 understood and what its channels hold.";
 
 /// Arguments of `dermis info`.

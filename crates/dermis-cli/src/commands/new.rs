@@ -14,13 +14,16 @@ use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis new first-pad --outline square:100 --electrodes 16 --layer gel --instrument none
-  dermis new forearm --outline rectangle:180x90 --electrodes 20 --layer foam --instrument serial:/dev/ttyACM0#lines
+  dermis new first-pad --outline square:100 --electrodes 16 --layer gel \\
+      --instrument none
+  dermis new forearm --outline rectangle:180x90 --electrodes 20 --layer foam \\
+      --instrument serial:/dev/ttyACM0#lines
 
-Without options it asks. An outline is disc:DIAMETER, square:SIDE, rectangle:WIDTHxHEIGHT (millimetres) or polygon:FILE.csv
-with columns x_mm, y_mm (or x_m, y_m). Layers: gel (salted gelatin, hydrogel), foam (carbon-filled, conducts better when
-pressed), sandwich (a sheet under a metal layer that touches it where pressed), patches (a sheet under separate patches), liquid (in a tray under
-a membrane). NAME.toml explains every line; NAME.svg shows outline, electrodes and their numbers. Files are not replaced.";
+Without options it asks. An outline is disc:DIAMETER, square:SIDE, rectangle:WIDTHxHEIGHT (millimetres) or \
+polygon:FILE.csv with columns x_mm, y_mm (or x_m, y_m). Layers: gel (salted gelatin, hydrogel), foam (carbon-filled, \
+conducts better when pressed), sandwich (a sheet under a metal layer that touches it where pressed), patches (a sheet \
+under separate patches), liquid (in a tray under a membrane). NAME.toml explains every line; NAME.svg shows outline, \
+electrodes and their numbers. Files are not replaced.";
 
 /// Layers available for a new skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]

@@ -18,12 +18,12 @@ Examples:
   dermis order healing-square --baseline rest.csv
   dermis order healing-square --baseline 'rest.csv#0..1' --json
 
-Compares frames of the untouched skin with the model's readings under every protocol with the same number of readings:
-drives and measurements at every spacing, with and without driven electrodes, pairs that measure themselves, and the skin
-file's own list of channels; either sign; lists that begin elsewhere, run backwards or rotate with the drive; tables stored
-by columns; electrodes counted from another one or in the other direction. The best order is printed as lines for [backend]
-in the skin file, or as a list of channels if no pattern describes it. Without a SKIN, discs with evenly spaced electrodes
-are tried. Exit code 1: nothing fits, or no candidate stands out.";
+Compares frames of the untouched skin with the model's readings under every protocol with the same number of \
+readings: drives and measurements at every spacing, with and without driven electrodes, pairs that measure \
+themselves, and the skin file's own list of channels; either sign; lists that begin elsewhere, run backwards or \
+rotate with the drive; tables stored by columns; electrodes counted from another one or in the other direction. The \
+best order is printed as lines for [backend] in the skin file, or as a list of channels if no pattern describes it. \
+Without a SKIN, discs with evenly spaced electrodes are tried. Exit code 1: nothing fits, or no candidate stands out.";
 
 /// Arguments of `dermis order`.
 #[derive(clap::Args)]

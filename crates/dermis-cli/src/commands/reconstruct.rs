@@ -18,16 +18,18 @@ use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis reconstruct healing-square --baseline rest.csv --frames press.csv --touches t.csv --images i.npy
-  dermis reconstruct healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
+  dermis reconstruct healing-square --baseline rest.csv --frames press.csv \\
+      --touches t.csv --images i.npy
+  dermis reconstruct healing-square --baseline 'press.csv#0' \\
+      --frames 'press.csv#1..3' --touches t.csv
 
-The frames of the baseline are averaged. If there are as many as frames to image, each frame gets its own baseline, and
-frames are independent of each other. Frames that are already differences (--differences) need none. t.csv has the columns
-frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; depth_mm or poke_force_n with a sigma if the
-calibration's pokes had one; and, on a skin calibrated without labels, an alternative position: other_x_mm, other_y_mm and
-other_probability. A frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
-Missing channels are empty cells or NaN. Exit code 1: the files were written, but the baseline fits the skin better in
-another channel order, which is printed as lines for the skin file.";
+The frames of the baseline are averaged. If there are as many as frames to image, each frame gets its own baseline, \
+and frames are independent of each other. Frames that are already differences (--differences) need none. t.csv has \
+the columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; depth_mm or poke_force_n with a sigma \
+if the calibration's pokes had one; and, on a skin calibrated without labels, an alternative position: other_x_mm, \
+other_y_mm and other_probability. A frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at \
+the top, NaN outside. Missing channels are empty cells or NaN. Exit code 1: the files were written, but the baseline \
+fits the skin better in another channel order, which is printed as lines for the skin file.";
 
 /// Arguments of `dermis reconstruct`.
 #[derive(clap::Args)]

@@ -22,11 +22,12 @@ use crate::interrupt;
 const EXAMPLE: &str = "\
 Examples:
   dermis record healing-square --speed 0 --frames 150 --out press.mcap
-  dermis record healing-square --speed 0 --frames 40 --images-per-s 0 --out raw.mcap
+  dermis record healing-square --speed 0 --frames 40 --images-per-s 0 \\
+      --out raw.mcap
 
-Without a source, the skin's digital twin is recorded. The file is called press.partial.mcap until it is complete. If a
-crash leaves it so, it opens like any other recording, and `dermis recover` completes it. Exit code 3: frames were lost;
-their number is printed.";
+Without a source, the skin's digital twin is recorded. The file is called press.partial.mcap until it is complete. If \
+a crash leaves it so, it opens like any other recording, and `dermis recover` completes it. Exit code 3: frames were \
+lost; their number is printed.";
 
 /// Frames that may queue between source and pipeline.
 const QUEUE: usize = 1024;

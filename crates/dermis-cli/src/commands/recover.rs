@@ -11,8 +11,8 @@ const EXAMPLE: &str = "\
 Examples:
   dermis recover broken.partial.mcap --out recovered.mcap
 
-Copies every chunk with a valid checksum, and skips and reports the rest. Exit code 0: everything in the file was readable
-(a killed recording lacks at most its last second, which was never written); 3: something was not.";
+Copies every chunk with a valid checksum, and skips and reports the rest. Exit code 0: everything in the file was \
+readable (a killed recording lacks at most its last second, which was never written); 3: something was not.";
 
 /// Arguments of `dermis recover`.
 #[derive(clap::Args)]

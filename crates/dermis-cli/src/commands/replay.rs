@@ -17,11 +17,12 @@ use crate::interrupt;
 const EXAMPLE: &str = "\
 Examples:
   dermis replay press.mcap --only-touches
-  dermis replay press.mcap --prior laplace --hyperparameter 1e-3 --images laplace.npy --touches laplace.csv
+  dermis replay press.mcap --prior laplace --hyperparameter 1e-3 \\
+      --images laplace.npy --touches laplace.csv
 
-Prints the same JSON lines, one per frame, as `dermis run --headless` while recording; with --images or --touches it writes
-files instead. Electrodes and channels that fail or recover are named on stderr. `dermis run --source press.mcap` shows a
-recording in the page. Exit code 3: the recording lacks frames; their number is printed.";
+Prints the same JSON lines, one per frame, as `dermis run --headless` while recording; with --images or --touches it \
+writes files instead. Electrodes and channels that fail or recover are named on stderr. `dermis run --source \
+press.mcap` shows a recording in the page. Exit code 3: the recording lacks frames; their number is printed.";
 
 /// Arguments of `dermis replay`.
 #[derive(clap::Args)]

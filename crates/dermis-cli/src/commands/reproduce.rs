@@ -19,13 +19,12 @@ Examples:
   dermis reproduce I I3 --out reproduce
   dermis reproduce I3 H2 --out both
 
-Letters and experiments can be mixed: `dermis reproduce I P H1` replays two papers and one experiment of a
-third.
+Letters and experiments can be mixed: `dermis reproduce I P H1` replays two papers and one experiment of a third.
 
-Each experiment gets a folder with its table (CSV), figures (SVG, PDF, PNG) and their data (CSV, NPY); report.html
-combines them: contents, methods, tables, figures with captions, readable on a phone and in print. Noise and repeats are
-seeded, so a replay gives the same numbers. Tables state for every number whether it was fitted to the paper, predicted by
-the twin's physics, or computed by the image and touch algorithms.";
+Each experiment gets a folder with its table (CSV), figures (SVG, PDF, PNG) and their data (CSV, NPY); report.html \
+combines them: contents, methods, tables, figures with captions, readable on a phone and in print. Noise and repeats \
+are seeded, so a replay gives the same numbers. Tables state for every number whether it was fitted to the paper, \
+predicted by the twin's physics, or computed by the image and touch algorithms.";
 
 /// Arguments of `dermis reproduce`.
 #[derive(clap::Args)]
@@ -130,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn papers_and_experiments_mix_and_come_once_in_their_order() {
+    fn papers_and_experiments_mix_and_run_once_in_order() {
         assert_eq!(ids(&["P", "i3", "I", "I1", "h1"]), ["H1", "I1", "I3", "P1", "P2", "P3"]);
         assert_eq!(ids(&["p", "P"]), ["P1", "P2", "P3"]);
         assert_eq!(ids(&["E10", "I-SNR"]), ["E10", "I-SNR"]);

@@ -50,12 +50,12 @@ Examples:
   dermis run arm/arm.toml --headless --frames 50 --speed 0
   dermis run --headless --frames 50 --guard tcp://127.0.0.1:0
 
-A body file in place of the skin (`dermis body demo arm` writes one) runs all skins of a robot, each with the source that
-the file names. The page shows the robot in 3-D, with a page for each patch. With --headless it prints JSON lines with
-touches in the frames of patch, link and root, net wrenches, and once per second a line of health.
+A body file in place of the skin (`dermis body demo arm` writes one) runs all skins of a robot, each with the source \
+that the file names. The page shows the robot in 3-D, with a page for each patch. With --headless it prints JSON \
+lines with touches in the frames of patch, link and root, net wrenches, and once per second a line of health.
 
-Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is printed
-as `page: http://...`. If other machines can reach the page, the address includes a token that they need.";
+Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is \
+printed as `page: http://...`. If other machines can reach the page, the address includes a token that they need.";
 
 /// Frames that may queue between source and pipeline.
 const QUEUE: usize = 64;

@@ -13,12 +13,13 @@ use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis segment healing-square --baseline rest.csv --frames press.csv --out labels.npy --size 64
+  dermis segment healing-square --baseline rest.csv --frames press.csv \\
+      --out labels.npy --size 64
 
-labels.npy is rows x columns (frames x rows x columns for several frames), u8, row 0 at the top: 0 background, 1 conductivity
-lowered (damaged, resistive), 2 raised (compressed, conductive). The network of --model, or the one shipped with the
-skin, labels the frames. Without a network, and for frames unlike its training data (novelty score above 1.5), thresholds
-on the image label them. Missing channels are empty cells or NaN.";
+labels.npy is rows x columns (frames x rows x columns for several frames), u8, row 0 at the top: 0 background, 1 \
+conductivity lowered (damaged, resistive), 2 raised (compressed, conductive). The network of --model, or the one \
+shipped with the skin, labels the frames. Without a network, and for frames unlike its training data (novelty score \
+above 1.5), thresholds on the image label them. Missing channels are empty cells or NaN.";
 
 /// Arguments of `dermis segment`.
 #[derive(clap::Args)]

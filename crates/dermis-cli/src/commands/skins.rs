@@ -64,7 +64,12 @@ enum Action {
         #[arg(long, value_name = "FILE.svg|FILE.png|FILE.pdf")]
         out: PathBuf,
         /// Width of the picture.
-        #[arg(long, value_name = "PIXELS", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(200..=8000))]
+        #[arg(
+            long,
+            value_name = "PIXELS",
+            default_value_t = 1000,
+            value_parser = clap::value_parser!(u32).range(200..=8000)
+        )]
         width_px: u32,
         /// Leave out the mesh.
         #[arg(long)]

@@ -15,8 +15,8 @@ Examples:
   dermis snr --frames frames.csv
   dermis snr --frames 'frames.csv#0..4' --json
 
-V are the values of one channel over the frames, which must show an untouched skin. Averages are means of the channels'
-decibels, as in the papers.";
+V are the values of one channel over the frames, which must show an untouched skin. Averages are means of the \
+channels' decibels, as in the papers.";
 
 const DEFINITIONS: [(SnrDefinition, &str); 3] = [
     (SnrDefinition::IonicAsPrinted, "as the ionic-liquid skin's paper prints it"),

@@ -15,14 +15,15 @@ use crate::exit::{Outcome, UsageError};
 const EXAMPLE: &str = "\
 Examples:
   dermis solve case.json --sigma hom --voltages v.npy --jacobian j.npy
-  dermis solve case.json --difference hom:incl --prior noser --hyperparameter 0.1 --image x.npy
+  dermis solve case.json --difference hom:incl --prior noser \\
+      --hyperparameter 0.1 --image x.npy
 
-A Gmsh mesh (MSH 2.2 or 4.1) with its electrodes as groups electrode_1, electrode_2, ... takes the rest from a skin:
-dermis solve tank.msh --skin tank.toml --unit mm --sigma hom --voltages v.npy
+A Gmsh mesh (MSH 2.2 or 4.1) with its electrodes as groups electrode_1, electrode_2, ... takes the rest from a \
+skin, as in `dermis solve tank.msh --skin tank.toml --unit mm --sigma hom --voltages v.npy`.
 
-A conductivity is hom, incl, wave, any other NAME for which the case has sigma_NAME, or a file (NumPy array or text
-column) with one value per element. Arrays are float64: voltages (m,), Jacobian (m, n), image (n,), for m measurements and
-n elements.";
+A conductivity is hom, incl, wave, any other NAME for which the case has sigma_NAME, or a file (NumPy array or text \
+column) with one value per element. Arrays are float64: voltages (m,), Jacobian (m, n), image (n,), for m \
+measurements and n elements.";
 
 /// Arguments of `dermis solve`.
 #[derive(clap::Args)]

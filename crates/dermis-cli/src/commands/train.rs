@@ -12,11 +12,12 @@ use crate::exit::Outcome;
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis train --set set --out model.json --width 4 --levels 3 --epochs 2 --batch 10 --held-out 0.5
+  dermis train --set set --out model.json --width 4 --levels 3 --epochs 2 \\
+      --batch 10 --held-out 0.5
 
-Losses are mean cross-entropies; IoU is the intersection over union of each class on the frames held out. Weights go to
-model.safetensors next to the card (PyTorch loads them as a state_dict). After every pass a checkpoint is written to
-model.checkpoint; the same command resumes from it, and removes it when done.";
+Losses are mean cross-entropies; IoU is the intersection over union of each class on the frames held out. Weights go \
+to model.safetensors next to the card (PyTorch loads them as a state_dict). After every pass a checkpoint is written \
+to model.checkpoint; the same command resumes from it, and removes it when done.";
 
 /// Arguments of `dermis train`.
 #[derive(clap::Args)]

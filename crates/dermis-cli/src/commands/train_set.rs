@@ -17,11 +17,11 @@ const EXAMPLE: &str = "\
 Examples:
   dermis train-set healing-square --samples 40 --shard 20 --out set
 
-Every shard has its own skin (another mesh than the reconstruction's, slightly displaced electrodes, other contact
-impedances), its own instrument (gain, drift, noise) and its own lost electrodes. The folder has manifest.json
-and shard-00000.safetensors, ... with inputs (samples x images x rows x columns, F32) and labels (samples x rows x columns,
-U8: 0 background, 1 conductivity lowered, 2 raised). The same command resumes an interrupted set. The set depends only on
---seed and the other options.";
+Every shard has its own skin (another mesh than the reconstruction's, slightly displaced electrodes, other contact \
+impedances), its own instrument (gain, drift, noise) and its own lost electrodes. The folder has manifest.json and \
+shard-00000.safetensors, ... with inputs (samples x images x rows x columns, F32) and labels (samples x rows x \
+columns, U8: 0 background, 1 conductivity lowered, 2 raised). The same command resumes an interrupted set. The set \
+depends only on --seed and the other options.";
 
 /// Arguments of `dermis train-set`.
 #[derive(clap::Args)]

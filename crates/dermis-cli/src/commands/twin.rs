@@ -20,9 +20,9 @@ Examples:
   dermis twin serve healing-square --tcp 127.0.0.1:0 --frames 10
   dermis twin serve piezo-disc --pty --frames 2
 
-A twin answers and streams like an instrument on a cable. The address is printed with the command that runs the skin from
-it; port 0 takes a free one. With --pty it serves on a pseudo-terminal, like a board at a serial port. The twin starts
-measuring when the first host asks for frames, and continues as hosts come and go.
+A twin answers and streams like an instrument on a cable. The address is printed with the command that runs the skin \
+from it; port 0 takes a free one. With --pty it serves on a pseudo-terminal, like a board at a serial port. The twin \
+starts measuring when the first host asks for frames, and continues as hosts come and go.
 
 Lines on standard input press it and break it while it runs (X right, Y up, from the centre):
 ";
@@ -45,12 +45,14 @@ enum Action {
 
 const SAMPLE_EXAMPLE: &str = "\
 Examples:
-  dermis twin sample ionic-disc --presses random:5 --baseline rest.npy --frames presses.npy --truth truth.csv
-  dermis twin sample piezo-disc --presses random:2 --baseline rest.csv --frames frames.csv --repeats 5
+  dermis twin sample ionic-disc --presses random:5 --baseline rest.npy \\
+      --frames presses.npy --truth truth.csv
+  dermis twin sample piezo-disc --presses random:2 --baseline rest.csv \\
+      --frames frames.csv --repeats 5
 
-A table of presses has the columns x_mm, y_mm, one of force_n and pressure_kpa, and optionally radius_mm and group: rows of
-the same group press together. Each press is held for a second; frames include the instrument's noise. `dermis reconstruct`
-and `dermis calibrate` read the frames, and the truth as positions.";
+A table of presses has the columns x_mm, y_mm, one of force_n and pressure_kpa, and optionally radius_mm and group: \
+rows of the same group press together. Each press is held for a second; frames include the instrument's noise. \
+`dermis reconstruct` and `dermis calibrate` read the frames, and the truth as positions.";
 
 #[derive(clap::Args)]
 #[command(after_help = SAMPLE_EXAMPLE)]

@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_paper_prints_is_in_ink_and_takes_no_colour_from_the_others() {
+    fn published_values_are_in_ink_and_use_up_no_colour() {
         let both = chart(vec![
             series("paper", &[[0.0, 1.0]], Mark::PaperPoints),
             series("ours", &[[0.0, 1.0], [1.0, 2.0]], Mark::Line),
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn legends_stand_above_the_frame_in_lines_that_fit() {
+    fn legends_are_above_the_frame_in_lines_that_fit() {
         let names =
             ["a rather long name of a curve", "another one that is as long", "a third of them", "a third of them"];
         let chart = chart(names.map(|name| series(name, &[[0.0, 0.0], [1.0, 1.0]], Mark::LinePoints)).to_vec());

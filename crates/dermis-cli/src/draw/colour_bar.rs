@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_are_round_and_stand_where_their_values_are() {
+    fn ticks_are_round_numbers_at_their_values() {
         let picture = drawn(-0.23, 0.23);
         let level = |words: &str| picture.texts().find(|text| text.words == words).unwrap().at[1];
         assert!((level("0") - 95.0).abs() < 1e-9);

@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn lightness_alone_tells_where_on_a_map_a_colour_lies() {
+    fn lightness_alone_determines_the_value_on_a_colour_map() {
         let rising: Vec<f64> = (0..=50).map(|k| luminance(Map::Rising.colour(f64::from(k) / 50.0))).collect();
         assert!(rising.windows(2).all(|pair| pair[1] > pair[0]), "{rising:?}");
         let signed: Vec<f64> = (0..=50).map(|k| luminance(Map::Signed.colour(f64::from(k) / 50.0))).collect();

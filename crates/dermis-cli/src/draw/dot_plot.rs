@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn half_and_twice_are_as_far_from_the_norm() {
+    fn half_and_twice_are_equally_far_from_the_norm() {
         let picture = plot(&[0.5, 2.0, 1.0]).picture();
         let stems: Vec<f64> = picture
             .shapes()
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_axis_reaches_as_far_as_the_dots_and_no_farther_than_a_hundred() {
+    fn the_axis_covers_the_dots_up_to_a_hundred() {
         assert_eq!([plot(&[1.1]).reach(), plot(&[0.3]).reach(), plot(&[1e-9]).reach()], [2.0, 5.0, 100.0]);
     }
 }

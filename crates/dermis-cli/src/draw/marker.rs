@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_have_other_symbols() {
+    fn neighbours_have_different_symbols() {
         let kinds: Vec<Marker> = (0..5).map(Marker::of).collect();
         assert_eq!(kinds[0], kinds[4]);
         assert!(kinds[..4].iter().enumerate().all(|(k, kind)| !kinds[..k].contains(kind)));

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filled_square_covers_its_pixels_and_no_others() {
+    fn a_filled_square_covers_exactly_its_pixels() {
         let square = || {
             let lines = vec![Polyline::rectangle([2.0, 2.0], [6.0, 6.0])];
             Shape::filled("electrodes", lines, Colour(200, 100, 50)).into()
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn type_stands_where_it_is_put() {
+    fn text_is_at_its_place() {
         // An H at 8 px is 5.83 px high and has side bearings of 0.79 px in its advance of 6.02 px.
         let [left, right, top, bottom] = inked(Text::new("H", 8.0, [10.0, 5.0]));
         assert!((0.5 * (left + right) - 10.0).abs() < 0.2 && (0.5 * (top + bottom) - 5.0).abs() < 0.2);

@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_do_not_lie_on_each_other() {
+    fn numbers_do_not_overlap() {
         for name in ["piezo-disc", "piezo-square", "healing-square"] {
             let body = Skin::open(name).unwrap().body_with_elements(400).unwrap().mesh;
             let picture = SkinDrawing { body: &body, title: name, width_px: 520, mesh: false }.picture();
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn y_points_up_and_rim_numbers_stand_outside() {
+    fn y_points_up_and_rim_numbers_are_outside() {
         let body = Skin::open("golfball-tank").unwrap().body_with_elements(400).unwrap().mesh;
         let drawing = SkinDrawing { body: &body, title: "", width_px: 1000, mesh: true };
         let layout = Layout::of(&body, 1000);

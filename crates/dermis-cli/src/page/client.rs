@@ -12,7 +12,7 @@ use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use crossbeam_channel::TrySendError;
 use dermis_page::message::{Answer, Level, Notice};
-use dermis_page::protocol::{self, Said};
+use dermis_page::protocol::{self, PageMessage};
 use dermis_page::{BodyCommand, Command, PatchCommand};
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
@@ -182,14 +182,14 @@ impl Client<'_> {
             None => protocol::parse::<Command>(&text).map(|said| said.map(to_only_skin)),
         };
         match said {
-            Ok(Said::Acknowledge(sequence)) => {
+            Ok(PageMessage::Acknowledge(sequence)) => {
                 self.acknowledged = sequence.clamp(self.acknowledged, self.sent);
                 return self.count_sign();
             }
             _ if !self.allowance.spend() => {
                 return Err(End::Closed(close_code::POLICY, "too many messages per second"));
             }
-            Ok(Said::Ask(id, BodyCommand::Patch(PatchCommand { number, command }))) => {
+            Ok(PageMessage::Ask(id, BodyCommand::Patch(PatchCommand { number, command }))) => {
                 match self.endpoint.skins.get(number) {
                     Some(Some(skin)) => self.pass_on(id, number, skin, command),
                     Some(None) => self.answer(id, format!("refused: patch {number} is not running")),
@@ -199,7 +199,7 @@ impl Client<'_> {
                     }
                 }
             }
-            Ok(Said::Ask(id, BodyCommand::Joints(values))) => {
+            Ok(PageMessage::Ask(id, BodyCommand::Joints(values))) => {
                 let set = self.endpoint.body.as_ref().map(|body| body.set_joints(&values));
                 if let Some(Err(refusal)) = set {
                     self.answer(id, refusal);

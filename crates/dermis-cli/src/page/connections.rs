@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn who_sends_no_whole_head_in_time_is_cut_off() {
+    fn a_client_without_a_complete_header_in_time_is_disconnected() {
         run(async {
             for sent in [&b""[..], &HEAD[..1], &HEAD[..HEAD.len() - 1], b"\r\n\r\r\n\n"] {
                 let (mut listener, address) = bounded(4, Duration::from_millis(20)).await;
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_in_pieces_is_a_head_and_an_answer_begins_the_wait_for_the_next() {
+    fn a_header_in_pieces_is_accepted_and_an_answer_restarts_the_deadline() {
         run(async {
             let (mut listener, address) = bounded(4, Duration::from_millis(300)).await;
             let (mut client, mut server) = pair(&mut listener, address).await;
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn where_all_places_are_taken_the_one_that_was_silent_longest_goes() {
+    fn the_longest_silent_connection_is_dropped_if_all_slots_are_taken() {
         run(async {
             let (mut listener, address) = bounded(3, LONG).await;
             let (mut known, mut first) = pair(&mut listener, address).await;
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn where_all_places_are_held_by_pages_a_new_one_is_sent_away_and_a_later_one_let_in() {
+    fn a_new_page_is_refused_while_all_slots_are_taken_and_admitted_later() {
         run(async {
             let (mut listener, address) = bounded(2, LONG).await;
             let mut held = Vec::new();

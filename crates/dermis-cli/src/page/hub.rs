@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_that_does_not_fill_its_grid_is_refused_with_its_numbers() {
+    fn an_image_of_the_wrong_size_is_refused_with_both_sizes() {
         let mut update = numbered(12);
         update.image.rows = 3;
         update.image.cols = 4;

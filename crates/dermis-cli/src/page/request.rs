@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_a_burst_the_last_hyperparameter_counts_and_recordings_keep_their_order() {
+    fn the_last_hyperparameter_of_a_burst_counts_and_recordings_keep_their_order() {
         let request = |command| Request { client: 1, command, reply: Reply::unheard() };
         let mut burst: Vec<Request> = (1..=300).map(|k| request(Command::Hyperparameter(f64::from(k)))).collect();
         burst.insert(100, request(Command::RecordStart));

@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_child_that_uses_what_its_parent_defines_makes_a_cycle_with_a_parent_that_uses_it() {
+    fn a_parent_and_a_child_that_use_each_other_are_a_cycle() {
         let files = [
             ("lib.rs", "mod a;\n"),
             (

@@ -55,7 +55,7 @@ fn figure(set: &Value, row: usize, name: &str) -> f64 {
 }
 
 #[test]
-fn evidence_measures_what_is_there_and_says_what_is_missing() {
+fn evidence_measures_present_sets_and_lists_missing_ones() {
     let desk = Desk::with(&[]);
     synthetic_sets(&desk);
     let words = ["evidence", "--data", "data", "--only", "ktc,golfball,five-skins", "--quick", "--json"];
@@ -98,7 +98,7 @@ fn evidence_fills_the_tables_of_a_page_and_leaves_its_prose() {
 }
 
 #[test]
-fn a_damaged_set_is_named_and_the_others_go_on() {
+fn a_damaged_set_is_reported_and_the_others_still_run() {
     let desk = Desk::with(&[]);
     synthetic_sets(&desk);
     put(&desk.path("data/team7/team7_Bz_gauss_50hz.csv"), "x_mm,a,b,c,d\n0,1,2,3,4\n");
@@ -117,7 +117,7 @@ fn a_damaged_set_is_named_and_the_others_go_on() {
 }
 
 #[test]
-fn evidence_of_nothing_and_of_unknown_sets_is_refused() {
+fn evidence_without_sets_or_with_unknown_sets_is_refused() {
     let desk = Desk::with(&[("file", "")]);
     fs::create_dir(desk.path("empty")).expect("a folder");
     let output = desk.run(&["evidence", "--data", "empty"]);

@@ -24,7 +24,7 @@ fn touched(lines: &str) -> usize {
 }
 
 #[test]
-fn a_file_of_touched_frames_runs_with_a_baseline_of_its_own_and_says_that_it_ended() {
+fn a_file_of_touched_frames_runs_with_its_own_baseline_and_reports_its_end() {
     let desk = sampled("healing-square");
     let run = ["run", "healing-square", "--source", "press.csv", "--speed", "0", "--headless"];
     for baseline in ["rest.csv", "rest.csv#0..8"] {
@@ -43,7 +43,7 @@ fn a_file_of_touched_frames_runs_with_a_baseline_of_its_own_and_says_that_it_end
 }
 
 #[test]
-fn an_order_found_wrong_is_no_success_and_comes_with_the_line_to_write() {
+fn a_wrong_order_fails_with_the_line_to_write() {
     let text_of = dermis_skin::builtin_text("healing-square").expect("a built-in skin");
     let rotating =
         text_of.replacen("measure = \"pseudo-polar\"\n", "measure = \"pseudo-polar\"\norder = \"rotating\"\n", 1);
@@ -101,7 +101,7 @@ fn every_export_of_frames_is_read_like_the_recording() {
 }
 
 #[test]
-fn a_recording_where_a_skin_is_expected_is_told_where_it_goes() {
+fn a_recording_in_place_of_a_skin_is_answered_with_the_right_option() {
     let desk = Desk::with(&[]);
     desk.done(&["record", "healing-square", "--speed", "0", "--frames", "3", "--out", "x.mcap"]);
     let said = desk.refused(&["run", "x.mcap", "--headless"], 2);
@@ -150,7 +150,7 @@ fn skins_side_by_side_get_one_instrument_and_a_verdict_that_no_noise_turns() {
 }
 
 #[test]
-fn a_skin_of_one_s_own_is_begun_and_never_replaced() {
+fn a_new_skin_file_is_written_and_never_replaced() {
     let desk = Desk::with(&[("corners.csv", "x_mm,y_mm\n-50,-40\n50,-40\n60,40\n-60,40\n")]);
     let begin = ["new", "mine", "--outline", "polygon:corners.csv", "--electrodes", "12", "--layer", "foam"];
     let said = desk.done(&[&begin[..], &["--instrument", "tcp:10.0.0.5:4000"]].concat());
@@ -224,7 +224,7 @@ fn shells_and_manual_pages_know_every_command() {
 }
 
 #[test]
-fn tables_come_as_json_too() {
+fn tables_are_also_printed_as_json() {
     let desk = Desk::with(&[]);
     let json = |words: &[&str]| -> Value { serde_json::from_str(&desk.done(words)).expect("JSON") };
     assert!(json(&["skins", "list", "--json"]).as_array().is_some_and(|list| list.len() > 10));

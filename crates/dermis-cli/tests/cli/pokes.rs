@@ -35,7 +35,7 @@ fn errors_mm(desk: &Desk, touches: &str) -> (Vec<f64>, usize) {
 /// A third of the presses on `em-8` lie beyond its elements, and some move none of them. The model locates the presses
 /// that it sees and the pokes the rest, and both together are no worse than the model alone.
 #[test]
-fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
+fn undetectable_pokes_do_not_spoil_a_calibration() {
     let desk = Desk::with(&[]);
     let sample = |presses: &str, seed: &str, files: [&str; 3]| {
         let [rest, frames, truth] = files;
@@ -78,7 +78,7 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
 /// the baseline, the median error was 0.5 to 0.9 % of the shorter side, and pokes halved it at best. Sigmas are too
 /// large if four presses in five lie within one sigma, and too small if only two in five do.
 #[test]
-fn the_baseline_and_pokes_tell_how_a_skin_was_built() {
+fn the_baseline_and_pokes_reveal_how_a_skin_was_built() {
     let desk = Desk::with(&[]);
     let (mut inside, mut coordinates) = ([0, 0], 0);
     for (name, outline, electrodes, layer) in [

@@ -19,7 +19,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 #[test]
-fn voltages_and_jacobian_of_a_square_are_those_worked_out_by_hand() {
+fn voltages_and_jacobian_of_a_square_agree_with_hand_calculation() {
     let desk = Desk::with(&[("case.json", SQUARE)]);
     let out = desk.done(&["solve", "case.json", "--sigma", "hom", "--voltages", "v.npy", "--jacobian", "j.npy"]);
     assert_eq!(out, "voltages: 1 values to v.npy\nJacobian: 1 x 4 values to j.npy\n");
@@ -42,7 +42,7 @@ fn conductivities_come_from_the_case_or_from_a_file() {
 }
 
 #[test]
-fn difference_images_of_a_square_are_those_worked_out_by_hand() {
+fn difference_images_of_a_square_agree_with_hand_calculation() {
     let desk = Desk::with(&[("case.json", SQUARE)]);
     let image = |prior: &str, more: &[&str]| {
         let fixed = ["solve", "case.json", "--difference", "hom:incl", "--hyperparameter", "0.5", "--image", "x.npy"];

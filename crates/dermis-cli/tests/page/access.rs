@@ -8,7 +8,7 @@ use dermis_cli::page::{self, Hub, PageError, PageOptions, Token};
 use super::{get, next_json, open_with, raw, refused_with, scene, serve, serve_with, status};
 
 #[test]
-fn the_page_comes_with_headers_that_keep_it_to_itself() {
+fn the_page_has_headers_that_isolate_it() {
     let served = serve();
     let address = served.server.local_addr();
     assert!(address.ip().is_loopback() && address.port() != 0);

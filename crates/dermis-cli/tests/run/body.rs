@@ -50,7 +50,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 #[test]
-fn touches_of_two_patches_come_in_every_frame_and_replay_from_one_recording() {
+fn touches_of_two_patches_are_reported_in_every_frame_and_replay_from_one_recording() {
     let desk = desk(BODY);
     std::fs::write(desk.path().join("joints.jsonl"), "{\"joints\": {\"elbow\": 0.7}}\n").expect("a file");
     let arguments = [
@@ -122,7 +122,7 @@ fn touches_of_two_patches_come_in_every_frame_and_replay_from_one_recording() {
 }
 
 #[test]
-fn a_patch_that_cannot_start_is_named_and_leaves_the_others_alone_where_asked() {
+fn a_patch_that_cannot_start_is_named_and_the_others_may_continue() {
     let broken = BODY.replacen("link = \"base\"", "link = \"base\"\nsource = \"nowhere.csv\"", 1);
     let desk = desk(&broken);
     let strict = run(desk.path(), &["arm.toml", "--headless", "--frames", "40", "--speed", "0"]);
@@ -147,7 +147,7 @@ fn a_patch_that_cannot_start_is_named_and_leaves_the_others_alone_where_asked() 
 }
 
 #[test]
-fn without_joint_values_nothing_is_said_of_the_root() {
+fn without_joint_values_the_root_frame_is_unknown() {
     let desk = desk(&BODY.replace("stale_after_ms = 60000", "source = \"tcp:127.0.0.1:9\""));
     let output = run(desk.path(), &["arm.toml", "--headless", "--frames", "70", "--speed", "0"]);
     let all = lines(&output);
@@ -211,7 +211,7 @@ fn bodies_are_checked_drawn_and_demonstrated() {
 }
 
 #[test]
-fn options_of_single_skins_are_refused_with_a_body_and_the_other_way_round() {
+fn options_of_single_skins_are_refused_with_a_body_and_vice_versa() {
     let desk = desk(BODY);
     for (arguments, expected) in [
         (&["arm.toml", "--headless", "--source", "x.csv"][..], "--source: expected source = \"...\" in a [[patch]]"),

@@ -248,7 +248,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_cut_by_their_number_of_channels_whatever_the_pieces() {
+    fn frames_are_split_by_channel_count_for_any_chunking() {
         let sent: Vec<f32> = (0..12).map(|i| i as f32 * 0.5 - 1.0).collect();
         let bytes: Vec<u8> = sent.iter().flat_map(|value| value.to_le_bytes()).collect();
         for size in 1..bytes.len() {
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_frame_before_a_pause_ends_the_connection_and_shifts_nothing() {
+    fn half_a_frame_before_a_pause_ends_the_connection_without_a_shift() {
         let mut floats = Floats::new(2);
         let (mut inbox, out, _spare) = Inbox::new(64);
         let mut at = HostStamp::now();
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_with_headers_are_found_whatever_is_missing_or_stands_between() {
+    fn frames_with_headers_are_found_despite_gaps_and_garbage() {
         let mut bytes = Vec::new();
         for number in 0..40_u16 {
             let frame = headed(number.wrapping_add(65_530), [f32::from(number), 0.5]);
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_for_other_channels_gives_no_frames_and_says_why() {
+    fn a_header_for_other_channels_gives_no_frames_but_a_reason() {
         let mut floats = Floats::new(3);
         let (mut inbox, out, _spare) = Inbox::new(8);
         floats.open(&mut Vec::new());

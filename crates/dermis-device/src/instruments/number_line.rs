@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_told_from_broken_frames() {
+    fn words_are_distinguished_from_broken_frames() {
         for line in ["", "# ready", "ready", "ready 3", "Battery low", "Spectra v2 : ready", "baud 115200 set"] {
             assert_eq!(found(line, Some(208)), Err("nothing".to_owned()), "{line}");
         }

@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn stale_starts_and_steps_are_mended_and_said() {
+    fn stale_starts_and_steps_are_corrected_and_reported() {
         let mut notes = Vec::new();
         let mut stale = vec![812.34, 0.02, 0.04, 0.06];
         mend(&mut stale, &mut notes);
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn units_are_told_by_size_and_distance() {
+    fn units_are_recognised_by_size_and_distance() {
         for (values, expected) in [
             (vec![0.0, 20.0, 40.0], 0.04),
             (vec![0.0, 20_000.0, 40_000.0], 0.04),

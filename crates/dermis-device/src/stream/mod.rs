@@ -1,9 +1,9 @@
 //! Live instruments. A separate thread reads the port, and a sans-I/O [`Dialogue`] turns the bytes into frames. A
 //! dead, silent or foreign device only costs its frames. Lost connections are retried at increasing intervals.
 
-mod falling;
 mod inbox;
 mod link;
+mod log_limit;
 mod options;
 #[cfg(unix)]
 mod pty;

@@ -3,7 +3,7 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::falling::Falling;
+use super::log_limit::LogLimit;
 use super::{Connect, Dialogue, Inbox, Link, StreamOptions};
 use crate::HostStamp;
 
@@ -20,15 +20,15 @@ pub(super) fn run(
 ) {
     let shared = inbox.shared();
     let mut wait = options.first_wait;
-    let mut ended = Falling::default();
-    let mut owed = Owed::new(connect.name());
+    let mut ended = LogLimit::default();
+    let mut watchdog = Watchdog::new(connect.name());
     let mut buffer = vec![0; CHUNK];
     while !shared.is_stopped() {
         let before = inbox.taken();
         let reason = match connect.connect() {
             Ok(mut link) => {
                 shared.connected();
-                let ended = talk(link.as_mut(), dialogue.as_mut(), &mut inbox, &mut buffer, options, &mut owed);
+                let ended = talk(link.as_mut(), dialogue.as_mut(), &mut inbox, &mut buffer, options, &mut watchdog);
                 match ended {
                     Ok(()) => return,
                     Err(reason) => reason,
@@ -59,12 +59,12 @@ fn talk(
     inbox: &mut Inbox,
     buffer: &mut [u8],
     options: StreamOptions,
-    owed: &mut Owed,
+    watchdog: &mut Watchdog,
 ) -> Result<(), String> {
     let shared = inbox.shared();
     let opened = Instant::now();
     let (silence, mut heard) = (options.silence, opened);
-    owed.begin(inbox);
+    watchdog.begin(inbox);
     let mut introduced = false;
     let mut send = Vec::new();
     dialogue.open(&mut send);
@@ -77,7 +77,7 @@ fn talk(
         if count > 0 {
             heard = Instant::now();
             dialogue.receive(&buffer[..count], HostStamp::now(), inbox, &mut send)?;
-            owed.heard(count, inbox, dialogue.is_frames_only(), options.frame)?;
+            watchdog.heard(count, inbox, dialogue.is_frames_only(), options.frame)?;
         } else if heard.elapsed() > silence {
             return Err(format!("silent for {:.1} s", silence.as_secs_f64()));
         }
@@ -95,16 +95,16 @@ fn talk(
 }
 
 /// Number of bytes without a complete frame that no instrument would send.
-const MOST_OWED: u64 = 256 * 1024;
+const MOST_BYTES: u64 = 256 * 1024;
 /// Number of damaged frames in a row that a disturbance can't explain.
 const MOST_DAMAGED: u64 = 8;
 /// Longest time between frames expected of any instrument, in multiples of the deadline.
 const SLOWEST: u32 = 10;
 
 /// Watches for a device that sends bytes but no complete frames.
-struct Owed {
+struct Watchdog {
     name: String,
-    damaged: Falling,
+    damaged: LogLimit,
     /// Time of the last complete frame, followed by the numbers of frames and of damaged ones at that time, and the
     /// number of bytes since.
     since: Instant,
@@ -116,9 +116,9 @@ struct Owed {
     troubled: bool,
 }
 
-impl Owed {
+impl Watchdog {
     fn new(name: &str) -> Self {
-        let (name, damaged, since) = (name.to_owned(), Falling::default(), Instant::now());
+        let (name, damaged, since) = (name.to_owned(), LogLimit::default(), Instant::now());
         Self { name, damaged, since, taken: 0, bad: 0, bytes: 0, seen: 0, troubled: false }
     }
 
@@ -146,8 +146,8 @@ impl Owed {
         }
         self.bytes += count as u64;
         let (damaged, late) = (bad - self.bad, self.since.elapsed());
-        let is_owed = self.bytes >= MOST_OWED || damaged >= MOST_DAMAGED;
-        if !(late > patience && (is_owed || (frames_only && late > SLOWEST * patience))) {
+        let is_stuck = self.bytes >= MOST_BYTES || damaged >= MOST_DAMAGED;
+        if !(late > patience && (is_stuck || (frames_only && late > SLOWEST * patience))) {
             return Ok(());
         }
         self.troubled = true;
@@ -173,38 +173,38 @@ mod tests {
     const NEVER: Duration = Duration::from_secs(3600);
     const OVER: Duration = Duration::ZERO;
 
-    fn owed() -> (Owed, Inbox, std::sync::mpsc::Receiver<crate::Frame>) {
+    fn watchdog() -> (Watchdog, Inbox, std::sync::mpsc::Receiver<crate::Frame>) {
         let (inbox, frames, _) = Inbox::new(8);
-        let mut owed = Owed::new("tcp:skin:1");
-        owed.begin(&inbox);
-        (owed, inbox, frames)
+        let mut watchdog = Watchdog::new("tcp:skin:1");
+        watchdog.begin(&inbox);
+        (watchdog, inbox, frames)
     }
 
     #[test]
     fn many_bytes_without_a_frame_end_a_connection_and_few_do_not() {
-        let (mut owed, mut inbox, _frames) = owed();
-        let most = MOST_OWED as usize;
-        assert_eq!(owed.heard(most - 1, &mut inbox, false, OVER), Ok(()));
-        let error = owed.heard(1, &mut inbox, false, OVER).unwrap_err();
+        let (mut watchdog, mut inbox, _frames) = watchdog();
+        let most = MOST_BYTES as usize;
+        assert_eq!(watchdog.heard(most - 1, &mut inbox, false, OVER), Ok(()));
+        let error = watchdog.heard(1, &mut inbox, false, OVER).unwrap_err();
         assert!(error.starts_with("no whole frame for 0.0 s, although 262144 bytes came"), "{error}");
-        assert_eq!(inbox.losses(), (0, 1), "what came counts as damaged");
+        assert_eq!(inbox.losses(), (0, 1), "the bytes count as a damaged frame");
     }
 
     #[test]
-    fn before_the_deadline_nothing_is_owed() {
-        let (mut owed, mut inbox, _frames) = owed();
+    fn nothing_is_due_before_the_deadline() {
+        let (mut watchdog, mut inbox, _frames) = watchdog();
         for _ in 0..100 {
             inbox.bad(1);
-            assert_eq!(owed.heard(1 << 20, &mut inbox, true, NEVER), Ok(()));
+            assert_eq!(watchdog.heard(1 << 20, &mut inbox, true, NEVER), Ok(()));
         }
     }
 
     #[test]
-    fn damaged_frames_in_a_row_end_a_connection_with_what_was_wrong() {
-        let (mut owed, mut inbox, _frames) = owed();
+    fn damaged_frames_in_a_row_end_a_connection_with_the_reason() {
+        let (mut watchdog, mut inbox, _frames) = watchdog();
         for damaged in 1..=MOST_DAMAGED {
             inbox.bad_because("a line of 100 numbers, expected 208".to_owned());
-            let heard = owed.heard(100, &mut inbox, false, OVER);
+            let heard = watchdog.heard(100, &mut inbox, false, OVER);
             assert_eq!(heard.is_err(), damaged == MOST_DAMAGED, "after {damaged}");
             if let Err(reason) = heard {
                 assert!(reason.ends_with("8 damaged frames arrived: a line of 100 numbers, expected 208"), "{reason}");
@@ -214,21 +214,21 @@ mod tests {
     }
 
     #[test]
-    fn where_all_that_comes_is_frames_any_byte_is_owed_one() {
-        let (mut owed, mut inbox, _frames) = owed();
-        assert!(owed.heard(1, &mut inbox, true, OVER).is_err());
+    fn any_byte_of_a_stream_of_frames_must_lead_to_a_frame() {
+        let (mut watchdog, mut inbox, _frames) = watchdog();
+        assert!(watchdog.heard(1, &mut inbox, true, OVER).is_err());
     }
 
     #[test]
-    fn a_whole_frame_pays_and_the_trouble_is_over() {
-        let (mut owed, mut inbox, _frames) = owed();
-        let reason = owed.heard(MOST_OWED as usize, &mut inbox, false, OVER).unwrap_err();
+    fn a_complete_frame_resets_the_watchdog() {
+        let (mut watchdog, mut inbox, _frames) = watchdog();
+        let reason = watchdog.heard(MOST_BYTES as usize, &mut inbox, false, OVER).unwrap_err();
         inbox.shared().troubled(reason);
-        owed.begin(&inbox);
+        watchdog.begin(&inbox);
         inbox.take(|frame| frame.values.push(1.0));
-        assert_eq!(owed.heard(4, &mut inbox, false, OVER), Ok(()));
+        assert_eq!(watchdog.heard(4, &mut inbox, false, OVER), Ok(()));
         assert_eq!(inbox.shared().problem(), None);
         // Earlier bytes no longer count.
-        assert_eq!(owed.heard(MOST_OWED as usize - 1, &mut inbox, false, OVER), Ok(()));
+        assert_eq!(watchdog.heard(MOST_BYTES as usize - 1, &mut inbox, false, OVER), Ok(()));
     }
 }

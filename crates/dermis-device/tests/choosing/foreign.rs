@@ -89,7 +89,7 @@ fn matlab_arrays_of_every_kind() {
 }
 
 #[test]
-fn measurements_in_a_structure_stand_in_columns() {
+fn measurements_in_a_structure_are_columns() {
     refuses("structure.mat", of_skin(), &["12 frames of 6 readings", "transposed?", "--transpose"]);
     let table = check("structure.mat", ReadOptions { transpose: true, ..of_skin() }, 1.0, 0.0);
     has_times(&table);

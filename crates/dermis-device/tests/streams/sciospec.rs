@@ -90,7 +90,7 @@ fn setup() -> LiveSetup {
 }
 
 #[test]
-fn it_is_told_the_setup_and_every_frame_comes() {
+fn the_instrument_gets_its_setup_and_every_frame_arrives() {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let selector = format!("tcp:{}#sciospec", listener.local_addr().expect("an address")).parse().expect("a selector");
     let instrument = serve(listener);

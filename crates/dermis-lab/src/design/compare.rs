@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn verdicts_name_the_best_or_say_that_there_is_none() {
+    fn verdicts_name_the_best_if_there_is_one() {
         assert_eq!(verdict(&[("a", summary(1e-3, 1e-3))]), None);
         let text = verdict(&[("a", summary(2e-3, 1e-3)), ("b", summary(1e-3, 0.5e-3)), ("c", summary(3e-3, 2e-3))]);
         let said = "b places touches best: to 1.000 mm at its worst place, 2.0 times better than a, 3.0 times better than c; \

@@ -66,14 +66,14 @@ const PER_SIDE: std::ops::RangeInclusive<usize> = 2..=8;
 pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize)) -> Result<[Candidate; 2], Error> {
     if skin.modality == Modality::Mit {
         return Err(Error::Live(dermis_live::Error::Frames {
-            what: format!("protocol of {}, which is to be improved", skin.name),
+            what: format!("protocol of {}, for --improve", skin.name),
             expected: "electrodes".into(),
             got: "coils, whose pairs are all read".into(),
         }));
     }
     if skin.backend.channels.is_some() && search.freed.contains(&Freedom::Drive) {
         return Err(Error::Live(dermis_live::Error::Frames {
-            what: format!("drives of {}, to be varied while the measuring pattern stays", skin.name),
+            what: format!("drives of {}, for --improve drive", skin.name),
             expected: "a measuring pattern".into(),
             got: "a list of channels; let the whole protocol vary (--improve protocol)".into(),
         }));
@@ -224,8 +224,8 @@ fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
             .collect(),
         Electrodes::RimList(_) | Electrodes::RimPlaces { .. } | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
             return Err(Error::Live(dermis_live::Error::Frames {
-                what: format!("frontend.electrodes of {}, whose number is to be varied", skin.name),
-                expected: "rim, rim-pads or pad-grid, which say where any number of them goes".into(),
+                what: format!("frontend.electrodes of {}, for --improve count", skin.name),
+                expected: "rim, rim-pads or pad-grid, which place any number of electrodes".into(),
                 got: "a list".into(),
             }));
         }
@@ -262,8 +262,8 @@ fn listed(skin: &Skin) -> Result<Electrodes, Error> {
     let under: Option<Vec<Pad>> = shapes.iter().map(pad).collect();
     on_rim.map(Electrodes::RimList).or(under.map(Electrodes::Pads)).ok_or_else(|| {
         Error::Live(dermis_live::Error::Frames {
-            what: format!("frontend.electrodes of {}, which are to be moved", skin.name),
-            expected: "stretches of the rim, or pads that lie along the axes".into(),
+            what: format!("frontend.electrodes of {}, for --improve electrodes", skin.name),
+            expected: "stretches of the rim, or pads along the axes".into(),
             got: "something else".into(),
         })
     })

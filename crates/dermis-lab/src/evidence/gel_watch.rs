@@ -28,7 +28,7 @@ const PLAIN_FRAMES: usize = 64;
 pub struct Watched {
     /// Number of frames.
     pub frames: usize,
-    /// Changes of damages, each with the frame that reported it.
+    /// Damage events, each with the frame that reported it.
     pub events: Vec<(usize, DamageEvent)>,
     /// Frames with a touch.
     pub touched: Vec<usize>,

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_learnt_from_is_refused() {
+    fn unusable_training_data_are_refused() {
         let frames: [&[f64]; 3] = [&[1.0, 2.0], &[2.0, 1.0], &[1.0, f64::NAN]];
         assert!(KernelRidge::fit(&frames, &[[0.0; 2]; 3], None).is_none());
         assert!(KernelRidge::fit(&frames[..2], &[[0.0; 2]; 2], None).is_none());

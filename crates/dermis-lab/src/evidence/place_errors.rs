@@ -247,7 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_order_holds_every_press_once_and_depends_on_the_seed() {
+    fn an_order_contains_every_press_once_and_depends_on_the_seed() {
         let (one, other) = (shuffled(50, 1), shuffled(50, 2));
         assert_eq!(one, shuffled(50, 1));
         assert_ne!(one, other);
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_are_of_what_was_found() {
+    fn quantiles_are_over_found_touches() {
         let errors_mm = (1..=10).map(f64::from).collect();
         let errors = PlaceErrors { presses: 12, extra: 1, errors_mm, within: [0.7, 0.6] };
         assert_eq!([errors.quantile_mm(0.5), errors.quantile_mm(0.9), errors.quantile_mm(1.0)], [6.0, 10.0, 10.0]);

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_labels_score_one_and_a_class_missed_half_at_most() {
+    fn equal_labels_score_one_and_a_missed_class_at_most_half() {
         let truth = disc(1, 100.0, 120.0, 30.0);
         assert!((challenge_score(&truth, &truth, 256).unwrap() - 1.0).abs() < 1e-12);
         // The other class is rightly absent and scores 1; this one is missed and scores nearly 0.
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn local_means_are_those_of_the_double_sum() {
+    fn local_means_agree_with_the_double_sum() {
         let (rows, columns) = (5, 7);
         let values: Vec<f64> = (0..35).map(|k| f64::from(k * k % 11)).collect();
         let found = local_mean(&values, rows, columns);

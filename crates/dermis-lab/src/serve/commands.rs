@@ -9,27 +9,28 @@ use dermis_twin::PressRange;
 
 /// The available commands, as help text.
 pub const WORDS: &str = "\
-press X_MM Y_MM FORCE_N [RADIUS_MM]   press there, or go on pressing there
-release                               let go
-fault electrode N open                electrode N, counted from 1, loses its contact
-fault electrodes N M shorted          a wire connects two electrodes
-fault coil N dead                     coil N, counted from 1, neither makes nor sees a field
-fault channel N stuck MILLIVOLT       channel N, counted from 1, always reads the same
-fault channel N noisy MILLIVOLT       channel N has noise of this standard deviation besides
-fault frames lost SHARE               so many of the frames (0 to 1) are lost on the way
-fault frames repeated SHARE           so many of the frames are copies of the one before
-repair                                nothing is broken any more
-cut X0_MM Y0_MM X1_MM Y1_MM           a blade cuts a self-healing sheet from one point to another
-heal X_MM Y_MM RADIUS_MM CELSIUS HOURS  a heat pad is laid on it (90 C for 2 h heal)
-time-lapse FACTOR                     healing goes so many times as fast from now on
-drift PERCENT                         its conductivity rises as a whole by so much a minute
-renew                                 a new sheet
-or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}}, {\"fault\": {\"electrode_open\": 3}}, \"repair\"";
+press X_MM Y_MM FORCE_N [RADIUS_MM]     press there, or move the press there
+release                                 let go
+fault electrode N open                  electrode N, counted from 1, loses contact
+fault electrodes N M shorted            a wire connects two electrodes
+fault coil N dead                       coil N, counted from 1, has no field
+fault channel N stuck MILLIVOLT         channel N, counted from 1, always reads this
+fault channel N noisy MILLIVOLT         channel N gets extra noise of this sigma
+fault frames lost SHARE                 this share of the frames (0 to 1) is lost
+fault frames repeated SHARE             this share of the frames is sent twice
+repair                                  remove all faults
+cut X0_MM Y0_MM X1_MM Y1_MM             a blade cuts a self-healing sheet
+heal X_MM Y_MM RADIUS_MM CELSIUS HOURS  heat a disc of it (90 C for 2 h heals)
+time-lapse FACTOR                       healing runs faster by this factor
+drift PERCENT                           the conductivity rises by this per minute
+renew                                   replace the sheet by a new one
+or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}},
+{\"fault\": {\"electrode_open\": 3}}, \"repair\"";
 
 /// A command as JSON.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-enum Said {
+enum JsonCommand {
     Press {
         x_mm: f64,
         y_mm: f64,
@@ -106,53 +107,55 @@ pub fn command_of(line: &str, press: &PressRange) -> Result<Option<TwinCommand>,
     command(said, press).map(Some).map_err(|expected| format!("'{line}': expected {expected}"))
 }
 
-fn in_words(line: &str) -> Option<Said> {
+fn in_words(line: &str) -> Option<JsonCommand> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let number = |text: &str| text.parse::<f64>().ok();
     Some(match words[..] {
-        ["press", x, y, force] => Said::press(number(x)?, number(y)?, number(force)?, None),
-        ["press", x, y, force, radius] => Said::press(number(x)?, number(y)?, number(force)?, Some(number(radius)?)),
-        ["release"] => Said::Release { pointer: 0 },
-        ["fault", "electrode", n, "open"] => Said::Fault(SaidFault::ElectrodeOpen(n.parse().ok()?)),
+        ["press", x, y, force] => JsonCommand::press(number(x)?, number(y)?, number(force)?, None),
+        ["press", x, y, force, radius] => {
+            JsonCommand::press(number(x)?, number(y)?, number(force)?, Some(number(radius)?))
+        }
+        ["release"] => JsonCommand::Release { pointer: 0 },
+        ["fault", "electrode", n, "open"] => JsonCommand::Fault(SaidFault::ElectrodeOpen(n.parse().ok()?)),
         ["fault", "electrodes", n, m, "shorted"] => {
-            Said::Fault(SaidFault::ElectrodesShorted([n.parse().ok()?, m.parse().ok()?]))
+            JsonCommand::Fault(SaidFault::ElectrodesShorted([n.parse().ok()?, m.parse().ok()?]))
         }
         ["fault", "channel", n, "stuck", value] => {
-            Said::Fault(SaidFault::ChannelStuck { channel: n.parse().ok()?, value_mv: number(value)? })
+            JsonCommand::Fault(SaidFault::ChannelStuck { channel: n.parse().ok()?, value_mv: number(value)? })
         }
         ["fault", "channel", n, "noisy", noise] => {
-            Said::Fault(SaidFault::ChannelNoisy { channel: n.parse().ok()?, noise_mv: number(noise)? })
+            JsonCommand::Fault(SaidFault::ChannelNoisy { channel: n.parse().ok()?, noise_mv: number(noise)? })
         }
-        ["fault", "coil", n, "dead"] => Said::Fault(SaidFault::CoilDead(n.parse().ok()?)),
-        ["fault", "frames", "lost", share] => Said::Fault(SaidFault::FramesLost(number(share)?)),
-        ["fault", "frames", "repeated", share] => Said::Fault(SaidFault::FramesRepeated(number(share)?)),
-        ["repair"] => Said::Repair,
+        ["fault", "coil", n, "dead"] => JsonCommand::Fault(SaidFault::CoilDead(n.parse().ok()?)),
+        ["fault", "frames", "lost", share] => JsonCommand::Fault(SaidFault::FramesLost(number(share)?)),
+        ["fault", "frames", "repeated", share] => JsonCommand::Fault(SaidFault::FramesRepeated(number(share)?)),
+        ["repair"] => JsonCommand::Repair,
         ["cut", x0, y0, x1, y1] => {
-            Said::Cut { x0_mm: number(x0)?, y0_mm: number(y0)?, x1_mm: number(x1)?, y1_mm: number(y1)? }
+            JsonCommand::Cut { x0_mm: number(x0)?, y0_mm: number(y0)?, x1_mm: number(x1)?, y1_mm: number(y1)? }
         }
-        ["heal", x, y, radius, celsius, hours] => Said::Heal {
+        ["heal", x, y, radius, celsius, hours] => JsonCommand::Heal {
             x_mm: number(x)?,
             y_mm: number(y)?,
             radius_mm: number(radius)?,
             temperature_c: number(celsius)?,
             hours: number(hours)?,
         },
-        ["time-lapse", factor] => Said::TimeLapse(number(factor)?),
-        ["drift", percent] => Said::DriftPercentPerMin(number(percent)?),
-        ["renew"] => Said::Renew,
+        ["time-lapse", factor] => JsonCommand::TimeLapse(number(factor)?),
+        ["drift", percent] => JsonCommand::DriftPercentPerMin(number(percent)?),
+        ["renew"] => JsonCommand::Renew,
         _ => return None,
     })
 }
 
-impl Said {
+impl JsonCommand {
     fn press(x_mm: f64, y_mm: f64, force_n: f64, radius_mm: Option<f64>) -> Self {
         Self::Press { x_mm, y_mm, force_n, radius_mm, pointer: 0 }
     }
 }
 
-fn command(said: Said, press: &PressRange) -> Result<TwinCommand, String> {
+fn command(said: JsonCommand, press: &PressRange) -> Result<TwinCommand, String> {
     Ok(match said {
-        Said::Press { x_mm, y_mm, force_n, radius_mm, pointer } => {
+        JsonCommand::Press { x_mm, y_mm, force_n, radius_mm, pointer } => {
             let radius_m = radius_mm.map_or(press.initial_radius_m, |radius_mm| radius_mm * 1e-3);
             if !(radius_m > 0.0 && force_n >= 0.0 && [x_mm, y_mm, force_n, radius_m].iter().all(|v| v.is_finite())) {
                 return Err("finite numbers, a radius above 0 and a force of 0 or more".to_owned());
@@ -160,18 +163,18 @@ fn command(said: Said, press: &PressRange) -> Result<TwinCommand, String> {
             let pressure_pa = force_n / (std::f64::consts::PI * radius_m * radius_m);
             TwinCommand::Press { pointer, position_m: [x_mm * 1e-3, y_mm * 1e-3], radius_m, pressure_pa }
         }
-        Said::Release { pointer } => TwinCommand::Release { pointer },
-        Said::Fault(fault) => TwinCommand::Break(broken(fault)?),
-        Said::Repair => TwinCommand::Repair,
-        Said::Cut { x0_mm, y0_mm, x1_mm, y1_mm } => {
+        JsonCommand::Release { pointer } => TwinCommand::Release { pointer },
+        JsonCommand::Fault(fault) => TwinCommand::Break(broken(fault)?),
+        JsonCommand::Repair => TwinCommand::Repair,
+        JsonCommand::Cut { x0_mm, y0_mm, x1_mm, y1_mm } => {
             treatment(TwinAction::Cut { from_mm: [x0_mm, y0_mm], to_mm: [x1_mm, y1_mm] })?
         }
-        Said::Heal { x_mm, y_mm, radius_mm, temperature_c, hours } => {
+        JsonCommand::Heal { x_mm, y_mm, radius_mm, temperature_c, hours } => {
             treatment(TwinAction::Heal { at_mm: [x_mm, y_mm], radius_mm, temperature_c, hours })?
         }
-        Said::TimeLapse(factor) => treatment(TwinAction::TimeLapse(factor))?,
-        Said::DriftPercentPerMin(percent) => treatment(TwinAction::DriftPercentPerMin(percent))?,
-        Said::Renew => treatment(TwinAction::Renew)?,
+        JsonCommand::TimeLapse(factor) => treatment(TwinAction::TimeLapse(factor))?,
+        JsonCommand::DriftPercentPerMin(percent) => treatment(TwinAction::DriftPercentPerMin(percent))?,
+        JsonCommand::Renew => treatment(TwinAction::Renew)?,
     })
 }
 
@@ -253,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_mean_nothing_say_what_does() {
+    fn meaningless_lines_are_answered_with_the_valid_ones() {
         assert_eq!(command_of("  ", &PRESS), Ok(None));
         for (line, expected) in [
             ("pres 1 2 3", "press X_MM Y_MM FORCE_N"),

@@ -17,8 +17,6 @@ use dermis_skin::{FileError, Reads, Skin};
 const NAP: Duration = Duration::from_millis(2);
 /// Bytes queued for a host above which frames are skipped.
 const MOST_WAITING: usize = 256 * 1024;
-/// Frame rate of a twin whose skin file states none.
-const FRAMES_PER_S: f64 = 50.0;
 
 /// Frame counts of a served twin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -56,7 +54,7 @@ pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
         boot: ((wall_ns ^ (wall_ns >> 32)) as u32).max(1),
         electrodes: count("electrodes", protocol.electrode_count())?,
         channels: count("channels", protocol.channel_count())?,
-        frames_per_s: skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S) as f32,
+        frames_per_s: skin.backend.frame_rate_hz() as f32,
         amplitude_a: (skin.backend.current_ma * 1e-3) as f32,
         frequency_hz: skin.backend.frequency_khz.map_or(0.0, |khz| (khz * 1e3) as f32),
         magnitude: skin.backend.reads == Reads::Magnitude,

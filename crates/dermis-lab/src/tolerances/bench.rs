@@ -187,7 +187,7 @@ impl Bench {
             drawn: Drawn::new(&skin, &places_m, |place| usual_press(&press, place))?,
             places_m,
             press,
-            frame_s: 1.0 / skin.backend.frames_per_s.unwrap_or(20.0),
+            frame_s: 1.0 / skin.backend.frame_rate_hz(),
             imager: None,
             refinements: Mutex::new(Vec::new()),
             skin,

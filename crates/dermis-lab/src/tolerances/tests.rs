@@ -59,7 +59,7 @@ fn seeds_decide_and_threads_do_not() {
 }
 
 #[test]
-fn what_is_wrong_with_a_file_is_said_with_key_and_value() {
+fn faults_of_a_file_are_reported_with_key_and_value() {
     let said = |text: &str| Tolerances::parse(text, Path::new("shop.toml")).unwrap_err().to_string();
     let message = said("thickness_percent = 99");
     assert!(
@@ -77,7 +77,7 @@ fn what_is_wrong_with_a_file_is_said_with_key_and_value() {
 }
 
 #[test]
-fn nobody_waits_for_what_is_wanted_no_longer() {
+fn superseded_requests_are_not_waited_for() {
     let skin = Skin::open("ionic-disc").unwrap();
     let extent = Extent { samples: 1000, presses: 1, pokes: Vec::new(), seed: 1 };
     let most = std::sync::atomic::AtomicUsize::new(0);
@@ -92,7 +92,7 @@ fn nobody_waits_for_what_is_wanted_no_longer() {
 }
 
 #[test]
-fn nonsense_extents_are_refused() {
+fn bad_extents_are_refused() {
     let skin = Skin::open("healing-square").unwrap();
     for extent in
         [extent(0), extent(10_001), Extent { presses: 0, ..extent(1) }, Extent { pokes: vec![2], ..extent(1) }]

@@ -19,7 +19,7 @@ fn press(pointer: u64, x_m: f64, pressure_pa: f64) -> TwinCommand {
 }
 
 #[test]
-fn presses_that_make_no_sense_are_said_and_frames_go_on() {
+fn invalid_presses_are_reported_and_frames_continue() {
     let bad = [press(1, 0.2, 80e3), press(1, 0.2, 80e3), press(2, 0.0, f64::NAN), press(3, 0.0, -5.0)];
     let told = told("healing-square", &bad);
     assert_eq!(told.len(), 3, "each pointer once: {told:?}");
@@ -31,7 +31,7 @@ fn presses_that_make_no_sense_are_said_and_frames_go_on() {
 }
 
 #[test]
-fn sheets_are_cut_and_healed_and_skins_without_say_so() {
+fn sheets_are_cut_and_healed_and_other_skins_refuse() {
     let cut = TwinCommand::Treat(Treatment::Cut(dermis_twin::physics::Cut::open([-0.01, 0.0], [0.01, 0.0])));
     assert_eq!(told("healing-square", &[cut, TwinCommand::Treat(Treatment::Renew)]), [""; 0]);
     let nowhere = TwinCommand::Treat(Treatment::TimeLapse(f64::NAN));
@@ -91,7 +91,7 @@ fn equal_cuts_heals_and_cuts_of_any_length_leave_a_skin_that_runs() {
 }
 
 #[test]
-fn bursts_of_cuts_are_prepared_beside_the_frames() {
+fn bursts_of_cuts_are_prepared_in_the_background() {
     let (source, sender) = TwinSource::new(&Skin::open("healing-square").unwrap()).unwrap();
     let (mut source, mut frame) = (source.undemonstrated(), Frame::default());
     for k in 0..12 {
@@ -111,7 +111,7 @@ fn bursts_of_cuts_are_prepared_beside_the_frames() {
 }
 
 #[test]
-fn any_number_of_pointers_and_faults_is_borne() {
+fn any_number_of_pointers_and_faults_is_handled() {
     let (source, sender) = TwinSource::new(&Skin::open("healing-square").unwrap()).unwrap();
     let (mut source, mut frame) = (source.unpaced(), Frame::default());
     for k in 0..600 {
@@ -126,13 +126,13 @@ fn any_number_of_pointers_and_faults_is_borne() {
 }
 
 #[test]
-fn sliding_off_the_skin_lets_go_without_a_word() {
+fn sliding_off_the_skin_releases_silently() {
     let slide = [press(1, 0.04, 80e3), press(1, 0.06, 80e3), press(1, 0.07, 80e3), press(1, 0.0, 80e3)];
     assert_eq!(told("healing-square", &slide), [""; 0]);
 }
 
 #[test]
-fn a_membrane_on_the_bottom_is_said_once() {
+fn a_membrane_on_the_bottom_is_reported_once() {
     let heavy = [press(1, 0.0, 20e3), press(1, 0.01, 20e3), press(1, 0.02, 20e3)];
     let told = told("ionic-disc", &heavy);
     assert_eq!(told.len(), 1, "{told:?}");

@@ -115,7 +115,7 @@ fn by_definition(shape: &UNetShape, tensors: &Tensors, input: Image) -> Image {
 }
 
 #[test]
-fn logits_are_those_of_the_definition() {
+fn logits_agree_with_the_definition() {
     // Widths below, at and between the blocks of output channels; one level; non-square images.
     for (inputs, classes, width, levels, rows, columns) in
         [(1, 3, 8, 4, 16, 24), (3, 2, 5, 3, 12, 8), (2, 4, 12, 2, 6, 10), (1, 3, 3, 1, 5, 7)]

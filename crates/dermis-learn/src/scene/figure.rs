@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn areas_are_those_of_the_formulas() {
+    fn areas_agree_with_the_formulas() {
         let ellipse = Figure::Ellipse([0.1, -0.1], [0.6, 0.3], 0.7);
         // A grid of 160,000 points; the error of an area comes from its rim and is about a thousandth.
         assert!((area(&ellipse) - PI * 0.18).abs() < 4e-3);

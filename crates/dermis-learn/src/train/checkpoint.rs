@@ -106,7 +106,7 @@ impl Checkpoint {
         let tensors_file = self.tensors_file(head.epoch);
         let bytes = read_bounded(&tensors_file, LARGEST_BYTES)?;
         if sha256(&bytes) != head.tensors_sha256 {
-            let reason = "not what the checkpoint says; remove the folder to begin anew";
+            let reason = "not what the checkpoint says; remove the folder to start over";
             return Err(LearnError::content(&tensors_file, "content", reason));
         }
         let all = Tensors::from_bytes(&bytes, &tensors_file)?;

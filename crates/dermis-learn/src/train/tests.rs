@@ -170,7 +170,7 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
 }
 
 #[test]
-fn weights_made_elsewhere_get_a_card_as_they_are() {
+fn foreign_weights_get_a_card_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let set = discs(&folder.path().join("set"), 40);
     let given = TrainOptions { epochs: 0, ..options(0) };

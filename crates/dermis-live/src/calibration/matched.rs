@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_that_reads_as_one_opposite_is_told_at_both_places_and_does_not_jump() {
+    fn an_ambiguous_press_is_reported_at_both_places_and_does_not_jump() {
         let mut desk = Desk::new(ambiguous());
         let off = |at: [f64; 2], place: [f64; 2]| distance_mm(at, place).min(distance_mm(at, place.map(|v| -v)));
         let mut told = 0;

@@ -107,9 +107,9 @@ impl ElementImager {
         let mut fit = self.heights.solve_from(start, &self.differences_h, &self.deviations_h, &self.options)?;
         // A fit that starts from other pressed elements may end in a local minimum.
         if fit.misfit > BAD_MISFIT && self.fit.is_some() {
-            let anew = self.heights.solve(&self.differences_h, &self.deviations_h, &self.options)?;
-            if anew.misfit < fit.misfit {
-                fit = anew;
+            let again = self.heights.solve(&self.differences_h, &self.deviations_h, &self.options)?;
+            if again.misfit < fit.misfit {
+                fit = again;
             }
         }
         for (pixel, (element, share)) in inside.iter_mut().zip(&self.paint) {

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_guess_is_sure_where_the_network_is() {
+    fn a_guess_is_as_certain_as_the_network() {
         // Three pixels, the second outside: the first certainly lowered, the third raised or background with equal
         // probability.
         let (mean, deviation) = guess(&[0.0, 1.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5], 3, &[0, 2]);

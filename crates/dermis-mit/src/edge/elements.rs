@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn curls_are_those_of_the_values() {
+    fn curls_agree_with_differences_of_the_values() {
         let at = |x: Vector| Point::new([1.0 - x[0] - x[1] - x[2], x[0], x[1], x[2]], 1.0);
         let (x, step) = ([0.2, 0.3, 0.1], 1e-5);
         let moved = |axis: usize, by: f64| {

@@ -3,9 +3,13 @@
 from collections.abc import Callable, Iterable, Sequence
 from os import PathLike
 from types import TracebackType
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, Literal, TypeAlias, TypedDict, final
 
 import numpy as np
+import pandas
+import pyarrow
+import xarray
+from matplotlib.axes import Axes as _Axes
 from numpy.typing import ArrayLike, NDArray
 
 from ._tables import FileFrames
@@ -15,7 +19,66 @@ __version__: str
 _Path: TypeAlias = str | PathLike[str]
 _Skin: TypeAlias = Skin | str | PathLike[str]
 _Floats: TypeAlias = NDArray[np.float64]
-_Axes: TypeAlias = Any
+_Touches: TypeAlias = np.recarray[Any, np.dtype[np.void]]
+
+class _Health(TypedDict):
+    sound: bool
+    frame: Literal["frozen", "saturated", "flipped", "out-of-range", "blank"] | None
+    channels: dict[int, str]
+    electrodes: list[int]
+
+class _Guard(TypedDict):
+    verdict: Literal["ok", "stale", "stop"]
+    reasons: list[str]
+    safety_rated: Literal[False]
+
+class _Damage(TypedDict):
+    id: int
+    state: str
+    x_mm: float
+    y_mm: float
+    length_mm: float
+    width_mm: float
+    direction_deg: float
+    depth: float
+    share: float
+
+class _DamageWatch(TypedDict):
+    watched: bool
+    damages: list[_Damage]
+    proposal: str | None
+
+class _Baseline(TypedDict):
+    wall_ns: int
+    reason: str
+    values: _Floats
+    noise_std: _Floats
+
+class _Event(TypedDict):
+    wall_ns: int
+    event: str
+    detail: str
+    values: _Floats
+
+class _FoundOrder(TypedDict):
+    correlation: float
+    description: str
+    lines: str
+    verdict: str
+    is_clear: bool
+    is_stated: bool
+    candidates: list[tuple[float, str]]
+    source: NDArray[np.int64] | None
+    sign: _Floats | None
+
+class _FoundConductance(TypedDict):
+    sheet_s: float
+    sheet_sigma_s: float
+    uniform_s: float
+    misfit: float
+    regions: _Floats
+    image_s: _Floats
+    sigma_s: _Floats
 
 @final
 class Skin:
@@ -90,8 +153,8 @@ class Model:
         baseline: ArrayLike,
         frames: ArrayLike,
         *,
-        prior: str | dict[str, Any] | None = None,
-        hyperparameter: float | str | dict[str, Any] | None = None,
+        prior: str | dict[str, object] | None = None,
+        hyperparameter: float | str | dict[str, object] | None = None,
     ) -> NDArray[np.float32]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
@@ -201,13 +264,13 @@ class Result:
     @property
     def image_quantity(self) -> str: ...
     @property
-    def touches(self) -> Any: ...
+    def touches(self) -> _Touches: ...
     @property
-    def health(self) -> dict[str, Any]: ...
+    def health(self) -> _Health: ...
     @property
-    def guard(self) -> dict[str, Any] | None: ...
+    def guard(self) -> _Guard | None: ...
     @property
-    def damage(self) -> dict[str, Any]: ...
+    def damage(self) -> _DamageWatch: ...
     def plot(self, axes: _Axes | None = None) -> _Axes: ...
     def _repr_html_(self) -> str: ...
 
@@ -245,8 +308,8 @@ class Session:
     ) -> None: ...
     def release(self, pointer: int = 1) -> None: ...
 
-def search_order(skin: _Skin, baseline: ArrayLike) -> dict[str, Any]: ...
-def estimate_conductance(skin: _Skin, frames: ArrayLike) -> dict[str, Any]: ...
+def search_order(skin: _Skin, baseline: ArrayLike) -> _FoundOrder: ...
+def estimate_conductance(skin: _Skin, frames: ArrayLike) -> _FoundConductance: ...
 def open(
     source: _Path | Iterable[Any] | Callable[[], Any],
     skin: _Skin | None = None,
@@ -275,12 +338,12 @@ class Recording:
     def times(
         self, start: int = 0, stop: int | None = None
     ) -> tuple[_Floats, NDArray[np.int64], NDArray[np.uint64]]: ...
-    def touches(self) -> Any: ...
-    def baselines(self) -> list[dict[str, Any]]: ...
-    def events(self) -> list[dict[str, Any]]: ...
-    def to_pandas(self) -> Any: ...
-    def to_arrow(self) -> Any: ...
-    def to_xarray(self) -> Any: ...
+    def touches(self) -> _Touches: ...
+    def baselines(self) -> list[_Baseline]: ...
+    def events(self) -> list[_Event]: ...
+    def to_pandas(self) -> pandas.DataFrame: ...
+    def to_arrow(self) -> pyarrow.Table: ...
+    def to_xarray(self) -> xarray.DataArray: ...
 
 def read_frames(
     path: _Path,

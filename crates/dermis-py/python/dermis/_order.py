@@ -89,5 +89,4 @@ def find_order(skin: Skin | Model | str, baseline: Any) -> Order:
     Order
         The best order, and whether it is clear.
     """
-    found = search_order(skin.skin if isinstance(skin, Model) else skin, baseline)
-    return Order(source=found.pop("source", None), sign=found.pop("sign", None), **found)
+    return Order(**search_order(skin.skin if isinstance(skin, Model) else skin, baseline))

@@ -11,13 +11,13 @@ import numpy as np
 __all__ = ["voltages"]
 
 
-def _read(model: Any, sigma: Any) -> np.ndarray:
+def _read(model: Any, sigma: jax.Array) -> np.ndarray:
     rows = np.ascontiguousarray(sigma, np.float64)
     values = model.voltages_many(rows.reshape(-1, rows.shape[-1]))
     return values.reshape(*rows.shape[:-1], values.shape[1]).astype(sigma.dtype)
 
 
-def _pull(model: Any, sigma: Any, cotangent: Any) -> np.ndarray:
+def _pull(model: Any, sigma: jax.Array, cotangent: jax.Array) -> np.ndarray:
     rows = np.ascontiguousarray(sigma, np.float64).reshape(-1, sigma.shape[-1])
     weights = np.asarray(cotangent, np.float64).reshape(len(rows), -1)
     gradient = np.stack([model.vjp(row, weight) for row, weight in zip(rows, weights)])
@@ -25,7 +25,7 @@ def _pull(model: Any, sigma: Any, cotangent: Any) -> np.ndarray:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def voltages(model: Any, sigma: Any) -> Any:
+def voltages(model: Any, sigma: jax.Array) -> jax.Array:
     """Voltages of a model as a differentiable function of conductivities, usable inside ``jit``, ``grad`` and
     ``vmap``.
 
@@ -46,11 +46,11 @@ def voltages(model: Any, sigma: Any) -> Any:
     return jax.pure_callback(partial(_read, model), out, sigma, vmap_method="broadcast_all")
 
 
-def _forward(model: Any, sigma: Any) -> tuple[Any, Any]:
+def _forward(model: Any, sigma: jax.Array) -> tuple[jax.Array, jax.Array]:
     return voltages(model, sigma), sigma
 
 
-def _backward(model: Any, sigma: Any, cotangent: Any) -> tuple[Any]:
+def _backward(model: Any, sigma: jax.Array, cotangent: jax.Array) -> tuple[jax.Array]:
     out = jax.ShapeDtypeStruct(sigma.shape, sigma.dtype)
     return (jax.pure_callback(partial(_pull, model), out, sigma, cotangent, vmap_method="broadcast_all"),)
 

@@ -146,7 +146,7 @@ def points(touches: ArrayLike, most: int) -> NDArray[np.float64]:
     return result
 
 
-def features(name: str, *, slots: int, channels: int, unit: str) -> dict[str, dict[str, Any]]:
+def features(name: str, *, slots: int, channels: int, unit: str) -> dict[str, dict[str, object]]:
     """The entry for windows of one skin in a `LeRobotDataset`'s features.
 
     Parameters

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-def _axes(axes: Any) -> Any:
+    from ._dermis import Maps, Model, Result, Skin
+
+
+def _axes(axes: Axes | None) -> Axes:
     if axes is None:
         import matplotlib.pyplot as plt
 
@@ -18,7 +23,7 @@ def _axes(axes: Any) -> Any:
     return axes
 
 
-def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
+def skin(of: Skin | Model, axes: Axes | None = None, *, mesh: bool = False) -> Axes:
     """Draws a skin: its rim, and its electrodes numbered from 1 as in its file.
 
     Parameters
@@ -35,7 +40,7 @@ def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
     matplotlib.axes.Axes
         The axes, in millimetres.
     """
-    model = of if hasattr(of, "nodes") else of.model()
+    model = of.model() if hasattr(of, "model") else of
     axes = _axes(axes)
     nodes = 1e3 * np.asarray(model.nodes)[:, :2]
     if mesh:
@@ -60,7 +65,9 @@ def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
     return axes
 
 
-def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", symmetric: bool = True) -> Any:
+def image(
+    values: Any, extent_mm: Any, axes: Axes | None = None, *, label: str = "", symmetric: bool = True
+) -> Axes:
     """Draws an image with its colour bar; both axes are in millimetres.
 
     Parameters
@@ -91,7 +98,7 @@ def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", sym
     return axes
 
 
-def result(of: Any, axes: Any = None) -> Any:
+def result(of: Result, axes: Axes | None = None) -> Axes:
     """Draws a result's image, with its touches as crosses of one standard deviation and their ids.
 
     Parameters
@@ -116,7 +123,7 @@ def result(of: Any, axes: Any = None) -> Any:
     return axes
 
 
-def maps(of: Any, axes: Any = None, *, what: str = "position_bound_mm") -> Any:
+def maps(of: Maps, axes: Axes | None = None, *, what: str = "position_bound_mm") -> Axes:
     """Draws a map of a design.
 
     Parameters

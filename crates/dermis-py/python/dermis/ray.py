@@ -12,7 +12,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import ray
 
@@ -20,6 +20,11 @@ from . import _dermis
 from .errors import InputError
 
 __all__ = ["reproduce", "sweep", "tolerances", "train_set"]
+
+# What, samples, position_mm, amplitude_percent, misses_percent.
+_Cost = tuple[str, int, list[float], list[float], float]
+_Parameter = TypeVar("_Parameter")
+_Result = TypeVar("_Result")
 
 # Retries of a task whose worker died.
 _RETRIES = 5
@@ -110,13 +115,13 @@ def train_set(skin: Any, n: int, folder: str | Path, *, shard_samples: int = 250
     return folder
 
 
-def _tolerance(toml: str, samples: int, presses: int, pokes: list[int], seed: int) -> list[tuple[Any, ...]]:
+def _tolerance(toml: str, samples: int, presses: int, pokes: list[int], seed: int) -> list[_Cost]:
     _keep_to_one_processor()
     skin = _dermis.Skin.from_toml(toml)
     return _dermis.tolerance_rows(skin, samples=samples, presses=presses, pokes=pokes, seed=seed)
 
 
-def tolerances(skin: Any, n: int, *, batch: int = 20, presses: int = 12, seed: int = 1) -> list[list[tuple[Any, ...]]]:
+def tolerances(skin: Any, n: int, *, batch: int = 20, presses: int = 12, seed: int = 1) -> list[list[_Cost]]:
     """Estimates the cost of manufacturing errors for a skin, in batches of samples with their own seeds.
 
     Parameters
@@ -147,7 +152,9 @@ def tolerances(skin: Any, n: int, *, batch: int = 20, presses: int = 12, seed: i
     return _fan_out(_tolerance, tasks, "batch")
 
 
-def sweep(skin: Any, parameters: Iterable[Any], work: Callable[[_dermis.Skin, Any], Any]) -> list[Any]:
+def sweep(
+    skin: Any, parameters: Iterable[_Parameter], work: Callable[[_dermis.Skin, _Parameter], _Result]
+) -> list[_Result]:
     """Runs a function for a skin and each of several parameters.
 
     Parameters
@@ -166,7 +173,7 @@ def sweep(skin: Any, parameters: Iterable[Any], work: Callable[[_dermis.Skin, An
     """
     toml = _toml(skin)
 
-    def task(text: str, parameter: Any) -> Any:
+    def task(text: str, parameter: _Parameter) -> _Result:
         _keep_to_one_processor()
         return work(_dermis.Skin.from_toml(text), parameter)
 

@@ -43,6 +43,8 @@ from .contacts import spatial
 from .errors import FileError, InputError
 
 if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
     _Source = Session | Recording | str | os.PathLike[str] | Iterable[Result]
 
 __all__ = ["SkinLog", "log", "save"]
@@ -321,7 +323,7 @@ class SkinLog:
                 break
         return count
 
-    def blueprint(self) -> Any:
+    def blueprint(self) -> rrb.Blueprint:
         """The layout: the skin in space on the left; forces, image and health on the right.
 
         Returns

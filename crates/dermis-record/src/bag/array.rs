@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn arrays_of_every_kind_are_those_that_another_implementation_wrote() {
+    fn arrays_of_every_kind_equal_those_of_another_implementation() {
         let read = |kind: &str, message: Vec<u8>| ArrayKind::of(kind).unwrap().read(&message).unwrap();
         assert_eq!(read("std_msgs/msg/Float64MultiArray", written(vec![0.1, -2.0], 0)), [0.1, -2.0]);
         assert_eq!(read("std_msgs/msg/Float32MultiArray", written(vec![0.5_f32, -2.0], 1)), [-2.0]);

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_read_and_those_of_other_machines_told_apart() {
+    fn addresses_are_parsed_and_remote_ones_recognised() {
         let of = |text: &str| text.parse::<FoxgloveAddress>().unwrap();
         for (text, is_loopback) in [
             (FoxgloveAddress::DEFAULT, true),

@@ -241,7 +241,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn losses_are_told_when_they_grow_and_not_too_often() {
+    fn losses_are_reported_when_they_grow_but_not_too_often() {
         let mut losses = Losses::default();
         assert_eq!(losses.news("palm"), None);
         losses.missing = 2;

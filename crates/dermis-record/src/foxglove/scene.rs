@@ -33,8 +33,6 @@ const LABEL_PIXELS: f64 = 14.0;
 /// touches whose end a slow client missed.
 const LIFETIME_PERIODS: f64 = 5.0;
 const LEAST_LIFETIME_S: f64 = 1.0;
-/// Frame rate if the skin file gives none, frames per second.
-const FRAMES_PER_S: f64 = 20.0;
 
 const DISC: Color = Color { r: 0.95, g: 0.45, b: 0.1, a: 0.6 };
 const ELLIPSE: Color = Color { r: 1.0, g: 1.0, b: 1.0, a: 0.8 };
@@ -53,8 +51,7 @@ pub(super) struct Scene {
 
 impl Scene {
     pub(super) fn new(skin: &Skin, frame_id: &str) -> Self {
-        let rate = skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
-        let lifetime_s = (LIFETIME_PERIODS / rate.max(1e-3)).max(LEAST_LIFETIME_S);
+        let lifetime_s = (LIFETIME_PERIODS / skin.backend.frame_rate_hz()).max(LEAST_LIFETIME_S);
         let lifetime = Duration::saturating_from_secs_f64(lifetime_s);
         Self { skin: skin.clone(), frame_id: frame_id.to_owned(), lifetime, shown: BTreeSet::new() }
     }

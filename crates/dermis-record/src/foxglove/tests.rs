@@ -34,7 +34,7 @@ fn all(patch: Option<&str>) -> Vec<(String, String, String, String)> {
 }
 
 #[test]
-fn topics_names_and_encodings_are_those_of_recordings() {
+fn topics_names_and_encodings_match_recordings() {
     for patch in [None, Some("palm")] {
         let found = all(patch);
         let recorded = schema::OWN.iter().chain(&schema::STANDARD).chain(patch.is_some().then_some(&schema::JOINTS));
@@ -74,7 +74,7 @@ fn topics_in(value: &Value, found: &mut BTreeSet<String>) {
 }
 
 #[test]
-fn the_layout_names_only_what_a_single_skin_serves_and_places_every_panel() {
+fn the_layout_uses_only_channels_of_a_single_skin_and_places_every_panel() {
     let layout: Value = serde_json::from_str(LAYOUT).unwrap();
     let mut named = BTreeSet::new();
     topics_in(&layout, &mut named);
@@ -98,7 +98,7 @@ fn the_layout_names_only_what_a_single_skin_serves_and_places_every_panel() {
 }
 
 #[test]
-fn an_address_in_use_is_named_with_what_to_do() {
+fn an_address_in_use_is_named_with_advice() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let error = FoxgloveServer::open(&address.parse().unwrap(), "palm", false).unwrap_err();
@@ -109,7 +109,7 @@ fn an_address_in_use_is_named_with_what_to_do() {
 }
 
 #[test]
-fn the_guards_limits_are_parameters_and_those_not_set_are_left_out() {
+fn the_guards_limits_are_parameters_if_set() {
     let guard = GuardSettings { force_n: Some(3.0), ..GuardSettings::default() };
     let found = parameters::of_guard("palm.", &guard);
     let names: Vec<&str> = found.iter().map(|parameter| parameter.name.as_str()).collect();

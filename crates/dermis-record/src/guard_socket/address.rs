@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_of_this_machine_are_read_and_others_refused() {
+    fn local_addresses_are_accepted_and_others_refused() {
         for text in ["tcp://127.0.0.1:7879", "tcp://[::1]:0"] {
             assert_eq!(text.parse::<GuardAddress>().unwrap().to_string(), text);
         }

@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn joint_states_are_read_and_others_refused() {
+    fn joint_states_are_accepted_and_other_messages_refused() {
         let write = |names: &[&str], positions: &[f64]| {
             message(|cdr| {
                 cdr.header(1, "");

@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn forces_say_where_they_lie_in_their_calibration() {
+    fn forces_state_their_place_in_the_calibrated_range() {
         use dermis_touch::force::ForceReading::{NotFinite, Saturated, Valid};
         let of = |force| {
             let mut touch = touch(1, TouchPhase::Move, 0.0, 0.0);
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_broken_is_said_from_one_on() {
+    fn faults_are_reported_with_numbers_from_one() {
         use dermis_touch::health::{ChannelFault, ElectrodeFault};
         let (since_ns, since_sequence) = (2_500_000_000, 7);
         let channel = |channel, kind| ChannelFault { channel, kind, since_ns, since_sequence };
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn touches_that_end_because_nobody_can_see_are_unknown() {
+    fn touches_that_end_in_a_frame_fault_are_unknown() {
         use dermis_touch::health::{FrameFault, FrameFaultKind};
         let frame = Some(FrameFault { kind: FrameFaultKind::Flipped, since_ns: 2_500_000_000, since_sequence: 7 });
         let ended = [touch(3, TouchPhase::End, 1.0, 2.0)];

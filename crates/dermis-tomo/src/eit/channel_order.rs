@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn shuffled_channels_fit_nothing() {
+    fn shuffled_channels_fit_no_order() {
         let absolute = protocol(Order::Absolute);
         let model = voltages(&absolute);
         // 101 and 208 are coprime.

@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn effective_patterns_are_balanced_and_one_a_connection() {
+    fn effective_patterns_are_balanced_and_one_per_connection() {
         let body = body();
         let sigma = conductivity(&body);
         let model = ForwardModel::new(body, protocol()).unwrap();

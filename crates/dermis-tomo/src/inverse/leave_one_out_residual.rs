@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn an_operator_that_does_not_keep_its_precision_has_none() {
+    fn an_operator_that_would_lose_precision_is_refused() {
         let jacobian = Mat::from_fn(12, 5, |row, column| ((row * 7 + column * 3) as f64).sin());
         let prior = PriorMatrix::Diagonal(vec![1.0; 5]);
         let problem = LinearProblem::new(jacobian.as_ref(), Weighting::Identity, prior).unwrap();

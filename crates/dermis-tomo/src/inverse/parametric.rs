@@ -15,7 +15,7 @@
 //! the nonlinear part of the response to its spots, computed by a forward model, is subtracted from the frame.
 
 mod fit;
-mod large;
+mod large_changes;
 mod model;
 mod options;
 mod products;
@@ -24,7 +24,7 @@ mod seek;
 mod table;
 
 pub use fit::{FitOutcome, FitScratch, Spot};
-pub use large::ChangeResponse;
+pub use large_changes::ChangeResponse;
 pub use model::SpotModel;
 pub use options::SpotOptions;
 pub use seek::{SpotFilter, SpotProposal};

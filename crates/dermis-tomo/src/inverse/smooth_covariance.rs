@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lattice_says_the_same_as_all_pairs() {
+    fn a_lattice_gives_the_same_result_as_all_pairs() {
         let positions = disc();
         let scale: Vec<f64> = (0..positions.len()).map(|k| 1.0 + 0.1 * (k % 7) as f64).collect();
         let lattice = SmoothCovariance::new(&positions, 1.3e-3, Some(scale.clone())).unwrap();
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_length_of_nothing_is_refused() {
+    fn a_length_of_zero_is_refused() {
         for length in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(SmoothCovariance::new(&disc(), length, None).is_err(), "{length}");
         }

@@ -97,7 +97,7 @@ fn limits_end_a_fit_where_it_is() {
 }
 
 #[test]
-fn where_no_step_leads_anywhere_the_fit_stalls() {
+fn a_fit_without_a_useful_step_stalls() {
     let mut valley = Valley { wall: -5.0, ..Valley::new() };
     let info = minimise(&mut valley, &Params::default(), &mut Scratch::default()).unwrap();
     assert_eq!((info.outcome, info.steps, valley.at), (Outcome::Stalled, 0, [-1.2, 1.0]));
@@ -110,7 +110,7 @@ fn where_no_step_leads_anywhere_the_fit_stalls() {
 }
 
 #[test]
-fn a_factor_solves_and_indefinite_matrices_are_told() {
+fn a_factor_solves_and_indefinite_matrices_are_detected() {
     let equations = NormalEquations { normal: vec![4.0, 2.0, 2.0, 3.0], right: vec![2.0, -1.0] };
     let (mut factor, mut step) = (vec![0.0; 4], vec![0.0; 2]);
     assert!(equations.solve_damped(0.0, &mut factor, &mut step));

@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slit_holds_back_what_the_closed_form_says() {
+    fn the_field_of_a_slit_agrees_with_the_closed_form() {
         // Along a strip of width W with insulating sides, the current meets a row of slits of half length a at
         // spacing W. Their resistance equals that of (2 W / pi) ln sec(pi a / W) more of strip (conformal map by the
         // sine; Smythe, Static and Dynamic Electricity, 1950). At ends four half widths away, 0.2 % of it is uneven.
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_slit_is_left_out() {
+    fn impossible_slits_are_left_out() {
         let across = [[-0.01, 0.018], [0.01, 0.0]];
         let off = [[0.0, 0.0], [0.06, 0.0]];
         let clear = [[0.0, -0.02], [0.02, -0.02]];

@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cylinder_keeps_lengths_and_comes_back() {
+    fn a_cylinder_preserves_lengths_and_inverts() {
         let surface = Surface::Cylinder { radius_m: 0.095 };
         for sheet in [[0.0, 0.0], [0.075, -0.02], [-0.075, 0.075]] {
             let point = surface.point_m(sheet);

@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn undefined_figures_say_so() {
+    fn undefined_figures_are_refused() {
         assert!(matches!(icc(&[1.0, 2.0], &[0.3, 0.3]), Err(QualityError::Undefined { what: "ICC", .. })));
         assert!(matches!(icc(&[f64::NAN], &[1.0]), Err(QualityError::Undefined { .. })));
         assert!(matches!(rie(&[0.0, 0.0], &[1.0, 2.0]), Err(QualityError::Undefined { what: "RIE", .. })));

@@ -61,7 +61,7 @@ fn drift_of_each_channel_is_followed_and_no_change() {
 }
 
 #[test]
-fn what_is_left_after_a_release_has_its_size_and_says_so() {
+fn the_residue_of_a_release_is_reported_with_its_size() {
     let mut bench = Bench::new();
     assert_eq!(bench.run(2, 100.0), None);
     assert_eq!(bench.run(2, 30.0), None, "three frames of rest are asked for");
@@ -78,7 +78,7 @@ fn what_is_left_after_a_release_has_its_size_and_says_so() {
 }
 
 #[test]
-fn what_lies_still_was_not_released_and_what_goes_leaves_nothing() {
+fn a_resting_touch_is_not_released_and_an_ended_one_leaves_nothing() {
     let mut bench = Bench::new();
     let change = bench.run(20, 100.0).unwrap();
     assert!(!change.was_released() && !change.has_crept(), "{change:?}");
@@ -87,7 +87,7 @@ fn what_lies_still_was_not_released_and_what_goes_leaves_nothing() {
 }
 
 #[test]
-fn nonsense_is_refused_by_name() {
+fn bad_input_is_refused_by_name() {
     let params = LevelParams { follow_s: 0.0, jump_sigma: 8.0, rest_s: 1.5 };
     let error = LevelWatch::new(4, params).unwrap_err().to_string();
     assert_eq!(error, "follow_s = 0: expected above 0");

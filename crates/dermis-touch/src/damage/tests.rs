@@ -100,7 +100,7 @@ fn cut() -> Vec<f32> {
 }
 
 #[test]
-fn what_stays_low_is_damage_with_place_direction_and_length() {
+fn a_lasting_drop_is_damage_with_place_direction_and_length() {
     let mut bench = Bench::new();
     bench.run(20, &flat(), &[]);
     bench.run(30, &cut(), &[]);
@@ -156,7 +156,7 @@ fn a_press_on_damage_covers_it_and_a_release_shows_it_again() {
 }
 
 #[test]
-fn a_touch_elsewhere_leaves_it_confirmed() {
+fn a_touch_at_another_place_leaves_damage_confirmed() {
     let mut bench = Bench::new();
     bench.run(80, &cut(), &[]);
     let mut both = cut();
@@ -171,7 +171,7 @@ fn a_touch_elsewhere_leaves_it_confirmed() {
 }
 
 #[test]
-fn healing_is_followed_to_its_end_and_a_reopened_scar_told() {
+fn healing_is_followed_to_its_end_and_a_reopened_scar_reported() {
     let mut bench = Bench::new();
     bench.run(80, &cut(), &[]);
     for step in (0..=20).rev() {
@@ -190,7 +190,7 @@ fn healing_is_followed_to_its_end_and_a_reopened_scar_told() {
 }
 
 #[test]
-fn two_cuts_are_two_records_and_a_passing_dip_is_none() {
+fn two_cuts_are_two_records_and_a_brief_dip_is_none() {
     let mut bench = Bench::new();
     let mut two = cut();
     line(&mut two, [0.02, -0.03], [0.03, -0.02], -0.15);
@@ -205,7 +205,7 @@ fn two_cuts_are_two_records_and_a_passing_dip_is_none() {
 }
 
 #[test]
-fn a_suspicion_that_is_dismissed_leaves_nothing_and_may_come_again() {
+fn a_dismissed_suspicion_leaves_no_trace_and_may_return() {
     let mut bench = Bench::new();
     bench.run(30, &cut(), &[]);
     assert!(bench.monitor.is_suspicious());
@@ -245,7 +245,7 @@ fn a_damage_that_another_operator_images_keeps_its_identity_and_its_share() {
 }
 
 #[test]
-fn classes_decide_where_a_network_gives_them() {
+fn a_networks_classes_take_precedence() {
     let damaged: Vec<f32> = cut().iter().map(|v| if *v < -0.05 { 0.9 } else { 0.02 }).collect();
     let none = vec![0.1; GRID * GRID];
     let mut bench = Bench::new();
@@ -256,7 +256,7 @@ fn classes_decide_where_a_network_gives_them() {
 }
 
 #[test]
-fn nonsense_is_refused_by_name() {
+fn bad_input_is_refused_by_name() {
     let bad = DamageParams { lobe_share: 2.0, ..DamageParams::default() };
     let error = DamageMonitor::new(geometry(), bad).unwrap_err().to_string();
     assert_eq!(error, "lobe_share = 2: expected from 0 to 1");

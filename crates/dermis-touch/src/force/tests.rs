@@ -31,7 +31,7 @@ fn polynomials_are_recovered() {
 }
 
 #[test]
-fn a_saturating_skin_is_followed_and_says_where_it_ends() {
+fn a_saturating_skin_is_followed_up_to_its_stated_limit() {
     // The signal is tanh(4 F), calibrated from 0.380 to 0.9993. The lower half spans a signal of 0.310 for 0.112 N. A
     // twentieth of that slope is reached where 4 (1 - s^2) = 0.138, F = 0.59.
     let monotone = ForceCalibration::fit(CurveKind::Monotone, &samples(|f| (4.0 * f).tanh()), None, scope()).unwrap();
@@ -75,7 +75,7 @@ fn location_is_compensated() {
 }
 
 #[test]
-fn another_skins_calibration_is_refused_and_saved_ones_come_back() {
+fn another_skins_calibration_is_refused_and_saved_ones_are_restored() {
     let fitted = ForceCalibration::fit(CurveKind::Monotone, &samples(f64::sqrt), None, scope()).unwrap();
     let loaded: ForceCalibration = serde_json::from_str(&serde_json::to_string(&fitted).unwrap()).unwrap();
     assert_eq!(loaded, fitted);

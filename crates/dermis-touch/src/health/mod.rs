@@ -17,7 +17,7 @@ mod fault;
 mod frame_judge;
 mod monitor;
 mod params;
-mod rest;
+mod rest_scatter;
 mod start;
 mod wiring;
 
@@ -29,6 +29,6 @@ pub use fault::{
 };
 pub use monitor::HealthMonitor;
 pub use params::{HEALTH_WINDOW, HealthParams};
-pub use rest::{FEWEST_AT_REST, RestScatter};
+pub use rest_scatter::{FEWEST_AT_REST, RestScatter};
 pub use start::HealthReference;
 pub use wiring::Wiring;

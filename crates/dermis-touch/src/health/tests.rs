@@ -147,7 +147,7 @@ fn reciprocal_channels_read_at_different_moments_of_a_press_are_no_faults() {
 }
 
 #[test]
-fn a_noisy_channel_is_told_from_its_partner_within_ten_frames() {
+fn a_noisy_channel_is_distinguished_from_its_partner_within_ten_frames() {
     let mut bench = Bench::new();
     bench.sound(50);
     let noisy = [2, 5];
@@ -159,7 +159,7 @@ fn a_noisy_channel_is_told_from_its_partner_within_ten_frames() {
 }
 
 #[test]
-fn open_electrodes_are_blamed_one_and_two_but_not_the_sound_one_between() {
+fn open_electrodes_are_blamed_but_not_the_good_one_between_them() {
     let mut bench = Bench::new();
     bench.sound(50);
     bench.until(open(3), |health| lost(health) == [3]);
@@ -178,7 +178,7 @@ fn open_electrodes_are_blamed_one_and_two_but_not_the_sound_one_between() {
 }
 
 #[test]
-fn a_short_is_known_by_what_is_driven_and_read_across_it() {
+fn a_short_is_recognised_by_driving_and_reading_across_it() {
     let mut bench = Bench::new();
     bench.sound(50);
     let across = |c: [u32; 2], v: f64, _| if c.contains(&6) { v - rest(c) } else { v };
@@ -189,7 +189,7 @@ fn a_short_is_known_by_what_is_driven_and_read_across_it() {
 }
 
 #[test]
-fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_no_fault_of_a_channel() {
+fn a_frozen_channel_is_stuck_but_a_frozen_frame_is_no_channel_fault() {
     let mut bench = Bench::new();
     bench.sound(200);
     let last = std::cell::RefCell::new(vec![f64::NAN; 40]);
@@ -233,7 +233,7 @@ fn verdict(bench: &mut Bench, change: impl Fn([u32; 2], f64, f64) -> f64) -> Fra
 type Spoil<'a> = &'a dyn Fn([u32; 2], f64, f64) -> f64;
 
 #[test]
-fn frames_wrong_as_a_whole_are_known_within_five_frames_and_blame_no_channel() {
+fn frame_faults_are_recognised_within_five_frames_and_blame_no_channel() {
     let sign = |uniform: f64| if uniform < 0.0 { -1.0 } else { 1.0 };
     let mut bench = Bench::new();
     bench.sound(50);
@@ -319,7 +319,7 @@ fn missing_and_saturated_channels_are_known_at_once_and_taken_back_when_good_for
 }
 
 #[test]
-fn a_channel_that_settles_elsewhere_is_taken_back_too() {
+fn a_channel_that_settles_at_a_new_level_is_readmitted() {
     let mut bench = Bench::new();
     bench.sound(50);
     let moved = |c: [u32; 2], v: f64, _| if c == [0, 3] { 1.2 * v } else { v };
@@ -329,7 +329,7 @@ fn a_channel_that_settles_elsewhere_is_taken_back_too() {
 }
 
 #[test]
-fn what_is_broken_from_the_start_is_found_in_the_baseline() {
+fn initial_faults_are_found_in_the_baseline() {
     let channels = pairs();
     let mut monitor = HealthMonitor::new(wiring(), HealthParams::default());
     let mut noise = Noise(3);

@@ -10,9 +10,9 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
 
-use super::copies::matern52;
 use super::data::{LeaveOneOut, LeftOut, MIN_EXAMPLES};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
+use super::pair_correlations::matern52;
 use super::posterior::quantile;
 use crate::typical::median;
 
@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn amplitudes_are_those_of_a_typical_poke_whatever_the_load_and_the_place() {
+    fn amplitudes_are_relative_to_a_typical_poke_at_any_load_and_place() {
         let mut pokes = pokes(|p| p);
         // A skin twice as sensitive at its right end as at its left one, poked with different loads.
         let sensitivity = |p: [f64; 2]| 3.0 * (p[0] / 0.06 * std::f64::consts::LN_2).exp();

@@ -20,7 +20,6 @@
 //! The module is pure and has no forward model: physics arrives as plain arrays ([`SignatureMap`]).
 
 mod channel_covariance;
-mod copies;
 mod correction;
 mod data;
 mod design;
@@ -31,6 +30,7 @@ mod left_out;
 mod live;
 mod load;
 mod model;
+mod pair_correlations;
 mod posterior;
 mod regression;
 mod rows;

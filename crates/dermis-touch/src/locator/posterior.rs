@@ -309,7 +309,7 @@ pub(super) fn weighted_quantile(mut values: Vec<(f64, f64)>, fraction: f64) -> f
 pub(super) fn extent(positions: &[[f64; 2]]) -> f64 {
     let n = positions.len() as f64;
     let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
-    let mean = positions.iter().map(|p| super::copies::squared_distance(*p, centre)).sum::<f64>() / n;
+    let mean = positions.iter().map(|p| super::pair_correlations::squared_distance(*p, centre)).sum::<f64>() / n;
     (2.0 * mean).sqrt()
 }
 
@@ -341,7 +341,7 @@ pub(super) mod tests {
 
     /// Frames from an unpoked region resemble touches in a well-poked one, so the map leaves little unexplained there.
     #[test]
-    fn errors_far_from_pokes_do_not_hide_what_the_posterior_says_near_them() {
+    fn errors_far_from_pokes_do_not_widen_the_posterior_near_them() {
         let near = trials(200, 0.02);
         let far: Vec<Trial> = (0..200).map(|i| Trial { error_m: [0.02; 2], ..near[i] }).collect();
         let spread = Spread::fit(&near, &far, 0.0);
@@ -363,7 +363,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_weighted_quantile_is_the_plain_one_for_equal_weights_and_follows_the_heavy_ones() {
+    fn a_weighted_quantile_with_equal_weights_is_the_plain_one() {
         let values = [0.3, 0.1, 0.9, 0.5, 0.7];
         for fraction in [0.0, 0.2, 0.683, 1.0] {
             let weighted = weighted_quantile(values.iter().map(|v| (*v, 0.25)).collect(), fraction);

@@ -11,10 +11,10 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, RowRef, Side};
 
 use super::channel_covariance::{ChannelPrior, channel_factor};
-use super::copies::matern52;
 use super::data::Hyperparameters;
 use super::design::{Design, Prior};
 use super::error::LocatorError;
+use super::pair_correlations::matern52;
 use crate::typical::median;
 
 /// Noise of the strongest frames relative to the median frame: the part that is independent of amplitude.
@@ -442,7 +442,7 @@ mod tests {
     /// With few examples and no prior, products of signatures are summed over the examples. Up to rounding, they
     /// agree with direct products.
     #[test]
-    fn products_without_signatures_are_those_of_signatures() {
+    fn products_without_signatures_equal_those_of_signatures() {
         let (design, prior, map) = made_up(10, 60);
         let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 0.3 };
         let fitted =

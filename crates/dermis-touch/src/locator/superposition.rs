@@ -12,9 +12,9 @@
 
 mod map;
 
-use super::copies::squared_distance;
 use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
+use super::pair_correlations::squared_distance;
 use super::rows::{dot, products};
 use crate::typical::{evenly, median};
 pub use map::LabelledFrame;

@@ -10,10 +10,10 @@
 
 use faer::{Mat, Side};
 
-use super::copies::Copies;
 use super::data::Hyperparameters;
 use super::design::{Design, Prior};
 use super::error::LocatorError;
+use super::pair_correlations::Copies;
 use super::regression::example_noise;
 
 /// Lower bound on the variance of a channel, as a share of the mean.
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_channel_out_of_use_lends_nothing() {
+    fn an_unused_channel_contributes_nothing() {
         let mut broken = design(&[[0.6, 0.8]]);
         broken.weights[1] = 0.0;
         let copied = half_turn().copies(&broken);
@@ -161,7 +161,7 @@ mod tests {
     /// Frames at opposite positions support the rotation if they are each other's with channels exchanged, and
     /// contradict it otherwise.
     #[test]
-    fn evidence_tells_a_turn_from_none() {
+    fn the_evidence_distinguishes_a_rotation_from_none() {
         let hyper = Hyperparameters { length_m: 0.02, noise: 0.05, shrinkage: 1.0 };
         let places = [[0.0, 0.02], [0.02, -0.02], [0.04, 0.03], [-0.02, -0.03]];
         let told = |frames: &[[f64; 2]]| {

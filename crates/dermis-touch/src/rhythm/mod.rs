@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sine_at_a_bin_stands_at_its_amplitude_with_half_beside_it() {
+    fn a_sine_at_a_bin_has_its_amplitude_there_and_half_in_the_neighbours() {
         for count in [64, 75] {
             let analyser = SpectrumAnalyser::new(count, count as f64).unwrap();
             let spectrum =

@@ -235,7 +235,7 @@ fn a_short_ties_single_ended_channels() {
 }
 
 #[test]
-fn frames_are_dropped_and_doubled_as_often_as_asked() {
+fn frames_are_dropped_and_repeated_at_the_requested_rate() {
     let mut instrument = Instrument::new(InstrumentOptions::ideal(), 2, 8).unwrap();
     let faults = vec![
         Fault::StuckChannel { channel: 1, value_v: 7.0 },

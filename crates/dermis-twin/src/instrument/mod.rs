@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         let bits = Converter { bits: 1, ..CONVERTER };
         let options = InstrumentOptions { converter: Some(bits), ..noisy() };
         assert!(Instrument::new(options, 3, 0).is_err());

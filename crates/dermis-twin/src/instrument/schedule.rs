@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_are_told_once_each() {
+    fn each_change_is_reported_once() {
         let late = TimedFault { fault: Fault::DroppedFrames { probability: 0.5 }, from_s: 2.0, until_s: Some(3.0) };
         let stuck = Fault::StuckChannel { channel: 0, value_v: 0.0 };
         let mut schedule = FaultSchedule::new(vec![stuck.into(), late]);

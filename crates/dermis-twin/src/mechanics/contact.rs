@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused_by_name() {
+    fn bad_input_is_refused_by_name() {
         let error = ContactLaw { exponent: f64::NAN, ..LAW }.check().unwrap_err();
         assert_eq!(error.to_string(), "contact exponent: NaN refused; expected positive and finite");
     }

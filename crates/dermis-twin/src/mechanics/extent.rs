@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_polygon_bears_what_lies_on_it_and_nothing_in_its_holes() {
+    fn a_polygon_carries_load_except_in_its_holes() {
         let square = |half: f64| vec![[-half, -half], [half, -half], [half, half], [-half, half]];
         let frame = Outline::Polygon { outer: square(0.05), holes: vec![square(0.02)] };
         let at = |x_m, y_m| check_on_skin(&frame, &Indenter::disc([x_m, y_m], 0.005, 1e3));

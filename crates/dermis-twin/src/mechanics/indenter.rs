@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         assert!(Indenter::disc([f64::NAN, 0.0], 0.01, 1e3).check().is_err());
         assert!(Indenter::disc([0.0; 2], 0.0, 1e3).check().is_err());
         assert!(Indenter::disc([0.0; 2], 0.01, -1.0).check().is_err());

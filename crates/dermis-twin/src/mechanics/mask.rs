@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_goes_in_and_comes_out() {
+    fn text_survives_parsing_and_printing() {
         let rows = vec!["#..".to_string(), ".##".to_string()];
         let mask = Mask::try_from(rows.clone()).unwrap();
         assert!(mask.presses(0, 0) && mask.presses(1, 2) && !mask.presses(0, 2) && !mask.presses(9, 0));
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         assert!(Mask::from_rows::<&str>(&[]).is_err());
         assert!(Mask::from_rows(&["##", "#"]).is_err());
         assert!(Mask::from_rows(&["..", ".."]).is_err());

@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn memory_follows_the_exponential_whatever_the_step() {
+    fn memory_follows_the_exponential_for_any_step() {
         let memory = Memory { share: 0.4, time_constant_s: 0.5 };
         for steps in [1, 7, 100] {
             let mut state = PressureState::new(Some(memory), 1);

@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_carry_what_presses_on_them() {
+    fn cells_carry_the_load_on_them() {
         let mut grid = square(SPONGE, 5, 0.02).unwrap();
         let mut forces = [0.0; 25];
         let press = |x, y| Indenter::disc([x, y], 0.004, 1.0 / (std::f64::consts::PI * 0.004 * 0.004));
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         assert!(square(Springs { stiffness_n_per_m: 0.0, ..SPONGE }, 5, 0.02).is_err());
         assert!(square(Springs { coupling_n_per_m: 500.0, ..SPONGE }, 5, 0.02).is_err());
         assert!(square(Springs { sharpness: 0.5, ..SPONGE }, 5, 0.02).is_err());
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn small_and_oblong_cells_carry_what_presses_on_them() {
+    fn small_and_oblong_cells_carry_the_load_on_them() {
         for cell_m in [[2e-3, 2e-3], [4e-3, 1e-3], [0.02, 0.03]] {
             let at = |k: usize, n: usize, pitch: f64| (k as f64 - 0.5 * (n as f64 - 1.0)) * pitch;
             let places = (0..54).map(|k| [at(k % 9, 9, cell_m[0]), at(k / 9, 6, cell_m[1])]).collect();

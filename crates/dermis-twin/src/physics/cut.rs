@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_cut_blocks_what_it_crosses_and_a_healed_one_nothing() {
+    fn an_open_cut_blocks_current_and_a_healed_one_does_not() {
         let cut = Cut { from_m: [-1.0, 0.5], to_m: [3.0, 0.5], width_m: 0.2, residual: 1e-6 };
         let s = damaged_conductance(5e-3, &[cut], CORNERS);
         // A share of 0.15 in series: 1 / (0.85 + 0.15e6).
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         assert!(Cut::open([0.0; 2], [0.0; 2]).check().is_err());
         assert!(Cut { residual: 0.0, ..Cut::open([0.0; 2], [0.01, 0.0]) }.check().is_err());
         assert!(Cut::open([0.0; 2], [0.01, 0.0]).check().is_ok());

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_cover_what_they_should_and_average_exactly() {
+    fn cells_cover_their_areas_and_average_exactly() {
         let (triangles, positions) = square();
         let layout = PatchLayout { pitch_m: 1.0, gap_m: 0.2, cells_per_side: 2 };
         let contact = ContactCells::new(&triangles, &positions, layout);
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         let layout = PatchLayout { pitch_m: 0.01, gap_m: 0.001, cells_per_side: 3 };
         assert!(layout.check().is_ok());
         assert!(PatchLayout { pitch_m: 0.0, ..layout }.check().is_err());

@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scaled_script_presses_elsewhere_and_otherwise() {
+    fn a_scaled_script_scales_places_and_loads() {
         let (demo, scaled) = (Script::demo(), Script::demo().scaled(2.0, 0.1));
         let (before, after) = (demo.at(3.3).next().unwrap().1, scaled.at(3.3).next().unwrap().1);
         assert!((after.centre_m[0] - 2.0 * before.centre_m[0]).abs() < 1e-12);

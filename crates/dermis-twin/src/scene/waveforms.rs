@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused() {
+    fn bad_input_is_refused() {
         assert!(Script::ramp(PLACE, [0.0, f64::NAN], 1.0, 0.0).is_err());
         assert!(Script::ramp(PLACE, [-1.0, -1.0], 1.0, 0.0).is_err());
         assert!(Script::ramp(PLACE, [0.0, 1.0], 0.0, 1.0).is_err());

@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_are_set_by_hand_where_the_page_is_their_source() {
+    fn joints_are_set_by_hand_if_the_page_is_their_source() {
         let joints = feed(Some(JointSource::Page));
         assert!(joints.is_set_by_hand());
         joints.set("elbow", 0.7).unwrap();

@@ -27,8 +27,6 @@ const NAP: Duration = Duration::from_millis(50);
 const SILENT_PERIODS: f64 = 10.0;
 /// Minimum time without a frame before a patch is silent.
 const LEAST_SILENCE: Duration = Duration::from_millis(500);
-/// Frame rate if the skin file gives none, frames per second.
-const FRAMES_PER_S: f64 = 20.0;
 
 /// A row of the health table, updated by a patch's thread and readable by anyone.
 #[derive(Clone, Debug)]
@@ -155,7 +153,7 @@ impl PatchThread {
     }
 
     fn follow(&mut self) -> Result<(), Error> {
-        let rate = self.body.patches[self.number].skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
+        let rate = self.body.patches[self.number].skin.backend.frame_rate_hz();
         let silence = Duration::from_secs_f64(SILENT_PERIODS / rate.max(1e-3)).max(LEAST_SILENCE);
         let (mut last, mut done) = (Instant::now(), 0);
         let mut lines = JsonLines::new(Vec::new(), "line", LinesFor::EveryFrame);

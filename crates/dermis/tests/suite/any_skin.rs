@@ -175,7 +175,7 @@ fn a_readout_circuit_is_made_of_all_numbers_of_its_file() {
 }
 
 #[test]
-fn a_twin_behind_a_circuit_reads_what_the_model_of_that_circuit_says() {
+fn a_twin_behind_a_circuit_agrees_with_the_model_of_that_circuit() {
     let skin = Skin::open("hydrogel-disc").unwrap();
     let mut ideal = skin.clone();
     ideal.backend.electronics = Electronics { preset: Preset::Ideal, ..Electronics::default() };
@@ -190,7 +190,7 @@ fn a_twin_behind_a_circuit_reads_what_the_model_of_that_circuit_says() {
 }
 
 #[test]
-fn a_skin_of_another_name_and_size_is_that_skin() {
+fn the_name_has_no_effect_and_the_size_has() {
     let press = Press { at_mm: [12.0, -9.0], radius_mm: 8.0, kpa: 1.2 };
     let published = Skin::open("ionic-disc").unwrap();
     let mut skin = published.clone();

@@ -86,7 +86,7 @@ fn other_patterns_than_the_file_s_are_found() {
 /// On a long pad the readings show where the electrode count starts, except for half a turn. The pad is its own
 /// mirror image, so counting in the other direction looks like some other start.
 #[test]
-fn electrodes_counted_from_elsewhere_are_told_on_a_long_pad() {
+fn a_shifted_electrode_numbering_is_detected_on_a_long_pad() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../skins/examples/gel-pad.toml");
     let skin = Skin::open(file.to_str().unwrap()).unwrap();
     let Electrodes::Rim { count, width_mm, .. } = skin.frontend.electrodes else { panic!() };
@@ -112,7 +112,7 @@ fn without_a_skin_the_number_of_electrodes_is_found() {
 }
 
 #[test]
-fn what_is_no_baseline_is_refused_or_fits_nothing() {
+fn invalid_baselines_are_refused_or_fit_no_order() {
     let skin = Skin::open("healing-square").unwrap();
     let table = |values: Vec<f64>| FrameTable::new(Layout::Channels { count: values.len() }, values, "made").unwrap();
     let found = find_order(&table((0..208).map(|k| f64::from(k * 7919 % 211)).collect()), Some(&skin)).unwrap();

@@ -149,7 +149,7 @@ fn errors_mm(found: &[Option<[f64; 2]>], places: &[[f64; 2]]) -> (usize, f64, f6
 }
 
 #[test]
-fn a_twin_whose_board_loads_it_is_placed_better_once_its_circuit_is_found_and_a_rerun_gives_the_same_bits() {
+fn finding_the_circuit_improves_positions_and_reruns_are_bit_identical() {
     let (taught, tested) = (places(24, 0.065, 0.0), places(20, 0.06, 1.0));
     let (rest, taught_frames) = twin_frames(&taught);
     let (_, tested_frames) = twin_frames(&tested);

@@ -137,7 +137,7 @@ fn a_cut_is_found_covered_by_a_press_and_found_again() {
 }
 
 #[test]
-fn touches_beside_a_cut_are_placed_as_well_as_before() {
+fn touches_next_to_a_cut_are_placed_as_well_as_before() {
     let places = [[-25.0, 0.0], [0.0, -25.0], [-20.0, -20.0], [25.0, -15.0], [-12.0, 28.0], [0.0, 0.0]];
     let mut line = Line::new();
     let errors = |line: &mut Line| {
@@ -186,7 +186,7 @@ fn a_tare_hides_no_damage_and_every_baseline_is_kept() {
 }
 
 #[test]
-fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still_is() {
+fn releasing_a_touch_in_the_first_baseline_is_no_damage_but_a_cut_there_is() {
     for place_mm in [MIDDLE_MM, [-20.0, -5.0]] {
         let mut line = Line::without_baseline();
         line.press(place_mm[0], place_mm[1]);
@@ -272,7 +272,7 @@ fn drift_of_the_whole_sheet_is_followed_and_a_slow_press_is_not() {
 }
 
 #[test]
-fn a_new_baseline_is_proposed_once_the_skin_rests_elsewhere() {
+fn a_new_baseline_is_proposed_once_the_skin_rests_at_a_new_level() {
     let mut line = Line::new();
     line.frame_s = 0.2;
     line.run(200);
@@ -360,7 +360,7 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
 }
 
 #[test]
-fn every_cut_is_one_damage_wherever_it_lies() {
+fn a_cut_anywhere_is_one_damage() {
     // Images of thin cuts have lobes as high as the cut is deep, which are not touches, and lobes at the rim, which
     // are not damage. Cuts are tried along and across the lines between electrodes, at the rim, in the centre, long
     // and short.
@@ -394,7 +394,7 @@ fn every_cut_is_one_damage_wherever_it_lies() {
 }
 
 #[test]
-fn the_second_cut_is_found_beside_the_first() {
+fn the_second_cut_is_found_next_to_the_first() {
     let mut line = Line::new();
     line.cut(FROM_MM, TO_MM);
     line.run(80);

@@ -138,7 +138,7 @@ fn the_search_finds_skins_at_least_as_good_and_writes_them() {
 }
 
 #[test]
-fn electrodes_moved_away_come_back() {
+fn displaced_electrodes_are_moved_back() {
     // In a tank with evenly spaced electrodes, one has been pushed towards its neighbour; the search undoes this.
     let mut skin = Skin::open("golfball-tank").unwrap();
     (skin.imaging.grid, skin.imaging.elements) = (24, 1000);
@@ -157,7 +157,7 @@ fn rim(skin: &Skin, off_deg: impl Fn(usize) -> f64) -> dermis_skin::Electrodes {
 }
 
 #[test]
-fn lists_cannot_be_counted_anew() {
+fn lists_of_electrodes_have_no_count_to_search() {
     let mut skin = Skin::open("golfball-tank").unwrap();
     skin.frontend.electrodes = rim(&skin, |_| 0.0);
     let search = Search { freed: vec![Freedom::Count], amplitude: AMPLITUDE, along: 6, noise: Noise::Assumed };
@@ -166,7 +166,7 @@ fn lists_cannot_be_counted_anew() {
 }
 
 #[test]
-fn points_come_out_wider_in_the_middle_than_near_the_electrodes() {
+fn points_are_wider_in_the_middle_than_near_the_electrodes() {
     let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
     let maps = Maps::new(&prepared, Noise::Assumed, AMPLITUDE, 12).unwrap();
     let widths = spread_width(&prepared, &maps).unwrap();
@@ -196,7 +196,7 @@ fn the_smallest_force_of_the_liquid_skin_is_of_the_published_size() {
 }
 
 #[test]
-fn bounds_scale_with_the_noise_and_nonsense_is_refused() {
+fn bounds_scale_with_the_noise_and_bad_input_is_refused() {
     let prepared = Prepared::new(skin()).unwrap();
     let at = |volts: f64| Maps::new(&prepared, Noise::Volts(volts), AMPLITUDE, 8).unwrap();
     let (quiet, loud) = (at(1e-6), at(1e-5));

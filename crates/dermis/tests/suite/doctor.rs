@@ -103,7 +103,7 @@ fn given(skin: &Skin, frames: usize, change: impl Fn(&mut Vec<f64>)) -> Given {
 }
 
 #[test]
-fn exchanged_electrodes_reversed_signs_and_silence_are_said() {
+fn swapped_electrodes_reversed_signs_and_silence_are_reported() {
     let skin = skin("healing-square", "");
     // The instrument's readings with the wires of electrodes 3 and 7 exchanged, on a mesh other than the doctor's.
     let mut finer = skin.clone();

@@ -35,7 +35,7 @@ fn peak_m(prepared: &Prepared, image: &[f32]) -> [f64; 2] {
 }
 
 #[test]
-fn the_numbers_of_files_reach_twins_and_models() {
+fn numbers_in_files_reach_twins_and_models() {
     for name in ["em-8", "em-16-circular", "em-16-square"] {
         let skin = Skin::open(name).unwrap();
         let model = dermis_live::magnetic_model::MagneticModel::of(&skin).unwrap();
@@ -146,7 +146,7 @@ fn files_that_mix_coils_and_electrodes_are_refused() {
 }
 
 #[test]
-fn kept_bodies_are_those_that_edge_elements_give() {
+fn cached_bodies_equal_those_from_edge_elements() {
     let records = builtin_records().unwrap();
     assert_eq!(records.len(), 16);
     // The quickest one to compute; all come from the same program.
@@ -160,7 +160,7 @@ fn kept_bodies_are_those_that_edge_elements_give() {
 }
 
 #[test]
-fn bodies_are_computed_once_and_damaged_files_anew() {
+fn bodies_are_cached_and_damaged_cache_files_recomputed() {
     let cache = tempfile::tempdir().unwrap();
     let shape = ElementShape::Plate { side_mm: 8.0, height_mm: 2.0 };
     let plate = Element { shape, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };

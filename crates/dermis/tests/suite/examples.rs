@@ -114,6 +114,7 @@ fn presses_anywhere_are_found_on_every_example() {
         [("gel-pad", 60.0), ("l-sandwich", 120.0), ("fabric-ring", 120.0), ("liquid-ellipse", 110.0), ("em-3x4", 145.0)]
     {
         let (median, missed, several) = median_mm(example(name), 20);
+        println!("{name}: {median:.2} mm, {missed} missed, {several} seen as several");
         assert!(median <= 0.03 * shorter_mm, "{name}: {median} mm");
         // One in twenty may lie where the skin sees little. Every frame has a different press, and none gives two
         // touches.
@@ -129,7 +130,7 @@ fn dents_in_the_tanks_are_found_as_dents() {
         let diameter_mm = 1e3 * skin.outline().bounds_m().1[0] * 2.0;
         let (median, missed, several) = median_mm(skin, 16);
         println!("{name}: {median:.2} mm, {missed} missed, {several} seen as several");
-        assert!(median < 0.01 * diameter_mm && missed == 0 && several <= 4, "{name}: {median}, {missed}, {several}");
+        assert!(median < 0.005 * diameter_mm && missed == 0 && several <= 4, "{name}: {median}, {missed}, {several}");
     }
 }
 
@@ -142,7 +143,7 @@ fn two_presses_a_quarter_of_the_longer_side_apart_are_two() {
 }
 
 #[test]
-fn two_presses_are_two_on_other_sizes_and_numbers_of_electrodes() {
+fn two_presses_are_resolved_on_other_sizes_and_electrode_counts() {
     let mut gel = example("gel-pad");
     gel.frontend.shape = Shape::Square { side_mm: 80.0 };
     let Electrodes::Rim { count, .. } = &mut gel.frontend.electrodes else { panic!() };

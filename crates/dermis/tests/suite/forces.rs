@@ -15,7 +15,7 @@ fn scope(skin: &str, plan: &PressPlan) -> CalibrationScope {
 }
 
 #[test]
-fn forces_are_read_where_and_as_hard_as_they_were_not_calibrated() {
+fn forces_are_right_at_places_and_loads_that_were_not_calibrated() {
     let skin = Skin::open("ionic-disc").unwrap();
     let plan = PressPlan { steps: 4, most_n: 0.58, ..PressPlan::of(&skin).unwrap() };
     let mut seen = 0;
@@ -102,7 +102,7 @@ fn five_presses_of_known_force_correct_the_law_of_a_layer_that_saturates() {
 }
 
 #[test]
-fn files_say_what_is_wrong_with_them() {
+fn bad_files_are_refused_with_the_cause() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("forces.json");
     let skin = Skin::open("ionic-disc").unwrap();

@@ -49,7 +49,7 @@ fn frames(count: usize, place: impl Fn(usize, &mut Random) -> Option<f64>) -> Ve
 
 /// A median of this many numbers scatters by a few per cent, and using the quieter half lowers it by a few more.
 #[test]
-fn noise_is_found_whatever_is_touched() {
+fn noise_is_estimated_under_any_touch() {
     let resting = ratio(&frames(40, |_, _| None));
     let held = ratio(&frames(80, |t, _| (20..60).contains(&t).then_some(0.3)));
     let every = ratio(&frames(200, |_, random| Some(random.uniform())));
@@ -59,7 +59,7 @@ fn noise_is_found_whatever_is_touched() {
 }
 
 #[test]
-fn few_frames_and_still_ones_say_nothing() {
+fn few_or_constant_frames_give_no_noise() {
     assert!(noise_of_frames(&frames(8, |_, _| None)).is_none());
     let still = vec![vec![1.0; 4]; 20];
     assert!(noise_of_frames(&still).is_none());

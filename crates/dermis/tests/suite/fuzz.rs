@@ -35,7 +35,7 @@ proptest! {
     })]
 
     #[test]
-    fn whatever_happens_the_system_goes_on_and_its_counts_add_up(
+    fn random_sequences_never_stop_the_system_and_its_counts_add_up(
         skin in prop_oneof![
             4 => Just("healing-square"),
             2 => Just("ionic-disc"),
@@ -70,7 +70,7 @@ proptest! {
 }
 
 #[test]
-fn three_equal_cuts_are_one_and_the_stream_goes_on() {
+fn three_equal_cuts_are_one_and_the_stream_continues() {
     let folder = tempfile::tempdir().unwrap();
     let mut system = System::new("healing-square", folder.path());
     system.take(&Step::Frames(40));
@@ -97,7 +97,7 @@ fn first_frames_without_readings_delay_the_baseline_and_end_nothing() {
 }
 
 #[test]
-fn silence_is_said_and_the_next_frame_ends_it() {
+fn silence_is_reported_and_ended_by_the_next_frame() {
     let folder = tempfile::tempdir().unwrap();
     let mut system = System::new("ionic-disc", folder.path());
     system.take(&Step::Frames(40));
@@ -109,7 +109,7 @@ fn silence_is_said_and_the_next_frame_ends_it() {
 }
 
 #[test]
-fn a_recording_told_to_end_has_every_frame_before() {
+fn a_stopped_recording_has_every_earlier_frame() {
     let folder = tempfile::tempdir().unwrap();
     let mut system = System::new("ionic-disc", folder.path());
     system.take(&Step::RecordStart);

@@ -65,7 +65,7 @@ impl Watch {
 /// Two disturbances, in frames 491 to 505 and 663 to 664 (counted from 0). The second one changes the readings
 /// permanently.
 #[test]
-fn damage_of_the_measured_gel_is_told_from_its_drift() {
+fn damage_of_the_measured_gel_is_distinguished_from_drift() {
     let Some(folder) = dermis_testdata::set("hydrogel-damage") else { return };
     let table = dermis_device::read(&FileSpec::all(folder.join("monitored.csv")), None).unwrap();
     let watch = gel_watch::watch(skin(), &table, SLOW_S).unwrap();
@@ -151,7 +151,7 @@ const FROM_M: [f64; 2] = [0.014, 0.018];
 const TO_M: [f64; 2] = [0.041, 0.03];
 
 #[test]
-fn a_cut_is_told_from_presses_of_a_gel_that_drifts() {
+fn a_cut_is_distinguished_from_presses_on_a_drifting_gel() {
     let mut gel = Gel::new(SLOW_S);
     for [x_mm, y_mm] in [[-30.0, 20.0], [20.0, -35.0], [0.0, 0.0]] {
         gel.press(x_mm, y_mm);
@@ -226,7 +226,7 @@ fn a_change_that_undoes_a_cut_heals_it() {
 /// A cut that appears from one frame to the next is indistinguishable from a weight, so it counts as a touch for the
 /// first ten minutes.
 #[test]
-fn what_comes_at_once_and_stays_is_held_for_a_touch_first() {
+fn a_sudden_lasting_change_is_taken_for_a_touch_first() {
     let mut gel = Gel::new(SLOW_S);
     gel.twin.frontend_mut().treat(&Treatment::Cut(Cut::open(FROM_M, TO_M))).unwrap();
     gel.run(70);

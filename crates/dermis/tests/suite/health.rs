@@ -153,7 +153,7 @@ fn spoil_frames(name: &str, kind: FrameFaultKind, spoil: fn(&[f64], &mut Vec<f64
 }
 
 #[test]
-fn frames_wrong_as_a_whole_end_touches_as_unknown_on_every_kind_of_skin() {
+fn frame_faults_make_touches_unknown_on_every_kind_of_skin() {
     for name in ["healing-square", "ionic-disc", "piezo-square", "em-8"] {
         spoil_frames(name, FrameFaultKind::Frozen, |sent, values| values.copy_from_slice(sent));
         spoil_frames(name, FrameFaultKind::OutOfRange, |_, values| values.iter_mut().for_each(|v| *v *= 1e12));
@@ -172,12 +172,12 @@ fn frames_wrong_as_a_whole_end_touches_as_unknown_on_every_kind_of_skin() {
 }
 
 #[test]
-fn the_sandwich_keeps_a_touch_while_an_electrode_is_lost_and_comes_back() {
+fn the_sandwich_keeps_a_touch_while_an_electrode_fails_and_recovers() {
     lose_an_electrode("healing-square", 5);
 }
 
 #[test]
-fn the_liquid_disc_keeps_a_touch_while_an_electrode_is_lost_and_comes_back() {
+fn the_liquid_disc_keeps_a_touch_while_an_electrode_fails_and_recovers() {
     lose_an_electrode("ionic-disc", 12);
 }
 
@@ -195,7 +195,7 @@ fn an_electrode_lost_before_the_baseline_is_left_out_from_the_start() {
 }
 
 #[test]
-fn shorts_and_stuck_channels_are_known_by_their_kind() {
+fn shorts_and_stuck_channels_are_recognised_by_kind() {
     let from_s = seconds("ionic-disc", 50);
     let faults = format!(
         "{{ shorted_pairs = [[3, 4]], stuck_channels = [{{ channel = 100, value_mv = 2.0 }}], from_s = {from_s:.4} }}"
@@ -249,7 +249,7 @@ fn a_sound_twin_idle_and_pressed_raises_no_alarm() {
 }
 
 #[test]
-fn nothing_but_missing_values_is_survived() {
+fn frames_of_missing_values_only_are_survived() {
     let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
     let voltages = prepared.voltages.clone();
     let mut pipeline = Pipeline::new(prepared, &Layout::Channels { count: 208 }, None).unwrap();
@@ -269,7 +269,7 @@ fn nothing_but_missing_values_is_survived() {
 }
 
 #[test]
-fn a_clock_that_jumps_is_marked_and_a_held_touch_goes_on() {
+fn a_clock_jump_is_marked_and_a_held_touch_continues() {
     let mut line = Line::new("healing-square", "");
     (0..40).for_each(|_| drop(line.step()));
     line.press(0.01, 0.0);

@@ -90,7 +90,7 @@ fn with_prior(text: &str, prior: &str) -> Result<Skin, dermis_skin::Error> {
 }
 
 #[test]
-fn whatever_nests_is_refused_before_the_stack_ends() {
+fn deep_nesting_is_refused_before_the_stack_overflows() {
     let json = [
         nested("0", "[", "]"),
         nested("0", "{\"a\":", "}"),
@@ -127,7 +127,7 @@ fn whatever_nests_is_refused_before_the_stack_ends() {
 }
 
 #[test]
-fn mixtures_of_priors_are_bounded_where_they_are_built_by_hand() {
+fn mixtures_of_priors_built_by_hand_are_bounded() {
     let mut prior = Prior::Laplace;
     for _ in 0..200 {
         prior = Prior::Mixture(vec![(1.0, prior)]);

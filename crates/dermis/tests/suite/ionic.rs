@@ -1,86 +1,39 @@
 //! The built-in liquid skins of paper I from twin to touches: weights lie on the noisy twins, and the whole pipeline
 //! locates them.
 
-use dermis_device::{Frame, HostStamp, Layout};
 use dermis_live::imager::Imager;
-use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::{Layer, LiquidLayer, Skin};
-use dermis_touch::Touch;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{AnyTwin, Frontend};
 
-/// Time between frames, nanoseconds: 16 frames/s.
-const PERIOD_NS: u64 = 62_500_000;
+use crate::bench::Bench;
+
 /// Frames until a press is established: the fade-in, and the minimum duration of a touch.
 const SETTLE: usize = 8;
 /// The paper's weights: 6.5 g each, stacked on 20 mm discs.
 const WEIGHT_G: f64 = 6.5;
 const RADIUS_M: f64 = 0.01;
 
-/// A twin with noise from the paper's 59.7 dB, read as an amplitude ratio, and the pipeline of the built-in skin.
-struct Bench {
-    twin: AnyTwin,
-    pipeline: Pipeline,
-    frame: Frame,
-    values: Vec<f64>,
-    frames: u64,
-    touches: Vec<Touch>,
+/// A built-in skin, with a baseline. Its twin has noise from the paper's 59.7 dB, read as an amplitude ratio.
+fn bench(name: &str) -> Bench {
+    Bench::of(Skin::open(name).unwrap())
 }
 
-impl Bench {
-    /// A bench that has taken its baseline.
-    fn new(name: &str) -> Self {
-        let skin = Skin::open(name).unwrap();
-        let twin = AnyTwin::from_skin(&skin).unwrap();
-        Self::with(skin, twin)
+/// Puts stacks of weights at these places and waits.
+fn press(bench: &mut Bench, places: &[[f64; 2]], weights: u32) {
+    for (pointer, place) in (0..).zip(places) {
+        let weight = Indenter::weight(*place, RADIUS_M, WEIGHT_G * f64::from(weights));
+        bench.twin.frontend().check_indenter(&weight).unwrap();
+        bench.twin.scene_mut().press_with(pointer, weight).unwrap();
     }
+    bench.run(SETTLE);
+}
 
-    /// A bench whose twin differs from the skin file, which is all that the pipeline knows.
-    fn with(skin: Skin, twin: AnyTwin) -> Self {
-        let prepared = Prepared::new(skin).unwrap();
-        let layout = Layout::Channels { count: prepared.channels() };
-        let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
-        let (touches, values) = (Vec::new(), Vec::new());
-        let mut bench = Self { twin, pipeline, frame: Frame::default(), values, frames: 0, touches };
-        bench.run(32);
-        assert!(bench.pipeline.reference().is_some(), "32 frames make the baseline");
-        bench
-    }
-
-    fn run(&mut self, frames: usize) {
-        for _ in 0..frames {
-            let time_ns = self.frames * PERIOD_NS;
-            self.twin.step(time_ns as f64 * 1e-9, &mut self.values).unwrap();
-            let at = HostStamp { monotonic_ns: time_ns, wall_ns: time_ns };
-            self.frame.refill(self.frames, at, &self.values, &[]);
-            self.touches = self.pipeline.process(&self.frame, time_ns).unwrap().touches.to_vec();
-            self.frames += 1;
-        }
-    }
-
-    /// Puts stacks of weights at these places and waits.
-    fn press(&mut self, places: &[[f64; 2]], weights: u32) {
-        for (pointer, place) in (0..).zip(places) {
-            let weight = Indenter::weight(*place, RADIUS_M, WEIGHT_G * f64::from(weights));
-            self.twin.frontend().check_indenter(&weight).unwrap();
-            self.twin.scene_mut().press_with(pointer, weight).unwrap();
-        }
-        self.run(SETTLE);
-    }
-
-    fn release(&mut self) {
-        self.twin.scene_mut().release_all();
-        self.run(3 * SETTLE);
-        assert!(self.touches.is_empty(), "released, and still {:?}", self.touches);
-    }
-
-    /// Distance from a place to the nearest touch, millimetres.
-    fn error_mm(&self, place: [f64; 2]) -> f64 {
-        let distance = |touch: &Touch| 1e3 * (touch.position_m[0] - place[0]).hypot(touch.position_m[1] - place[1]);
-        self.touches.iter().map(distance).fold(f64::INFINITY, f64::min)
-    }
+/// Distance from a place (metres) to the nearest touch, millimetres.
+fn error_mm(bench: &Bench, place: [f64; 2]) -> f64 {
+    bench.error_mm(place.map(|m| 1e3 * m))
 }
 
 fn liquid(skin: &mut Skin) -> &mut LiquidLayer {
@@ -115,15 +68,15 @@ fn skin_files_describe_the_twins() {
 
 #[test]
 fn weights_at_three_radii_are_found() {
-    let mut bench = Bench::new("ionic-disc");
+    let mut bench = bench("ionic-disc");
     let mut errors = Vec::new();
     for radius_mm in [0.0, 30.0, 60.0] {
         for weights in 2..=9 {
             let place = polar(radius_mm, 40.0 * f64::from(weights));
-            bench.press(&[place], weights);
+            press(&mut bench, &[place], weights);
             assert_eq!(bench.touches.len(), 1, "{weights} weights at {radius_mm} mm: {:?}", bench.touches);
-            errors.push(bench.error_mm(place));
-            bench.release();
+            errors.push(error_mm(&bench, place));
+            bench.release(3 * SETTLE);
         }
     }
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -133,37 +86,37 @@ fn weights_at_three_radii_are_found() {
 }
 
 #[test]
-fn the_smallest_weight_is_felt_at_three_radii() {
-    let mut bench = Bench::new("ionic-disc");
+fn the_smallest_weight_is_detected_at_three_radii() {
+    let mut bench = bench("ionic-disc");
     for radius_mm in [0.0, 30.0, 60.0] {
         for angle_deg in [10.0, 130.0, 250.0] {
             let place = polar(radius_mm, angle_deg);
-            bench.press(&[place], 1);
-            let error = bench.error_mm(place);
+            press(&mut bench, &[place], 1);
+            let error = error_mm(&bench, place);
             println!("64 mN at {radius_mm} mm, {angle_deg} degrees: {} touch, {error:.1} mm off", bench.touches.len());
             assert!(bench.touches.len() == 1 && error < 10.0, "{radius_mm} mm: {:?}", bench.touches);
-            bench.release();
+            bench.release(3 * SETTLE);
         }
     }
 }
 
 #[test]
-fn touches_at_once_are_told_apart() {
-    let mut bench = Bench::new("ionic-disc");
+fn simultaneous_touches_are_resolved() {
+    let mut bench = bench("ionic-disc");
     for (count, radius_mm) in [(2, 40.0), (2, 50.0), (3, 40.0), (3, 60.0), (4, 40.0), (4, 50.0), (4, 60.0), (6, 60.0)] {
         let places = evenly(count, radius_mm);
-        bench.press(&places, 4);
-        let errors: Vec<f64> = places.iter().map(|place| bench.error_mm(*place)).collect();
+        press(&mut bench, &places, 4);
+        let errors: Vec<f64> = places.iter().map(|place| error_mm(&bench, *place)).collect();
         println!("{count} at {radius_mm} mm: {} touches, errors {errors:.1?} mm", bench.touches.len());
         assert_eq!(bench.touches.len(), places.len(), "{count} at {radius_mm} mm: {:?}", bench.touches);
         assert!(errors.iter().all(|error| *error < 8.0), "{count} at {radius_mm} mm: {errors:.1?}");
-        bench.release();
+        bench.release(3 * SETTLE);
     }
 }
 
 #[test]
 fn an_idle_skin_has_no_touches() {
-    let mut bench = Bench::new("ionic-disc");
+    let mut bench = bench("ionic-disc");
     for frame in 0..800 {
         bench.run(1);
         assert!(bench.touches.is_empty(), "idle frame {frame}: {:?}", bench.touches);
@@ -177,28 +130,29 @@ fn a_standing_skin_is_touched_north_east_south_and_west() {
     // reach 15 mm.
     let mut standing = Skin::open("ionic-disc").unwrap();
     liquid(&mut standing).gravity_m_per_s2 = [0.0, -9.81, 0.0];
-    let mut bench = Bench::with(Skin::open("ionic-disc").unwrap(), AnyTwin::from_skin(&standing).unwrap());
+    let mut bench =
+        Bench::new(Skin::open("ionic-disc").unwrap(), AnyTwin::from_skin(&standing).unwrap()).with_baseline();
     for angle_deg in [90.0, 0.0, 270.0, 180.0] {
         let place = polar(50.0, angle_deg);
-        bench.press(&[place], 6);
-        let error = bench.error_mm(place);
+        press(&mut bench, &[place], 6);
+        let error = error_mm(&bench, place);
         println!("standing, {angle_deg} degrees: {error:.1} mm off");
         assert!(bench.touches.len() == 1 && error < 6.0, "{angle_deg} degrees: {:?}", bench.touches);
-        bench.release();
+        bench.release(3 * SETTLE);
     }
 }
 
 #[test]
 fn weights_on_the_square_are_found() {
-    let mut bench = Bench::new("ionic-square");
+    let mut bench = bench("ionic-square");
     // The paper shows 6.5, 13 and 39 g.
     for (weights, largest_mm) in [(1, 15.0), (2, 8.0), (6, 8.0)] {
         for place in [[0.0, 0.0], [0.05, 0.03], [-0.06, 0.06]] {
-            bench.press(&[place], weights);
-            let error = bench.error_mm(place);
+            press(&mut bench, &[place], weights);
+            let error = error_mm(&bench, place);
             println!("square, {weights} weights at {place:?} m: {} touch, {error:.1} mm off", bench.touches.len());
             assert!(bench.touches.len() == 1 && error < largest_mm, "{weights} at {place:?}: {:?}", bench.touches);
-            bench.release();
+            bench.release(3 * SETTLE);
         }
     }
 }

@@ -2,6 +2,7 @@
 
 mod allocation;
 mod any_skin;
+mod bench;
 mod channel_search;
 mod circuit;
 mod damage;

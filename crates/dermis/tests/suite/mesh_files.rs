@@ -69,7 +69,7 @@ fn a_mesh_is_solved_on_its_own_elements() {
 }
 
 #[test]
-fn millimetres_taken_for_metres_draw_a_question_and_groups_that_are_not_there_an_error() {
+fn millimetres_read_as_metres_prompt_a_question_and_missing_groups_are_errors() {
     let refused = |mesh: &str, says: &str| {
         let message = skin(mesh, "").unwrap_err();
         assert!(message.contains(says), "{message}");

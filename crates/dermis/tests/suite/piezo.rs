@@ -1,92 +1,42 @@
 //! The piezoresistive skins from twin to touches: their noisy twins are pressed, and the whole pipeline locates the
 //! presses. One backend file serves all three.
 
-use dermis_device::{Frame, HostStamp, Layout};
-use dermis_live::pipeline::Pipeline;
-use dermis_live::prepare::Prepared;
 use dermis_skin::{Layer, Skin};
 use dermis_tomo::mesh::{ElectrodeShape, Surface};
-use dermis_touch::Touch;
-use dermis_twin::AnyTwin;
 use dermis_twin::from_skin::patched_options;
 use dermis_twin::physics::PatchLayout;
 
-/// Time between frames, nanoseconds: 30 frames/s.
-const PERIOD_NS: u64 = 33_333_333;
+use crate::bench::Bench;
+
 /// Frames until a press is established: the fade-in, and the minimum duration of a touch.
 const SETTLE: usize = 12;
 /// The paper's indenter.
 const RADIUS_M: f64 = 0.011;
 
-/// A twin with the noise and converter of its file, followed by the pipeline of the built-in skin.
-struct Bench {
-    twin: AnyTwin,
-    pipeline: Pipeline,
-    frame: Frame,
-    values: Vec<f64>,
-    frames: u64,
-    touches: Vec<Touch>,
-    strongest: f64,
+/// A built-in skin, with a baseline.
+fn bench(name: &str) -> Bench {
+    let mut skin = Skin::open(name).unwrap();
+    // Coarser images than the file's 32 pixels per side, which halves the time for the operator.
+    skin.imaging.grid = 24;
+    Bench::of(skin)
 }
 
-impl Bench {
-    /// A bench that has taken its baseline.
-    fn new(name: &str) -> Self {
-        let mut skin = Skin::open(name).unwrap();
-        // Coarser images than the file's 32 pixels per side, which halves the time for the operator.
-        skin.imaging.grid = 24;
-        let twin = AnyTwin::from_skin(&skin).unwrap();
-        let prepared = Prepared::new(skin).unwrap();
-        let layout = Layout::Channels { count: prepared.channels() };
-        let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
-        let (touches, values) = (Vec::new(), Vec::new());
-        let mut bench = Self { twin, pipeline, frame: Frame::default(), values, frames: 0, touches, strongest: 0.0 };
-        bench.run(32);
-        assert!(bench.pipeline.reference().is_some(), "32 frames make the baseline");
-        bench
-    }
+fn press(bench: &mut Bench, pointer: u64, [x_mm, y_mm]: [f64; 2], pressure_pa: f64) {
+    bench.twin.scene_mut().press(pointer, x_mm * 1e-3, y_mm * 1e-3, RADIUS_M, pressure_pa).unwrap();
+}
 
-    fn run(&mut self, frames: usize) {
-        for _ in 0..frames {
-            let time_ns = self.frames * PERIOD_NS;
-            self.twin.step(time_ns as f64 * 1e-9, &mut self.values).unwrap();
-            let at = HostStamp { monotonic_ns: time_ns, wall_ns: time_ns };
-            self.frame.refill(self.frames, at, &self.values, &[]);
-            let output = self.pipeline.process(&self.frame, time_ns).unwrap();
-            self.touches = output.touches.to_vec();
-            self.strongest = output.image.iter().filter(|v| v.is_finite()).fold(0.0, |most, v| most.max(f64::from(*v)));
-            self.frames += 1;
-        }
+/// Largest and mean error of single touches.
+fn errors_mm(bench: &mut Bench, places: &[[f64; 2]], pressure_pa: f64) -> (f64, f64) {
+    let mut errors = Vec::new();
+    for &place in places {
+        press(bench, 0, place, pressure_pa);
+        bench.run(SETTLE);
+        assert_eq!(bench.touches.len(), 1, "pressed at {place:?} mm: {:?}", bench.touches);
+        errors.push(bench.error_mm(place));
+        bench.release(SETTLE);
     }
-
-    fn press(&mut self, pointer: u64, [x_mm, y_mm]: [f64; 2], pressure_pa: f64) {
-        self.twin.scene_mut().press(pointer, x_mm * 1e-3, y_mm * 1e-3, RADIUS_M, pressure_pa).unwrap();
-    }
-
-    fn release(&mut self) {
-        self.twin.scene_mut().release_all();
-        self.run(SETTLE);
-        assert!(self.touches.is_empty(), "released, and still {:?}", self.touches);
-    }
-
-    fn nearest_mm(&self, [x_mm, y_mm]: [f64; 2]) -> f64 {
-        let distance = |touch: &Touch| (touch.position_m[0] * 1e3 - x_mm).hypot(touch.position_m[1] * 1e3 - y_mm);
-        self.touches.iter().map(distance).fold(f64::INFINITY, f64::min)
-    }
-
-    /// Largest and mean error of single touches, mm.
-    fn errors(&mut self, places: &[[f64; 2]], pressure_pa: f64) -> (f64, f64) {
-        let mut errors = Vec::new();
-        for &place in places {
-            self.press(0, place, pressure_pa);
-            self.run(SETTLE);
-            assert_eq!(self.touches.len(), 1, "pressed at {place:?} mm: {:?}", self.touches);
-            errors.push(self.nearest_mm(place));
-            self.release();
-        }
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        (errors.iter().copied().fold(0.0, f64::max), mean)
-    }
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    (errors.iter().copied().fold(0.0, f64::max), mean)
 }
 
 #[test]
@@ -125,14 +75,14 @@ fn one_backend_serves_three_frontends() {
 
 #[test]
 fn single_touches_on_the_disc_are_found_in_their_places() {
-    let mut bench = Bench::new("piezo-disc");
+    let mut bench = bench("piezo-disc");
     let places: Vec<[f64; 2]> = (0..12)
         .map(|k| {
             let (angle, radius) = (2.4 * f64::from(k), 13.0 * f64::from(k).sqrt());
             [radius * angle.cos(), radius * angle.sin()]
         })
         .collect();
-    let (largest, mean) = bench.errors(&places, 5e3);
+    let (largest, mean) = errors_mm(&mut bench, &places, 5e3);
     println!("disc: mean {mean:.2} mm, largest {largest:.2} mm");
     // A patch is shorted as a whole, so its pitch of 10 mm shows in the positions.
     assert!(mean < 3.0 && largest < 6.0, "mean {mean:.2} mm, largest {largest:.2} mm");
@@ -141,27 +91,27 @@ fn single_touches_on_the_disc_are_found_in_their_places() {
 /// P3: a light touch, a hard one at the same place, and two at once, on the skin bent around the cylinder.
 #[test]
 fn the_cylinder_tells_light_from_hard_and_one_from_two() {
-    let mut bench = Bench::new("piezo-cylinder");
+    let mut bench = bench("piezo-cylinder");
     let places = [[-37.0, 34.0], [29.0, -21.0]];
-    bench.press(0, places[0], 1e3);
+    press(&mut bench, 0, places[0], 1e3);
     bench.run(SETTLE);
     let light = bench.strongest;
-    let error = bench.nearest_mm(places[0]);
+    let error = bench.error_mm(places[0]);
     assert!(error < 4.0, "light touch {error:.1} mm off");
-    bench.press(0, places[0], 10e3);
+    press(&mut bench, 0, places[0], 10e3);
     bench.run(SETTLE);
     let hard = bench.strongest;
     assert!(hard > 1.5 * light, "hard {hard:.3}, light {light:.3}");
-    bench.press(1, places[1], 10e3);
+    press(&mut bench, 1, places[1], 10e3);
     bench.run(SETTLE);
     assert_eq!(bench.touches.len(), 2, "{:?}", bench.touches);
-    let errors = places.map(|place| bench.nearest_mm(place));
+    let errors = places.map(|place| bench.error_mm(place));
     println!("cylinder: light {light:.3}, hard {hard:.3}, two touches {errors:.2?} mm off");
     assert!(errors.iter().all(|error| *error < 5.0), "{errors:?} mm");
-    bench.release();
+    bench.release(SETTLE);
     let places: Vec<[f64; 2]> =
         (0..9).map(|k| [-52.0 + 50.0 * f64::from(k % 3), -47.0 + 51.0 * f64::from(k / 3)]).collect();
-    let (largest, mean) = bench.errors(&places, 5e3);
+    let (largest, mean) = errors_mm(&mut bench, &places, 5e3);
     println!("cylinder: mean {mean:.2} mm, largest {largest:.2} mm");
     assert!(mean < 2.5 && largest < 5.0, "mean {mean:.2} mm, largest {largest:.2} mm");
 }

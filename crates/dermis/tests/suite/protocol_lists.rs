@@ -94,7 +94,7 @@ fn rows_of(channel: &ListedChannel, electrodes: usize, current_a: f64) -> (Vec<f
 }
 
 #[test]
-fn the_model_of_a_list_is_that_of_explicit_matrices() {
+fn the_model_of_a_list_equals_that_of_explicit_matrices() {
     let mut dice = Dice(36);
     for round in 0..12 {
         let skin = random_skin(&mut dice);
@@ -195,7 +195,7 @@ fn a_twin_of_listed_channels_is_read_through_the_pipeline() {
 }
 
 #[test]
-fn an_instrument_on_the_wire_is_told_the_list() {
+fn an_instrument_on_the_wire_gets_the_list() {
     let skin = mixed_disc();
     let list = measured_list(&skin.protocol().unwrap()).unwrap();
     let ListedChannel::Pairs([sink, source, plus, minus]) = skin.backend.channels.as_ref().unwrap().channels()[0]
@@ -209,7 +209,7 @@ fn an_instrument_on_the_wire_is_told_the_list() {
 }
 
 #[test]
-fn a_list_s_own_order_is_found_again_turned_reversed_and_begun_elsewhere() {
+fn a_lists_order_is_found_when_rotated_reversed_or_shifted() {
     let skin = mixed_disc();
     let rest = Prepared::new(skin.clone()).unwrap().voltages;
     let found = find_order(&table(std::slice::from_ref(&rest)), Some(&skin)).unwrap();
@@ -243,7 +243,7 @@ fn layouts(rest: &[f64]) -> Vec<(&'static str, Vec<f64>)> {
 }
 
 #[test]
-fn layouts_that_no_pattern_says_are_proposed_as_lists() {
+fn layouts_without_a_pattern_are_proposed_as_lists() {
     let mut skin = Skin::open("healing-square").unwrap();
     skin.frontend.electrodes = Electrodes::Rim { count: 16, width_mm: 4.0, start_deg: Some(7.0), clockwise: false };
     skin = skin.with_patterns(dermis_skin::DrivePattern::Adjacent, dermis_skin::MeasurePattern::Adjacent);
@@ -267,7 +267,7 @@ fn layouts_that_no_pattern_says_are_proposed_as_lists() {
 }
 
 #[test]
-fn shuffled_readings_fit_nothing() {
+fn shuffled_readings_fit_no_order() {
     let skin = Skin::open("healing-square").unwrap();
     let rest = Prepared::new(skin.clone()).unwrap().voltages;
     let mut dice = Dice(5);
@@ -295,7 +295,7 @@ fn pairs_that_read_themselves_are_found_without_being_told() {
 }
 
 #[test]
-fn lists_that_make_no_sense_are_refused_by_channel() {
+fn invalid_lists_are_refused_by_channel() {
     let text = Skin::open("healing-square").unwrap().to_toml();
     let with = |channels: &str| {
         let text = text.replacen("[backend]\n", &format!("[backend]\nchannels = {channels}\n"), 1);

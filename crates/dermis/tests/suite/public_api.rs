@@ -170,7 +170,7 @@ fn members(names: &BTreeSet<String>) -> Vec<String> {
 }
 
 #[test]
-fn the_names_are_those_on_file() {
+fn the_exported_names_match_the_list() {
     let (names, _) = exported();
     let last = |name: &String| name.rsplit("::").next().unwrap_or_default().to_owned();
     let members = members(&names.iter().map(last).collect());

@@ -70,7 +70,7 @@ fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 #[test]
-fn presses_on_skins_drawn_at_random_are_found_counted_and_as_sure_as_they_say() {
+fn presses_on_random_skins_are_found_counted_and_within_their_sigmas() {
     let (mut shares, mut inside, mut missed, mut split, mut singles) = (Vec::new(), [0, 0], 0, 0, 0);
     let (mut right, mut pairs) = (0, 0);
     let mut told = String::new();

@@ -102,7 +102,7 @@ fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
 }
 
 #[test]
-fn everything_comes_back_bit_for_bit() {
+fn everything_is_read_back_bit_for_bit() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
     record(&path, 250);
@@ -146,7 +146,7 @@ fn everything_comes_back_bit_for_bit() {
 }
 
 #[test]
-fn nothing_stands_under_the_final_name_before_the_end_and_nothing_is_overwritten() {
+fn the_final_name_appears_at_the_end_and_nothing_is_overwritten() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("press.mcap");
     let partial = directory.path().join("press.partial.mcap");
@@ -236,7 +236,7 @@ fn foreign_files_are_named() {
 }
 
 #[test]
-fn what_is_readable_of_a_broken_recording_becomes_a_whole_one() {
+fn the_readable_part_of_a_broken_recording_becomes_a_complete_one() {
     let directory = tempfile::tempdir().unwrap();
     let [from, to] = ["broken.mcap", "whole.mcap"].map(|name| directory.path().join(name));
     let mut bytes = recorded(450);
@@ -297,7 +297,7 @@ fn a_replay_hands_out_the_recorded_readings_and_counts_gaps() {
 }
 
 #[test]
-fn a_repeated_replay_goes_on_counting() {
+fn a_repeated_replay_continues_its_numbering() {
     let bytes = recorded(12);
     let mut replay = Replay::new(open(&bytes), Pacing::Immediate, Repeat::Forever).unwrap();
     let numbers: Vec<u64> = drain(&mut replay, 26).iter().map(|frame| frame.sequence).collect();

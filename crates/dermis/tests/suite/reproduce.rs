@@ -15,7 +15,7 @@ fn value(report: &Report, quantity: &str) -> f64 {
 }
 
 #[test]
-fn two_to_six_touches_of_the_liquid_skin_are_told_apart() {
+fn two_to_six_touches_of_the_liquid_skin_are_resolved() {
     let report = replay("I1");
     for count in 2..=6 {
         assert_eq!(value(&report, &format!("touches found of {count}")), f64::from(count));
@@ -78,7 +78,7 @@ fn every_element_of_the_em_skins_is_located() {
 }
 
 #[test]
-fn neighbours_threes_and_fours_of_the_em_skins_are_told_apart() {
+fn twos_threes_and_fours_on_the_em_skins_are_resolved() {
     let report = replay("E2");
     assert_eq!(value(&report, "8 coils, heights: pairs resolved of 20"), 20.0, "{:?}", report.rows);
     for name in ["circular", "square"] {

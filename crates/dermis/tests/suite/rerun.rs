@@ -158,7 +158,7 @@ fn faults_and_recoveries_are_events_of_the_recording_and_found_again_in_the_same
 }
 
 #[test]
-fn another_lambda_gives_other_images_of_the_same_frames() {
+fn another_lambda_changes_the_images_of_the_same_frames() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
     let first = live(&path, 80, 0, &[50, 51, 65]);
@@ -172,7 +172,7 @@ fn another_lambda_gives_other_images_of_the_same_frames() {
 }
 
 #[test]
-fn a_recording_begun_in_the_middle_goes_on_from_the_baseline_in_use() {
+fn a_recording_started_mid_run_continues_from_the_current_baseline() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
     // Before the demonstration presses, so that the recording doesn't start under a touch it knows nothing about.

@@ -122,14 +122,14 @@ fn frames_are_the_twins_and_a_restart_is_survived() {
     // The numbering continues across the gap, whose length follows from clock and rate after a restart.
     let periods = (next.host_monotonic_ns - last.host_monotonic_ns) as f64 * 1e-9 * rate;
     assert_eq!(next.sequence - last.sequence - 1, (periods.round() as u64).saturating_sub(1));
-    assert_eq!(next.device_time_ns, Some(0), "the twin began anew");
+    assert_eq!(next.device_time_ns, Some(0), "the twin restarted");
     let all: Vec<u64> = first.iter().chain(&again).map(|frame| frame.sequence).collect();
     let gaps: u64 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
     assert_eq!(source.counters().lost, gaps);
 }
 
 #[test]
-fn several_hosts_have_the_same_frames_whoever_else_says_nothing_or_goes() {
+fn several_hosts_get_the_same_frames_despite_silent_or_leaving_ones() {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("an address");
     let instrument = Instrument::start(listener);

@@ -45,7 +45,7 @@ fn a_session_of_the_twin_is_repeatable_and_numbers_its_frames() {
 }
 
 #[test]
-fn a_file_of_presses_has_touches_with_a_baseline_and_none_are_learned_away() {
+fn a_file_of_presses_with_a_baseline_keeps_its_touches() {
     let folder = tempfile::tempdir().unwrap();
     let [rest, press] = files(folder.path());
     let options = SessionOptions { baseline: Some(rest.parse().unwrap()), ..SessionOptions::default() };
@@ -70,7 +70,7 @@ fn a_served_twin_is_read_over_its_socket() {
 }
 
 #[test]
-fn what_is_no_source_of_this_skin_says_so() {
+fn invalid_sources_for_this_skin_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let [rest, _] = files(folder.path());
     let refused = |source: &str, skin: Skin| Session::open(source, skin).unwrap_err().to_string();
@@ -121,7 +121,7 @@ fn a_silent_instrument_is_an_error_and_not_a_hang() {
 }
 
 #[test]
-fn a_press_that_the_skin_cannot_carry_says_why_and_changes_nothing() {
+fn a_press_that_the_skin_cannot_carry_is_refused_with_the_reason() {
     let session = Session::open("twin", skin()).unwrap();
     let refused = |place, radius_m, pressure_pa| session.press(place, radius_m, pressure_pa).unwrap_err().to_string();
     assert!(refused([0.0, 1.0], 0.008, 80e3).contains("y of the indenter"));

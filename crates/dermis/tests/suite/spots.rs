@@ -109,11 +109,11 @@ fn the_liquid_disc_places_presses_four_times_as_well_as_its_image() {
 #[test]
 fn the_sandwich_places_presses_four_times_as_well_as_its_image() {
     // Measured: from 0.77 to 0.17 mm on average, from 1.4 to 1.1 mm at most.
-    check("healing-square", 0.01, &[8.0, 25.0], 0.4);
+    check("healing-square", 0.01, &[8.0, 25.0], 0.25);
 }
 
 #[test]
-fn a_press_under_a_membrane_has_its_force_whatever_its_radius() {
+fn the_force_of_a_press_under_a_membrane_does_not_depend_on_its_radius() {
     // A narrow press makes a deeper dent for its force, and the response to large dents is nonlinear. Measured: 2.5 to
     // 5 % too low, since 5 % of a load acts late.
     let mut rig = Rig::new("ionic-disc").unwrap();
@@ -122,7 +122,7 @@ fn a_press_under_a_membrane_has_its_force_whatever_its_radius() {
         let image = rig.image(&frame).unwrap();
         let found_n = rig.touches(&image).unwrap()[0].force.and_then(|force| force.nearest_n()).unwrap();
         println!("{force_n} N on {radius_m} m: {found_n:.3} N");
-        assert!((found_n / force_n - 1.0).abs() < 0.1, "{force_n} N on {radius_m} m: {found_n} N");
+        assert!((found_n / force_n - 1.0).abs() < 0.07, "{force_n} N on {radius_m} m: {found_n} N");
         rig.frames(&[], 30).unwrap();
     }
 }
@@ -134,7 +134,7 @@ fn patches_are_placed_no_worse() {
 }
 
 #[test]
-fn odd_frames_hold_no_press() {
+fn frame_faults_contain_no_press() {
     let prepared = Prepared::new(Skin::open("piezo-square").unwrap()).unwrap();
     let reference = Reference::from_baseline(&prepared, &prepared.voltages, None).unwrap();
     let mut imager = Imager::new(&prepared, &reference, &[]).unwrap();

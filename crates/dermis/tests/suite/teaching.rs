@@ -22,7 +22,7 @@ fn a_skin_made_in_code_finds_its_presses() {
 }
 
 #[test]
-fn an_instrument_of_one_s_own_is_read() {
+fn a_custom_instrument_is_read() {
     own_instrument::main().unwrap();
 }
 

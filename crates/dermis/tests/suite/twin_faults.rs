@@ -95,7 +95,7 @@ fn dropped_and_repeated_frames_are_counted_exactly() {
 }
 
 #[test]
-fn an_open_electrode_comes_and_goes_in_its_time() {
+fn an_open_electrode_fails_and_recovers_on_schedule() {
     // At 25 frames/s: frames 35 and 36 only, before the first touch.
     let skin = broken("{ open_electrodes = [5], from_s = 1.39, until_s = 1.45 }");
     let sound = broken("");
@@ -120,7 +120,7 @@ fn an_open_electrode_comes_and_goes_in_its_time() {
 }
 
 #[test]
-fn complex_and_rectified_readings_come_to_the_same_channels() {
+fn complex_and_rectified_readings_give_the_same_channels() {
     let skin = |reads: &str, phase_deg: f64| {
         let text =
             builtin_text("healing-square").unwrap().replace("[backend]", &format!("[backend]\nreads = \"{reads}\""));

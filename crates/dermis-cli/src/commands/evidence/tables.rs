@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_that_are_all_alike_are_listed_once_and_missing_files_are_named() {
+    fn identical_cells_are_listed_once_and_missing_files_named() {
         let text = evidence().markdown();
         assert!(text.contains("1 of 2 sets in 2.5 min; missing: ktc; incomplete: hydrogel"), "{text}");
         let row = "| place \\| of presses | median 1.50 mm (1.00 to 2.00) |";

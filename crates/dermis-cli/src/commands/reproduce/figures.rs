@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn captions_say_what_bars_squares_and_crosses_are() {
+    fn captions_explain_bars_squares_and_crosses() {
         let curve = |look| dermis_lab::experiments::Curve { name: "a".into(), points: vec![[0.0, 1.0]], look };
         let (title, text) = (String::new(), "Something.".to_string());
         let curves = vec![curve(Look::Repeats), curve(Look::PaperLine)];

@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_needs_nothing_from_elsewhere_and_fits_small_screens_and_paper() {
+    fn the_page_is_self_contained_and_fits_small_screens_and_paper() {
         let page = page(&[report("H2")]);
         for outside in ["src=\"", "url(http", "<link", "<script", "@import"] {
             assert!(!page.contains(outside), "{outside}");

@@ -134,7 +134,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn numbers_are_those_of_the_standard_library(value in any::<f64>().prop_filter("finite", |v| v.is_finite()), places in 0_usize..20) {
+        fn numbers_agree_with_the_standard_library(value in any::<f64>().prop_filter("finite", |v| v.is_finite()), places in 0_usize..20) {
             for text in [format!("{value}"), format!("{value:e}"), format!("{value:.places$e}"), format!("{:.places$}", value % 1e6)] {
                 let expected: f64 = text.parse().unwrap();
                 prop_assert_eq!(leading_number(text.as_bytes(), b'.'), Some((expected, text.len())), "{}", &text);
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_ends_where_it_ends() {
+    fn leading_numbers_end_at_the_right_character() {
         for (text, mark, expected) in [
             ("1,2", b'.', Some((1.0, 1))),
             ("1,2", b',', Some((1.2, 3))),

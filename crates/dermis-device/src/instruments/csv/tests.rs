@@ -86,7 +86,7 @@ fn cells_that_are_no_finite_number_give_line_and_column() {
 }
 
 #[test]
-fn nothing_and_foreign_content_are_told_apart() {
+fn empty_and_foreign_content_are_distinguished() {
     assert!(message("").contains("found none"));
     assert!(message("# only\n\n").contains("found none"));
     assert!(message("a,b\n").contains("found none"));
@@ -114,7 +114,7 @@ fn exported_frames_are_read_back_with_numbers_and_times() {
 }
 
 #[test]
-fn complex_readings_stand_in_one_cell_as_numpy_and_matlab_write_them() {
+fn complex_readings_in_one_cell_are_read_as_numpy_and_matlab_write_them() {
     let decoded = |text: &str| decode(text.as_bytes(), Path::new("made.csv"));
     // numpy.savetxt with and without a delimiter, MATLAB's writematrix, and a plain number among complex ones.
     for text in [
@@ -173,7 +173,7 @@ fn a_header_of_numbers_is_no_frame() {
 }
 
 #[test]
-fn decimal_commas_between_commas_are_refused_with_what_to_do() {
+fn decimal_commas_between_commas_are_refused_with_advice() {
     for text in ["0,0626722,0,027776\n0,0626,0,02777\n", "62,672203,27,775993\n62,672100,7,775990\n"] {
         let message = read_for(text, &[]).unwrap_err();
         assert!(message.contains("decimal commas") && message.contains("separator other than"), "{message}");

@@ -103,7 +103,7 @@ fn unusable_headers_name_the_entry() {
 }
 
 #[test]
-fn what_is_written_reads_back_the_same() {
+fn written_data_are_read_back_unchanged() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.npy");
     for shape in [vec![], vec![6], vec![2, 3], vec![1, 2, 3], vec![0, 4]] {
@@ -128,7 +128,7 @@ fn shaped(shape: &str, count: usize, channels: &[usize]) -> Result<FrameTable, S
 }
 
 #[test]
-fn shapes_are_frames_as_the_skin_says() {
+fn shapes_are_interpreted_according_to_the_skin() {
     for (shape, count, channels, frames) in [
         ("(3, 4, 2)", 24, vec![8], 3),
         ("(3, 2, 4)", 24, vec![8, 16], 3),

@@ -377,7 +377,7 @@ mod tests {
     type Taken = (std::sync::mpsc::Receiver<Frame>, std::sync::mpsc::SyncSender<Frame>);
 
     #[test]
-    fn it_is_told_the_setup_started_and_stopped() {
+    fn the_instrument_is_set_up_started_and_stopped() {
         let (mut host, instrument, ..) = started(|_| None).unwrap();
         assert!(host.is_measuring() && host.layout().is_some_and(|layout| layout.channels() == 32 * 32));
         let told = &instrument.told;
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_put_together_from_all_groups_whatever_the_pieces() {
+    fn frames_are_assembled_from_all_groups_for_any_chunking() {
         let (mut host, _, mut inbox, (frames, _spare)) = started(|_| None).unwrap();
         let mut stream = Vec::new();
         for frame in 0..3 {
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_message_costs_its_frame_and_no_other() {
+    fn a_damaged_message_loses_only_its_frame() {
         let (mut host, _, mut inbox, (frames, _spare)) = started(|_| None).unwrap();
         let whole = |frame| -> Vec<Vec<u8>> {
             (0..32).flat_map(|injection| (0..2).map(move |group| data(frame, injection, group))).collect()
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_and_silence_say_what_was_asked() {
+    fn errors_of_refusals_and_silence_name_the_request() {
         assert!(started(|command| (command[2] == 8).then_some(NOT_KNOWN)).is_ok(), "older instruments");
         let Err(reason) = started(|command| (command[2] == 5 && command[0] == SET).then_some(NOT_EXECUTED)) else {
             panic!("refused");

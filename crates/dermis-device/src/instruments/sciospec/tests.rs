@@ -167,7 +167,7 @@ fn swept(head: &str) -> String {
 }
 
 #[test]
-fn of_a_sweep_one_frequency_is_read_or_the_difference_of_two() {
+fn a_sweep_is_read_at_one_frequency_or_as_a_difference_of_two() {
     let head = "12\n2\nmade\n2024.02.29. 23:59:01.250\n1000\n100000\n1\n3\n0.001\n10\n0\nMeasurementChannels: 1,2,3\n";
     let text = swept(head);
     let read = |frequencies_hz| {

@@ -14,7 +14,7 @@ pub(super) struct Count {
     /// The host's next number.
     next: u64,
     /// Set after a reset, or a possible one, of the device's count.
-    anew: Option<Anew>,
+    reset: Option<Reset>,
     /// Number of consecutive frames with old numbers.
     repeats: u32,
     /// Arrival of the last frame on the monotonic clock, in nanoseconds.
@@ -22,7 +22,7 @@ pub(super) struct Count {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Anew {
+enum Reset {
     /// The boot number changed.
     Certain,
     /// The device has no boot number. Assume a reset only if its sequence numbers go back.
@@ -31,30 +31,30 @@ enum Anew {
 
 impl Count {
     /// Records that the device was reset.
-    pub(super) fn is_anew(&mut self) {
-        self.anew = Some(Anew::Certain);
+    pub(super) fn was_reset(&mut self) {
+        self.reset = Some(Reset::Certain);
     }
 
     /// Records that the device may have been reset.
-    pub(super) fn may_be_anew(&mut self) {
-        self.anew = Some(Anew::IfBack);
+    pub(super) fn may_be_reset(&mut self) {
+        self.reset = Some(Reset::IfBack);
     }
 
     /// The host's number for a frame, or `None` for a duplicate or late frame. Counts the frames lost before it.
     pub(super) fn number(&mut self, sequence: u32, frames_per_s: f32, at: HostStamp, inbox: &Inbox) -> Option<u64> {
         let ahead = sequence.wrapping_sub(self.expected.unwrap_or(sequence));
         let back = ahead >= 1 << 31;
-        let anew = match self.anew.take() {
-            Some(Anew::Certain) => true,
-            Some(Anew::IfBack) => back,
+        let reset = match self.reset.take() {
+            Some(Reset::Certain) => true,
+            Some(Reset::IfBack) => back,
             None => back && self.repeats >= STUBBORN,
         };
-        if back && !anew {
+        if back && !reset {
             self.repeats += 1;
             inbox.bad(1);
             return None;
         }
-        let missed = if anew {
+        let missed = if reset {
             // After a reset the sequence numbers don't tell how many frames are missing. Estimate that from the frame
             // rate and the time since the last frame, and don't count this frame.
             let elapsed_s = at.monotonic_ns.saturating_sub(self.last_ns) as f64 * 1e-9;

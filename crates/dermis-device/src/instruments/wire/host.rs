@@ -308,16 +308,16 @@ impl WireHost {
         if settled { self.settle(false) } else { Ok(()) }
     }
 
-    /// Checks the device after setup. It must have as many channels as earlier frames. `anew`: this connection has
-    /// just set it up, so its frame numbers may have restarted.
-    fn settle(&mut self, anew: bool) -> Result<(), String> {
+    /// Checks the device after setup. It must have as many channels as earlier frames. If this connection has just set
+    /// it up, its frame numbers may have restarted.
+    fn settle(&mut self, just_set_up: bool) -> Result<(), String> {
         let Some(known) = &self.known else { return Ok(()) };
         match self.streamed {
             Some((_, channels)) if channels != known.channels && self.start => {
                 return Err(format!("expected {channels} channels, found {} ({})", known.channels, known.identity()));
             }
-            Some((boot, _)) if boot != known.boot => self.count.is_anew(),
-            Some((0, _)) if anew => self.count.may_be_anew(),
+            Some((boot, _)) if boot != known.boot => self.count.was_reset(),
+            Some((0, _)) if just_set_up => self.count.may_be_reset(),
             _ => {}
         }
         self.streamed = Some((known.boot, known.channels));

@@ -37,7 +37,7 @@ impl Line {
     pub(super) fn new() -> Result<Self, Error> {
         let skin = Skin::open(SKIN)?;
         let twin = TwinKit::of(&skin)?.twin;
-        let frame_s = 1.0 / skin.backend.frames_per_s.unwrap_or(25.0);
+        let frame_s = 1.0 / skin.backend.frame_rate_hz();
         let prepared = Prepared::new(skin)?;
         let layout = Layout::Channels { count: prepared.channels() };
         let pipeline = Pipeline::new(prepared, &layout, None)?;

@@ -91,12 +91,12 @@ fn single() -> Result<Report, Error> {
         let other = DIAMETERS_MM[0] + DIAMETERS_MM[1] - diameter;
         (found - diameter).abs() < (found - other).abs()
     };
-    let told = diameters.iter().filter(nearer).count() as f64;
+    let identified = diameters.iter().filter(nearer).count() as f64;
     rows.push(row(
         "cases (of six) in which the indenter is identified by its size",
         "",
         Some(5.0),
-        told,
+        identified,
         Kind::Algorithm,
     ));
     let title = format!("H1: single touches at {} kPa", PRESSURE_PA * 1e-3);
@@ -152,8 +152,8 @@ fn positions() -> Result<Report, Error> {
     let mut curves = vec![curve("truth", &truth)];
     curves.extend(Step::ALL.iter().zip(&points).map(|(step, points)| curve(step.name(), points)));
     let title = "H2: nine places of the first quadrant".into();
-    let caption = "Where a disc of 20 mm pressed the self-healing sandwich's twin, at nine places 12.5 mm apart, and \
-                   where it was found by the linear image (first step) and the U-Net, each by the centroid above half \
+    let caption = "Nine places, 12.5 mm apart, at which a 20 mm disc pressed the self-healing sandwich's twin, and \
+                   the places found by the linear image (first step) and the U-Net, each by the centroid above half \
                    of its peak, and by the contact fitted to the forward model. Single frames."
         .into();
     let (x_label, y_label) = ("x (mm)", "y (mm)");
@@ -206,6 +206,6 @@ fn several() -> Result<Report, Error> {
     let title = "H3: two and three touches".into();
     let caption = format!("Two and three touches of 20 mm on the self-healing sandwich's twin. {STEPS}");
     let figures = vec![Figure::Images { name: "several", title, caption, columns: bench.rig.columns(), panels }];
-    let notes = vec!["The paper's text does not say where its several touches lie; these are spread similarly.".into()];
+    let notes = vec!["The paper does not give the places of its several touches; these are spread similarly.".into()];
     Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }

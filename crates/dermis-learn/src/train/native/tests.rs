@@ -128,7 +128,7 @@ fn samples(shape: &UNetShape, count: usize, rows: usize, columns: usize) -> (Vec
 }
 
 #[test]
-fn slopes_are_those_of_finite_differences() {
+fn slopes_agree_with_finite_differences() {
     // Widths that fill a block of output channels and widths that do not; non-square images; one level.
     for (width, levels, rows, columns) in [(3, 3, 8, 12), (5, 2, 6, 4), (2, 1, 5, 7)] {
         let shape = UNetShape { inputs: 2, classes: 3, width, levels };

@@ -119,7 +119,7 @@ fn the_ellipse_has_the_axes_of_the_covariance() {
 }
 
 #[test]
-fn forces_outside_their_range_and_other_places_say_so() {
+fn forces_outside_the_calibrated_range_or_area_are_marked() {
     let mut scene = scene(None);
     let mut pressed = touch(1, TouchPhase::Begin, 3.0, -4.0);
     for (force, text) in [

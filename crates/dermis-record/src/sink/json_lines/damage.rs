@@ -73,7 +73,7 @@ mod tests {
     use serde_json::{Value, json};
 
     #[test]
-    fn damage_is_told_in_millimetres_and_degrees() {
+    fn damage_is_reported_in_millimetres_and_degrees() {
         let shape = DamageShape {
             centre_m: [0.0125, -0.025],
             length_m: 0.0,

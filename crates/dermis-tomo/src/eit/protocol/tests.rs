@@ -61,7 +61,7 @@ fn rotating_order_starts_after_the_drive() {
 }
 
 #[test]
-fn bad_requests_say_what_was_expected() {
+fn bad_requests_are_refused_with_the_expectation() {
     let odd = ProtocolSpec { electrode_count: 7, ..spec(Drive::Opposite, Measure::Adjacent) };
     let text = Protocol::generate(&odd).unwrap_err().to_string();
     assert_eq!(text, "opposite drive needs at least 4 electrodes and an even number, got 7");

@@ -109,7 +109,7 @@ fn steps_explain_large_contrasts_that_one_does_not() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn impossible_input_is_refused() {
     let tank = Tank::new();
     let (_, weighting, prior) = tank.parts();
     let problem =
@@ -129,7 +129,7 @@ fn what_cannot_be_is_refused() {
 }
 
 #[test]
-fn about_a_guess_the_image_is_nearer_than_the_guess_whatever_the_common_factor() {
+fn an_image_about_a_guess_improves_it_for_any_common_factor() {
     let tank = Tank::new();
     let (_, weighting, prior) = tank.parts();
     let problem =

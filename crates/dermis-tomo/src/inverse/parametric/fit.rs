@@ -1,7 +1,7 @@
 //! The fit of spots to a frame, in reusable memory.
 
 use super::SpotModel;
-use super::large::LargeScratch;
+use super::large_changes::LargeScratch;
 use super::products::products;
 use crate::inverse::InverseError;
 use crate::least_squares::{

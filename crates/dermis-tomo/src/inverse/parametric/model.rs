@@ -6,7 +6,7 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, MatRef, Side};
 
 use super::SpotOptions;
-use super::large::{ChangeResponse, LargeChanges};
+use super::large_changes::{ChangeResponse, LargeChanges};
 use super::responses::Responses;
 use super::table::Table;
 use crate::inverse::InverseError;

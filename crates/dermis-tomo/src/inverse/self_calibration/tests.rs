@@ -201,7 +201,7 @@ fn frames_of_two_touches_weigh_the_channels_once_they_are_known_to_be() {
 }
 
 #[test]
-fn refusals_say_what_was_expected() {
+fn refusals_state_the_expectation() {
     let skin = skin();
     let options = CalibrationOptions::default();
     let fit = |frames: &[Vec<f64>]| SelfCalibration::fit(&skin.templates, &skin.voltages, frames, options).unwrap_err();

@@ -183,7 +183,7 @@ fn a_bent_sheet_casts_its_shadow() {
 }
 
 #[test]
-fn the_nearest_inside_pixel_is_that_of_a_search_through_all() {
+fn the_nearest_inside_pixel_agrees_with_a_full_search() {
     for pixels in [1, 2, 5, 24] {
         let (_, map) = disc_map(pixels);
         for k in 0..400 {

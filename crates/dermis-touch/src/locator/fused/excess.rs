@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_misfit_widens_as_much_as_left_out_errors_grow_with_it() {
+    fn the_widening_by_misfit_follows_left_out_errors() {
         let (with, frames) = trials(1.5);
         let excess = Excess::choose(&with, &frames);
         assert!(excess.misfit_power >= 1.0 && excess.distance_power == 0.0, "{excess:?}");

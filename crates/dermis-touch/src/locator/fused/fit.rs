@@ -2,7 +2,7 @@
 
 use super::excess::{Excess, Unlike};
 use super::features::{Features, fill_from_neighbours, in_frame};
-use super::form::{Form, GRID, MOST_TURNED, TELLING, choose_form, forward_examples, projection};
+use super::form_choice::{Form, GRID, MOST_TURNED, TELLING, choose_form, forward_examples, projection};
 use super::fusion::{Cells, Fusion, LeftOutView};
 use super::inverse::{Guess, LeftOutPlaces, Memory, Regression};
 use super::live::unit_length;

@@ -12,7 +12,7 @@
 use std::collections::HashMap;
 
 use super::inverse::Guess;
-use crate::locator::copies::squared_distance;
+use crate::locator::pair_correlations::squared_distance;
 use crate::locator::posterior::{ONE_SIGMA, log_student, weighted_quantile};
 use crate::locator::rows::exponentials;
 

@@ -12,8 +12,8 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
 
 use super::landmarks;
-use crate::locator::copies::{Sessions, squared_distance};
 use crate::locator::error::{LocatorError, check_first, check_length};
+use crate::locator::pair_correlations::{Sessions, squared_distance};
 use crate::locator::posterior::quantile;
 use crate::locator::rows::{dot, matern52, matern52_of, products};
 use crate::typical::{evenly, median};

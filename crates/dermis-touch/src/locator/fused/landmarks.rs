@@ -186,7 +186,7 @@ mod tests {
 
     /// Repeated examples give a kernel without full rank.
     #[test]
-    fn landmarks_alike_are_borne() {
+    fn identical_landmarks_are_tolerated() {
         let (mut rows, targets) = made_up(60);
         let first = rows[0].clone();
         rows[1..30].iter_mut().for_each(|row| row.clone_from(&first));

@@ -4,10 +4,10 @@ use super::excess::Unlike;
 use super::features::Features;
 use super::inverse::{Guess, Memory};
 use super::model::FusedLocator;
-use crate::locator::copies::squared_distance;
 use crate::locator::data::{LoadEstimate, Located};
 use crate::locator::error::{LocatorError, check_length};
 use crate::locator::live::LocatorScratch;
+use crate::locator::pair_correlations::squared_distance;
 use crate::locator::posterior::Spread;
 
 /// Number of nearest pokes that stand in for a missing channel.

@@ -19,7 +19,7 @@ mod drift;
 mod excess;
 mod features;
 mod fit;
-mod form;
+mod form_choice;
 mod fusion;
 mod inverse;
 mod landmarks;

@@ -2,10 +2,10 @@
 //! ([`Sessions`]): r = 1 pools the examples, r = 0 ignores the earlier ones. The r that makes all frames most probable
 //! is used. Choices by left-out examples count the new ones fully and the earlier ones with a small weight.
 
-use crate::locator::copies::Sessions;
 use crate::locator::data::{Examples, Hyperparameters, MIN_EXAMPLES};
 use crate::locator::design::{Design, Prior};
 use crate::locator::error::LocatorError;
+use crate::locator::pair_correlations::Sessions;
 use crate::locator::turn::log_density;
 use crate::typical::evenly;
 

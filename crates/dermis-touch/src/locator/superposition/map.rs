@@ -3,8 +3,8 @@
 use faer::linalg::solvers::{DenseSolveCore, Solve};
 use faer::{Mat, MatRef, Side};
 
-use crate::locator::copies::{matern52, squared_distance};
 use crate::locator::error::{LocatorError, check_length, check_positions};
+use crate::locator::pair_correlations::{matern52, squared_distance};
 use crate::locator::posterior::extent;
 use crate::locator::rows::dot;
 use crate::typical::{evenly, median};

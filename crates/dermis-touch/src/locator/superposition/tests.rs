@@ -1,5 +1,5 @@
 use super::*;
-use crate::locator::copies::squared_distance;
+use crate::locator::pair_correlations::squared_distance;
 
 const CHANNELS: usize = 40;
 const SIDE_M: f64 = 0.1;
@@ -60,7 +60,7 @@ fn one_touch_is_one_and_two_or_three_apart_are_counted_and_placed() {
 }
 
 #[test]
-fn a_frame_without_the_other_touch_is_that_of_one_touch() {
+fn removing_the_other_touch_leaves_the_frame_of_one() {
     let (map, mut scratch) = (learned(), SuperpositionScratch::default());
     let both = frame(&[([0.02, 0.03], 1.0), ([0.08, 0.07], 1.0)], 77_777);
     let parts = map.explain(&both, &mut scratch).unwrap().to_vec();
@@ -75,7 +75,7 @@ fn a_frame_without_the_other_touch_is_that_of_one_touch() {
 }
 
 #[test]
-fn labelled_pairs_teach_beside_single_touches() {
+fn labelled_pairs_and_single_touches_train_together() {
     let touches: Vec<Vec<[f64; 2]>> =
         (0..300).map(|i| (0..1 + i % 2).map(|touch| place(2 * i + touch)).collect()).collect();
     let pressed = |touches: &Vec<[f64; 2]>| touches.iter().map(|place_m| (*place_m, 1.0)).collect::<Vec<_>>();

@@ -51,7 +51,7 @@ fn a_disc_pressed_in_the_middle_is_the_closed_form() {
 }
 
 #[test]
-fn liquid_is_conserved_whatever_presses() {
+fn liquid_is_conserved_under_any_press() {
     let gravity = MembraneSpec { density_kg_per_m3: 1000.0, gravity_m_per_s2: [3.0, -4.0, -8.0], ..weightless(60.0) };
     let mut membrane = Membrane::new(&disc(5e-3), gravity).unwrap();
     let ring = Shape::Ring { inner_m: 0.03, outer_m: 0.033 };
@@ -70,7 +70,7 @@ fn liquid_is_conserved_whatever_presses() {
 }
 
 #[test]
-fn standing_it_bulges_below_as_the_closed_form_says() {
+fn a_standing_skin_bulges_as_in_the_closed_form() {
     let (tension, density, g) = (60.0, 1000.0, 9.81);
     let standing = MembraneSpec { density_kg_per_m3: density, gravity_m_per_s2: [0.0, -g, 0.0], ..weightless(tension) };
     let membrane = Membrane::new(&disc(4e-3), standing).unwrap();
@@ -85,7 +85,7 @@ fn standing_it_bulges_below_as_the_closed_form_says() {
 }
 
 #[test]
-fn weight_of_the_liquid_stiffens_a_skin_that_lies_and_slack_ones_burst_when_hung() {
+fn the_liquids_weight_stiffens_a_skin_face_up_and_bursts_a_slack_one_face_down() {
     let lying = MembraneSpec { density_kg_per_m3: 1000.0, gravity_m_per_s2: [0.0, 0.0, -9.81], ..weightless(30.0) };
     let deepest = |spec| {
         let mut membrane = Membrane::new(&disc(4e-3), spec).unwrap();
@@ -116,7 +116,7 @@ fn loads_carry_their_force_and_superpose() {
 }
 
 #[test]
-fn nonsense_is_refused_by_name() {
+fn bad_input_is_refused_by_name() {
     let error = check_membrane(&weightless(-1.0)).unwrap_err().to_string();
     assert_eq!(error, "tension_n_per_m: -1 refused; expected zero (an open tank) or more, finite");
     let gravity = MembraneSpec { gravity_m_per_s2: [f64::NAN, 0.0, 0.0], ..weightless(1.0) };
@@ -124,7 +124,7 @@ fn nonsense_is_refused_by_name() {
 }
 
 #[test]
-fn an_open_tank_gives_way_by_the_pressure_and_keeps_its_liquid() {
+fn an_open_tank_yields_to_pressure_and_conserves_its_liquid() {
     let open = MembraneSpec { density_kg_per_m3: 1000.0, gravity_m_per_s2: [0.0, 0.0, -9.81], ..weightless(0.0) };
     let mut tank = Membrane::new(&disc(4e-3), open).unwrap();
     let (radius_m, pressure_pa) = (0.03, 20.0);

@@ -15,7 +15,7 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_page::feed::PageFeed;
 use dermis_page::message::Notice;
-use dermis_page::protocol::{Encoded, Said, parse};
+use dermis_page::protocol::{Encoded, PageMessage, parse};
 use dermis_page::{Announcer, Command, Scene, SourceState};
 use dermis_record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
 use dermis_skin::Skin;
@@ -181,8 +181,8 @@ impl<'a> System<'a> {
     fn hear(&mut self, text: &str) {
         FIGURES.messages.fetch_add(1, Ordering::Relaxed);
         let command = match parse::<Command>(text) {
-            Ok(Said::Ask(_, command)) => command,
-            Ok(Said::Acknowledge(_)) => return,
+            Ok(PageMessage::Ask(_, command)) => command,
+            Ok(PageMessage::Acknowledge(_)) => return,
             Err((_, reason)) => return assert!(!reason.is_empty(), "{text:?} was refused without a reason"),
         };
         if let Err(reason) = command.check(&self.scene) {

@@ -64,7 +64,7 @@ fn spots_without_noise_are_recovered_together() {
 }
 
 #[test]
-fn spots_that_are_large_are_recovered_where_the_model_knows_of_them() {
+fn large_spots_are_recovered_if_the_model_includes_them() {
     let (linear, jacobian, positions) = model(1e-5);
     // Every pixel responds like a disc in the plane. The Jacobian is that of lowered conductivity.
     let lowered = jacobian.clone();
@@ -100,7 +100,7 @@ fn spots_that_are_large_are_recovered_where_the_model_knows_of_them() {
 }
 
 #[test]
-fn errors_of_noisy_fits_are_those_that_covariances_say() {
+fn errors_of_noisy_fits_agree_with_their_covariances() {
     let noise_v = 1e-4;
     let (model, jacobian, positions) = model(noise_v);
     let truth = ([0.007, -0.0135], 0.012, 0.1);
@@ -131,7 +131,7 @@ fn errors_of_noisy_fits_are_those_that_covariances_say() {
 }
 
 #[test]
-fn another_noise_is_that_of_a_model_made_for_it() {
+fn a_model_with_changed_noise_equals_one_built_for_it() {
     let (first, jacobian, positions) = model(1e-4);
     let noise: Vec<f64> = (0..60).map(|c| 1e-4 * (1.0 + 0.8 * (c as f64).sin())).collect();
     let direct =
@@ -154,7 +154,7 @@ fn another_noise_is_that_of_a_model_made_for_it() {
 }
 
 #[test]
-fn derivatives_are_those_of_the_values() {
+fn derivatives_agree_with_differences_of_the_values() {
     let (model, ..) = model(1e-4);
     let length = model.combinations();
     let at = |p: [f64; 2], log_r: f64| {
@@ -181,7 +181,7 @@ fn derivatives_are_those_of_the_values() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn impossible_input_is_refused() {
     let (jacobian, positions) = skin();
     let good = SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 2 };
     let make = |noise: &[f64], options| {

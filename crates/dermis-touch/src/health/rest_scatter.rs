@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn few_frames_say_nothing_and_nearly_all_channels_are_not_left_out() {
+    fn few_frames_prove_no_fault_and_channels_are_not_all_excluded() {
         assert!(RestScatter::of(&frames()[..7]).is_none() && RestScatter::of(&[]).is_none());
         let scatter = RestScatter::of(&frames()).unwrap();
         assert!(scatter.unsound(Some(&[1e-6; 7])).len() <= 5);

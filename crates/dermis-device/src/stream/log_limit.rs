@@ -2,12 +2,12 @@
 
 /// Counts repetitions of a message. Messages that differ only in their digits count as the same.
 #[derive(Debug, Default)]
-pub(super) struct Falling {
+pub(super) struct LogLimit {
     said: String,
     times: u64,
 }
 
-impl Falling {
+impl LogLimit {
     /// Number of occurrences, or `None` if this one shouldn't be logged.
     pub fn count(&mut self, text: &str) -> Option<u64> {
         let words: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
@@ -24,11 +24,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_is_said_ever_more_rarely_and_something_else_at_once() {
-        let mut falling = Falling::default();
-        let told = (0..1000).filter(|k| falling.count(&format!("silent for {k} s")).is_some()).count();
+    fn repeated_messages_become_rarer_and_new_ones_are_logged_at_once() {
+        let mut limit = LogLimit::default();
+        let told = (0..1000).filter(|k| limit.count(&format!("silent for {k} s")).is_some()).count();
         assert_eq!(told, 10);
-        assert_eq!(falling.count("connection refused"), Some(1));
-        assert_eq!(falling.count("silent for 2.0 s"), Some(1));
+        assert_eq!(limit.count("connection refused"), Some(1));
+        assert_eq!(limit.count("silent for 2.0 s"), Some(1));
     }
 }
