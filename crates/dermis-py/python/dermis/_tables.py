@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import pandas
-    import pyarrow
-    import xarray
+    import pandas as _pandas
+    import pyarrow as _pyarrow
+    import xarray as _xarray
     from typing_extensions import disjoint_base
 else:
 
@@ -116,7 +116,7 @@ def session_arrays(session: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(times), np.stack(readings), np.stack(images)
 
 
-def to_pandas(recording: Any) -> pandas.DataFrame:
+def to_pandas(recording: Any) -> _pandas.DataFrame:
     """Frames of a recording as a ``pandas.DataFrame``, with one column per channel and the host's wall clock as
     index."""
     import pandas
@@ -128,7 +128,7 @@ def to_pandas(recording: Any) -> pandas.DataFrame:
     return frame
 
 
-def to_arrow(recording: Any) -> pyarrow.Table:
+def to_arrow(recording: Any) -> _pyarrow.Table:
     """Frames of a recording as a ``pyarrow.Table``: `sequence`, `time_ns` and one column per channel."""
     import pyarrow
 
@@ -140,7 +140,7 @@ def to_arrow(recording: Any) -> pyarrow.Table:
     return pyarrow.table(columns)
 
 
-def to_xarray(recording: Any) -> xarray.DataArray:
+def to_xarray(recording: Any) -> _xarray.DataArray:
     """Frames of a recording as an ``xarray.DataArray`` over `time_s` and `channel`."""
     import xarray
 
