@@ -51,7 +51,7 @@ impl Line {
     fn new(skin: &Skin) -> Outcome<Self> {
         let prepared = Prepared::new(skin.clone())?;
         let layout = Layout::Channels { count: prepared.channels() };
-        let frame_s = 1.0 / skin.backend.frames_per_s.unwrap_or(50.0);
+        let frame_s = 1.0 / skin.backend.frame_rate_hz();
         let (twin, pipeline) = (TwinKit::of(skin)?.twin, Pipeline::new(prepared, &layout, None)?);
         Ok(Self { twin, pipeline, frame: Frame::default(), values: Vec::new(), ticks: 0, frame_s })
     }
@@ -116,7 +116,7 @@ fn false_alarms(name: &str, frames: u64) -> Outcome<(u64, u64)> {
 
 /// Frames from a fault's onset until all of it is identified, and the longest processing time of a frame in between.
 fn onset(name: &str, fault: &str, known: impl Fn(Health<'_>) -> bool) -> Outcome<(Option<u64>, f64)> {
-    let frame_s = 1.0 / Skin::open(name)?.backend.frames_per_s.unwrap_or(50.0);
+    let frame_s = 1.0 / Skin::open(name)?.backend.frame_rate_hz();
     let from = 80;
     let skin = with_faults(name, &format!("{{ {fault}, from_s = {:.4} }}", (from as f64 - 0.5) * frame_s))?;
     let mut line = Line::new(&skin)?;

@@ -120,7 +120,7 @@ impl PlateFit {
     /// Force of a press and its standard deviation, newtons: `ln F = ln p + ln A(R)`, with p and R functions of the
     /// reported load and radius. `None` for a press that has ended.
     fn force_n(&self, press: &Press, pressed: &Pressed) -> Option<[f64; 2]> {
-        let (_, [[a, b], [c, d]]) = self.model.reported_with_slopes(pressed.log_pressure, pressed.log_radius);
+        let (_, [[a, b], [c, d]]) = self.model.reported(pressed.log_pressure, pressed.log_radius);
         let by_radius = self.model.log_force_by_log_radius(pressed);
         let determinant = a * d - b * c;
         let by_load = (d - by_radius * c) / determinant / press.load;
@@ -234,8 +234,7 @@ impl PressFit for PlateFit {
 
     fn presses(&self) -> Vec<Press> {
         let press = |(pressed, covariance): (&Pressed, &[[f64; OF_PRESS]; OF_PRESS])| {
-            let ([log_load, log_radius], by) =
-                self.model.reported_with_slopes(pressed.log_pressure, pressed.log_radius);
+            let ([log_load, log_radius], by) = self.model.reported(pressed.log_pressure, pressed.log_radius);
             let load = if pressed.has_ended { -log_load.exp() } else { log_load.exp() };
             // x and y stay; load and radius follow from pressure and radius of the disc.
             let mut turn = [[0.0; OF_PRESS]; OF_PRESS];
@@ -450,7 +449,7 @@ impl Problem for FitUnderWay<'_> {
         let presses = self.fit.at.presses.iter().zip(step.chunks_exact(OF_PRESS)).map(|(press, step)| {
             let radius_m = press.log_radius.exp();
             let distance_m = step[0].hypot(step[1]);
-            let longest_m = LONGEST * radius_m.max(model.law.spread_m);
+            let longest_m = LONGEST * radius_m.max(model.law().spread_m);
             let share = if distance_m > longest_m { longest_m / distance_m } else { 1.0 };
             let log = |change: f64| change.clamp(-LONGEST_LOG, LONGEST_LOG);
             let next = model.limited(Pressed {

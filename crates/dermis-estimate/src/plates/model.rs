@@ -68,7 +68,6 @@ pub struct PlateOptions {
 pub struct PlateModel {
     /// For comparing explanations, and for the final fit.
     sheets: [PlatedSheet; 2],
-    pub(super) law: PlateLaw,
     conductance: Conductance,
     pub(super) options: PlateOptions,
     grid: PixelGrid,
@@ -93,7 +92,7 @@ impl PlateModel {
         inside: Vec<bool>,
     ) -> Result<Self, EitError> {
         let (conductance, proposals) = (Conductance::new(law), Vec::new());
-        let mut model = Self { sheets, law, conductance, options, grid, inside, proposals, search: None };
+        let mut model = Self { sheets, conductance, options, grid, inside, proposals, search: None };
         let (width_m, height_m) = (grid.pixel_m * grid.columns as f64, grid.pixel_m * grid.rows as f64);
         let count = |length_m: f64| (length_m / options.spacing_m).ceil().max(1.0) as usize;
         let (columns, rows) = (count(width_m), count(height_m));
@@ -130,6 +129,11 @@ impl PlateModel {
             Looked::Best(patches) => Some(patches.iter().map(|patch| patch.position_m).collect()),
             Looked::NotDone | Looked::NoRoom => None,
         }
+    }
+
+    /// The law of contact.
+    pub(super) fn law(&self) -> &PlateLaw {
+        self.conductance.law()
     }
 
     fn sheet(&self, effort: Effort) -> &PlatedSheet {
@@ -182,7 +186,7 @@ impl PlateModel {
 
     /// Groups of presses that lie apart.
     fn groups(&self, presses: &[Pressed], all: &[usize]) -> Vec<Vec<usize>> {
-        let reach_m = |k: usize| presses[k].log_radius.exp() + self.law.spread_m;
+        let reach_m = |k: usize| presses[k].log_radius.exp() + self.law().spread_m;
         let are_near = |a: usize, b: usize| {
             let [x, y] = [0, 1].map(|axis| presses[a].position_m[axis] - presses[b].position_m[axis]);
             x.hypot(y) < reach_m(a) + reach_m(b)
@@ -235,7 +239,7 @@ impl PlateModel {
         let sheet = self.sheet(effort);
         let mut found: Vec<(usize, f64)> = Vec::new();
         for press in presses {
-            let field = Field::new(press, self.law.spread_m);
+            let field = Field::new(press, self.law().spread_m);
             let near = sheet.points_near(press.position_m, field.reach_m());
             found.extend(near.filter_map(|point| Some((point, field.pressure_at(sheet.points()[point].position_m)?))));
         }
@@ -270,7 +274,7 @@ impl PlateModel {
         for Made { effort, presses: of, sign, contact, slopes } in made {
             let sheet = self.sheet(*effort);
             for &k in of {
-                let field = Field::new(&presses[k], self.law.spread_m);
+                let field = Field::new(&presses[k], self.law().spread_m);
                 let moved = |&(point, slope): &(usize, f64)| {
                     let by = field.derivatives_at(sheet.points()[point].position_m)?;
                     Some((point, by.map(|value| sign * slope * value)))
@@ -287,14 +291,10 @@ impl PlateModel {
     }
 
     /// Logarithms of the load and the radius of a press as reported: those of a Gaussian spot of the same conductance
-    /// and second moment. Frames determine the conductance far better than pressure and size of the indenter.
-    pub(super) fn reported(&self, log_pressure: f64, log_radius: f64) -> [f64; 2] {
-        self.reported_with_slopes(log_pressure, log_radius).0
-    }
-
-    /// As [`PlateModel::reported`], with the derivatives: rows are the reported logarithms.
-    pub(super) fn reported_with_slopes(&self, log_pressure: f64, log_radius: f64) -> ([f64; 2], [[f64; 2]; 2]) {
-        let (pressure_pa, disc_m, spread_m) = (log_pressure.exp(), log_radius.exp(), self.law.spread_m);
+    /// and second moment. Frames determine the conductance far better than pressure and size of the indenter. The rows
+    /// of the derivatives by both logarithms of the press are those of the reported ones.
+    pub(super) fn reported(&self, log_pressure: f64, log_radius: f64) -> ([f64; 2], [[f64; 2]; 2]) {
+        let (pressure_pa, disc_m, spread_m) = (log_pressure.exp(), log_radius.exp(), self.law().spread_m);
         let reach_m = disc_m + Field::REACH * spread_m;
         // The conductance and its second moment, each followed by its derivatives by both logarithms.
         let (mut total, mut second) = ([f64::MIN_POSITIVE, 0.0, 0.0], [0.0; 3]);
@@ -320,7 +320,7 @@ impl PlateModel {
         }
         // A spot exp(-d^2 / (2 r^2)) has the second moment 2 r^2 and the integral 2 pi r^2.
         let square = (0.5 * second[0] / total[0]).max(f64::MIN_POSITIVE);
-        let load = total[0] * reach_m / RINGS as f64 / (square * self.law.saturation_s_per_m2);
+        let load = total[0] * reach_m / RINGS as f64 / (square * self.law().saturation_s_per_m2);
         let relative = |sums: [f64; 3], j: usize| if sums[0] > 0.0 { sums[j] / sums[0] } else { 0.0 };
         let of_square = [1, 2].map(|j| relative(second, j) - relative(total, j));
         let of_load = [relative(total, 1) - of_square[0], relative(total, 2) + disc_m / reach_m - of_square[1]];
@@ -330,7 +330,7 @@ impl PlateModel {
     /// Force under a press, newtons: the integral of its pressure, `p pi ((R^2 + s^2) Phi(R/s) + R s phi(R/s))` with
     /// the normal distribution Phi and its density phi.
     pub(super) fn force_n(&self, press: &Pressed) -> f64 {
-        let (radius_m, spread_m) = (press.log_radius.exp(), self.law.spread_m);
+        let (radius_m, spread_m) = (press.log_radius.exp(), self.law().spread_m);
         let [below, density] = normal_exactly(radius_m / spread_m);
         let area_m2 = PI * ((radius_m * radius_m + spread_m * spread_m) * below + radius_m * spread_m * density);
         press.log_pressure.exp() * area_m2
@@ -338,7 +338,7 @@ impl PlateModel {
 
     /// Radius at which the contact under a press is half that in its middle, metres.
     pub(super) fn contact_radius_m(&self, press: &Pressed) -> f64 {
-        let field = Field::new(press, self.law.spread_m);
+        let field = Field::new(press, self.law().spread_m);
         let middle_pa = field.pressure_at(press.position_m).unwrap_or(0.0);
         let half = 0.5 * self.conductance.at(middle_pa)[0];
         let at = |distance_m: f64| field.pressure_at([press.position_m[0] + distance_m, press.position_m[1]]);
@@ -361,7 +361,7 @@ impl PlateModel {
     /// Load and radius (metres) reported of a proposed press.
     pub(super) fn reported_typical(&self) -> [f64; 2] {
         let PlateOptions { typical_pa, typical_radius_m, .. } = self.options;
-        self.reported(typical_pa.ln(), typical_radius_m.ln()).map(f64::exp)
+        self.reported(typical_pa.ln(), typical_radius_m.ln()).0.map(f64::exp)
     }
 
     /// The press in the parameters of the fit, within their limits, by Newton's method on both logarithms.
@@ -370,7 +370,7 @@ impl PlateModel {
         let has_ended = press.load < 0.0;
         let mut at = Pressed { has_ended, ..self.typical(press.position_m) };
         for _ in 0..INVERSE_STEPS {
-            let (reported, [[a, b], [c, d]]) = self.reported_with_slopes(at.log_pressure, at.log_radius);
+            let (reported, [[a, b], [c, d]]) = self.reported(at.log_pressure, at.log_radius);
             let off = [wanted[0] - reported[0], wanted[1] - reported[1]];
             if off.iter().all(|off| off.abs() < 1e-9) {
                 break;

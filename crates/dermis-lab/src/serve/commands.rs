@@ -27,10 +27,10 @@ renew                                   replace the sheet by a new one
 or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}},
 {\"fault\": {\"electrode_open\": 3}}, \"repair\"";
 
-/// A command as JSON.
+/// A command, typed in words or as JSON.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-enum JsonCommand {
+enum LineCommand {
     Press {
         x_mm: f64,
         y_mm: f64,
@@ -44,7 +44,7 @@ enum JsonCommand {
         #[serde(default)]
         pointer: u64,
     },
-    Fault(SaidFault),
+    Fault(LineFault),
     Repair,
     Cut {
         x0_mm: f64,
@@ -66,7 +66,7 @@ enum JsonCommand {
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-enum SaidFault {
+enum LineFault {
     ElectrodeOpen(u32),
     ElectrodesShorted([u32; 2]),
     CoilDead(u32),
@@ -107,55 +107,55 @@ pub fn command_of(line: &str, press: &PressRange) -> Result<Option<TwinCommand>,
     command(said, press).map(Some).map_err(|expected| format!("'{line}': expected {expected}"))
 }
 
-fn in_words(line: &str) -> Option<JsonCommand> {
+fn in_words(line: &str) -> Option<LineCommand> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let number = |text: &str| text.parse::<f64>().ok();
     Some(match words[..] {
-        ["press", x, y, force] => JsonCommand::press(number(x)?, number(y)?, number(force)?, None),
+        ["press", x, y, force] => LineCommand::press(number(x)?, number(y)?, number(force)?, None),
         ["press", x, y, force, radius] => {
-            JsonCommand::press(number(x)?, number(y)?, number(force)?, Some(number(radius)?))
+            LineCommand::press(number(x)?, number(y)?, number(force)?, Some(number(radius)?))
         }
-        ["release"] => JsonCommand::Release { pointer: 0 },
-        ["fault", "electrode", n, "open"] => JsonCommand::Fault(SaidFault::ElectrodeOpen(n.parse().ok()?)),
+        ["release"] => LineCommand::Release { pointer: 0 },
+        ["fault", "electrode", n, "open"] => LineCommand::Fault(LineFault::ElectrodeOpen(n.parse().ok()?)),
         ["fault", "electrodes", n, m, "shorted"] => {
-            JsonCommand::Fault(SaidFault::ElectrodesShorted([n.parse().ok()?, m.parse().ok()?]))
+            LineCommand::Fault(LineFault::ElectrodesShorted([n.parse().ok()?, m.parse().ok()?]))
         }
         ["fault", "channel", n, "stuck", value] => {
-            JsonCommand::Fault(SaidFault::ChannelStuck { channel: n.parse().ok()?, value_mv: number(value)? })
+            LineCommand::Fault(LineFault::ChannelStuck { channel: n.parse().ok()?, value_mv: number(value)? })
         }
         ["fault", "channel", n, "noisy", noise] => {
-            JsonCommand::Fault(SaidFault::ChannelNoisy { channel: n.parse().ok()?, noise_mv: number(noise)? })
+            LineCommand::Fault(LineFault::ChannelNoisy { channel: n.parse().ok()?, noise_mv: number(noise)? })
         }
-        ["fault", "coil", n, "dead"] => JsonCommand::Fault(SaidFault::CoilDead(n.parse().ok()?)),
-        ["fault", "frames", "lost", share] => JsonCommand::Fault(SaidFault::FramesLost(number(share)?)),
-        ["fault", "frames", "repeated", share] => JsonCommand::Fault(SaidFault::FramesRepeated(number(share)?)),
-        ["repair"] => JsonCommand::Repair,
+        ["fault", "coil", n, "dead"] => LineCommand::Fault(LineFault::CoilDead(n.parse().ok()?)),
+        ["fault", "frames", "lost", share] => LineCommand::Fault(LineFault::FramesLost(number(share)?)),
+        ["fault", "frames", "repeated", share] => LineCommand::Fault(LineFault::FramesRepeated(number(share)?)),
+        ["repair"] => LineCommand::Repair,
         ["cut", x0, y0, x1, y1] => {
-            JsonCommand::Cut { x0_mm: number(x0)?, y0_mm: number(y0)?, x1_mm: number(x1)?, y1_mm: number(y1)? }
+            LineCommand::Cut { x0_mm: number(x0)?, y0_mm: number(y0)?, x1_mm: number(x1)?, y1_mm: number(y1)? }
         }
-        ["heal", x, y, radius, celsius, hours] => JsonCommand::Heal {
+        ["heal", x, y, radius, celsius, hours] => LineCommand::Heal {
             x_mm: number(x)?,
             y_mm: number(y)?,
             radius_mm: number(radius)?,
             temperature_c: number(celsius)?,
             hours: number(hours)?,
         },
-        ["time-lapse", factor] => JsonCommand::TimeLapse(number(factor)?),
-        ["drift", percent] => JsonCommand::DriftPercentPerMin(number(percent)?),
-        ["renew"] => JsonCommand::Renew,
+        ["time-lapse", factor] => LineCommand::TimeLapse(number(factor)?),
+        ["drift", percent] => LineCommand::DriftPercentPerMin(number(percent)?),
+        ["renew"] => LineCommand::Renew,
         _ => return None,
     })
 }
 
-impl JsonCommand {
+impl LineCommand {
     fn press(x_mm: f64, y_mm: f64, force_n: f64, radius_mm: Option<f64>) -> Self {
         Self::Press { x_mm, y_mm, force_n, radius_mm, pointer: 0 }
     }
 }
 
-fn command(said: JsonCommand, press: &PressRange) -> Result<TwinCommand, String> {
+fn command(said: LineCommand, press: &PressRange) -> Result<TwinCommand, String> {
     Ok(match said {
-        JsonCommand::Press { x_mm, y_mm, force_n, radius_mm, pointer } => {
+        LineCommand::Press { x_mm, y_mm, force_n, radius_mm, pointer } => {
             let radius_m = radius_mm.map_or(press.initial_radius_m, |radius_mm| radius_mm * 1e-3);
             if !(radius_m > 0.0 && force_n >= 0.0 && [x_mm, y_mm, force_n, radius_m].iter().all(|v| v.is_finite())) {
                 return Err("finite numbers, a radius above 0 and a force of 0 or more".to_owned());
@@ -163,18 +163,18 @@ fn command(said: JsonCommand, press: &PressRange) -> Result<TwinCommand, String>
             let pressure_pa = force_n / (std::f64::consts::PI * radius_m * radius_m);
             TwinCommand::Press { pointer, position_m: [x_mm * 1e-3, y_mm * 1e-3], radius_m, pressure_pa }
         }
-        JsonCommand::Release { pointer } => TwinCommand::Release { pointer },
-        JsonCommand::Fault(fault) => TwinCommand::Break(broken(fault)?),
-        JsonCommand::Repair => TwinCommand::Repair,
-        JsonCommand::Cut { x0_mm, y0_mm, x1_mm, y1_mm } => {
+        LineCommand::Release { pointer } => TwinCommand::Release { pointer },
+        LineCommand::Fault(fault) => TwinCommand::Break(broken(fault)?),
+        LineCommand::Repair => TwinCommand::Repair,
+        LineCommand::Cut { x0_mm, y0_mm, x1_mm, y1_mm } => {
             treatment(TwinAction::Cut { from_mm: [x0_mm, y0_mm], to_mm: [x1_mm, y1_mm] })?
         }
-        JsonCommand::Heal { x_mm, y_mm, radius_mm, temperature_c, hours } => {
+        LineCommand::Heal { x_mm, y_mm, radius_mm, temperature_c, hours } => {
             treatment(TwinAction::Heal { at_mm: [x_mm, y_mm], radius_mm, temperature_c, hours })?
         }
-        JsonCommand::TimeLapse(factor) => treatment(TwinAction::TimeLapse(factor))?,
-        JsonCommand::DriftPercentPerMin(percent) => treatment(TwinAction::DriftPercentPerMin(percent))?,
-        JsonCommand::Renew => treatment(TwinAction::Renew)?,
+        LineCommand::TimeLapse(factor) => treatment(TwinAction::TimeLapse(factor))?,
+        LineCommand::DriftPercentPerMin(percent) => treatment(TwinAction::DriftPercentPerMin(percent))?,
+        LineCommand::Renew => treatment(TwinAction::Renew)?,
     })
 }
 
@@ -185,21 +185,21 @@ fn treatment(action: TwinAction) -> Result<TwinCommand, String> {
 }
 
 /// Converts a fault from user numbering, which starts at 1.
-fn broken(fault: SaidFault) -> Result<Fault, String> {
+fn broken(fault: LineFault) -> Result<Fault, String> {
     let expected = || "electrodes and channels counted from 1".to_owned();
     let electrode = |n: u32| n.checked_sub(1).ok_or_else(expected);
     Ok(match fault {
-        SaidFault::ElectrodeOpen(n) => Fault::OpenElectrode { electrode: electrode(n)? },
-        SaidFault::ElectrodesShorted([n, m]) => Fault::ShortedPair { electrodes: [electrode(n)?, electrode(m)?] },
-        SaidFault::ChannelStuck { channel, value_mv } => {
+        LineFault::ElectrodeOpen(n) => Fault::OpenElectrode { electrode: electrode(n)? },
+        LineFault::ElectrodesShorted([n, m]) => Fault::ShortedPair { electrodes: [electrode(n)?, electrode(m)?] },
+        LineFault::ChannelStuck { channel, value_mv } => {
             Fault::StuckChannel { channel: channel.checked_sub(1).ok_or_else(expected)?, value_v: value_mv * 1e-3 }
         }
-        SaidFault::ChannelNoisy { channel, noise_mv } => {
+        LineFault::ChannelNoisy { channel, noise_mv } => {
             Fault::NoisyChannel { channel: channel.checked_sub(1).ok_or_else(expected)?, deviation_v: noise_mv * 1e-3 }
         }
-        SaidFault::CoilDead(n) => Fault::DeadCoil { coil: electrode(n)? },
-        SaidFault::FramesLost(probability) => Fault::DroppedFrames { probability },
-        SaidFault::FramesRepeated(probability) => Fault::DuplicatedFrames { probability },
+        LineFault::CoilDead(n) => Fault::DeadCoil { coil: electrode(n)? },
+        LineFault::FramesLost(probability) => Fault::DroppedFrames { probability },
+        LineFault::FramesRepeated(probability) => Fault::DuplicatedFrames { probability },
     })
 }
 
