@@ -147,7 +147,6 @@ impl Estimator {
 
     fn allow_work(&mut self, most: f64) {
         self.spent += self.fit.work();
-        let most = if self.is_unhurried { f64::INFINITY } else { most };
         self.left = Some(self.allowance - self.spent).filter(|left| *left < most);
         self.fit.set_most_work(self.left.unwrap_or(most));
     }
@@ -157,7 +156,7 @@ impl Estimator {
         self.memory = Memory::nothing();
     }
 
-    /// From now on, spends as much time on each frame as it needs.
+    /// From now on, every frame is searched in full, within the usual bound on operations.
     pub fn take_time(&mut self) {
         self.is_unhurried = true;
     }

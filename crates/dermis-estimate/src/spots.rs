@@ -61,12 +61,16 @@ fn start(found: SpotProposal) -> Press {
 
 impl PressFit for SpotFit {
     fn take_frame(&mut self, frame: &[f64]) -> Option<Cost> {
+        self.scratch.begin_work();
         let outcome = self.model.take_frame(frame, &mut self.scratch).ok()?;
         self.uniform = outcome.uniform;
         Some(self.cost(&outcome, 0))
     }
 
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost> {
+        if effort == Effort::Full && self.scratch.is_out_of_work() {
+            return None;
+        }
         self.starts.clear();
         self.starts.extend(starts.iter().map(spot));
         let mut outcome = self.model.fit_from(&self.starts, self.uniform, &mut self.scratch)?;
@@ -85,6 +89,14 @@ impl PressFit for SpotFit {
 
     fn has_quick_fit(&self) -> bool {
         self.model.looks_beyond_proportion()
+    }
+
+    fn set_most_work(&mut self, operations: f64) {
+        self.scratch.set_most_work(operations);
+    }
+
+    fn work(&self) -> f64 {
+        self.scratch.work()
     }
 
     fn presses(&self) -> Vec<Press> {

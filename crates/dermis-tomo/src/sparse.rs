@@ -162,6 +162,18 @@ impl SpdStructure {
         self.symbolic.len_val()
     }
 
+    /// Multiplications of a factorisation: for each supernode of c columns and r rows, `c r^2`, which is up to three
+    /// times the exact number. 0 if the factorisation is not supernodal.
+    pub fn factor_operations(&self) -> f64 {
+        let SymbolicCholeskyRaw::Supernodal(symbolic) = self.symbolic.raw() else { return 0.0 };
+        let of = |supernode: usize| {
+            let columns = symbolic.supernode_end()[supernode] - symbolic.supernode_begin()[supernode];
+            let rows = columns as usize + symbolic.supernode(supernode).pattern().len();
+            f64::from(columns) * (rows as f64).powi(2)
+        };
+        (0..symbolic.n_supernodes()).map(of).sum()
+    }
+
     /// Product of the symmetric matrix with a vector, for residuals.
     pub fn multiply(&self, values: &[f64], x: &[f64], y: &mut [f64]) {
         y.fill(0.0);

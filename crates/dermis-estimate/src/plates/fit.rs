@@ -312,9 +312,12 @@ impl PressFit for PlateFit {
             self.joint = self.model.begin_joint(&volts, &self.weighing.deviations);
         }
         let [load, radius_m] = self.model.reported_typical();
-        let places = self.model.next_joint(self.joint.as_mut()?)?;
+        let sets = self.joint.as_mut()?;
+        let before = sets.operations();
+        let places = self.model.next_joint(sets);
+        self.work += sets.operations() - before;
         let press = |position_m: [f64; 2]| Press { position_m, radius_m, load: sign * load, ..Press::default() };
-        Some(places.into_iter().map(press).collect())
+        Some(places?.into_iter().map(press).collect())
     }
 
     fn most_gain(&self, negative: bool) -> f64 {

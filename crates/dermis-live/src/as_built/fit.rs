@@ -232,7 +232,7 @@ fn fit_spots(skin: &Prepared, pokes: &[Seen<'_>]) -> Result<Vec<Fitted>, Error> 
             let (mut load, mut radius_m) = (None, poke.radius_m);
             let mut best: Option<(f64, Fitted)> = None;
             for _ in 0..SPOT_STEPS {
-                let Some(step) = SpotStep::of(skin, &spots, response.as_ref(), poke, load, radius_m) else { break };
+                let Some(step) = SpotStep::of(skin, &spots, &response, poke, load, radius_m) else { break };
                 let (size, next) = (step.size, step.next);
                 if best.as_ref().is_none_or(|(least, _)| size < *least) {
                     best = Some((size, step.fitted));
@@ -280,7 +280,7 @@ impl SpotStep {
         let in_proportion = || dot(&|c| frame[c], &alone) / dot(&alone, &alone).max(f64::MIN_POSITIVE);
         let load = load.unwrap_or_else(|| in_proportion().clamp(0.0, MOST_LOST)).max(LEAST_LOAD);
         let change: Vec<f64> = (0..columns.nrows()).map(|p| (load * columns[(p, LOAD)]).max(-MOST_LOST)).collect();
-        let predicted = response(&change)?;
+        let predicted = response.to(&change)?;
         let left: Vec<f64> = frame.iter().zip(&predicted).map(|(f, p)| f - p).collect();
         let size = left.iter().filter(|v| v.is_finite()).map(|v| v * v).sum();
         // The response to a larger load grows like the response itself.

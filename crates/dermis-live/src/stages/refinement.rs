@@ -199,7 +199,7 @@ impl Refinement {
         Ok(Self::by(By::Presses(Box::new(Presses::new(prepared, model, Vec::new())))))
     }
 
-    /// From now on, finishes the search for touches in each frame, however long it takes: for offline frames, where
+    /// From now on, searches every frame in full, within the usual bound on operations: for offline frames, where
     /// neighbouring frames may show different presses.
     #[must_use]
     pub fn taking_time(mut self) -> Self {

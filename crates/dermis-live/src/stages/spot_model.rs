@@ -1,7 +1,5 @@
 //! The responses to spots that presses on sheets, separate patches and liquids are fitted with.
 
-use std::sync::Arc;
-
 use dermis_skin::Layer;
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
@@ -72,12 +70,13 @@ pub(super) fn may_look_beyond(prepared: &Prepared) -> bool {
     backend.circuit.is_none() && backend.frame_rate_hz() <= MOST_FRAMES_PER_S
 }
 
-/// The change of the model's voltages when the conductance of each pixel changes by the given shares.
-pub(crate) fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
+/// The change of the model's voltages when the conductance of each pixel changes by the given shares, and about the
+/// operations that computing it takes.
+pub(crate) fn change_response(prepared: &Prepared) -> Result<ChangeResponse, Error> {
     let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
     let (map, rest_s) = (prepared.map.clone(), prepared.conductances_s());
     let rest = prepared.voltages.clone();
-    Ok(Arc::new(move |changes: &[f64]| {
+    Ok(ChangeResponse::new(model.operations(), move |changes: &[f64]| {
         let mut conductances = map.to_elements(changes).ok()?;
         conductances.iter_mut().zip(&rest_s).for_each(|(value, rest_s)| *value = rest_s * (1.0 + *value));
         let mut differences = model.voltages(&conductances).ok()?;

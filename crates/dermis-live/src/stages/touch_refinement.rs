@@ -132,7 +132,7 @@ impl SpotStage {
         }
     }
 
-    /// From now on, spends as much time on each frame as it needs.
+    /// From now on, every frame is searched in full, within the usual bound on operations.
     pub(crate) fn take_time(&mut self) {
         self.is_unhurried = true;
         self.ended.take_time();

@@ -109,6 +109,13 @@ impl ForwardModel {
         Ok(self.channels(&impedance))
     }
 
+    /// About the operations of [`ForwardModel::voltages`]: factorisation, substitution for each electrode, assembly.
+    pub fn operations(&self) -> f64 {
+        let structure = &self.system.structure;
+        let sources = self.body.electrodes.len() as f64;
+        structure.factor_operations() + sources * structure.factor_len() as f64 + structure.value_count() as f64
+    }
+
     /// Voltages for many conductivities, in parallel over the samples.
     ///
     /// # Errors

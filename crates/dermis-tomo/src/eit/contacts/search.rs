@@ -79,6 +79,14 @@ pub struct PatchSets {
     /// Sets of the next size, and the residual energies of those judged already.
     grown: Vec<Ports>,
     judged: Vec<Candidate>,
+    operations: f64,
+}
+
+impl PatchSets {
+    /// Operations spent so far.
+    pub fn operations(&self) -> f64 {
+        self.operations
+    }
 }
 
 /// Result of a call.
@@ -139,7 +147,16 @@ impl PatchSearch {
         let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
         let energy = scaled.iter().map(|v| v * v).sum();
         let (scaled, weight) = (in_lanes(scaled), in_lanes(weight));
-        Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0, grown: Vec::new(), judged: Vec::new() })
+        Ok(PatchSets {
+            scaled,
+            weight,
+            energy,
+            best: Vec::new(),
+            size: 0,
+            grown: Vec::new(),
+            judged: Vec::new(),
+            operations: 0.0,
+        })
     }
 
     /// Searches for the best single patch, on later calls the best pair and so on up to four: starting points for a
@@ -155,6 +172,9 @@ impl PatchSearch {
         let to = sets.grown.len().min(from + most.max(1));
         let judged = Arch::new().dispatch(Judge { search: self, sets, grown: &sets.grown[from..to] });
         sets.judged.extend(judged);
+        // Each port adds its effect, and each pair of them its part of the currents between them.
+        let of_one = (sets.scaled.len() * LANES * (sets.size + 1).pow(2)) as f64;
+        sets.operations += of_one * (to - from) as f64;
         if to < sets.grown.len() {
             return Looked::NotDone;
         }

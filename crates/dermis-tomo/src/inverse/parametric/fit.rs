@@ -99,6 +99,26 @@ impl FitScratch {
     pub fn spots(&self) -> &[Spot] {
         &self.spots
     }
+
+    /// Operations spent on large changes since the bound was set or the count begun.
+    pub fn work(&self) -> f64 {
+        self.large.work
+    }
+
+    /// Begins to count operations.
+    pub fn begin_work(&mut self) {
+        self.large.work = 0.0;
+    }
+
+    /// Begins to count operations on large changes, and bounds them. Fits beyond the bound stay as they are.
+    pub fn set_most_work(&mut self, operations: f64) {
+        (self.large.work, self.large.most_work) = (0.0, Some(operations));
+    }
+
+    /// True if more has been spent than allowed.
+    pub fn is_out_of_work(&self) -> bool {
+        self.large.is_out_of_work()
+    }
 }
 
 impl SpotModel {

@@ -19,14 +19,39 @@ const SMALL: f64 = 0.02;
 /// Exponent beyond which a load counts as zero.
 const NOTHING: f64 = 8.0;
 
-/// Change of the channels (volts, one per channel of a frame) when the conductivity of each pixel changes by the
-/// given shares, all above -1. `None` if that cannot be solved.
-pub type ChangeResponse = dyn Fn(&[f64]) -> Option<Vec<f64>> + Send + Sync;
+/// A forward model's response to changes of conductivity.
+#[derive(Clone)]
+pub struct ChangeResponse {
+    respond: Arc<Respond>,
+    operations: f64,
+}
+
+type Respond = dyn Fn(&[f64]) -> Option<Vec<f64>> + Send + Sync;
+
+impl ChangeResponse {
+    /// A response by this function, which takes about this number of operations. Its argument is the relative change of
+    /// each pixel, all above -1, and its result the change of each channel of a frame, volts; `None` if that cannot be
+    /// solved.
+    pub fn new(operations: f64, respond: impl Fn(&[f64]) -> Option<Vec<f64>> + Send + Sync + 'static) -> Self {
+        Self { respond: Arc::new(respond), operations }
+    }
+
+    /// Change of the channels, volts, for these relative changes of the pixels. `None` if it cannot be solved.
+    pub fn to(&self, changes: &[f64]) -> Option<Vec<f64>> {
+        (self.respond)(changes)
+    }
+}
+
+impl fmt::Debug for ChangeResponse {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ChangeResponse").field("operations", &self.operations).finish_non_exhaustive()
+    }
+}
 
 /// The nonlinear response to large changes, in the combinations of a table.
 #[derive(Clone)]
 pub(super) struct LargeChanges {
-    response: Arc<ChangeResponse>,
+    response: ChangeResponse,
     /// Channels by combinations of the table, row by row: whitens and projects.
     projection: Vec<f32>,
     /// Combinations (rows) by pixels: the linear response to a change of each pixel in the direction of positive
@@ -50,11 +75,21 @@ pub(super) struct LargeScratch {
     /// The nonlinear part of the response, in the combinations of the table and in those of the model.
     tabulated: Vec<f32>,
     combined: Vec<f32>,
+    /// Operations spent on responses.
+    pub(super) work: f64,
+    /// Once more than this has been spent, no response is computed. `None`: no bound.
+    pub(super) most_work: Option<f64>,
+}
+
+impl LargeScratch {
+    pub(super) fn is_out_of_work(&self) -> bool {
+        self.most_work.is_some_and(|most| self.work > most)
+    }
 }
 
 impl LargeChanges {
     pub(super) fn new(
-        response: Arc<ChangeResponse>,
+        response: ChangeResponse,
         projection: &[f32],
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
@@ -63,7 +98,8 @@ impl LargeChanges {
     ) -> Self {
         let single = |m: MatRef<'_, f64>| Mat::from_fn(m.nrows(), m.ncols(), |row, column| m[(row, column)] as f32);
         let (projection, positions_m) = (projection.to_vec(), positions_m.to_vec());
-        Self { response, projection, jacobian: single(jacobian), spread: spread.map(single), positions_m, sign }
+        let (jacobian, spread) = (single(jacobian), spread.map(single));
+        Self { response, projection, jacobian, spread, positions_m, sign }
     }
 
     /// Memory for a model with this number of combinations.
@@ -75,6 +111,8 @@ impl LargeChanges {
             linear: vec![0.0; pixels],
             tabulated: vec![0.0; self.jacobian.nrows()],
             combined: vec![0.0; combinations],
+            work: 0.0,
+            most_work: None,
         }
     }
 
@@ -98,7 +136,8 @@ impl LargeChanges {
 
     /// Subtracts the nonlinear part of the response to these spots from a model's residual: the difference between
     /// their full response and `amplitude` times the response of a spot of amplitude 1. Spots are position, radius
-    /// (metres) and amplitude, the latter as defined by the response. `None` if the forward model fails.
+    /// (metres) and amplitude, the latter as defined by the response. `None` if the forward model fails, or if no more
+    /// work is allowed.
     pub(super) fn take_out(
         &self,
         spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
@@ -106,7 +145,11 @@ impl LargeChanges {
         scratch: &mut LargeScratch,
         residual: &mut [f32],
     ) -> Option<()> {
-        let LargeScratch { one, changes, linear, tabulated, combined } = scratch;
+        if scratch.is_out_of_work() {
+            return None;
+        }
+        scratch.work += self.response.operations;
+        let LargeScratch { one, changes, linear, tabulated, combined, .. } = scratch;
         changes.fill(0.0);
         linear.fill(0.0);
         for (position_m, radius_m, amplitude) in spots {
@@ -122,7 +165,7 @@ impl LargeChanges {
             }
         }
         changes.iter_mut().for_each(|change| *change = (self.sign * *change).max(LOWEST));
-        let differences = (self.response)(changes)?;
+        let differences = self.response.to(changes)?;
         tabulated.fill(0.0);
         for (row, value) in self.projection.chunks_exact(tabulated.len()).zip(&differences) {
             let value = *value as f32;
@@ -180,7 +223,7 @@ mod tests {
     #[test]
     fn a_change_is_that_of_the_disc_that_answers_so() {
         for sign in [1.0, -1.0] {
-            let none: Arc<ChangeResponse> = Arc::new(|_| None);
+            let none = ChangeResponse::new(0.0, |_| None);
             let nothing = Mat::<f64>::zeros(1, 1);
             let large = LargeChanges::new(none, &[0.0], nothing.as_ref(), None, &[[0.0; 2]], sign);
             for spot in [0.3, -0.4, 0.01] {

@@ -88,7 +88,7 @@ impl SpotModel {
     /// Counts that disagree.
     pub fn with_large_changes(
         mut self,
-        response: Arc<ChangeResponse>,
+        response: ChangeResponse,
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
         positions_m: &[[f64; 2]],

@@ -68,7 +68,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     let (linear, jacobian, positions) = model(1e-5);
     // Every pixel responds like a disc in the plane. The Jacobian is that of lowered conductivity.
     let lowered = jacobian.clone();
-    let response: Arc<ChangeResponse> = Arc::new(move |changes: &[f64]| {
+    let response = ChangeResponse::new(0.0, move |changes: &[f64]| {
         let answered: Vec<f64> = changes.iter().map(|u| -u / (1.0 + 0.5 * u)).collect();
         Some((&lowered * faer::ColRef::from_slice(&answered)).iter().copied().collect())
     });
