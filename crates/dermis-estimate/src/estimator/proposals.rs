@@ -16,9 +16,9 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// The search for a joint set ends when one more press still leaves more than this share of the frame, and more than
-/// this share of what fewer presses leave: damage, which no number of presses explains. On a skin with cuts, 1 of 91
-/// sets that were found would have been found in a later frame only.
+/// A joint set that leaves more than this share of the frame is not fitted from a second radius. The search ends if it
+/// also leaves more than this share of what fewer presses leave: damage, which no number of presses explains. On a skin
+/// with cuts, 1 of 91 sets that were found would have been found in a later frame only.
 const HOPELESS: f64 = 0.5;
 const NO_BETTER: f64 = 0.9;
 /// Radii from which a joint set is fitted, relative to the typical one.
@@ -38,14 +38,14 @@ impl Estimator {
             // Pressure and radius trade off, and a fit may end in a local optimum.
             for share in JOINT_RADII {
                 fits.extend(self.fitted(&scaled(&set, share), Effort::Quick));
-                if fits.last().is_some_and(|more| more.cost.is_explained()) {
+                if fits.last().is_some_and(|more| more.cost.is_explained() || self.is_hopeless(more)) {
                     break;
                 }
             }
             let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
             let Some(more) = best_fit else { break };
             let left = more.cost.unexplained();
-            if !self.is_unhurried && left > HOPELESS && left > NO_BETTER * least_left {
+            if self.is_hopeless(&more) && left > NO_BETTER * least_left {
                 break;
             }
             least_left = least_left.min(left);
@@ -55,6 +55,11 @@ impl Estimator {
                 break;
             }
         }
+    }
+
+    /// True if an explanation leaves so much that a frame in a stream need not be searched further from here.
+    fn is_hopeless(&self, of: &Explanation) -> bool {
+        !self.is_unhurried && of.cost.unexplained() > HOPELESS
     }
 
     /// Proposes presses that are added to an explanation one by one: where the image or the residual suggests them, or
