@@ -20,6 +20,9 @@ const PROMISING: f64 = 0.6;
 const MOST_WORK: f64 = 4e8;
 /// The same for the search for presses that have ended.
 const MOST_WORK_GONE: f64 = 2e8;
+/// Share of the work within which the presses of the last frame must explain the next. If something else touches the
+/// skin, fits that start from them wander, and would use up the work for a search.
+const FOLLOWED: f64 = 0.5;
 /// Time that an operation takes on one core, nanoseconds.
 const OPERATION_NS: f64 = 0.15;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
@@ -57,6 +60,8 @@ pub struct Estimator {
     allowance: f64,
     /// Rest of the allowance, if it bounds the current explanation.
     left: Option<f64>,
+    /// Most operations of the current part of an explanation.
+    most: f64,
 }
 
 /// Memory of the frames so far.
@@ -96,6 +101,7 @@ impl Estimator {
             spent: 0.0,
             allowance: f64::INFINITY,
             left: None,
+            most: f64::INFINITY,
         }
     }
 
@@ -148,7 +154,8 @@ impl Estimator {
     fn allow_work(&mut self, most: f64) {
         self.spent += self.fit.work();
         self.left = Some(self.allowance - self.spent).filter(|left| *left < most);
-        self.fit.set_most_work(self.left.unwrap_or(most));
+        self.most = self.left.unwrap_or(most);
+        self.fit.set_most_work(self.most);
     }
 
     /// Forgets the last frame: the next is unrelated to it.
@@ -171,12 +178,18 @@ impl Estimator {
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
         self.allow_work(MOST_WORK);
         let null = self.fit.take_frame(frame)?;
-        let mut best = Explanation { presses: Vec::new(), cost: null };
+        let nothing = || Explanation { presses: Vec::new(), cost: null };
+        let mut best = nothing();
         let last = std::mem::take(&mut self.memory.last);
-        if !last.is_empty()
-            && let Some(warm) = self.fitted(&last, Effort::Full)
-        {
-            best = self.without_superfluous(warm, &null);
+        if !last.is_empty() {
+            self.allow_work(FOLLOWED * MOST_WORK);
+            if let Some(warm) = self.fitted(&last, Effort::Full) {
+                best = self.without_superfluous(warm, &null);
+            }
+            if self.left.is_none() && self.fit.work() > self.most && !best.cost.is_explained() {
+                best = nothing();
+            }
+            self.allow_work((1.0 - FOLLOWED) * MOST_WORK);
         }
         // Something else may touch the skin now, and the presses of the last frame are a poor start for it.
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
@@ -185,7 +198,7 @@ impl Estimator {
         best = self.grown(best, &null, hints);
         // The gain of a first press is that over the whole frame, not over what the last fit left.
         if is_poor_start && let Some(null) = self.fit.fit_nothing() {
-            let afresh = self.grown(Explanation { presses: Vec::new(), cost: null }, &null, hints);
+            let afresh = self.grown(nothing(), &null, hints);
             if !afresh.presses.is_empty() && self.score(&afresh) < self.score(&best) {
                 best = afresh;
             }

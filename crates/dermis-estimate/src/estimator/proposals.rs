@@ -14,6 +14,8 @@ const HALF_RADIUS: f64 = 0.7;
 /// Number of directions in which a press is split, and initial distance of each half from its centre, in its radii.
 const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
+/// Once proposals have taken this share of the work, one that explains the frame is enough.
+const PROPOSED: f64 = 0.25;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
 /// A joint set that leaves more than this share of the frame is not fitted from a second radius. The search ends if it
@@ -79,6 +81,9 @@ impl Estimator {
                 } else if self.fit.fit_loads(&starts).is_none() {
                     break;
                 }
+                if self.is_enough(found) {
+                    return;
+                }
                 match self.fit.seek(self.negative).first() {
                     Some(next) if starts.len() < self.fit.most_presses() => starts.push(*next),
                     _ => break,
@@ -86,7 +91,10 @@ impl Estimator {
             }
         }
         self.pursue(best, found);
-        if !found.iter().any(|more| more.cost.is_explained() && self.is_promising(more)) {
+        if self.is_enough(found) {
+            return;
+        }
+        if !self.is_one_explained(found) {
             self.propose_together(best, found);
         }
         for k in 0..best.presses.len().min(MOST_SPLIT) {
@@ -96,6 +104,15 @@ impl Estimator {
                 }
             }
         }
+    }
+
+    fn is_one_explained(&self, found: &[Explanation]) -> bool {
+        found.iter().any(|more| more.cost.is_explained() && self.is_promising(more))
+    }
+
+    /// True if one of these explains the frame, and the search for others has taken long enough.
+    fn is_enough(&self, found: &[Explanation]) -> bool {
+        self.fit.work() > PROPOSED * self.most && self.is_one_explained(found)
     }
 
     /// Adds one press after the other to an explanation, and moves all of them after each addition. They are fitted

@@ -83,7 +83,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
             -truth.2 * (-square / (2.0 * truth.1 * truth.1)).exp()
         })
         .collect();
-    let frame = response(&changes).unwrap();
+    let frame = response.to(&changes).unwrap();
     let fit = |model: &SpotModel| {
         let mut scratch = model.scratch();
         let outcome = model.fit(&frame, &[[0.016, -0.016]], &mut scratch).unwrap();
