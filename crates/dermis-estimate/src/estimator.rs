@@ -181,12 +181,18 @@ impl Estimator {
         let nothing = || Explanation { presses: Vec::new(), cost: null };
         let mut best = nothing();
         let last = std::mem::take(&mut self.memory.last);
-        if !last.is_empty() {
+        // An allowance for the frame is shorter than either part.
+        let has_parts = !last.is_empty() && self.left.is_none();
+        if has_parts {
             self.allow_work(FOLLOWED * MOST_WORK);
-            if let Some(warm) = self.fitted(&last, Effort::Full) {
-                best = self.without_superfluous(warm, &null);
-            }
-            if self.left.is_none() && self.fit.work() > self.most && !best.cost.is_explained() {
+        }
+        if !last.is_empty()
+            && let Some(warm) = self.fitted(&last, Effort::Full)
+        {
+            best = self.without_superfluous(warm, &null);
+        }
+        if has_parts {
+            if self.fit.work() > self.most && !best.cost.is_explained() {
                 best = nothing();
             }
             self.allow_work((1.0 - FOLLOWED) * MOST_WORK);

@@ -18,10 +18,11 @@ const SPLIT_RADII: f64 = 1.2;
 const PROPOSED: f64 = 0.25;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// A joint set that leaves more than this share of the frame is not fitted from a second radius. The search ends if it
-/// also leaves more than this share of what fewer presses leave: damage, which no number of presses explains. On a skin
-/// with cuts, 1 of 91 sets that were found would have been found in a later frame only.
+/// A joint set that leaves more than this share of the frame is not fitted from a second radius. The search ends with a
+/// set of this many presses if it also leaves more than this share of what fewer leave: damage, which no number of
+/// presses explains. Two of three presses at once may explain no more than one.
 const HOPELESS: f64 = 0.5;
+const MANY: usize = 3;
 const NO_BETTER: f64 = 0.9;
 /// Radii from which a joint set is fitted, relative to the typical one.
 const JOINT_RADII: [f64; 2] = [1.0, 1.4];
@@ -47,7 +48,7 @@ impl Estimator {
             let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
             let Some(more) = best_fit else { break };
             let left = more.cost.unexplained();
-            if self.is_hopeless(&more) && left > NO_BETTER * least_left {
+            if set.len() >= MANY && self.is_hopeless(&more) && left > NO_BETTER * least_left {
                 break;
             }
             least_left = least_left.min(left);
