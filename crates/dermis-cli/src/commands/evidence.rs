@@ -22,7 +22,7 @@ Examples:
 DATA has one folder per set, as described in tests/data/README.md of the repository; the sets are not part of dermis. \
 A set that is absent is reported as missing, with the expected path, and the others still run. In an existing \
 Markdown page the text between the lines `<!-- evidence:begin -->` and `<!-- evidence:end -->` is replaced. A full \
-run takes about ten minutes on two cores, --quick two. Random draws are seeded. Exit code 1: a set failed, or no set \
+run takes about ten minutes on two cores, --quick four. Random draws are seeded. Exit code 1: a set failed, or no set \
 is present.";
 
 /// Arguments of `dermis evidence`.

@@ -135,7 +135,7 @@ fn evidence_without_sets_or_with_unknown_sets_is_refused() {
     assert_eq!(desk.done(&["evidence", "--list"]).lines().count(), 8);
 }
 
-/// The quick run on measured sets that takes only seconds.
+/// The quick run on measured sets that takes a few minutes at most.
 #[test]
 fn evidence_holds_on_measured_sets() {
     let Some(folder) = dermis_testdata::set("golfball") else { return };

@@ -60,7 +60,7 @@ impl Estimator {
         }
     }
 
-    /// True if an explanation leaves so much that a frame in a stream need not be searched further from here.
+    /// True if an explanation leaves so much of a streamed frame that it is no start for a longer search.
     fn is_hopeless(&self, of: &Explanation) -> bool {
         !self.is_unhurried && of.cost.unexplained() > HOPELESS
     }

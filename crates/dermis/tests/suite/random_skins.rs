@@ -9,6 +9,7 @@ use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 
+use crate::bench::Bench;
 use crate::sigmas::pressed_and_read;
 
 const SKINS: usize = 12;
@@ -149,4 +150,32 @@ fn three_presses_are_counted_with_eight_electrodes() {
     }
     // Twelve parameters from twenty independent readings.
     assert!(triples == 40 && right >= 34, "{right} of {triples}");
+}
+
+/// Presses of the last frame that have moved elsewhere at once must not use up the work for the search.
+#[test]
+fn pairs_on_patches_that_follow_each_other_at_once_are_two_touches_each() {
+    let patches =
+        "{ kind = \"patches\", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = 10.0, gap_mm = 1.0 }";
+    let skin = written("{ square = { side_mm = 120.0 } }", patches, (16, 10.0), 0, "");
+    let places = random_presses(&skin.outline(), &press_range(&skin), 60, 5).unwrap();
+    let are_apart = |group: &&[Vec<Indenter>]| distance_m(group[0][0].centre_m, group[1][0].centre_m) >= 0.03;
+    let mut bench = Bench::of(skin);
+    let mut told = Vec::new();
+    for group in places.chunks_exact(2).filter(are_apart).take(12) {
+        let scene = bench.twin.scene_mut();
+        scene.release_all();
+        for (pointer, indenter) in (0..).zip(group.concat()) {
+            scene.press_with(pointer, indenter).unwrap();
+        }
+        // The image of the first frames may mix both pairs.
+        bench.run(3);
+        let counts = (0..6).map(|_| {
+            bench.run(1);
+            bench.touches.len()
+        });
+        told.push(counts.filter(|count| *count == 2).count());
+    }
+    let right = told.iter().filter(|frames| **frames >= 5).count();
+    assert!(told.len() == 12 && right >= 11, "frames of six with two touches: {told:?}");
 }
