@@ -179,18 +179,13 @@ impl Estimator {
         self.allow_work(MOST_WORK);
         let null = self.fit.take_frame(frame)?;
         let nothing = || Explanation { presses: Vec::new(), cost: null };
-        let mut best = nothing();
         let last = std::mem::take(&mut self.memory.last);
-        // An allowance for the frame is shorter than either part.
+        // An allowance for the frame is no longer than either part.
         let has_parts = !last.is_empty() && self.left.is_none();
         if has_parts {
             self.allow_work(FOLLOWED * MOST_WORK);
         }
-        if !last.is_empty()
-            && let Some(warm) = self.fitted(&last, Effort::Full)
-        {
-            best = self.without_superfluous(warm, &null);
-        }
+        let mut best = self.followed(&last, &null).unwrap_or_else(nothing);
         if has_parts {
             if self.fit.work() > self.most && !best.cost.is_explained() {
                 best = nothing();
@@ -224,12 +219,17 @@ impl Estimator {
         self.allow_work(MOST_WORK);
         let null = self.fit.take_frame(frame)?;
         let last = std::mem::take(&mut self.memory.last);
-        let warm = if last.is_empty() { None } else { self.fitted(&last, Effort::Full) };
-        let best = self.without_superfluous(warm?, &null);
+        let best = self.followed(&last, &null)?;
         self.memory.left = best.cost.residual;
         let estimate = self.estimate(best, &null);
         self.memory.last.clone_from(&estimate.presses);
         Some(estimate)
+    }
+
+    /// The presses of the last frame, as they explain this one; `None` without any, or if they cannot be fitted.
+    fn followed(&mut self, last: &[Press], null: &Cost) -> Option<Explanation> {
+        let warm = if last.is_empty() { None } else { self.fitted(last, Effort::Full) };
+        Some(self.without_superfluous(warm?, null))
     }
 
     fn estimate(&self, mut best: Explanation, null: &Cost) -> Estimate {

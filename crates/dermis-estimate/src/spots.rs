@@ -61,7 +61,6 @@ fn start(found: SpotProposal) -> Press {
 
 impl PressFit for SpotFit {
     fn take_frame(&mut self, frame: &[f64]) -> Option<Cost> {
-        self.scratch.begin_work();
         let outcome = self.model.take_frame(frame, &mut self.scratch).ok()?;
         self.uniform = outcome.uniform;
         Some(self.cost(&outcome, 0))

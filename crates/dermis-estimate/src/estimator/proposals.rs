@@ -18,10 +18,10 @@ const SPLIT_RADII: f64 = 1.2;
 const PROPOSED: f64 = 0.25;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// A joint set that leaves more than this share of the frame is not fitted from a second radius. The search ends with a
-/// set of this many presses if it also leaves more than this share of what fewer leave: damage, which no number of
-/// presses explains. Two of three presses at once may explain no more than one.
+/// A joint set that leaves more than this share of a streamed frame is not fitted from a second radius.
 const HOPELESS: f64 = 0.5;
+/// The search for joint sets ends at such a set of this many presses or more, if it also leaves more than this share of
+/// what smaller sets leave. The change is then damage. Two of three presses at once may explain no more than one.
 const MANY: usize = 3;
 const NO_BETTER: f64 = 0.9;
 /// Radii from which a joint set is fitted, relative to the typical one.
@@ -60,7 +60,7 @@ impl Estimator {
         }
     }
 
-    /// True if an explanation leaves so much of a streamed frame that it is no start for a longer search.
+    /// True if an explanation leaves most of a streamed frame.
     fn is_hopeless(&self, of: &Explanation) -> bool {
         !self.is_unhurried && of.cost.unexplained() > HOPELESS
     }

@@ -20,11 +20,13 @@ mod model;
 mod options;
 mod products;
 mod responses;
+mod scratch;
 mod seek;
 mod table;
 
-pub use fit::{FitOutcome, FitScratch, Spot};
+pub use fit::FitOutcome;
 pub use large_changes::ChangeResponse;
 pub use model::SpotModel;
 pub use options::SpotOptions;
+pub use scratch::{FitScratch, Spot};
 pub use seek::{SpotFilter, SpotProposal};

@@ -1,25 +1,12 @@
 //! The fit of spots to a frame, in reusable memory.
 
 use super::SpotModel;
-use super::large_changes::LargeScratch;
 use super::products::products;
+use super::scratch::{FitScratch, OF_SPOT, Spot, State};
 use crate::inverse::InverseError;
 use crate::least_squares::{
     NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise, minimise, solve_factored,
 };
-
-/// A fitted spot.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Spot {
-    /// Centre, metres.
-    pub position_m: [f64; 2],
-    /// Height: relative change of conductivity.
-    pub amplitude: f64,
-    /// Radius r of `exp(-d^2 / (2 r^2))`, metres.
-    pub radius_m: f64,
-    /// Covariance of x, y (metres), amplitude and log radius.
-    pub covariance: [[f64; 4]; 4],
-}
 
 /// Summary of a fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -36,8 +23,6 @@ pub struct FitOutcome {
     pub steps: usize,
 }
 
-/// Number of parameters of a spot.
-pub(super) const OF_SPOT: usize = 4;
 /// Maximum number of steps of a linear fit.
 const MOST_STEPS: usize = 12;
 /// Maximum number of steps of a fit with large changes. It uses the derivatives of the linear model and so converges
@@ -58,91 +43,7 @@ const PARAMS: Params = Params::until_settled(1e-4, MOST_STEPS);
 /// Rules of a fit with large changes.
 const PARAMS_BEYOND: Params = Params::until_settled(1e-4, MOST_STEPS_BEYOND);
 
-/// Working memory of a fit.
-#[derive(Clone, Debug, Default)]
-pub struct FitScratch {
-    pub(super) data: Vec<f32>,
-    /// Memory for the nonlinear part of the response to spots, and whether the fit takes it into account yet.
-    pub(super) large: LargeScratch,
-    pub(super) looks_beyond: bool,
-    /// A response, in the combinations of the table.
-    pub(super) tabulated: Vec<f32>,
-    /// Response and derivatives of each spot.
-    pub(super) rows: Vec<f32>,
-    pub(super) trial_rows: Vec<f32>,
-    pub(super) residual: Vec<f32>,
-    trial_residual: Vec<f32>,
-    /// Weighted derivative columns, one per parameter.
-    pub(super) columns: Vec<f32>,
-    solver: Scratch,
-    pub(super) state: Vec<State>,
-    trial: Vec<State>,
-    pub(super) spots: Vec<Spot>,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct State {
-    pub position_m: [f64; 2],
-    pub amplitude: f64,
-    pub log_radius: f64,
-}
-
-impl State {
-    /// Position, radius (metres) and amplitude.
-    fn spot(&self) -> ([f64; 2], f64, f64) {
-        (self.position_m, self.log_radius.exp(), self.amplitude)
-    }
-}
-
-impl FitScratch {
-    /// The spots of the last fit, in the order of the starts.
-    pub fn spots(&self) -> &[Spot] {
-        &self.spots
-    }
-
-    /// Operations spent on large changes since the bound was set or the count begun.
-    pub fn work(&self) -> f64 {
-        self.large.work
-    }
-
-    /// Begins to count operations.
-    pub fn begin_work(&mut self) {
-        self.large.work = 0.0;
-    }
-
-    /// Begins to count operations on large changes, and bounds them. Fits beyond the bound stay as they are.
-    pub fn set_most_work(&mut self, operations: f64) {
-        (self.large.work, self.large.most_work) = (0.0, Some(operations));
-    }
-
-    /// True if more has been spent than allowed.
-    pub fn is_out_of_work(&self) -> bool {
-        self.large.is_out_of_work()
-    }
-}
-
 impl SpotModel {
-    /// Memory for fits with this model, allocated now.
-    pub fn scratch(&self) -> FitScratch {
-        let (length, most) = (self.combinations(), self.options().most_spots);
-        let parameters = OF_SPOT * most + 1;
-        FitScratch {
-            data: vec![0.0; length],
-            large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch(length)),
-            looks_beyond: false,
-            tabulated: self.responses.scratch(),
-            rows: vec![0.0; OF_SPOT * length * most],
-            trial_rows: vec![0.0; OF_SPOT * length * most],
-            residual: vec![0.0; length],
-            trial_residual: vec![0.0; length],
-            columns: vec![0.0; length * parameters],
-            solver: Scratch::new(parameters),
-            state: Vec::with_capacity(most),
-            trial: Vec::with_capacity(most),
-            spots: Vec::with_capacity(most),
-        }
-    }
-
     /// Fits one spot from each start (metres) to difference data (volts). The spots are then in `scratch`. Allocates
     /// nothing, unless the changes are large and the model corrects for that.
     ///

@@ -77,13 +77,13 @@ pub(super) struct LargeScratch {
     combined: Vec<f32>,
     /// Operations spent on responses.
     pub(super) work: f64,
-    /// Once more than this has been spent, no response is computed. `None`: no bound.
-    pub(super) most_work: Option<f64>,
+    /// Once more than this has been spent, no response is computed.
+    pub(super) most_work: f64,
 }
 
 impl LargeScratch {
     pub(super) fn is_out_of_work(&self) -> bool {
-        self.most_work.is_some_and(|most| self.work > most)
+        self.work > self.most_work
     }
 }
 
@@ -112,7 +112,7 @@ impl LargeChanges {
             tabulated: vec![0.0; self.jacobian.nrows()],
             combined: vec![0.0; combinations],
             work: 0.0,
-            most_work: None,
+            most_work: f64::INFINITY,
         }
     }
 

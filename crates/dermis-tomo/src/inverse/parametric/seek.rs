@@ -5,7 +5,8 @@
 //! of Statistical Signal Processing II, 1998, section 4.3). The filter covers every second position of the table, at
 //! a few radii.
 
-use super::fit::{FitOutcome, FitScratch, OF_SPOT, State, UNIFORM_DEVIATION};
+use super::fit::{FitOutcome, UNIFORM_DEVIATION};
+use super::scratch::{FitScratch, OF_SPOT, State};
 use super::{Spot, SpotModel};
 use crate::inverse::InverseError;
 use crate::least_squares::{factorise, solve_factored};
@@ -90,6 +91,7 @@ impl SpotModel {
     /// # Errors
     /// A frame of the wrong length, or values that are not finite.
     pub fn take_frame(&self, difference: &[f64], scratch: &mut FitScratch) -> Result<FitOutcome, InverseError> {
+        scratch.large.work = 0.0;
         if difference.len() != self.channels() {
             let (expected, got) = (self.channels(), difference.len());
             return Err(InverseError::Size { what: "channels of the frame", expected, got });
