@@ -67,8 +67,8 @@ impl FitScratch {
         self.large.work
     }
 
-    /// Bounds the operations spent on large changes from now on, and from each next frame on. Fits beyond the bound stay
-    /// as they are.
+    /// Bounds the operations spent on large changes, from now on and from each next frame on. Fits beyond the bound
+    /// stay as they are.
     pub fn set_most_work(&mut self, operations: f64) {
         (self.large.work, self.large.most_work) = (0.0, operations);
     }
