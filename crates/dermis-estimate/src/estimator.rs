@@ -187,10 +187,11 @@ impl Estimator {
         }
         let mut best = self.followed(&last, &null).unwrap_or_else(nothing);
         if has_parts {
-            if self.fit.work() > self.most && !best.cost.is_explained() {
+            let work = self.fit.work();
+            if work > self.most && !best.cost.is_explained() {
                 best = nothing();
             }
-            self.allow_work((1.0 - FOLLOWED) * MOST_WORK);
+            self.allow_work((MOST_WORK - work).max(0.0));
         }
         // Something else may touch the skin now, and the presses of the last frame are a poor start for it.
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
@@ -226,10 +227,24 @@ impl Estimator {
         Some(estimate)
     }
 
-    /// The presses of the last frame, as they explain this one; `None` without any, or if they cannot be fitted.
+    /// The presses of the last frame, as they explain this one; `None` without any, or if they cannot be fitted. Also
+    /// `None` if they have jumped: from presses elsewhere, a full fit takes as long as a search, and mostly in vain.
     fn followed(&mut self, last: &[Press], null: &Cost) -> Option<Explanation> {
-        let warm = if last.is_empty() { None } else { self.fitted(last, Effort::Full) };
-        Some(self.without_superfluous(warm?, null))
+        if last.is_empty() {
+            return None;
+        }
+        let has_moved = self.fit.left_by(last).is_some_and(|cost| self.is_worse(&cost));
+        let moved = if has_moved { Some(self.fitted(last, Effort::Quick)?) } else { None };
+        if moved.as_ref().is_some_and(|moved| self.is_worse(&moved.cost)) {
+            return None;
+        }
+        let warm = self.fitted(moved.as_ref().map_or(last, |moved| &moved.presses), Effort::Full)?;
+        Some(self.without_superfluous(warm, null))
+    }
+
+    /// True if this leaves clearly more than the last frame's explanation did.
+    fn is_worse(&self, cost: &Cost) -> bool {
+        !cost.is_explained() && cost.residual > GROWN * self.memory.left
     }
 
     fn estimate(&self, mut best: Explanation, null: &Cost) -> Estimate {

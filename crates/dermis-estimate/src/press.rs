@@ -115,6 +115,12 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Fits presses from these starts to the last frame taken. `None` if they cannot be fitted.
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost>;
 
+    /// What presses leave of the last frame taken under the full model, without moving them; for models of which one
+    /// evaluation costs far less than a fit. Works beyond the bound of operations.
+    fn left_by(&mut self, _presses: &[Press]) -> Option<Cost> {
+        None
+    }
+
     /// Fits only the loads of presses, at fixed positions and radii.
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost>;
 

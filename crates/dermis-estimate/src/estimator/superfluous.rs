@@ -49,11 +49,8 @@ impl Estimator {
                 break;
             }
             let is_first = others.is_empty();
-            let fewer = if is_first {
-                Some(Explanation { presses: others, cost: *null })
-            } else {
-                self.fitted(&others, Effort::Full)
-            };
+            let fewer =
+                if is_first { Some(Explanation { presses: others, cost: *null }) } else { self.refitted(others, &of) };
             let Some(fewer) = fewer else { break };
             let support = Evidence::of(&fewer.cost, &of.cost, is_first);
             let is_needed = if sureness >= 0.0 {
@@ -73,6 +70,16 @@ impl Estimator {
             of = fewer;
         }
         of
+    }
+
+    /// A fit of some presses of an explanation. If there is no work left for it, but they explain as much as they are,
+    /// they are taken as they are: fitted, they would explain more.
+    fn refitted(&mut self, some: Vec<Press>, of: &Explanation) -> Option<Explanation> {
+        self.fitted(&some, Effort::Full).or_else(|| {
+            let cost = self.fit.left_by(&some)?;
+            let is_as_good = Evidence::of(&cost, &of.cost, false) < self.evidence.hold;
+            is_as_good.then_some(Explanation { presses: some, cost })
+        })
     }
 
     /// True if quick fits leave no doubt that the frame needs all presses, not just these others. The full response

@@ -23,6 +23,9 @@ const DAMPING: f64 = 1e-3;
 /// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
 /// than ten times this.
 const CONVERGED: f64 = 2e-3;
+/// A fit has also converged when a step lowers the residual by less than this share of it. If it is noise, in some 200
+/// readings, that is 0.2 of a squared standard deviation.
+const NO_BETTER: f64 = 1e-3;
 /// Largest move in one step, in radii.
 const LONGEST: f64 = 0.5;
 /// Error of the force as a share of it, from the meshes, on twins of three skins with patches.
@@ -105,9 +108,11 @@ impl PlateFit {
     /// The state of these presses, with their residual; `None` if their contacts cannot be solved, or beyond the bound
     /// of operations.
     fn state(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
-        if self.work > self.most_work {
-            return None;
-        }
+        if self.work > self.most_work { None } else { self.evaluated(presses, effort) }
+    }
+
+    /// As [`PlateFit::state`], also beyond the bound.
+    fn evaluated(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
         let contacts = self.model.contacts(&presses, effort).ok()?;
         self.work += PlateModel::work(&contacts);
         let (mut change, mut residual) = (Vec::new(), Vec::new());
@@ -135,12 +140,16 @@ impl PlateFit {
     }
 
     fn cost(&self) -> Cost {
+        self.cost_of(&self.at)
+    }
+
+    fn cost_of(&self, state: &State) -> Cost {
         let square = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>();
-        let presses = self.at.presses.len();
+        let presses = state.presses.len();
         let freedom = (self.weighing.whitening.present() as f64 - (OF_PRESS * presses + 1) as f64).max(1.0);
         let energy = square(&self.frame);
         let model_error = if presses == 0 { 0.0 } else { self.error_share * energy };
-        Cost { residual: square(&self.at.residual), energy, freedom, model_error }
+        Cost { residual: square(&state.residual), energy, freedom, model_error }
     }
 
     /// The inverse of the normal matrix, inflated by what the fit has left.
@@ -192,6 +201,12 @@ impl PressFit for PlateFit {
         let cost = self.cost();
         self.find_covariances(&mut solver, &cost);
         Some(cost)
+    }
+
+    fn left_by(&mut self, presses: &[Press]) -> Option<Cost> {
+        let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
+        let state = self.evaluated(presses, Effort::Full)?;
+        Some(self.cost_of(&state))
     }
 
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
@@ -479,6 +494,6 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
-        progress.moved < CONVERGED || progress.before - progress.after < 1e-6 * progress.after
+        progress.moved < CONVERGED || progress.before - progress.after < NO_BETTER * progress.after
     }
 }

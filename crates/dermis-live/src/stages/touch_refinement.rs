@@ -363,8 +363,9 @@ impl SpotStage {
         let Explained::Later(so_far) = explained else {
             return self.show(time_ns, explained, imager, lowest, contacts);
         };
+        let has_jumped = so_far.is_none();
         let so_far = so_far.filter(|estimate| self.is_accepted(estimate));
-        let is_lost = so_far.is_none() && self.estimator.is_out_of_work();
+        let is_lost = has_jumped || so_far.is_none() && self.estimator.is_out_of_work();
         if !self.search.is_under_way() {
             self.search(time_ns, difference, memory.clone());
         }

@@ -3,9 +3,8 @@
 
 use dermis_estimate::{Estimate, Estimator, Memory, Press};
 
-/// Most operations of a search within a frame: some 30 ms on one core. Three presses that are followed take half of
-/// them.
-pub(super) const AT_ONCE: f64 = 2e8;
+/// Most operations of a search within a frame: some 15 ms on one core. It suffices for two presses on most sandwiches.
+pub(super) const AT_ONCE: f64 = 1e8;
 /// The same while no presses explain the frames: the search fails or takes long, and goes on in the background anyway.
 pub(super) const AT_ONCE_IN_VAIN: f64 = 2e7;
 /// Delay after which a search in the background takes effect, nanoseconds. It takes up to 150 ms on one slow core.
