@@ -110,6 +110,19 @@ impl Prepared {
         })
     }
 
+    /// The same skin, on the same grid, with about this number of elements.
+    ///
+    /// # Errors
+    /// As [`Prepared::new`] and [`Prepared::as_built`].
+    pub(crate) fn with_elements(&self, elements: usize) -> Result<Self, Error> {
+        let imaging = Imaging { elements, ..self.skin.imaging.clone() };
+        let drawn = Self::new(Skin { imaging, ..self.skin.clone() })?;
+        match &self.built {
+            None => Ok(drawn),
+            Some(build) => drawn.as_built((**build).clone()),
+        }
+    }
+
     /// Sets the errors of touches that remain on the skin as built.
     #[must_use]
     pub(crate) fn with_errors(self, errors: Arc<WorkshopError>) -> Self {

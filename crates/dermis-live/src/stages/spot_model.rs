@@ -17,6 +17,8 @@ pub(super) const LARGEST_RADIUS: f64 = 0.6;
 pub(crate) const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius, relative to half the shorter side.
 pub(super) const SMALLEST_RADIUS: f64 = 0.05;
+/// Large changes are solved on half the elements, but on this many at least, if the skin has them.
+const LEAST_BEYOND: usize = 1000;
 /// Highest frame rate at which fits correct for large changes. A fit takes 2 ms with 16 electrodes, and 13 ms with 32
 /// electrodes and three touches.
 const MOST_FRAMES_PER_S: f64 = 60.0;
@@ -57,11 +59,40 @@ pub(crate) fn spot_model_under(
     let layer = &prepared.skin.frontend.layer;
     let is_continuous = matches!(layer, Layer::Liquid(_) | Layer::Sheet(_)) && !layer.is_open_tank();
     if is_continuous && may_look_beyond(prepared) {
-        let response = change_response(prepared)?;
+        let (response, jacobian) = response_beyond(prepared)?;
         let spread = membrane.map(|membrane| membrane.spread.as_ref());
-        return Ok(model.with_large_changes(response, pressed.as_ref(), spread, &positions, polarity)?);
+        return Ok(model.with_large_changes(response, jacobian.as_ref(), spread, &positions, polarity)?);
     }
     Ok(model)
+}
+
+/// The response to large changes and its linear part: channels by pixels, in volts per relative change in the direction
+/// of presses. Fits take only the difference of both from it, so a coarser mesh will do.
+fn response_beyond(prepared: &Prepared) -> Result<(ChangeResponse, Mat<f64>), Error> {
+    let elements = prepared.skin.imaging.elements;
+    let coarse = prepared.with_elements((elements / 2).max(LEAST_BEYOND).min(elements))?;
+    let pixels = prepared.map.inside_pixels();
+    // At the rim, the two meshes may cover other pixels.
+    let nearest: Vec<usize> = (coarse.map.inside_pixels().iter().zip(&coarse.basis.positions))
+        .map(|(pixel, at)| {
+            let square = |k: &usize| {
+                let place = prepared.basis.positions[*k];
+                (place[0] - at[0]).powi(2) + (place[1] - at[1]).powi(2)
+            };
+            let by_distance = |a: &usize, b: &usize| square(a).total_cmp(&square(b));
+            pixels.binary_search(pixel).unwrap_or_else(|_| (0..pixels.len()).min_by(by_distance).unwrap_or(0))
+        })
+        .collect();
+    let polarity = prepared.skin.imaging.polarity.sign();
+    let mut jacobian = Mat::zeros(prepared.channels(), pixels.len());
+    for (pixel, &at) in nearest.iter().enumerate() {
+        let column = coarse.jacobian.as_mat().col(pixel);
+        (0..column.nrows()).for_each(|channel| jacobian[(channel, at)] += polarity * column[channel]);
+    }
+    let response = change_response(&coarse)?;
+    let operations = response.operations();
+    let respond = move |changes: &[f64]| response.to(&nearest.iter().map(|&at| changes[at]).collect::<Vec<f64>>());
+    Ok((ChangeResponse::new(operations, respond), jacobian))
 }
 
 /// True if there is time to correct for large changes, and no readout circuit between model and channels.

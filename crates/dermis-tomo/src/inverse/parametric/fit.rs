@@ -31,6 +31,10 @@ const MOST_STEPS_BEYOND: usize = 40;
 /// A fit has converged when no spot moves by more than this share of its radius, and the logarithm of no radius
 /// changes by more than ten times this.
 const CONVERGED: f64 = 2e-3;
+/// A fit has also converged when a step lowers the residual by less than this share of it: with large changes, whose
+/// steps take a solve each, by some tenths of a squared standard deviation.
+const NO_BETTER: f64 = 1e-6;
+const NO_BETTER_BEYOND: f64 = 1e-3;
 /// Prior standard deviation of the logarithm of the radius.
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
 /// Uncertainty of the noise's own energy, which is nominally 1: noise is estimated from 32 frames at rest, and is
@@ -412,6 +416,7 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
-        progress.moved < CONVERGED || progress.before - progress.after < 1e-6 * progress.after
+        let no_better = if self.scratch.looks_beyond { NO_BETTER_BEYOND } else { NO_BETTER };
+        progress.moved < CONVERGED || progress.before - progress.after < no_better * progress.after
     }
 }

@@ -40,6 +40,11 @@ impl ChangeResponse {
     pub fn to(&self, changes: &[f64]) -> Option<Vec<f64>> {
         (self.respond)(changes)
     }
+
+    /// About the number of operations that a response takes.
+    pub fn operations(&self) -> f64 {
+        self.operations
+    }
 }
 
 impl fmt::Debug for ChangeResponse {
