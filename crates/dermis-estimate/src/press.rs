@@ -115,8 +115,8 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Fits presses from these starts to the last frame taken. `None` if they cannot be fitted.
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost>;
 
-    /// What presses leave of the last frame taken under the full model, without moving them; for models of which one
-    /// evaluation costs far less than a fit. Works beyond the bound of operations.
+    /// Residual of the last frame taken under the full model with these presses, which stay as they are. Not bounded by
+    /// the number of operations. `None` if such a residual costs about as much as a fit.
     fn left_by(&mut self, _presses: &[Press]) -> Option<Cost> {
         None
     }

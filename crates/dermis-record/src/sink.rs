@@ -9,7 +9,7 @@ mod touch_table;
 
 pub use image_stack::ImageStack;
 pub use interface::{Sink, Summary};
-pub use json_lines::{JsonLines, LineExtras, LinesFor};
+pub use json_lines::{JsonLines, LineExtras, LinesFor, NoFields};
 pub(crate) use staged::sync_directory;
 pub use touch_table::{TouchColumns, TouchTable};
 

@@ -24,38 +24,41 @@ const HOPELESS: f64 = 0.5;
 /// what smaller sets leave. The change is then damage. Two of three presses at once may explain no more than one.
 const MANY: usize = 3;
 const NO_BETTER: f64 = 0.9;
-/// Radii from which a joint set is fitted, relative to the typical one.
-const JOINT_RADII: [f64; 2] = [1.0, 1.4];
+/// If no joint set explains the frame, they are fitted again from this radius, relative to the typical one.
+const OTHER_RADIUS: f64 = 1.4;
 
 impl Estimator {
     /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else
     /// those that have ended. Both in one set would explain a cut as well.
     pub(super) fn propose_sets(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
-        let (mut is_first, mut least_left) = (true, f64::INFINITY);
+        let (mut sets, mut is_first, mut least_left) = (Vec::new(), true, f64::INFINITY);
         while let Some(set) = self.fit.next_joint_set(is_first, self.negative) {
             is_first = false;
             if set.len() <= best.presses.len() {
                 continue;
             }
-            let mut fits: Vec<Explanation> = Vec::new();
-            // Pressure and radius trade off, and a fit may end in a local optimum.
-            for share in JOINT_RADII {
-                fits.extend(self.fitted(&scaled(&set, share), Effort::Quick));
-                if fits.last().is_some_and(|more| more.cost.is_explained() || self.is_hopeless(more)) {
-                    break;
-                }
+            let Some(more) = self.fitted(&set, Effort::Quick) else { break };
+            let (left, is_enough, is_hopeless) =
+                (more.cost.unexplained(), more.cost.is_explained(), self.is_hopeless(&more));
+            found.push(more);
+            if is_enough {
+                return;
             }
-            let best_fit = fits.into_iter().min_by(|a, b| a.cost.residual.total_cmp(&b.cost.residual));
-            let Some(more) = best_fit else { break };
-            let left = more.cost.unexplained();
-            if set.len() >= MANY && self.is_hopeless(&more) && left > NO_BETTER * least_left {
+            if set.len() >= MANY && is_hopeless && left > NO_BETTER * least_left {
                 break;
             }
             least_left = least_left.min(left);
+            if !is_hopeless {
+                sets.push(set);
+            }
+        }
+        // Pressure and radius trade off, and the fits may have ended in local optima.
+        for set in sets {
+            let Some(more) = self.fitted(&scaled(&set, OTHER_RADIUS), Effort::Quick) else { return };
             let is_enough = more.cost.is_explained();
             found.push(more);
             if is_enough {
-                break;
+                return;
             }
         }
     }

@@ -67,7 +67,7 @@ pub(crate) fn spot_model_under(
 }
 
 /// The response to large changes and its linear part: channels by pixels, in volts per relative change in the direction
-/// of presses. Fits take only the difference of both from it, so a coarser mesh will do.
+/// of presses. Fits use only their difference, for which a coarser mesh is accurate enough.
 fn response_beyond(prepared: &Prepared) -> Result<(ChangeResponse, Mat<f64>), Error> {
     let elements = prepared.skin.imaging.elements;
     let coarse = prepared.with_elements((elements / 2).max(LEAST_BEYOND).min(elements))?;

@@ -1,12 +1,11 @@
 //! The last verdict on every patch, and the readers to send it to.
 
-use std::fmt::Write as _;
-
 use dermis_device::HostStamp;
 use dermis_touch::guard::{GuardReport, GuardVerdict};
+use serde::Serialize;
 
 use super::reader::{Reader, Stream};
-use crate::sink::json_lines::push_verdict;
+use crate::sink::json_lines::Verdict;
 
 /// Maximum number of readers at once.
 const MOST_READERS: usize = 8;
@@ -18,7 +17,6 @@ const HEARTBEAT_NS: [u64; 2] = [2_000_000, 50_000_000];
 /// One patch.
 #[derive(Debug)]
 struct Row {
-    /// Its name as a JSON text.
     name: String,
     report: GuardReport,
     sequence: Option<u64>,
@@ -32,14 +30,14 @@ pub(super) struct Board {
     rows: Vec<Row>,
     readers: Vec<Reader>,
     heartbeat_ns: u64,
-    line: String,
+    line: Vec<u8>,
 }
 
 impl Board {
     /// A board for these patches, with their reports before the first frame.
     pub fn new(patches: &[(String, GuardReport)], now_ns: u64) -> Self {
         let row = |(name, report): &(String, GuardReport)| Row {
-            name: serde_json::Value::from(name.as_str()).to_string(),
+            name: name.clone(),
             report: *report,
             sequence: None,
             told: (now_ns, report.verdict),
@@ -50,7 +48,7 @@ impl Board {
             rows: patches.iter().map(row).collect(),
             readers: Vec::new(),
             heartbeat_ns: (shortest_ns / HEARTBEATS).clamp(least_ns, most_ns),
-            line: String::with_capacity(512),
+            line: Vec::with_capacity(512),
         }
     }
 
@@ -101,10 +99,10 @@ impl Board {
             return;
         }
         self.greet();
-        let mut is_there = reader.send(self.line.as_bytes(), now_ns);
+        let mut is_there = reader.send(&self.line, now_ns);
         for patch in 0..self.rows.len() {
             self.write_line(patch, now_ns);
-            is_there = is_there && reader.send(self.line.as_bytes(), now_ns);
+            is_there = is_there && reader.send(&self.line, now_ns);
         }
         if is_there {
             self.readers.push(reader);
@@ -113,22 +111,20 @@ impl Board {
 
     /// Writes the greeting.
     fn greet(&mut self) {
-        let names: Vec<&str> = self.rows.iter().map(|row| row.name.as_str()).collect();
-        self.line.clear();
-        // Writing to a String cannot fail.
-        let _ = writeln!(
-            self.line,
-            "{{\"dermis_guard\":1,\"safety_rated\":false,\"rule\":\"stop unless the last line says ok and is younger than \
-             its valid_ms\",\"heartbeat_ms\":{},\"patches\":[{}]}}",
-            milliseconds(self.heartbeat_ns),
-            names.join(",")
-        );
+        let greeting = Greeting {
+            dermis_guard: 1,
+            safety_rated: false,
+            rule: "stop unless the last line says ok and is younger than its valid_ms",
+            heartbeat_ms: milliseconds(self.heartbeat_ns),
+            patches: self.rows.iter().map(|row| row.name.as_str()).collect(),
+        };
+        put(&mut self.line, &greeting);
     }
 
     fn tell(&mut self, patch: usize, now_ns: u64) {
         let verdict = self.write_line(patch, now_ns);
         self.rows[patch].told = (now_ns, verdict);
-        let line = self.line.as_bytes();
+        let line = &self.line;
         self.readers.retain_mut(|reader| reader.send(line, now_ns));
     }
 
@@ -136,24 +132,51 @@ impl Board {
     fn write_line(&mut self, patch: usize, now_ns: u64) -> GuardVerdict {
         let all = self.rows.iter().map(|row| row.report.at(now_ns).verdict).max().unwrap_or(GuardVerdict::Stop);
         let Row { name, report, sequence, .. } = &self.rows[patch];
-        let (report, line) = (report.at(now_ns), &mut self.line);
-        line.clear();
-        let _ = write!(line, "{{\"patch\":{name},");
-        push_verdict(line, &report);
-        let _ = write!(line, ",\"all\":\"{}\",\"sequence\":", all.name());
-        let _ = match sequence {
-            Some(sequence) => write!(line, "{sequence}"),
-            None => write!(line, "null"),
+        let report = report.at(now_ns);
+        let line = VerdictLine {
+            patch: name,
+            verdict: Verdict::of(&report),
+            all: all.name(),
+            sequence: *sequence,
+            frame_ns: HostStamp::on_system_clock(report.frame_ns),
+            monotonic_ns: HostStamp::on_system_clock(now_ns),
+            valid_ms: milliseconds(report.stale_after_ns),
         };
-        let _ = writeln!(
-            line,
-            ",\"frame_ns\":{},\"monotonic_ns\":{},\"valid_ms\":{}}}",
-            HostStamp::on_system_clock(report.frame_ns),
-            HostStamp::on_system_clock(now_ns),
-            milliseconds(report.stale_after_ns)
-        );
+        put(&mut self.line, &line);
         report.verdict
     }
+}
+
+/// The first line that a reader gets.
+#[derive(Serialize)]
+struct Greeting<'a> {
+    dermis_guard: u32,
+    safety_rated: bool,
+    rule: &'static str,
+    heartbeat_ms: f64,
+    patches: Vec<&'a str>,
+}
+
+/// The verdict on a patch.
+#[derive(Serialize)]
+struct VerdictLine<'a> {
+    patch: &'a str,
+    #[serde(flatten)]
+    verdict: Verdict,
+    /// The worst verdict of all patches.
+    all: &'static str,
+    sequence: Option<u64>,
+    frame_ns: u64,
+    monotonic_ns: u64,
+    valid_ms: f64,
+}
+
+/// Replaces a line by this object.
+fn put(line: &mut Vec<u8>, object: &impl Serialize) {
+    line.clear();
+    // Writing to memory cannot fail, and all keys are texts.
+    let _ = serde_json::to_writer(&mut *line, object);
+    line.push(b'\n');
 }
 
 fn milliseconds(nanoseconds: u64) -> f64 {
@@ -175,7 +198,8 @@ mod tests {
 
     fn line(board: &mut Board, patch: usize, now_ns: u64) -> Value {
         board.write_line(patch, now_ns);
-        serde_json::from_str(&board.line).unwrap_or_else(|error| panic!("{error}: {}", board.line))
+        serde_json::from_slice(&board.line)
+            .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&board.line)))
     }
 
     #[test]
@@ -193,7 +217,7 @@ mod tests {
         let other = line(&mut board, 1, 2 * MS);
         assert_eq!((&other["patch"], &other["reasons"]), (&json!("a \"quoted\" one"), &json!(["no-baseline"])));
         board.greet();
-        let greeting: Value = serde_json::from_str(&board.line).unwrap();
+        let greeting: Value = serde_json::from_slice(&board.line).unwrap();
         assert_eq!((&greeting["safety_rated"], greeting["heartbeat_ms"].as_f64()), (&json!(false), Some(20.0)));
     }
 

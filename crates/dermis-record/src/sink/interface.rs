@@ -74,10 +74,7 @@ pub(super) fn load_numbers(load: &TouchLoad) -> [f64; 2] {
     [unit * load.value, unit * load.sigma]
 }
 
-/// Names of an alternative position and its probability in tables and lines.
-pub(super) const OTHER_NAMES: [&str; 3] = ["other_x_mm", "other_y_mm", "other_probability"];
-
-/// An alternative position and its probability in the units of [`OTHER_NAMES`].
+/// An alternative position, millimetres, and its probability.
 pub(super) fn other_numbers(other: PlaceHypothesis) -> [f64; 3] {
     let [x_m, y_m] = other.position_m;
     [MM_PER_M * x_m, MM_PER_M * y_m, other.probability]

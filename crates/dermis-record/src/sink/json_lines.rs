@@ -1,22 +1,22 @@
 //! One JSON object per line and frame, for pipes and logs.
 
 mod damage;
-mod number;
+mod each;
+mod frame;
+mod touch;
+mod verdict;
 
-use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis_device::HostStamp;
-use dermis_touch::guard::GuardReport;
-use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
-use dermis_touch::{Touch, TouchPhase};
+use dermis_touch::Touch;
+use serde::Serialize;
 
-use super::interface::{OTHER_NAMES, Sink, Summary, TouchRow, load_names, load_numbers, other_numbers};
+use super::interface::{Sink, Summary};
 use crate::Error;
-use dermis_live::clock::FrameAnomalies;
 use dermis_live::output::Output;
-use number::{Number, push_since};
+use frame::FrameLine;
+pub(crate) use verdict::Verdict;
 
 /// Selects the frames that get a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,19 +27,40 @@ pub enum LinesFor {
     Touches,
 }
 
-/// Fields to add to the objects of a line. Every method appends `,"name":value`, or nothing.
+/// Fields to add to the objects of a line.
 pub trait LineExtras {
-    /// Appends fields to the line's object.
-    fn line(&self, _line: &mut String) {}
+    /// Fields of the line's object.
+    type Line: Serialize;
+    /// Fields of a touch's object.
+    type Touch: Serialize;
 
-    /// Appends fields to a touch's object.
-    fn touch(&self, _line: &mut String, _touch: &Touch) {}
+    /// Fields to add to the line.
+    fn line(&self) -> Self::Line;
+
+    /// Fields to add to a touch.
+    fn touch(&self, touch: &Touch) -> Self::Touch;
 }
 
 /// Adds nothing.
-struct Plain;
+pub(crate) struct Plain;
 
-impl LineExtras for Plain {}
+/// No fields.
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub struct NoFields {}
+
+impl LineExtras for Plain {
+    type Line = NoFields;
+    type Touch = NoFields;
+
+    fn line(&self) -> NoFields {
+        NoFields {}
+    }
+
+    fn touch(&self, _touch: &Touch) -> NoFields {
+        NoFields {}
+    }
+}
 
 /// Writes lines such as
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}],"clocks":{...}}`.
@@ -73,14 +94,15 @@ impl LineExtras for Plain {}
 /// `guard` is present if the skin has a guard: `verdict` (`ok`, `stale` or `stop`), `reasons`, and `safety_rated`,
 /// which is always false.
 ///
-/// Numbers have enough digits to be read back exactly. Every line is flushed, so that a reader sees it at once. The
-/// line is built in reused memory: nothing is allocated once the longest line has been written.
+/// The schema of a line is in `json-lines.schema.json`. Numbers have enough digits to be read back exactly. Every line is
+/// flushed, so that a reader sees it at once. The line is built in reused memory: nothing is allocated once the longest
+/// line has been written.
 #[derive(Debug)]
 pub struct JsonLines<W> {
     out: W,
     name: PathBuf,
     lines_for: LinesFor,
-    line: String,
+    line: Vec<u8>,
     summary: Summary,
     /// The frames come from a recording, and their monotonic times from another process.
     of_recording: bool,
@@ -89,7 +111,7 @@ pub struct JsonLines<W> {
 impl<W: Write + Send> JsonLines<W> {
     /// Writes to `out`; `name` is only used in messages.
     pub fn new(out: W, name: impl Into<PathBuf>, lines_for: LinesFor) -> Self {
-        let (line, summary) = (String::with_capacity(1024), Summary::default());
+        let (line, summary) = (Vec::with_capacity(1024), Summary::default());
         Self { out, name: name.into(), lines_for, line, summary, of_recording: false }
     }
 
@@ -113,7 +135,7 @@ impl<W: Write + Send> JsonLines<W> {
     ///
     /// # Errors
     /// As for [`Sink::accept`].
-    pub fn accept_with(&mut self, output: &Output<'_>, extras: &dyn LineExtras) -> Result<(), Error> {
+    pub fn accept_with<E: LineExtras>(&mut self, output: &Output<'_>, extras: &E) -> Result<(), Error> {
         self.summary.frames += 1;
         let quiet = output.damage.events.is_empty();
         let silent = output.touches.is_empty() && output.ended.is_empty() && quiet;
@@ -121,15 +143,12 @@ impl<W: Write + Send> JsonLines<W> {
             return Ok(());
         }
         self.line.clear();
-        push_open(&mut self.line, output, extras);
-        push_health(&mut self.line, output.health);
-        push_anomalies(&mut self.line, output.anomalies);
-        push_guard(&mut self.line, output.guard);
-        damage::push_damage(&mut self.line, &output.damage);
-        push_clocks(&mut self.line, output, self.of_recording);
-        extras.line(&mut self.line);
-        self.line.push_str("}\n");
-        let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
+        let line = FrameLine::new(output, extras, self.of_recording);
+        let written = serde_json::to_writer(&mut self.line, &line).map_err(std::io::Error::from).and_then(|()| {
+            self.line.push(b'\n');
+            self.out.write_all(&self.line)?;
+            self.out.flush()
+        });
         written.map_err(Error::io(&self.name))?;
         self.summary.written += 1;
         Ok(())
@@ -147,155 +166,14 @@ impl<W: Write + Send> Sink for JsonLines<W> {
     }
 }
 
-/// Appends the object for one frame, without its closing brace: its touches, then those that ended in it.
-fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
-    let Output { sequence, time_ns, touches, ended, .. } = *output;
-    let is_known = output.health.frame.is_none();
-    let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
-    // Writing to a String cannot fail.
-    let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
-    for (index, touch) in touches.iter().chain(ended).enumerate() {
-        if index > 0 {
-            text.push(',');
-        }
-        push_touch(text, touch, is_known);
-        extras.touch(text, touch);
-        text.push('}');
-    }
-    text.push(']');
-    if !is_known {
-        text.push_str(",\"touches_known\":false");
-    }
-}
-
-/// The frame's time on every clock.
-fn push_clocks(text: &mut String, output: &Output<'_>, of_recording: bool) {
-    let _ = write!(text, ",\"clocks\":{{\"wall_ns\":{},\"monotonic_ns\":", output.wall_ns);
-    let _ = match of_recording {
-        true => write!(text, "null"),
-        false => write!(text, "{}", HostStamp::on_system_clock(output.time_ns)),
-    };
-    text.push_str(",\"device_ns\":");
-    let _ = match output.device_time_ns {
-        Some(device_ns) => write!(text, "{device_ns}}}"),
-        None => write!(text, "null}}"),
-    };
-}
-
-/// Appends any faults. Electrodes and channels count from 1; channels that belong to a faulty electrode appear only
-/// in the total.
-fn push_health(text: &mut String, health: Health<'_>) {
-    if health.is_sound() {
-        return;
-    }
-    text.push_str(",\"health\":{");
-    if let Some(fault) = health.frame {
-        let _ = write!(text, "\"frame\":{{\"kind\":\"{}\"", fault.kind.name());
-        push_since(text, fault.since_ns);
-        text.push(',');
-    }
-    let _ = write!(text, "\"left_out\":{},\"electrodes\":[", health.channels.len());
-    for (index, fault) in health.electrodes.iter().enumerate() {
-        let comma = if index > 0 { "," } else { "" };
-        let _ = write!(text, "{comma}{{\"electrode\":{},", fault.electrode + 1);
-        match fault.kind {
-            ElectrodeFaultKind::Lost => text.push_str("\"kind\":\"lost\""),
-            ElectrodeFaultKind::Shorted { with } => {
-                let _ = write!(text, "\"kind\":\"shorted\",\"with\":{}", with + 1);
-            }
-        }
-        push_since(text, fault.since_ns);
-    }
-    text.push_str("],\"channels\":[");
-    let own = health.channels.iter().filter(|fault| fault.kind != ChannelFaultKind::Electrode);
-    for (index, fault) in own.enumerate() {
-        let comma = if index > 0 { "," } else { "" };
-        let _ = write!(text, "{comma}{{\"channel\":{},\"kind\":\"{}\"", fault.channel + 1, fault.kind.name());
-        push_since(text, fault.since_ns);
-    }
-    text.push_str("]}");
-}
-
-/// Appends any oddities of the frame's number or time.
-fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
-    if anomalies.is_none() {
-        return;
-    }
-    let FrameAnomalies { lost_before, renumbered, clock_jump_ns } = anomalies;
-    let jump_s = Number(clock_jump_ns as f64 * 1e-9);
-    let _ = write!(
-        text,
-        ",\"marks\":{{\"lost_before\":{lost_before},\"renumbered\":{renumbered},\"clock_jump_s\":{jump_s}}}"
-    );
-}
-
-/// Appends the guard's verdict.
-fn push_guard(text: &mut String, report: Option<GuardReport>) {
-    let Some(report) = report else { return };
-    text.push_str(",\"guard\":{");
-    push_verdict(text, &report);
-    text.push('}');
-}
-
-/// Appends the fields of a guard's verdict to an object: `verdict`, `reasons` and `safety_rated`, which is false.
-pub(crate) fn push_verdict(text: &mut String, report: &GuardReport) {
-    let _ = write!(text, "\"verdict\":\"{}\",\"reasons\":[", report.verdict.name());
-    for (index, reason) in report.reasons.iter().enumerate() {
-        let comma = if index > 0 { "," } else { "" };
-        let _ = write!(text, "{comma}\"{}\"", reason.name());
-    }
-    text.push_str("],\"safety_rated\":false");
-}
-
-/// Appends a touch's object, without its closing brace.
-fn push_touch(text: &mut String, touch: &Touch, is_known: bool) {
-    let phase = match touch.phase {
-        TouchPhase::Begin => "begin",
-        TouchPhase::Move => "move",
-        TouchPhase::End => "end",
-    };
-    let _ = write!(text, "{{\"id\":{},\"phase\":\"{phase}\"", touch.id);
-    if !is_known {
-        text.push_str(",\"known\":false");
-    }
-    let row = TouchRow::new(touch);
-    let fields = [
-        ("x_mm", row.x_mm),
-        ("y_mm", row.y_mm),
-        ("amplitude", row.amplitude),
-        ("area_mm2", row.area_mm2),
-        ("sigma_x_mm", row.sigma_x_mm),
-        ("sigma_y_mm", row.sigma_y_mm),
-    ];
-    for (name, value) in fields {
-        let _ = write!(text, ",\"{name}\":{}", Number(value));
-    }
-    if let Some(force) = touch.force {
-        let nearest = Number(force.nearest_n().unwrap_or(f64::NAN));
-        let _ = write!(text, ",\"force_n\":{nearest},\"force_range\":\"{}\"", force.range());
-        if let Some(sigma_n) = force.sigma_n() {
-            let _ = write!(text, ",\"sigma_force_n\":{}", Number(sigma_n));
-        }
-    }
-    if let Some(radius_m) = touch.radius_m {
-        let _ = write!(text, ",\"radius_mm\":{}", Number(1e3 * radius_m));
-    }
-    if let Some(load) = &touch.load {
-        for (name, value) in load_names(load.quantity).into_iter().zip(load_numbers(load)) {
-            let _ = write!(text, ",\"{name}\":{}", Number(value));
-        }
-    }
-    if let Some(other) = touch.other_place {
-        for (name, value) in OTHER_NAMES.into_iter().zip(other_numbers(other)) {
-            let _ = write!(text, ",\"{name}\":{}", Number(value));
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::testing::{output, touch};
     use super::*;
+    use dermis_live::clock::FrameAnomalies;
+    use dermis_touch::TouchPhase;
+    use dermis_touch::guard::GuardReport;
+    use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
     use serde_json::{Value, json};
 
     fn lines(bytes: &[u8]) -> Vec<Value> {
@@ -347,7 +225,7 @@ mod tests {
             (touch["force_n"].clone(), touch["force_range"].clone())
         };
         assert_eq!(of(Valid { force_n: 0.25, sigma_n: 0.01 }), (json!(0.25), json!("within")));
-        assert_eq!(of(Saturated { from_n: 2.0 }), (json!(2), json!("saturated")));
+        assert_eq!(of(Saturated { from_n: 2.0 }), (json!(2.0), json!("saturated")));
         assert_eq!(of(NotFinite), (Value::Null, json!("none")));
     }
 

@@ -1,65 +1,105 @@
 //! The part of a line that describes damage.
 
-use std::fmt::Write as _;
-
-use dermis_touch::damage::{Damage, DamageState};
-
-use super::number::{Number, push_since};
 use dermis_live::stages::damage::DamageView;
+use dermis_touch::damage::{Damage, DamageEvent, DamageState};
+use serde::Serialize;
 
-/// Appends the known damage, if there is any news. Suspected damage is left out.
-pub(super) fn push_damage(text: &mut String, view: &DamageView<'_>) {
-    if view.is_silent() {
-        return;
-    }
-    // Writing to a String cannot fail.
-    text.push_str(",\"damage\":{\"list\":[");
-    let told = view.damages.iter().filter(|damage| damage.state != DamageState::Suspected);
-    for (index, damage) in told.enumerate() {
-        push_one(text, damage, index > 0);
-    }
-    text.push_str("],\"events\":[");
-    for (index, event) in view.events.iter().enumerate() {
-        let comma = if index > 0 { "," } else { "" };
-        let _ = write!(text, "{comma}{{\"id\":{},\"event\":\"{}\"}}", event.damage().id, event.name());
-    }
-    let _ = write!(text, "],\"baselines\":{}", view.baselines.len());
-    if let Some(intact) = view.intact {
-        let _ = write!(text, ",\"intact\":{}", intact + 1);
-    }
-    if let Some(proposal) = view.proposal {
-        let (reason, offset) = (proposal.reason.name(), Number(proposal.offset_sigma));
-        let _ = write!(text, ",\"proposal\":{{\"reason\":\"{reason}\",\"offset_sigma\":{offset}");
-        push_since(text, proposal.since_ns);
-    }
-    text.push('}');
+use super::each::{Each, seconds};
+
+/// Known damage. Suspected damage is left out. Times are on the pipeline's clock.
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub(super) struct DamageObject<'a> {
+    #[cfg_attr(test, schemars(with = "Vec<Known>"))]
+    list: Each<'a, Damage, Known>,
+    #[cfg_attr(test, schemars(with = "Vec<News>"))]
+    events: Each<'a, DamageEvent, News>,
+    /// Number of baselines taken.
+    baselines: usize,
+    /// The baseline of the intact skin, from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    intact: Option<usize>,
+    /// A new baseline is proposed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    proposal: Option<Proposed>,
 }
 
-fn push_one(text: &mut String, damage: &Damage, comma: bool) {
-    let comma = if comma { "," } else { "" };
-    let shape = &damage.shape;
-    let _ = write!(text, "{comma}{{\"id\":{},\"state\":\"{}\"", damage.id, damage.state.name());
-    let fields = [
-        ("x_mm", 1e3 * shape.centre_m[0]),
-        ("y_mm", 1e3 * shape.centre_m[1]),
-        ("length_mm", 1e3 * shape.length_m),
-        ("width_mm", 1e3 * shape.width_m),
-        ("direction_deg", shape.direction_rad.to_degrees()),
-        ("depth", damage.depth),
-        ("share", damage.share),
-        ("significance", damage.significance),
-    ];
-    for (name, value) in fields {
-        let _ = write!(text, ",\"{name}\":{}", Number(value));
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+struct Known {
+    id: u64,
+    state: &'static str,
+    /// Centre.
+    x_mm: f64,
+    y_mm: f64,
+    length_mm: f64,
+    width_mm: f64,
+    direction_deg: f64,
+    depth: f64,
+    /// Share that remains.
+    share: f64,
+    significance: f64,
+    /// Standard deviations of x, y and length, if a model was fitted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sigma_mm: Option<[f64; 3]>,
+    confirmed_s: f64,
+    since_s: f64,
+}
+
+impl Known {
+    fn of(damage: &Damage) -> Option<Self> {
+        let shape = &damage.shape;
+        let known = Self {
+            id: damage.id,
+            state: damage.state.name(),
+            x_mm: 1e3 * shape.centre_m[0],
+            y_mm: 1e3 * shape.centre_m[1],
+            length_mm: 1e3 * shape.length_m,
+            width_mm: 1e3 * shape.width_m,
+            direction_deg: shape.direction_rad.to_degrees(),
+            depth: damage.depth,
+            share: damage.share,
+            significance: damage.significance,
+            sigma_mm: shape.deviations.map(|[x, y, length, _]| [x, y, length].map(|metres| 1e3 * metres)),
+            confirmed_s: seconds(damage.confirmed_ns),
+            since_s: seconds(damage.since_ns),
+        };
+        (damage.state != DamageState::Suspected).then_some(known)
     }
-    if let Some([x, y, length, _]) = shape.deviations {
-        let [x, y, length] = [x, y, length].map(|metres| Number(1e3 * metres));
-        let _ = write!(text, ",\"sigma_mm\":[{x},{y},{length}]");
+}
+
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+struct News {
+    id: u64,
+    event: &'static str,
+}
+
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+struct Proposed {
+    reason: &'static str,
+    offset_sigma: f64,
+    since_s: f64,
+}
+
+impl<'a> DamageObject<'a> {
+    /// `None` if there is no news.
+    pub fn of(view: &DamageView<'a>) -> Option<Self> {
+        let news = |event: &DamageEvent| Some(News { id: event.damage().id, event: event.name() });
+        let proposed = |proposal: dermis_live::stages::damage::Proposal| Proposed {
+            reason: proposal.reason.name(),
+            offset_sigma: proposal.offset_sigma,
+            since_s: seconds(proposal.since_ns),
+        };
+        (!view.is_silent()).then(|| Self {
+            list: Each(view.damages, Known::of),
+            events: Each(view.events, news),
+            baselines: view.baselines.len(),
+            intact: view.intact.map(|intact| intact + 1),
+            proposal: view.proposal.map(proposed),
+        })
     }
-    let confirmed_ns = damage.confirmed_ns;
-    let (seconds, nanoseconds) = (confirmed_ns / 1_000_000_000, confirmed_ns % 1_000_000_000);
-    let _ = write!(text, ",\"confirmed_s\":{seconds}.{nanoseconds:09}");
-    push_since(text, damage.since_ns);
 }
 
 #[cfg(test)]
@@ -114,7 +154,6 @@ mod tests {
             "width_mm": 0, "direction_deg": 0, "depth": 0.25, "share": 1, "significance": 20, "sigma_mm": [0.5, 0.25, 1],
             "confirmed_s": 4.0, "since_s": 2.5}], "events": [{"id": 3, "event": "begin"}], "baselines": 0, "intact": 1,
             "proposal": {"reason": "offset", "offset_sigma": 1.5, "since_s": 3.0}});
-        assert_eq!(found["damage"].to_string().len(), found["damage"].to_string().len());
         let numbers = |value: &Value| value.to_string().replace(".0,", ",").replace(".0]", "]").replace(".0}", "}");
         assert_eq!(numbers(&found["damage"]), numbers(&expected));
         let silent = DamageView { damages: &damages[1..], ..DamageView::default() };
