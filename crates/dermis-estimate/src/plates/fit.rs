@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use dermis_tomo::eit::contacts::PatchSets;
-use dermis_tomo::least_squares::{NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise};
+use dermis_tomo::least_squares::{
+    Error, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
+};
 
 use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
-use super::pressure::{OF_PRESS, Pressed};
+use super::pressure::{OF_PRESS, Pressed, turned};
 use super::weighing::Weighing;
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
@@ -48,6 +50,8 @@ pub struct PlateFit {
     volts: Vec<f64>,
     frame: Vec<f64>,
     at: State,
+    /// Presses evaluated for [`PressFit::left_by`]: a fit may start from them.
+    evaluated: Option<State>,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
     /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
     /// same effect on the channels, so these errors weigh more on a force than on a position.
@@ -90,6 +94,7 @@ impl PlateFit {
             volts: Vec::new(),
             frame: Vec::new(),
             at: State::nothing(Vec::new()),
+            evaluated: None,
             covariances: Vec::new(),
             inflation: 1.0,
             work: 0.0,
@@ -108,11 +113,11 @@ impl PlateFit {
     /// The state of these presses, with their residual; `None` if their contacts cannot be solved, or beyond the bound
     /// of operations.
     fn state(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
-        if self.work > self.most_work { None } else { self.evaluated(presses, effort) }
+        if self.work > self.most_work { None } else { self.evaluate(presses, effort) }
     }
 
     /// As [`PlateFit::state`], also beyond the bound.
-    fn evaluated(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
+    fn evaluate(&mut self, presses: Vec<Pressed>, effort: Effort) -> Option<State> {
         let contacts = self.model.contacts(&presses, effort).ok()?;
         self.work += PlateModel::work(&contacts);
         let (mut change, mut residual) = (Vec::new(), Vec::new());
@@ -183,6 +188,7 @@ impl PressFit for PlateFit {
         self.volts.clear();
         self.volts.extend_from_slice(frame);
         self.work = 0.0;
+        self.evaluated = None;
         self.fit_nothing()
     }
 
@@ -191,7 +197,11 @@ impl PressFit for PlateFit {
             return None;
         }
         let presses: Vec<Pressed> = starts.iter().map(|start| self.model.pressed(start)).collect();
-        self.at = self.state(presses, effort)?;
+        let is_start = |state: &State| state.presses == presses && state.effort == effort;
+        self.at = match self.evaluated.take().filter(is_start) {
+            Some(start) => start,
+            None => self.state(presses, effort)?,
+        };
         let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
         let mut solver = Scratch::new(OF_PRESS * starts.len());
         let params = Params::until_settled(DAMPING, steps);
@@ -205,8 +215,10 @@ impl PressFit for PlateFit {
 
     fn left_by(&mut self, presses: &[Press]) -> Option<Cost> {
         let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
-        let state = self.evaluated(presses, Effort::Full)?;
-        Some(self.cost_of(&state))
+        let state = self.evaluate(presses, Effort::Full)?;
+        let cost = self.cost_of(&state);
+        self.evaluated = Some(state);
+        Some(cost)
     }
 
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
@@ -310,6 +322,7 @@ impl PressFit for PlateFit {
             volts: Vec::new(),
             frame: Vec::new(),
             at: State::nothing(Vec::new()),
+            evaluated: None,
             covariances: Vec::new(),
             joint: None,
             ..*self
@@ -385,18 +398,6 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// `T C T'`.
-fn turned(turn: &[[f64; OF_PRESS]; OF_PRESS], covariance: &[[f64; OF_PRESS]; OF_PRESS]) -> [[f64; OF_PRESS]; OF_PRESS] {
-    let product = |a: usize, b: usize| {
-        let pairs = (0..OF_PRESS).flat_map(|j| (0..OF_PRESS).map(move |k| (j, k)));
-        pairs
-            .filter(|&(j, k)| turn[a][j] != 0.0 && turn[b][k] != 0.0)
-            .map(|(j, k)| turn[a][j] * covariance[j][k] * turn[b][k])
-            .sum()
-    };
-    std::array::from_fn(|a| std::array::from_fn(|b| product(a, b)))
-}
-
 /// A fit in progress.
 struct FitUnderWay<'a> {
     fit: &'a mut PlateFit,
@@ -409,28 +410,18 @@ impl FitUnderWay<'_> {
     }
 }
 
-/// Errors of a fit in progress: contacts that cannot be solved, or rules out of range.
-#[derive(Debug)]
-struct Failed;
-
-impl From<dermis_tomo::least_squares::Error> for Failed {
-    fn from(_: dermis_tomo::least_squares::Error) -> Self {
-        Self
-    }
-}
-
 impl Problem for FitUnderWay<'_> {
-    type Error = Failed;
+    type Error = Error;
 
     fn unknowns(&self) -> usize {
         OF_PRESS * self.fit.at.presses.len()
     }
 
-    fn cost(&mut self) -> Result<f64, Failed> {
+    fn cost(&mut self) -> Result<f64, Error> {
         Ok(self.cost_of(&self.fit.at))
     }
 
-    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Failed> {
+    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Error> {
         let PlateFit { model, weighing, prior, at, .. } = &*self.fit;
         let columns: Vec<Vec<f64>> = model
             .derivatives(&at.presses, &at.contacts)
@@ -461,7 +452,7 @@ impl Problem for FitUnderWay<'_> {
         Ok(true)
     }
 
-    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, Failed> {
+    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, Error> {
         let mut moved: f64 = 0.0;
         let model = &self.fit.model;
         let presses = self.fit.at.presses.iter().zip(step.chunks_exact(OF_PRESS)).map(|(press, step)| {

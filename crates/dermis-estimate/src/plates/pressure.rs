@@ -7,13 +7,28 @@ use std::sync::LazyLock;
 pub(super) const OF_PRESS: usize = 4;
 
 /// A press in the parameters of the fit.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pressed {
     pub position_m: [f64; 2],
     pub log_pressure: f64,
     pub log_radius: f64,
     /// It is part of the baseline and has ended.
     pub has_ended: bool,
+}
+
+/// `T C T'`.
+pub(super) fn turned(
+    turn: &[[f64; OF_PRESS]; OF_PRESS],
+    covariance: &[[f64; OF_PRESS]; OF_PRESS],
+) -> [[f64; OF_PRESS]; OF_PRESS] {
+    let product = |a: usize, b: usize| {
+        let pairs = (0..OF_PRESS).flat_map(|j| (0..OF_PRESS).map(move |k| (j, k)));
+        pairs
+            .filter(|&(j, k)| turn[a][j] != 0.0 && turn[b][k] != 0.0)
+            .map(|(j, k)| turn[a][j] * covariance[j][k] * turn[b][k])
+            .sum()
+    };
+    std::array::from_fn(|a| std::array::from_fn(|b| product(a, b)))
 }
 
 /// Steps of the table of the normal distribution. Straight lines between them are off by at most 3e-6.
