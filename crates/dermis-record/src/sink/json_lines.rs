@@ -2,6 +2,7 @@
 
 mod damage;
 mod each;
+mod extras;
 mod frame;
 mod touch;
 mod verdict;
@@ -9,12 +10,11 @@ mod verdict;
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis_touch::Touch;
-use serde::Serialize;
-
 use super::interface::{Sink, Summary};
 use crate::Error;
 use dermis_live::output::Output;
+use extras::Plain;
+pub use extras::{LineExtras, NoFields};
 use frame::FrameLine;
 pub(crate) use verdict::Verdict;
 
@@ -25,41 +25,6 @@ pub enum LinesFor {
     EveryFrame,
     /// Frames with a touch, in which one ended, or with a damage event.
     Touches,
-}
-
-/// Fields to add to the objects of a line.
-pub trait LineExtras {
-    /// Fields of the line's object.
-    type Line: Serialize;
-    /// Fields of a touch's object.
-    type Touch: Serialize;
-
-    /// Fields to add to the line.
-    fn line(&self) -> Self::Line;
-
-    /// Fields to add to a touch.
-    fn touch(&self, touch: &Touch) -> Self::Touch;
-}
-
-/// Adds nothing.
-pub(crate) struct Plain;
-
-/// No fields.
-#[derive(Serialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-pub struct NoFields {}
-
-impl LineExtras for Plain {
-    type Line = NoFields;
-    type Touch = NoFields;
-
-    fn line(&self) -> NoFields {
-        NoFields {}
-    }
-
-    fn touch(&self, _touch: &Touch) -> NoFields {
-        NoFields {}
-    }
 }
 
 /// Writes lines such as

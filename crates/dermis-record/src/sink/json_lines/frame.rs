@@ -6,9 +6,9 @@ use dermis_live::output::Output;
 use dermis_touch::health::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health};
 use serde::{Serialize, Serializer};
 
-use super::LineExtras;
 use super::damage::DamageObject;
 use super::each::{Each, seconds};
+use super::extras::LineExtras;
 use super::touch::TouchObject;
 use super::verdict::Verdict;
 
@@ -22,7 +22,7 @@ pub(super) struct FrameLine<'a, E: LineExtras> {
     /// Arrival of its first byte on the host's monotonic clock, from the start of the process.
     time_s: f64,
     /// Its touches, then those that ended in it.
-    #[cfg_attr(test, schemars(with = "Vec<TouchObject<super::NoFields>>"))]
+    #[cfg_attr(test, schemars(with = "Vec<TouchObject<super::extras::NoFields>>"))]
     touches: Touches<'a, E>,
     /// False if the frames are wrong as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -40,7 +40,7 @@ pub(super) struct FrameLine<'a, E: LineExtras> {
     #[serde(skip_serializing_if = "Option::is_none")]
     damage: Option<DamageObject<'a>>,
     clocks: Clocks,
-    #[cfg_attr(test, schemars(with = "super::NoFields"))]
+    #[cfg_attr(test, schemars(with = "super::extras::NoFields"))]
     #[serde(flatten)]
     extras: E::Line,
 }
@@ -180,18 +180,17 @@ impl Marks {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Plain;
+    use super::super::extras::Plain;
     use super::*;
 
     #[test]
     fn the_schema_of_a_line_is_the_one_in_the_repository() {
-        let schema = schemars::schema_for!(FrameLine<'static, Plain>);
-        let text = serde_json::to_string_pretty(&schema).unwrap() + "\n";
+        let schema = serde_json::to_value(schemars::schema_for!(FrameLine<'static, Plain>)).unwrap();
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/json-lines.schema.json");
         if std::env::var_os("DERMIS_BLESS").is_some() {
-            std::fs::write(path, &text).unwrap();
+            std::fs::write(path, format!("{schema:#}\n")).unwrap();
         }
-        let kept = std::fs::read_to_string(path).unwrap_or_default();
-        assert_eq!(text, kept, "{path} differs; write it with DERMIS_BLESS=1");
+        let kept: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+        assert_eq!(schema, kept, "{path} differs; write it with DERMIS_BLESS=1");
     }
 }

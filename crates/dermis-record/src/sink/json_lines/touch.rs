@@ -3,7 +3,7 @@
 use dermis_touch::{LoadQuantity, Touch, TouchPhase};
 use serde::Serialize;
 
-use super::LineExtras;
+use super::extras::LineExtras;
 use crate::sink::interface::{TouchRow, load_numbers, other_numbers};
 
 /// A touch. Values that are not finite are null.
