@@ -59,7 +59,7 @@ pub enum LinesFor {
 /// `guard` is present if the skin has a guard: `verdict` (`ok`, `stale` or `stop`), `reasons`, and `safety_rated`,
 /// which is always false.
 ///
-/// The schema of a line is in `json-lines.schema.json`. Numbers have enough digits to be read back exactly. Every line is
+/// `json-lines.schema.json` is the schema of a line. Numbers have enough digits to be read back exactly. Every line is
 /// flushed, so that a reader sees it at once. The line is built in reused memory: nothing is allocated once the longest
 /// line has been written.
 #[derive(Debug)]

@@ -48,36 +48,33 @@ impl Table {
         let (log_step, radii) = (span / intervals, intervals as usize + 3);
         let log_first = options.smallest_radius_m.ln() - log_step;
         let low_m = low.map(|l| l - MARGIN as f64 * step_m);
-        let radii_m: Vec<f64> = (0..radii).map(|radius| (log_first + radius as f64 * log_step).exp()).collect();
         // A spot is the product of a function of x and one of y. The first is the same for all rows.
         let along = |distance_m: f64, radius_m: f64| (-0.5 * (distance_m / radius_m).powi(2)).exp();
         let x_of = |column: usize| low_m[0] + column as f64 * step_m;
-        let of_x: Vec<Mat<f64>> = (radii_m.par_iter())
-            .map(|r| {
-                Mat::from_fn(positions_m.len(), columns, |pixel, column| {
-                    along(positions_m[pixel][0] - x_of(column), *r)
-                })
-            })
-            .collect();
-        // One row of positions at a time, with only the pixels near it, which are contiguous.
-        let of_row = |(radius, row): (usize, usize)| -> Vec<f32> {
-            let (r, y) = (radii_m[radius], low_m[1] + row as f64 * step_m);
-            let reach = r * (2.0 * NOTHING).sqrt();
-            let near = |p: &[f64; 2]| (p[1] - y).abs() <= reach;
-            let first = positions_m.iter().position(near).unwrap_or(0);
-            let end = positions_m.iter().rposition(near).map_or(first, |last| last + 1);
-            let of_y: Vec<f64> = positions_m[first..end].iter().map(|p| along(p[1] - y, r)).collect();
-            let least = (-NOTHING).exp();
-            let spots = Mat::from_fn(end - first, columns, |pixel, column| {
-                let value = of_y[pixel] * of_x[radius][(first + pixel, column)];
-                if value > least { value } else { 0.0 }
+        let least = (-NOTHING).exp();
+        let of_radius = |r: f64| -> Vec<f32> {
+            let of_x = Mat::from_fn(positions_m.len(), columns, |pixel, column| {
+                along(positions_m[pixel][0] - x_of(column), r)
             });
-            let responses = reduced.subcols(first, end - first) * &spots;
-            responses.col_iter().flat_map(|column| column.iter().map(|v| *v as f32).collect::<Vec<_>>()).collect()
+            // One row of positions at a time, with only the pixels near it, which are contiguous.
+            let of_row = |row: usize| -> Vec<f32> {
+                let y = low_m[1] + row as f64 * step_m;
+                let reach = r * (2.0 * NOTHING).sqrt();
+                let near = |p: &[f64; 2]| (p[1] - y).abs() <= reach;
+                let first = positions_m.iter().position(near).unwrap_or(0);
+                let end = positions_m.iter().rposition(near).map_or(first, |last| last + 1);
+                let of_y: Vec<f64> = positions_m[first..end].iter().map(|p| along(p[1] - y, r)).collect();
+                let spots = Mat::from_fn(end - first, columns, |pixel, column| {
+                    let value = of_y[pixel] * of_x[(first + pixel, column)];
+                    if value > least { value } else { 0.0 }
+                });
+                let responses = reduced.subcols(first, end - first) * &spots;
+                responses.col_iter().flat_map(|column| column.iter().map(|v| *v as f32).collect::<Vec<_>>()).collect()
+            };
+            (0..rows).into_par_iter().flat_map_iter(of_row).collect()
         };
-        let places: Vec<(usize, usize)> =
-            (0..radii).flat_map(|radius| (0..rows).map(move |row| (radius, row))).collect();
-        let values: Vec<f32> = places.into_par_iter().flat_map_iter(of_row).collect();
+        let radii_m = (0..radii).map(|radius| (log_first + radius as f64 * log_step).exp());
+        let values: Vec<f32> = radii_m.flat_map(of_radius).collect();
         Self { low_m, step_m, columns, rows, log_first, log_step, radii, length: reduced.nrows(), values }
     }
 
