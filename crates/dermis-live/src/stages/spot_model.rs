@@ -67,7 +67,7 @@ pub(crate) fn spot_model_under(
 }
 
 /// The response to large changes and its linear part: channels by pixels, in volts per relative change in the direction
-/// of presses. Fits use only their difference, for which a coarser mesh is accurate enough.
+/// of presses. Fits only use the difference of the two. It is small, so a coarser mesh suffices.
 fn response_beyond(prepared: &Prepared) -> Result<(ChangeResponse, Mat<f64>), Error> {
     let elements = prepared.skin.imaging.elements;
     let coarse = prepared.with_elements((elements / 2).max(LEAST_BEYOND).min(elements))?;

@@ -2,7 +2,8 @@
 
 use serde::{Serialize, Serializer};
 
-/// The list of what a function makes of the items of a slice, without memory of its own.
+/// Items of a slice, converted one by one while they are written, so that nothing is allocated. A function may leave
+/// items out.
 pub(super) struct Each<'a, T, U>(pub &'a [T], pub fn(&T) -> Option<U>);
 
 impl<T, U: Serialize> Serialize for Each<'_, T, U> {

@@ -27,16 +27,16 @@ pub(super) struct FrameLine<'a, E: LineExtras> {
     /// False if the frames are wrong as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     touches_known: Option<bool>,
-    /// Faults; absent if there are none.
+    /// Faults, if there are any.
     #[serde(skip_serializing_if = "Option::is_none")]
     health: Option<HealthObject<'a>>,
-    /// Oddities of the frame's number or time; absent if there are none.
+    /// Oddities of the frame's number or time, if there are any.
     #[serde(skip_serializing_if = "Option::is_none")]
     marks: Option<Marks>,
     /// Verdict of the skin's guard; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     guard: Option<Verdict>,
-    /// Known damage; absent if there is none and no news of it.
+    /// Known damage, if there is any or if its state has changed.
     #[serde(skip_serializing_if = "Option::is_none")]
     damage: Option<DamageObject<'a>>,
     clocks: Clocks,
