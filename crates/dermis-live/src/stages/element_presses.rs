@@ -276,9 +276,9 @@ impl ElementPresses {
         })
     }
 
-    /// Turns these presses into contacts. Each takes the nearest contact in the image. If none is left, it takes a share
-    /// of the strongest in proportion to its force. One strong contact in the image makes every press strong, because
-    /// the fit needs all of them.
+    /// Turns these presses into contacts. Each takes the nearest contact in the image. If none is left, it takes a
+    /// share of the strongest in proportion to its force. One strong contact in the image makes every press strong,
+    /// because the fit needs all of them.
     fn turn_into(&self, found: &FittedPresses, covariance_m2: &[Covariance], contacts: &mut Vec<Contact>) {
         let (mut of_image, mut kept): (Vec<Contact>, Vec<Contact>) =
             contacts.drain(..).partition(|contact| contact.sign == ContactSign::Positive);

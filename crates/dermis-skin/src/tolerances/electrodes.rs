@@ -1,5 +1,5 @@
-//! Places electrodes with manufacturing errors. Every electrode stays on the sheet and keeps at least a fifth of the drawn
-//! gap to its neighbours, since the builder would notice anything worse.
+//! Places electrodes with manufacturing errors. Every electrode stays on the sheet and keeps at least a fifth of the
+//! drawn gap to its neighbours, since the builder would notice anything worse.
 
 use dermis_tomo::mesh::{ElectrodeShape, Outline, to_segment};
 
