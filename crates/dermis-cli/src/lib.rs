@@ -21,6 +21,8 @@
 
 #![forbid(unsafe_code)]
 
+// Doc comments of arguments are printed as help, where brackets mean optional parts rather than links.
+#[allow(rustdoc::broken_intra_doc_links)]
 mod commands;
 mod draw;
 mod exit;

@@ -48,7 +48,7 @@ pub enum LinesFor {
 /// is the number of channels left out, `electrodes` lists faulty electrodes (`electrode`, `kind`: `lost` or `shorted`
 /// `with` another, `since_s`), and `channels` lists channels with faults of their own (`channel`, `kind`, `since_s`),
 /// all counted from 1. If a frame's number or time is odd, there is `marks`: `lost_before`, `renumbered`,
-/// `clock_jump_s` ([`FrameAnomalies`]).
+/// `clock_jump_s` ([`FrameAnomalies`](dermis_live::clock::FrameAnomalies)).
 ///
 /// `damage` is present if there is damage or news of it. It has `list` (`id`, `state`, `x_mm`, `y_mm`, `length_mm`,
 /// `width_mm`, `direction_deg`, `depth`, the remaining `share`, `significance`, `since_s`, `confirmed_s`, and, if a
