@@ -15,5 +15,5 @@ pub use build::Build;
 pub(crate) use errors::{RADIUS_UNKNOWN, places};
 pub(crate) use fit::{BuildFit, Built};
 pub use from_baseline::from_rest;
-pub(crate) use from_baseline::{AS_DRAWN, is_off, is_wanted, learns_from_rest};
+pub(crate) use from_baseline::{is_off, is_wanted, learns_from_rest};
 pub(crate) use spots::{LOAD, PARAMETERS, RADIUS, Spots};

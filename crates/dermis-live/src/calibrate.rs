@@ -87,7 +87,7 @@ fn learned_as_built(
         return Ok(None);
     }
     let (reference, mut differences) = differences_of(prepared, measured)?;
-    if !teaches && !as_built::is_off(&reference) {
+    if !teaches && !as_built::is_off(prepared, reference.misfit) {
         return Ok(None);
     }
     let chosen: Vec<usize> = (0..count).step_by(count.div_ceil(MOST_FOR_BUILD)).collect();

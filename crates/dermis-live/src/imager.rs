@@ -6,6 +6,7 @@ mod refine;
 mod refine_about;
 mod weighting;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use dermis_mit::LiftOffFit;
@@ -58,6 +59,14 @@ struct Scratch {
     single: Vec<f32>,
     image: Vec<f32>,
     absent: Vec<u32>,
+}
+
+/// Working memory of [`Imager::part`].
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PartScratch {
+    single: Vec<f32>,
+    merged: Vec<f32>,
+    image: Vec<f32>,
 }
 
 /// Maximum number of frames used by a data-driven hyperparameter.
@@ -294,10 +303,14 @@ impl Imager {
         Ok(filled)
     }
 
-    /// The value that a frame (model volts, all channels) gives one unknown of the image.
-    pub(crate) fn value_at(&self, unknown: usize, volts: &[f64]) -> f64 {
-        let row = self.operator.matrix.row(unknown);
-        self.polarity * row.iter().zip(volts).map(|(entry, volt)| entry * volt).sum::<f64>()
+    /// These unknowns of the image of a frame (model volts, all channels).
+    pub(crate) fn part<'a>(&self, unknowns: Range<usize>, volts: &[f64], scratch: &'a mut PartScratch) -> &'a [f32] {
+        let PartScratch { single, merged, image } = scratch;
+        single.clear();
+        single.extend(volts.iter().map(|volt| *volt as f32));
+        image.resize(self.live.unknowns(), 0.0);
+        self.live.apply_near(single, unknowns.clone(), merged, image);
+        &image[unknowns]
     }
 
     /// Fills in the channels that are excluded from every frame, as is done for frames.

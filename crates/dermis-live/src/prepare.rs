@@ -46,6 +46,8 @@ pub struct Prepared {
     problem: OnceLock<Arc<LinearProblem>>,
     /// Errors of touches on skins as built, once they are asked for.
     workshop_error: OnceLock<Option<Arc<WorkshopError>>>,
+    /// Change of the voltages on a coarser mesh, once it is asked for.
+    change_by_mesh: OnceLock<f64>,
     /// How the skin was built, if that is known: then mesh, voltages and Jacobian are those of the skin as built.
     built: Option<Arc<Build>>,
 }
@@ -80,6 +82,7 @@ impl Prepared {
             basis,
             problem: OnceLock::new(),
             workshop_error: OnceLock::new(),
+            change_by_mesh: OnceLock::new(),
             built: None,
         })
     }
@@ -106,6 +109,7 @@ impl Prepared {
             basis: self.basis.clone(),
             problem: OnceLock::new(),
             workshop_error: OnceLock::new(),
+            change_by_mesh: OnceLock::new(),
             built: Some(Arc::new(build)),
         })
     }
@@ -162,6 +166,7 @@ impl Prepared {
             basis: self.basis.clone(),
             problem: OnceLock::new(),
             workshop_error: self.workshop_error.clone(),
+            change_by_mesh: self.change_by_mesh.clone(),
             built: self.built.clone(),
         })
     }
@@ -235,6 +240,23 @@ impl Prepared {
         draw: impl FnOnce() -> Option<Arc<WorkshopError>>,
     ) -> Option<Arc<WorkshopError>> {
         self.workshop_error.get_or_init(draw).clone()
+    }
+
+    /// How much a coarser mesh changes the voltages at rest, computed by `compare` once.
+    pub(crate) fn change_by_mesh(&self, compare: impl FnOnce(&Self) -> f64) -> f64 {
+        *self.change_by_mesh.get_or_init(|| compare(self))
+    }
+
+    /// Voltages at rest of the skin as drawn on a mesh of about this number of elements, volts.
+    ///
+    /// # Errors
+    /// A skin that cannot be meshed or solved.
+    pub(crate) fn voltages_with(&self, elements: usize) -> Result<Vec<f64>, Error> {
+        let imaging = Imaging { elements, ..self.skin.imaging.clone() };
+        let skin = Skin { imaging, ..self.skin.clone() };
+        let body = skin.body()?;
+        let sigma = conductances_s(&skin, &body, None);
+        Ok(ForwardModel::new(body.mesh, self.protocol.clone())?.solve(&sigma)?.voltages())
     }
 
     /// The stored problem, or one made by `build`, which is stored if `lasts`.

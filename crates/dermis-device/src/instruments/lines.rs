@@ -86,14 +86,15 @@ impl Dialogue for Lines {
 
     fn receive(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox, _send: &mut Vec<u8>) -> Result<(), String> {
         let mut stamp = self.begun.take().unwrap_or(at);
-        for byte in bytes {
-            match byte {
-                b'\n' | b'\r' => {
-                    self.finish(stamp, inbox);
-                    stamp = at;
-                }
-                _ if self.line.len() >= LONGEST_LINE => self.skip = true,
-                _ => self.line.push(*byte),
+        let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
+        for piece in bytes.split_inclusive(is_end) {
+            let text = &piece[..piece.len() - usize::from(piece.last().is_some_and(is_end))];
+            let room = LONGEST_LINE - self.line.len();
+            self.skip |= text.len() > room;
+            self.line.extend_from_slice(&text[..text.len().min(room)]);
+            if text.len() < piece.len() {
+                self.finish(stamp, inbox);
+                stamp = at;
             }
         }
         self.begun = (!self.line.is_empty()).then_some(stamp);

@@ -112,6 +112,9 @@ fn with_points_in_times(line: &str) -> Cow<'_, str> {
 /// Detects decimal commas. They are possible if semicolons or tabs separate the words, or if blanks do and every word
 /// has one comma between digits.
 fn decimal_of(line: &str) -> Decimal {
+    if !line.contains(',') {
+        return Decimal::Point;
+    }
     let is_decimal = |word: &str| leading_number(word.as_bytes(), b',').is_some_and(|(_, length)| length == word.len());
     let split = |mark: char| line.split(mark).map(str::trim).filter(|word| !word.is_empty());
     for mark in [';', '\t', ' '] {
@@ -125,8 +128,9 @@ fn decimal_of(line: &str) -> Decimal {
 }
 
 fn words(line: &str, decimal: Decimal) -> Vec<Word<'_>> {
-    let is_separator = |c: char| c.is_whitespace() || ";|\"'".contains(c) || c == ',' && decimal == Decimal::Point;
-    let is_bracket = |c: char| "()[]{}".contains(c);
+    let is_separator =
+        |c: char| c.is_whitespace() || matches!(c, ';' | '|' | '"' | '\'') || c == ',' && decimal == Decimal::Point;
+    let is_bracket = |c: char| matches!(c, '(' | ')' | '[' | ']' | '{' | '}');
     let mut words = Vec::new();
     // True after a name whose number is the next word: `V1: 0.2`.
     let mut named = false;

@@ -26,17 +26,18 @@ impl<'a> Spots<'a> {
     pub(crate) fn columns(&self, spots: &[([f64; 2], f64)]) -> Mat<f64> {
         let centres = &self.prepared.basis.positions;
         let polarity = self.prepared.skin.imaging.polarity.sign();
-        let columns = Mat::from_fn(centres.len(), PARAMETERS * spots.len(), |pixel, column| {
-            let (place, radius_m) = spots[column / PARAMETERS];
-            let off = [0, 1].map(|axis| (centres[pixel][axis] - place[axis]) / radius_m);
-            let square = off[0] * off[0] + off[1] * off[1];
-            let value = polarity * (-0.5 * square).exp();
-            match column % PARAMETERS {
-                LOAD => value,
-                RADIUS => value * square,
-                axis => value * off[axis] / radius_m,
+        let mut columns = Mat::zeros(centres.len(), PARAMETERS * spots.len());
+        for (spot, (place, radius_m)) in spots.iter().enumerate() {
+            for (pixel, centre) in centres.iter().enumerate() {
+                let off = [0, 1].map(|axis| (centre[axis] - place[axis]) / radius_m);
+                let square = off[0] * off[0] + off[1] * off[1];
+                let value = polarity * (-0.5 * square).exp();
+                columns[(pixel, PARAMETERS * spot)] = value * off[0] / radius_m;
+                columns[(pixel, PARAMETERS * spot + 1)] = value * off[1] / radius_m;
+                columns[(pixel, PARAMETERS * spot + LOAD)] = value;
+                columns[(pixel, PARAMETERS * spot + RADIUS)] = value * square;
             }
-        });
+        }
         match &self.membrane {
             Some(membrane) => &membrane.spread * columns,
             None => columns,

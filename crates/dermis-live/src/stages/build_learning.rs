@@ -48,7 +48,7 @@ impl BuildLearning {
 
     /// Learns from this baseline, without these channels.
     pub fn begin(&mut self, time_ns: u64, reference: &Reference, left_out: &[u32]) {
-        if self.is_learning || !is_off(reference) {
+        if self.is_learning || !is_off(&self.drawn, reference.misfit) {
             return;
         }
         let (drawn, mut reference) = (self.drawn.clone(), reference.clone());

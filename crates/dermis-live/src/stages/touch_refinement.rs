@@ -7,7 +7,7 @@ use dermis_touch::force::ForceReading;
 use dermis_touch::{Contact, ContactStrength};
 
 use crate::beside::Beside;
-use crate::imager::Imager;
+use crate::imager::{Imager, PartScratch};
 use crate::prepare::Prepared;
 use crate::stages::ended_presses::EndedPresses;
 use crate::stages::force_law::ForceLaw;
@@ -80,6 +80,7 @@ pub(crate) struct SpotStage {
     ended: EndedPresses,
     is_unhurried: bool,
     volts: Vec<f64>,
+    part: PartScratch,
 }
 
 impl SpotStage {
@@ -129,6 +130,7 @@ impl SpotStage {
             ended: EndedPresses::new(touch.both_signs, is_joint),
             is_unhurried: false,
             volts: Vec::new(),
+            part: PartScratch::default(),
         }
     }
 
@@ -457,25 +459,19 @@ impl SpotStage {
     /// Peak of the image of one press alone, whose response is in `volts`.
     fn image_value(&mut self, imager: &Imager, position_m: [f64; 2]) -> f64 {
         imager.fill_in_left_out(&mut self.volts);
-        let reach = (self.typical_radius_m / self.grid.pixel_m).ceil().max(1.0) as isize;
+        let reach = (self.typical_radius_m / self.grid.pixel_m).ceil().max(1.0) as usize;
         let Some(middle) = self.grid.pixel_at(position_m) else { return 0.0 };
-        let (row, column) = ((middle / self.grid.columns) as isize, (middle % self.grid.columns) as isize);
-        let mut most: f64 = 0.0;
-        for r in row - reach..=row + reach {
-            for c in column - reach..=column + reach {
-                let on_grid = r >= 0 && c >= 0 && (r as usize) < self.grid.rows && (c as usize) < self.grid.columns;
-                let Some(unknown) =
-                    on_grid.then(|| self.unknowns[r as usize * self.grid.columns + c as usize]).flatten()
-                else {
-                    continue;
-                };
-                let value = imager.value_at(unknown as usize, &self.volts);
-                if value.abs() > most.abs() {
-                    most = value;
-                }
-            }
-        }
-        most
+        let (row, column) = (middle / self.grid.columns, middle % self.grid.columns);
+        let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
+        let (rows, columns) = (near(row, self.grid.rows), near(column, self.grid.columns));
+        let pixels = |row: usize| row * self.grid.columns + columns.start..row * self.grid.columns + columns.end;
+        let unknowns = |row: usize| self.unknowns[pixels(row)].iter().flatten().map(|unknown| *unknown as usize);
+        // Unknowns are numbered row by row.
+        let Some(first) = rows.clone().flat_map(unknowns).next() else { return 0.0 };
+        let last = rows.clone().rev().find_map(|row| unknowns(row).last()).unwrap_or(first);
+        let image = imager.part(first..last + 1, &self.volts, &mut self.part);
+        let values = rows.flat_map(unknowns).map(|unknown| f64::from(image[unknown - first]));
+        values.fold(0.0, |most: f64, value| if value.abs() > most.abs() { value } else { most })
     }
 }
 

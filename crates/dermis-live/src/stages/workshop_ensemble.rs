@@ -21,7 +21,7 @@ use faer::{Mat, Side};
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::as_built::{AS_DRAWN, LOAD, PARAMETERS, RADIUS, RADIUS_UNKNOWN, Spots, places};
+use crate::as_built::{self, LOAD, PARAMETERS, RADIUS, RADIUS_UNKNOWN, Spots, places};
 use crate::beside::in_parallel;
 use crate::prepare::Prepared;
 use crate::reference::{misfit, scale_to_model};
@@ -62,10 +62,9 @@ pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError
     Some(BuiltError::new(ensemble?, misfit))
 }
 
-/// True if a skin whose baseline has this misfit is not as drawn, and touches are fitted to its model.
+/// True if touches are fitted to the model of a skin whose baseline has this misfit, and the skin is not as drawn.
 fn is_off(prepared: &Prepared, misfit: f64) -> bool {
-    let is_drawn = misfit < AS_DRAWN;
-    !is_drawn && prepared.skin.fits_touches() && prepared.skin.backend.wiring.is_known()
+    prepared.skin.fits_touches() && prepared.skin.backend.wiring.is_known() && as_built::is_off(prepared, misfit)
 }
 
 /// True if [`built_error`] must first draw the ensemble, which takes the time of many frames.

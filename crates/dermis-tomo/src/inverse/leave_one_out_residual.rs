@@ -5,6 +5,7 @@
 //! matrix.
 
 use faer::{Mat, MatRef};
+use pulp::Arch;
 
 use super::{DataPrecision, Operator};
 
@@ -40,10 +41,12 @@ impl LeaveOneOutResidual {
     /// their residuals come out as 0. Both slices must have one value per channel. Allocates nothing.
     pub fn of(&mut self, difference: &[f64], residuals: &mut [f64]) {
         self.sums.fill(0.0);
-        for (column, value) in self.matrix.chunks_exact(self.channels.max(1)).zip(difference) {
-            let value = *value as f32;
-            self.sums.iter_mut().zip(column).for_each(|(sum, entry)| *sum += entry * value);
-        }
+        Arch::new().dispatch(|| {
+            for (column, value) in self.matrix.chunks_exact(self.channels.max(1)).zip(difference) {
+                let value = *value as f32;
+                self.sums.iter_mut().zip(column).for_each(|(sum, entry)| *sum += entry * value);
+            }
+        });
         residuals.iter_mut().zip(&self.sums).for_each(|(residual, sum)| *residual = f64::from(*sum));
     }
 

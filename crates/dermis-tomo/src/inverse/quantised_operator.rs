@@ -7,6 +7,8 @@
 //! standard deviation under white noise of unit size (uniform rounding, `max |row| <= |row|`). That is below the
 //! pixel's noise for frames of up to 2e5 times the noise of one channel.
 
+use std::ops::Range;
+
 use pulp::{Arch, NullaryFnOnce};
 
 use super::Operator;
@@ -23,6 +25,7 @@ pub struct QuantisedOperator {
     /// unknown.
     blocks: Vec<i16>,
     scales: Vec<f32>,
+    groups: usize,
     merged: Vec<f32>,
     arch: Arch,
 }
@@ -51,7 +54,7 @@ impl QuantisedOperator {
         let channels =
             alike.group.iter().zip(&alike.share).map(|(&group, &share)| (group as u32, share as f32)).collect();
         let scales = largest.iter().map(|most| (most * scale / full) as f32).collect();
-        Self { unknowns, channels, blocks, scales, merged: vec![0.0; groups], arch: Arch::new() }
+        Self { unknowns, channels, blocks, scales, groups, merged: Vec::with_capacity(groups), arch: Arch::new() }
     }
 
     /// Number of unknowns.
@@ -70,13 +73,31 @@ impl QuantisedOperator {
     /// If the lengths do not match the operator. This is a programming error, checked where frames enter the
     /// pipeline.
     pub fn apply(&mut self, dv: &[f32], image: &mut [f32]) {
+        let mut merged = std::mem::take(&mut self.merged);
+        self.apply_near(dv, 0..self.unknowns, &mut merged, image);
+        self.merged = merged;
+    }
+
+    /// As [`QuantisedOperator::apply`], but sets only these unknowns, and up to 63 on each side of them. `merged` is
+    /// working memory.
+    ///
+    /// # Panics
+    /// As [`QuantisedOperator::apply`], and for unknowns that don't exist.
+    pub fn apply_near(&self, dv: &[f32], unknowns: Range<usize>, merged: &mut Vec<f32>, image: &mut [f32]) {
         assert_eq!(dv.len(), self.channels.len(), "channels of the frame");
         assert_eq!(image.len(), self.unknowns, "unknowns of the image");
-        self.merged.fill(0.0);
+        merged.clear();
+        merged.resize(self.groups, 0.0);
         for (&(group, share), value) in self.channels.iter().zip(dv) {
-            self.merged[group as usize] += share * value;
+            merged[group as usize] += share * value;
         }
-        self.arch.dispatch(Product { blocks: &self.blocks, values: &self.merged, scales: &self.scales, image });
+        let (first, end) = (unknowns.start / LANES * LANES, unknowns.end.next_multiple_of(LANES).min(self.unknowns));
+        self.arch.dispatch(Product {
+            blocks: &self.blocks[first * self.groups..],
+            values: merged,
+            scales: &self.scales[first..end],
+            image: &mut image[first..end],
+        });
     }
 }
 
@@ -118,7 +139,7 @@ mod tests {
     fn live_images_are_the_operator_s_within_the_rounding_of_its_entries() {
         // Counts that are not multiples of the lanes and groups; channels that are multiples of others; a row of
         // zeros.
-        for (unknowns, channels) in [(1, 1), (7, 13), (4, 16), (33, 208), (5, 49), (3, 0)] {
+        for (unknowns, channels) in [(1, 1), (7, 13), (4, 16), (150, 208), (5, 49), (3, 0)] {
             let entry = |row: usize, column: usize| (((row + 1) * (column % 20 + 3) * 13) % 17) as f64 - 8.0;
             let matrix = Mat::from_fn(unknowns, channels, |row, column| {
                 if row == 2 { 0.0 } else { entry(row, column) * (1.0 + (column / 20) as f64) }
@@ -129,7 +150,12 @@ mod tests {
             let expected = operator.apply(&dv).unwrap();
             let mut image = vec![f32::NAN; unknowns];
             let single: Vec<f32> = dv.iter().map(|v| *v as f32).collect();
-            QuantisedOperator::new(&operator, -2.0).apply(&single, &mut image);
+            let mut live = QuantisedOperator::new(&operator, -2.0);
+            live.apply(&single, &mut image);
+            let mut part = vec![f32::NAN; unknowns];
+            let middle = unknowns / 2..unknowns * 2 / 3;
+            live.apply_near(&single, middle.clone(), &mut Vec::new(), &mut part);
+            assert_eq!(part[middle.clone()], image[middle]);
             for (row, (found, expected)) in image.iter().zip(&expected).enumerate() {
                 // Rounding error per entry of half a step of 1/32767 of the row's largest, plus single precision.
                 let most: f64 = (0..channels).map(|c| operator.matrix[(row, c)].abs()).sum();

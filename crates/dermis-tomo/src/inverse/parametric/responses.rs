@@ -6,10 +6,8 @@ use std::sync::Arc;
 
 use faer::{Mat, MatRef};
 
+use super::products::{KINDS, WeightedColumns, sum_up};
 use super::table::Table;
-
-/// Values per response: the response itself, and its derivatives by x, y and log r.
-const KINDS: usize = 4;
 
 #[derive(Clone, Debug)]
 pub(super) struct Responses {
@@ -47,7 +45,24 @@ impl Responses {
     ) -> Option<()> {
         let Some(combination) = &self.combination else { return self.table.evaluate(position_m, log_radius, out) };
         self.table.evaluate(position_m, log_radius, scratch)?;
-        combine(combination, scratch, out);
+        sum_up(Combined { matrix: combination, from: scratch }, &mut out[..KINDS * combination.nrows()]);
+        Some(())
+    }
+
+    /// As [`Table::value`], in the model's combinations.
+    pub(super) fn value(
+        &self,
+        position_m: [f64; 2],
+        log_radius: f64,
+        scratch: &mut [f32],
+        out: &mut [f32],
+    ) -> Option<()> {
+        if self.combination.is_none() {
+            return self.table.value(position_m, log_radius, out);
+        }
+        let tabulated = &mut scratch[..self.table.length()];
+        self.table.value(position_m, log_radius, tabulated)?;
+        self.combine_one(tabulated, out);
         Some(())
     }
 
@@ -80,23 +95,21 @@ impl Responses {
     }
 }
 
-/// Multiplies all values of a response, stored one after the other in `from` and `out`, by a matrix that is read only
-/// once.
-fn combine(matrix: &Mat<f32>, from: &[f32], out: &mut [f32]) {
-    let (length, rows) = (matrix.ncols(), matrix.nrows());
-    out.fill(0.0);
-    let (value, rest) = out.split_at_mut(rows);
-    let (by_x, rest) = rest.split_at_mut(rows);
-    let (by_y, by_r) = rest.split_at_mut(rows);
-    let by_r = &mut by_r[..rows];
-    for n in 0..length {
-        let [v, x, y, r] = [0, 1, 2, 3].map(|kind| from[kind * length + n]);
-        let column = &matrix.col_as_slice(n)[..rows];
-        for k in 0..rows {
-            value[k] += v * column[k];
-            by_x[k] += x * column[k];
-            by_y[k] += y * column[k];
-            by_r[k] += r * column[k];
-        }
+/// A matrix times each kind of value of a response; the values are stored one kind after the other.
+struct Combined<'a> {
+    matrix: &'a Mat<f32>,
+    from: &'a [f32],
+}
+
+impl WeightedColumns for Combined<'_> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.matrix.ncols()
+    }
+
+    #[inline(always)]
+    fn column(&self, n: usize) -> ([f32; KINDS], &[f32]) {
+        let length = self.matrix.ncols();
+        ([0, 1, 2, 3].map(|kind| self.from[kind * length + n]), self.matrix.col_as_slice(n))
     }
 }

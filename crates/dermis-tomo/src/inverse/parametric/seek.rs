@@ -5,6 +5,8 @@
 //! of Statistical Signal Processing II, 1998, section 4.3). The filter covers every second position of the table, at
 //! a few radii.
 
+use pulp::Arch;
+
 use super::fit::{FitOutcome, UNIFORM_DEVIATION};
 use super::scratch::{FitScratch, OF_SPOT, State};
 use super::{Spot, SpotModel};
@@ -245,13 +247,19 @@ impl SpotModel {
         let length = self.combinations();
         let mut sum = vec![0.0_f64; length];
         for spot in spots {
-            let rows = &mut scratch.trial_rows[..OF_SPOT * length];
-            if self.responses.evaluate(spot.position_m, spot.radius_m.ln(), &mut scratch.tabulated, rows).is_some() {
+            let rows = &mut scratch.trial_rows[..length];
+            if self.responses.value(spot.position_m, spot.radius_m.ln(), &mut scratch.tabulated, rows).is_some() {
                 sum.iter_mut().zip(rows.iter()).for_each(|(sum, r)| *sum += spot.amplitude * f64::from(*r));
             }
         }
         volts.clear();
-        volts.extend(self.lift.row_iter().map(|row| row.iter().zip(&sum).map(|(l, s)| l * s).sum::<f64>()));
+        volts.resize(self.lift.nrows(), 0.0);
+        Arch::new().dispatch(|| {
+            for (column, sum) in sum.iter().enumerate() {
+                let entries = self.lift.col_as_slice(column);
+                volts.iter_mut().zip(entries).for_each(|(volt, entry)| *volt += entry * sum);
+            }
+        });
     }
 }
 

@@ -4,6 +4,7 @@ use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
 use super::SpotOptions;
+use super::products::{KINDS, WeightedColumns, sum_up};
 
 /// Largest ratio of neighbouring radii: the response changes little enough between them for cubics.
 const RADIUS_FACTOR: f64 = 1.4;
@@ -81,30 +82,43 @@ impl Table {
     /// The response at a position and log radius, then its derivatives by x, y (per metre) and log r, one after the
     /// other in `out` (four times the length). `None` outside the table.
     pub(super) fn evaluate(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
+        let Around { first, x: [wx, dx], y: [wy, dy], r: [wr, dr] } = self.around(position_m, log_radius)?;
+        let (per_m, per_log) = (1.0 / self.step_m, 1.0 / self.log_step);
+        let mut terms = [([0.0_f32; KINDS], 0); 64];
+        for (n, (weights, start)) in terms.iter_mut().enumerate() {
+            let (k, j, i) = (n / 16, n / 4 % 4, n % 4);
+            let of_kind = [
+                wx[i] * wy[j] * wr[k],
+                dx[i] * wy[j] * wr[k] * per_m,
+                wx[i] * dy[j] * wr[k] * per_m,
+                wx[i] * wy[j] * dr[k] * per_log,
+            ];
+            *weights = of_kind.map(|weight| weight as f32);
+            *start = (first + (k * self.rows + j) * self.columns + i) * self.length;
+        }
+        sum_up(Samples { terms: &terms, values: &self.values, length: self.length }, &mut out[..KINDS * self.length]);
+        Some(())
+    }
+
+    fn around(&self, position_m: [f64; 2], log_radius: f64) -> Option<Around> {
         let (column, x) = cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns)?;
         let (row, y) = cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows)?;
         let (radius, r) = cell((log_radius - self.log_first) / self.log_step, self.radii)?;
-        let ([wx, dx], [wy, dy], [wr, dr]) = (cubic(x), cubic(y), cubic(r));
-        let (per_m, per_log) = (1.0 / self.step_m, 1.0 / self.log_step);
+        let first = (radius * self.rows + row) * self.columns + column;
+        Some(Around { first, x: cubic(x), y: cubic(y), r: cubic(r) })
+    }
+
+    /// The response alone, without its derivatives; see [`Table::evaluate`].
+    pub(super) fn value(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
+        let Around { first, x: [wx, _], y: [wy, _], r: [wr, _] } = self.around(position_m, log_radius)?;
         out.fill(0.0);
-        let (value, rest) = out.split_at_mut(self.length);
-        let (by_x, rest) = rest.split_at_mut(self.length);
-        let (by_y, by_r) = rest.split_at_mut(self.length);
         for k in 0..4 {
             for j in 0..4 {
-                let first = ((radius + k) * self.rows + row + j) * self.columns + column;
+                let first = first + (k * self.rows + j) * self.columns;
                 for i in 0..4 {
                     let entries = &self.values[(first + i) * self.length..(first + i + 1) * self.length];
                     let w = (wx[i] * wy[j] * wr[k]) as f32;
-                    let wdx = (dx[i] * wy[j] * wr[k] * per_m) as f32;
-                    let wdy = (wx[i] * dy[j] * wr[k] * per_m) as f32;
-                    let wdr = (wx[i] * wy[j] * dr[k] * per_log) as f32;
-                    for (n, entry) in entries.iter().enumerate() {
-                        value[n] += w * entry;
-                        by_x[n] += wdx * entry;
-                        by_y[n] += wdy * entry;
-                        by_r[n] += wdr * entry;
-                    }
+                    out.iter_mut().zip(entries).for_each(|(sum, entry)| *sum += w * entry);
                 }
             }
         }
@@ -132,6 +146,34 @@ impl Table {
     /// Logarithms of the smallest and largest radius.
     pub(super) fn log_radii(&self) -> [f64; 2] {
         [self.log_first + self.log_step, self.log_first + (self.radii - 2) as f64 * self.log_step]
+    }
+}
+
+/// The 4 x 4 x 4 samples around a place in the table: index of the first, and the weights and slopes along each axis.
+struct Around {
+    first: usize,
+    x: [[f64; 4]; 2],
+    y: [[f64; 4]; 2],
+    r: [[f64; 4]; 2],
+}
+
+/// Samples around a place: their weights, and where each begins among the values.
+struct Samples<'a> {
+    terms: &'a [([f32; KINDS], usize); 64],
+    values: &'a [f32],
+    length: usize,
+}
+
+impl WeightedColumns for Samples<'_> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.terms.len()
+    }
+
+    #[inline(always)]
+    fn column(&self, n: usize) -> ([f32; KINDS], &[f32]) {
+        let (weights, start) = self.terms[n];
+        (weights, &self.values[start..start + self.length])
     }
 }
 
