@@ -4,6 +4,7 @@
 //! Buckets divide every octave of nanoseconds into 32 equal parts, so that a quantile is at most 1/32 = 3.1 % above
 //! the true one and never below it.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use serde::Serialize;
@@ -198,6 +199,43 @@ impl StageTimer {
     }
 }
 
+/// Length of the window, seconds.
+const WINDOW: usize = 10;
+const SECOND_NS: u64 = 1_000_000_000;
+
+/// Latencies of the last ten seconds: differences of histograms from their snapshots ten seconds ago. One snapshot per
+/// second is kept.
+#[derive(Debug)]
+pub struct RecentLatencies<const COUNT: usize> {
+    /// Oldest first.
+    states: VecDeque<[LatencyHistogram; COUNT]>,
+    last_ns: Option<u64>,
+}
+
+impl<const COUNT: usize> Default for RecentLatencies<COUNT> {
+    fn default() -> Self {
+        Self { states: VecDeque::new(), last_ns: None }
+    }
+}
+
+impl<const COUNT: usize> RecentLatencies<COUNT> {
+    /// Median and 99th percentile of each histogram over the last ten seconds, microseconds; `now` is the snapshot at
+    /// `now_ns`. `None` if less than a second has passed since the last call that returned values.
+    pub fn quantiles_us(&mut self, now: [&LatencyHistogram; COUNT], now_ns: u64) -> Option<[[f64; 2]; COUNT]> {
+        if self.last_ns.is_some_and(|last| now_ns.saturating_sub(last) < SECOND_NS) {
+            return None;
+        }
+        self.last_ns = Some(now_ns);
+        let oldest = if self.states.len() >= WINDOW { self.states.pop_front() } else { None };
+        let mut recent = now.map(LatencyHistogram::clone);
+        self.states.push_back(recent.clone());
+        if let Some(oldest) = &oldest {
+            recent.iter_mut().zip(oldest).for_each(|(histogram, before)| histogram.forget_before(before));
+        }
+        Some(recent.map(|histogram| [histogram.quantile_us(0.5), histogram.quantile_us(0.99)]))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -284,5 +322,24 @@ mod tests {
     #[test]
     fn an_empty_record_is_zero_everywhere() {
         assert_eq!(LatencyHistogram::new().summary(), LatencySummary::default());
+    }
+
+    #[test]
+    fn a_slow_second_is_forgotten_after_ten() {
+        let mut histogram = LatencyHistogram::new();
+        let mut recent = RecentLatencies::default();
+        let mut p99_us = Vec::new();
+        for second in 0..15_u64 {
+            let us = if second == 2 { 50_000 } else { 100 };
+            for _ in 0..50 {
+                histogram.record(Duration::from_micros(us));
+            }
+            let seen = recent.quantiles_us([&histogram; 5], second * SECOND_NS).expect("a second has passed");
+            p99_us.push(seen[4][1]);
+            assert!(recent.quantiles_us([&histogram; 5], second * SECOND_NS + 1).is_none());
+        }
+        let is_slow: Vec<bool> = p99_us.iter().map(|us| *us > 40_000.0).collect();
+        let slow_from = |second: usize| (2..12).contains(&second);
+        assert_eq!(is_slow, (0..15).map(slow_from).collect::<Vec<_>>(), "{p99_us:?}");
     }
 }

@@ -8,13 +8,13 @@ use std::path::Path;
 use dermis_device::HostStamp;
 use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
+use dermis_live::latency::RecentLatencies;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_touch::guard::GuardReport;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFault};
 use dermis_touch::{BaselineState, Touch};
 
-use crate::recent::Recent;
 use crate::update::{
     Counter, FaultView, FrameFaultView, OtherPlaceView, SourceState, StageLatency, TareState, TouchPhase, TouchView,
     Update,
@@ -44,7 +44,7 @@ pub struct RecordingView<'a> {
 pub struct PageFeed {
     update: Update,
     rate: Rate,
-    recent: Recent,
+    recent: RecentLatencies<5>,
     tared_at_ns: Option<u64>,
     records: usize,
     waiting_since_ns: Option<u64>,
@@ -75,7 +75,7 @@ impl PageFeed {
         Self {
             update,
             rate: Rate::default(),
-            recent: Recent::default(),
+            recent: RecentLatencies::default(),
             tared_at_ns: None,
             records: 0,
             waiting_since_ns: None,

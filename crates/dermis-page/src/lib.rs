@@ -24,7 +24,6 @@ mod error;
 pub mod feed;
 pub mod message;
 pub mod protocol;
-mod recent;
 mod scene;
 #[cfg(test)]
 mod schema_text;

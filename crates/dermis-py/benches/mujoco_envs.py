@@ -24,18 +24,23 @@ SCENE = """
   </worldbody>
 </mujoco>
 """
-MASS_KG = {"ionic-disc": 0.06}
+
+
+def mass_kg(skin: dermis.Skin) -> float:
+    """Mass of the ball: a heavy one would press a liquid down to the bottom of its tray."""
+    return 0.06 if 'kind = "liquid"' in skin.to_toml() else 1.0
 
 
 def work(name: str, count: int, seed: int) -> tuple[int, int, float, float]:
     """Steps, frames, wall seconds and processor seconds of `count` environments in one process."""
-    model = mujoco.MjModel.from_xml_string(SCENE.format(mass=MASS_KG.get(name, 1.0)))
-    skin = dermis.Skin(name).model()
+    skin = dermis.Skin(name)
+    model = mujoco.MjModel.from_xml_string(SCENE.format(mass=mass_kg(skin)))
+    skin_model = skin.model()
     environments = []
     for number in range(count):
         data = mujoco.MjData(model)
         data.qvel[:] = [0.02, 0.01, 0.0, -0.5, 1.0, 0.0]
-        sensor = SkinSensor(model, data, Patch("plate", skin, geom="plate", xyz_mm=(0, 0, 10)), seed=seed + number)
+        sensor = SkinSensor(model, data, Patch("plate", skin_model, geom="plate", xyz_mm=(0, 0, 10)), seed=seed + number)
         environments.append((data, sensor))
     wall_s, processor_s, frames = time.perf_counter(), time.process_time(), 0
     for _ in range(STEPS):

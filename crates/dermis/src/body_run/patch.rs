@@ -9,6 +9,7 @@ use crossbeam_channel::{Receiver, SendTimeoutError, Sender};
 use dermis_body::{Body, SpatialTouch, Wrench, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
 use dermis_device::{Frame, HostStamp};
+use dermis_live::latency::RecentLatencies;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_record::guard_socket::GuardPublisher;
@@ -99,6 +100,7 @@ pub(super) struct PatchThread {
     pub body_tells_forces: bool,
     pub lines: bool,
     pub most_frames: Option<u64>,
+    pub recent: RecentLatencies<1>,
 }
 
 /// Marks the patch as failed if its thread panics.
@@ -281,14 +283,16 @@ impl PatchThread {
         let is_read = self.publish(report);
         let counters = self.acquisition.counters();
         self.publishers.iter_mut().for_each(|publisher| publisher.state(&self.pipeline, counters));
-        let p99_us = self.pipeline.latencies().total.quantile_us(0.99);
+        let latency_us = self.recent.quantiles_us([&self.pipeline.latencies().total], frame.host_monotonic_ns);
         let mut row = self.health.row();
         row.state = if is_ready { PatchState::Running } else { PatchState::Starting };
         row.frames += 1;
         (row.lost, row.damaged, row.dropped) = (counters.lost, counters.bad, counters.dropped);
         row.unread += u64::from(!is_read);
         (row.touches, row.channels_left_out) = (touches, channels_left_out);
-        row.latency_p99_ms = 1e-3 * p99_us;
+        if let Some([[_, p99_us]]) = latency_us {
+            row.latency_p99_ms = 1e-3 * p99_us;
+        }
         row.problem = None;
         Ok(())
     }

@@ -105,7 +105,7 @@ pub struct PatchHealth {
     pub touches: usize,
     /// Channels excluded because of faults.
     pub channels_left_out: usize,
-    /// 99th percentile of the time from a frame's first byte to its touches, milliseconds.
+    /// 99th percentile of the time from a frame's first byte to its touches over the last ten seconds, milliseconds.
     pub latency_p99_ms: f64,
     /// Reason for missing frames.
     pub problem: Option<String>,

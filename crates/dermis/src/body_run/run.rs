@@ -11,6 +11,7 @@ use crossbeam_channel::{Receiver, bounded};
 use dermis_body::{Body, JointSource, Patch};
 use dermis_device::HostStamp;
 use dermis_device::acquire::Acquisition;
+use dermis_live::latency::RecentLatencies;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_record::guard_socket::{GuardAddress, GuardSocket};
@@ -233,6 +234,7 @@ impl BodyRun {
                 body_tells_forces: silent_links.is_empty(),
                 lines: options.lines,
                 most_frames: options.most_frames,
+                recent: RecentLatencies::default(),
             };
             let name = &run.body.patches[number].name;
             let builder = std::thread::Builder::new().name(format!("dermis-{name}"));
