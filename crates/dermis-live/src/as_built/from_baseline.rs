@@ -39,8 +39,8 @@ pub(crate) fn learns_from_rest(drawn: &Prepared) -> bool {
     (is_wanted(drawn) || is_electric(drawn) && fits_contacts(drawn)) && !drawn.is_as_built() && baseline_is_known(drawn)
 }
 
-/// True if a baseline with this misfit is not that of the skin as drawn. Without a baseline to compare, the misfit is
-/// not a number, and nothing speaks for the skin as drawn.
+/// True if the misfit of a baseline is too large for the skin as drawn. It is NaN, and this is true, if the baseline
+/// can't be compared with the model.
 pub(crate) fn is_off(drawn: &Prepared, of_baseline: f64) -> bool {
     let by_mesh = drawn.change_by_mesh(|drawn| match drawn.voltages_with(drawn.skin.imaging.elements / 2) {
         Ok(coarse) => misfit(&drawn.voltages, &coarse),

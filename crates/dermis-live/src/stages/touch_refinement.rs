@@ -468,7 +468,7 @@ impl SpotStage {
         let unknowns = |row: usize| self.unknowns[pixels(row)].iter().flatten().map(|unknown| *unknown as usize);
         // Unknowns are numbered row by row.
         let Some(first) = rows.clone().flat_map(unknowns).next() else { return 0.0 };
-        let last = rows.clone().rev().find_map(|row| unknowns(row).last()).unwrap_or(first);
+        let last = rows.clone().rev().find_map(|row| unknowns(row).next_back()).unwrap_or(first);
         let image = imager.part(first..last + 1, &self.volts, &mut self.part);
         let values = rows.flat_map(unknowns).map(|unknown| f64::from(image[unknown - first]));
         values.fold(0.0, |most: f64, value| if value.abs() > most.abs() { value } else { most })
