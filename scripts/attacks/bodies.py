@@ -1,5 +1,6 @@
 """A body of sixteen skins: its load on an idle computer, and three failing skins that must not affect the others."""
 
+import contextlib
 import gc
 import math
 import os
@@ -116,11 +117,22 @@ def processor_s(pid):
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def run_body(ground, lines, seconds, faulty):
-    """Runs sixteen skins, the last ones with these faulty senders; returns figures of the others."""
-    # Frames have to leave on time: a sender that is late sends several at once.
+@contextlib.contextmanager
+def sent_on_time():
+    """Keeps this process from delaying its senders: one that is late sends several frames at once."""
+    interval = sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(0.0002)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        gc.enable()
+
+
+@sent_on_time()
+def run_body(ground, lines, seconds, faulty):
+    """Runs sixteen skins, the last ones with these faulty senders; returns figures of the others."""
     ends, ports, body = [], [], 'name = "many"\n'
     beat = Beat(ground, lines)
     senders = [beat.talk] * (SKINS - len(faulty)) + [failing(lines, then) for then in faulty]

@@ -11,9 +11,9 @@ use crate::reference::{Reference, baseline_is_known, misfit};
 use crate::stages::plates::fits_contacts;
 
 /// A baseline fits the skin as drawn if its misfit is below this many times the change of the voltages on half the
-/// elements, since meshes alone differ by that much. Twins as drawn of 44 skins (all layers, 8 to 32 electrodes, 50 to
-/// 300 mm; misfits of 0.04 to 1.8 %) reach 1.5. Fifteen skins built with the default tolerances are off by 6 to 16 %,
-/// and the limit is at most 3 % on any of these.
+/// elements, since meshes alone differ by that much. Twins as drawn of 44 skins (gel, foam, liquid, sandwich; 8 to 32
+/// electrodes; 50 to 300 mm; misfits of 0.04 to 1.8 %) reach 1.5. On any of them the limit is at most 3.2 %, while
+/// fifteen skins built with the default tolerances are off by 6 to 16 %.
 const OF_MESH: f64 = 2.0;
 /// Largest difference between a baseline and the skin as built, root mean square, in standard deviations of gains and
 /// meshes. Fifteen twins built with the default tolerances reach 0.35 to 0.87.

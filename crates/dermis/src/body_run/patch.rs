@@ -283,7 +283,8 @@ impl PatchThread {
         let is_read = self.publish(report);
         let counters = self.acquisition.counters();
         self.publishers.iter_mut().for_each(|publisher| publisher.state(&self.pipeline, counters));
-        let latency_us = self.recent.quantiles_us([&self.pipeline.latencies().total], frame.host_monotonic_ns);
+        let now_ns = HostStamp::now().monotonic_ns;
+        let latency_us = self.recent.quantiles_us([&self.pipeline.latencies().total], now_ns);
         let mut row = self.health.row();
         row.state = if is_ready { PatchState::Running } else { PatchState::Starting };
         row.frames += 1;
