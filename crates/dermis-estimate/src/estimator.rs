@@ -8,11 +8,12 @@ use crate::press::{Cost, Effort, Press, PressFit};
 
 /// Largest standard deviation of the position of a press, in typical radii.
 const MOST_SIGMA: f64 = 1.0;
-/// Largest load. An inclusion that insulates or conducts perfectly responds like at most 2; twice that leaves room
-/// for gains that the file doesn't know.
-const MOST_LOAD: f64 = 4.0;
 /// Least significance of the strength of one press among several, from the fit's own covariance.
 const LEAST_SIGNIFICANT: f64 = 2.0;
+/// Largest load of a press among others or at any place. An inclusion that insulates or conducts perfectly responds
+/// like at most 2; twice that leaves room for gains that the file doesn't know. A stronger press is hard, or a narrow
+/// one that explains the frame by chance: it has to be where the matched filter sees it.
+const MOST_LOAD: f64 = 4.0;
 /// The first press is looked for only if the gain of the matched filter reaches this share of the squared threshold.
 const PROMISING: f64 = 0.6;
 /// Largest number of operations spent on one frame: some 60 ms. It is counted rather than timed, so that replays
@@ -295,7 +296,12 @@ impl Estimator {
     }
 
     fn may_be(&self, press: &Press) -> bool {
-        let is_possible = press.load.abs() <= MOST_LOAD && (self.negative || press.load > 0.0);
+        press.load.abs() <= MOST_LOAD && self.may_act(press)
+    }
+
+    /// As [`Estimator::may_be`], for a press of any load.
+    fn may_act(&self, press: &Press) -> bool {
+        let is_possible = self.negative || press.load > 0.0;
         is_possible && self.fit.is_inside(press.position_m)
     }
 
@@ -400,8 +406,8 @@ impl Estimator {
         support >= self.evidence.begin * (added as f64).sqrt()
     }
 
-    /// A single press at the maximum of the matched filter, for frames that clearly contain something but whose fits
-    /// all leave the skin.
+    /// A single press near the maximum of the matched filter, for frames that clearly contain something but whose fits
+    /// all leave the skin, or have loads that no usual press has.
     fn roughly(&mut self, null: &Cost) -> Option<Explanation> {
         self.fit.fit_nothing()?;
         let peak = *self.fit.seek(self.negative).first()?;
@@ -410,8 +416,12 @@ impl Estimator {
         for press in &mut of.presses {
             (0..2).for_each(|axis| press.covariance[axis][axis] += press.radius_m.powi(2));
         }
-        let is_there = self.is_possible(&of) && Evidence::of(null, &cost, true) >= self.evidence.begin;
-        is_there.then_some(of)
+        let near = self.fitted(&[peak], Effort::Full).filter(|near| {
+            near.cost.residual < of.cost.residual && near.presses.iter().all(|p| p.distance_m(&peak) < peak.radius_m)
+        });
+        let of = near.unwrap_or(of);
+        let is_possible = of.presses.iter().all(|press| self.may_act(press) && self.is_placed(press, 1));
+        (is_possible && Evidence::of(null, &of.cost, true) >= self.evidence.begin).then_some(of)
     }
 }
 

@@ -6,22 +6,32 @@
 //! amplitude. On a sheet, `ln (1 + du) = k p` with `k = c - G / E`; integrated over the spot, the force is `F = 2 pi
 //! r^2 / k int_0^1 ln (1 + u t) / t dt`. Under a membrane, the dent is proportional to the pressure, and u is its depth
 //! where it is deepest: `F = 2 pi r^2 p`, where p is the pressure of a Gaussian load that makes a dent of that depth.
+//!
+//! A sheet that hardly conducts under the press, and a liquid pressed to its bottom, hardly respond to more force. The
+//! law then gives the force at which that begins.
 
 use std::f64::consts::PI;
 
 use dermis_estimate::Press;
 use dermis_skin::{Layer, SheetLayer};
+use dermis_touch::force::ForceReading;
 
 use crate::prepare::Prepared;
 
-/// Error of the law as a share of the force, on twins pressed by discs: ten gels and foams, and four liquids, whose
-/// dents are not quite proportional to the load.
+/// Error of the law as a share of the force of a weak press, on twins pressed by discs: ten gels and foams, and four
+/// liquids, whose dents are not quite proportional to the load.
 const SHEET_SHARE: f64 = 0.02;
 const MEMBRANE_SHARE: f64 = 0.08;
 /// Number of steps of the integral over a spot. Simpson's rule is then accurate to 1e-6 for changes of up to 95 %.
 const STEPS: usize = 64;
-/// Lowest relative change used.
-const LOWEST: f64 = -0.95;
+/// Lowest and largest response of the channels that the law converts: that of a relative change u of -0.95, and of a
+/// perfect conductor.
+const RESPONSES: [f64; 2] = [-1.81, 2.0];
+/// Above this response, u grows in proportion. Forces of discs on two foams are then right to 3 %; those of the dipole
+/// are 30 % too large at 95 kPa.
+const MOST_DIPOLE: f64 = 0.95;
+/// Step of the response by which the steepness of the law is measured, as a share.
+const STEP: f64 = 0.01;
 
 /// Converts presses to forces on one skin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,22 +61,40 @@ impl ForceLaw {
         }
     }
 
-    /// Force and its standard deviation, newtons; `None` if the press changes the skin in a way that the law
-    /// excludes. `largest` is the largest change that such a press makes per unit of load: 1 on a sheet.
-    pub fn read(&self, press: &Press, largest: f64, polarity: f64) -> Option<(f64, f64)> {
-        let area = PI * press.radius_m * press.radius_m;
-        let undone = |answered: f64| {
-            (polarity * answered / (1.0 - 0.5 * polarity * answered).max(1.0 + 0.5 * LOWEST)).max(LOWEST)
-        };
-        let (force_n, law_share) = match self {
-            Self::Sheet { per_pa } => (2.0 * area * logarithms(undone(press.load)) / per_pa, SHEET_SHARE),
+    /// The force; `None` if the press changes the skin in a way that the law excludes. `largest` is the largest change
+    /// that such a press makes per unit of load: 1 on a sheet.
+    pub fn read(&self, press: &Press, largest: f64, polarity: f64) -> Option<ForceReading> {
+        let largest = if matches!(self, Self::Membrane { .. }) { largest } else { 1.0 };
+        let response = polarity * press.load * largest;
+        let bounded = response.clamp(RESPONSES[0], RESPONSES[1]);
+        let area_m2 = PI * press.radius_m * press.radius_m;
+        let force_n = self.force_n(area_m2, bounded, largest);
+        if !(force_n > 0.0 && force_n.is_finite()) {
+            return None;
+        }
+        if bounded != response {
+            return Some(ForceReading::Saturated { from_n: force_n });
+        }
+        // The nearer the press is to saturation, the more an error of the response changes the force.
+        let less_n = self.force_n(area_m2, (1.0 - STEP) * bounded, largest);
+        let steepness = ((1.0 - less_n / force_n) / STEP).max(1.0);
+        let share = steepness * press.significance().recip().hypot(self.share());
+        Some(ForceReading::FromLaw { force_n, sigma_n: share * force_n })
+    }
+
+    /// Error of the law as a share of the response.
+    fn share(&self) -> f64 {
+        if matches!(self, Self::Sheet { .. }) { SHEET_SHARE } else { MEMBRANE_SHARE }
+    }
+
+    /// Force from a response of the channels, newtons.
+    fn force_n(&self, area_m2: f64, response: f64, largest: f64) -> f64 {
+        let change = response / (1.0 - 0.5 * response.min(MOST_DIPOLE));
+        match self {
+            Self::Sheet { per_pa } => 2.0 * area_m2 * logarithms(change) / per_pa,
             // The channels respond to the dent. A narrow load dents a membrane less than its amplitude suggests.
-            Self::Membrane { pressure_pa } => {
-                (-2.0 * area * undone(press.load * largest) / largest * pressure_pa, MEMBRANE_SHARE)
-            }
-        };
-        let share = press.significance().recip().hypot(law_share);
-        (force_n > 0.0 && force_n.is_finite()).then_some((force_n, share * force_n))
+            Self::Membrane { pressure_pa } => -2.0 * area_m2 * change / largest * pressure_pa,
+        }
     }
 }
 
@@ -94,8 +122,18 @@ mod tests {
         let press = Press { radius_m: 5e-3, load: 1e-4, ..Press::default() };
         // A gel of 60 kPa: du = -p / E over the spot.
         let gel = ForceLaw::Sheet { per_pa: -1.0 / 60e3 };
-        let (force_n, _) = gel.read(&press, 1.0, -1.0).unwrap();
+        let force_n = gel.read(&press, 1.0, -1.0).and_then(ForceReading::nearest_n).unwrap();
         assert!((force_n / (2.0 * PI * 25e-6 * 1e-4 * 60e3) - 1.0).abs() < 1e-3, "{force_n}");
         assert!(gel.read(&press, 1.0, 1.0).is_none());
+    }
+
+    #[test]
+    fn a_press_that_saturates_the_skin_has_the_least_force_that_does() {
+        let gel = ForceLaw::Sheet { per_pa: -1.0 / 60e3 };
+        let read = |load: f64| gel.read(&Press { radius_m: 5e-3, load, ..Press::default() }, 1.0, -1.0).unwrap();
+        let ForceReading::Saturated { from_n } = read(1.9) else { panic!("saturated") };
+        assert_eq!(read(40.0), ForceReading::Saturated { from_n });
+        let ForceReading::FromLaw { force_n, sigma_n } = read(1.8) else { panic!("by the law") };
+        assert!(force_n < from_n && sigma_n > SHEET_SHARE * force_n);
     }
 }

@@ -18,6 +18,7 @@ use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::Peaks;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, Pause, READY_NS, Searched, TouchSearch};
+use crate::stages::touch_search::{doubt, is_outstanding};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
@@ -29,9 +30,6 @@ const FAR_PITCHES: f64 = 0.5;
 /// Reject fits that leave more than this share of a frame's energy where images join presses: the skin has changed in
 /// another way. The image's contacts then begin no touch.
 const MOST_UNEXPLAINED: f64 = 0.3;
-/// If a peak is this many times as high as the image's lowest value is deep, it begins a touch nevertheless: a press on
-/// a cut.
-const OUTSTANDING: f64 = 2.0;
 /// In a tank, a press below this share of the strongest is a side lobe of it.
 const LOBE: f64 = 0.2;
 
@@ -67,6 +65,8 @@ pub(crate) struct SpotStage {
     explained: f64,
     far_m: f64,
     hints: Vec<Press>,
+    /// The image's highest peak is much higher than its lowest value is deep.
+    is_outstanding: bool,
     /// Contacts as found in the image.
     of_image: Vec<Contact>,
     /// The presses reported.
@@ -121,6 +121,7 @@ impl SpotStage {
             explained: if pitch_m.is_some() { PATCHES_EXPLAINED } else { EXPLAINED },
             far_m: pitch_m.map_or(FAR * prepared.half_width_m(), |pitch_m| FAR_PITCHES * pitch_m),
             hints: Vec::with_capacity(MOST_SPOTS),
+            is_outstanding: false,
             of_image: Vec::with_capacity(MOST_SPOTS),
             shown: Vec::with_capacity(MOST_SPOTS),
             anchors: Vec::new(),
@@ -195,6 +196,11 @@ impl SpotStage {
         let Some(estimate) = self.estimator.explain(difference, &self.hints) else { return Explained::Nothing };
         if self.estimator.is_out_of_work() {
             return Explained::Later(Some(estimate));
+        }
+        if self.is_outstanding && !self.is_joint {
+            // A hard press leaves much that would pass for presses that have ended.
+            self.ended.forget();
+            return self.concluded(estimate, None);
         }
         if !self.ended.looks_for(&estimate) {
             return self.concluded(estimate, None);
@@ -342,6 +348,7 @@ impl SpotStage {
             load: contact.peak_value,
             ..Press::default()
         }));
+        self.is_outstanding = is_outstanding(contacts, lowest);
         if contacts.is_empty() {
             self.pause = Pause::default();
         }
@@ -405,6 +412,13 @@ impl SpotStage {
             }
             return;
         }
+        if !self.is_joint && estimate.presses.is_empty() && !estimate.is_at_rest && !has_gone {
+            // If it stands out, it is too hard a press for the model. Its place in the image is rough.
+            contacts.truncate(usize::from(is_outstanding(contacts, lowest)));
+            let variance_m2 = self.typical_radius_m.powi(2);
+            contacts.iter_mut().for_each(|contact| (0..2).for_each(|k| contact.covariance_m2[k][k] += variance_m2));
+            return;
+        }
         self.pause = Pause::default();
         self.of_image.clear();
         self.of_image.append(contacts);
@@ -427,8 +441,10 @@ impl SpotStage {
             let away = |contact: &&Contact| distance(contact.centroid_m, press.position_m);
             let largest = self.estimator.fit_mut().largest_change(press);
             let nearest = self.of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied();
-            let area_m2 = nearest.map_or(std::f64::consts::PI * press.radius_m.powi(2), |contact| contact.area_m2);
-            let by_contact = footprint.force_n.map(|[force_n, sigma_n]| (force_n, sigma_n));
+            // A spot of the sheet is not the contact that caused it.
+            let of_image = nearest.filter(|_| !self.is_joint);
+            let area_m2 = of_image.map_or(std::f64::consts::PI * footprint.radius_m.powi(2), |contact| contact.area_m2);
+            let by_contact = footprint.force_n.map(|[force_n, sigma_n]| ForceReading::FromLaw { force_n, sigma_n });
             let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity));
             let c = &press.covariance;
             let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
@@ -446,7 +462,7 @@ impl SpotStage {
                 covariance_m2: [0, 1].map(|row| [0, 1].map(|column| estimate.place_scale * c[row][column])),
                 significance: *sigma,
                 radius_m: Some(footprint.radius_m),
-                force: by_contact.or_else(by_law).map(from_law),
+                force: by_contact.or_else(by_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,
                 ..Contact::even(press.position_m, value, area_m2)
@@ -472,19 +488,6 @@ impl SpotStage {
         let image = imager.part(first..last + 1, &self.volts, &mut self.part);
         let values = rows.flat_map(unknowns).map(|unknown| f64::from(image[unknown - first]));
         values.fold(0.0, |most: f64, value| if value.abs() > most.abs() { value } else { most })
-    }
-}
-
-fn from_law((force_n, sigma_n): (f64, f64)) -> ForceReading {
-    ForceReading::FromLaw { force_n, sigma_n }
-}
-
-/// Contacts of an image that nothing explains begin no touch, unless one stands out.
-fn doubt(contacts: &mut Vec<Contact>, lowest: f64) {
-    if contacts.first().is_some_and(|contact| contact.amplitude > OUTSTANDING * -lowest) {
-        contacts.truncate(1);
-    } else {
-        contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
     }
 }
 

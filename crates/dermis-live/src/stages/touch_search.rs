@@ -2,6 +2,7 @@
 //! with a copy of the estimator.
 
 use dermis_estimate::{Estimate, Estimator, Memory, Press};
+use dermis_touch::{Contact, ContactStrength};
 
 /// Most operations of a search within a frame: some 15 ms on one core. It suffices for two presses on most sandwiches.
 pub(super) const AT_ONCE: f64 = 1e8;
@@ -12,6 +13,10 @@ pub(super) const READY_NS: u64 = 160_000_000;
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
 /// ended but are still part of the baseline.
 const CLEARLY_EXPLAINED: f64 = 0.005;
+
+/// If a peak is this many times as high as the image's lowest value is deep, it begins a touch even if nothing explains
+/// it: a press on a cut, or a hard press.
+const OUTSTANDING: f64 = 2.0;
 
 /// Pause after frames that no presses explain, nanoseconds: initial and maximum. It doubles each time.
 const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
@@ -87,4 +92,18 @@ pub(super) enum Explained {
 /// True if nothing is left that presses that have ended could explain.
 pub(super) fn is_clearly_explained(estimate: &Estimate) -> bool {
     estimate.is_at_rest || estimate.unexplained < CLEARLY_EXPLAINED
+}
+
+/// True if a contact of an image stands out.
+pub(super) fn is_outstanding(contacts: &[Contact], lowest: f64) -> bool {
+    contacts.first().is_some_and(|contact| contact.amplitude > OUTSTANDING * -lowest)
+}
+
+/// Contacts of an image that nothing explains begin no touch, unless one stands out.
+pub(super) fn doubt(contacts: &mut Vec<Contact>, lowest: f64) {
+    if is_outstanding(contacts, lowest) {
+        contacts.truncate(1);
+    } else {
+        contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+    }
 }

@@ -219,7 +219,8 @@ impl TouchStage {
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {
                 let by_law = contact.force.and_then(ForceReading::by_law);
-                contact.force = forces.read(contact.centroid_m, contact.peak_value, by_law);
+                let saturated = contact.force.filter(|force| matches!(force, ForceReading::Saturated { .. }));
+                contact.force = forces.read(contact.centroid_m, contact.peak_value, by_law).or(saturated);
             });
         }
         if !self.is_placed {

@@ -7,7 +7,7 @@ use dermis_skin::Skin;
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceReading, ForceSample};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
-use crate::random_skins::written;
+use crate::random_skins::{LAYERS, written};
 
 fn scope(skin: &str, plan: &PressPlan) -> CalibrationScope {
     let indenter_area_m2 = 0.25 * std::f64::consts::PI * plan.indenter_m.powi(2);
@@ -99,6 +99,33 @@ fn five_presses_of_known_force_correct_the_law_of_a_layer_that_saturates() {
     // Without the five presses, radius and pressure cannot be distinguished, and the median error is 0.3.
     assert!(errors[7] < 0.1, "{errors:?}");
     assert!(within >= 13, "{within} of 15 within 2.5 sigma");
+}
+
+#[test]
+fn a_hard_press_is_a_touch_with_a_least_force() {
+    for layer in LAYERS.into_iter().filter(|layer| !layer.contains("sandwich")) {
+        let gain = if layer.contains("liquid") { "gain = \"channel\"" } else { "" };
+        let skin = written("{ disc = { diameter_mm = 100.0 } }", layer, (16, 8.0), 0, gain);
+        let plan = PressPlan::of(&skin).unwrap();
+        let (frontend, instrument, _) = dermis_twin::TwinKit::of(&skin).unwrap().twin.into_parts();
+        let mut rig = Rig::from_parts(skin, frontend, instrument).unwrap();
+        for (place, share) in [([0.01, 0.005], 6.0), ([-0.02, 0.015], 12.0), ([0.015, -0.02], 20.0)] {
+            let shape = Shape::Disc { radius_m: 0.5 * plan.indenter_m };
+            let indenter = Indenter { centre_m: place, shape, load: Load::ForceN(share * plan.most_n / 1.5) };
+            let frame = rig.mean_frame(&[indenter], 1).unwrap();
+            let image = rig.image(&frame).unwrap();
+            let touches = rig.touches(&image).unwrap();
+            let [touch] = &touches[..] else { panic!("{} touches at {place:?} on {layer}", touches.len()) };
+            let off = [0, 1].map(|axis| touch.centroid_m[axis] - place[axis]);
+            let off_m = off[0].hypot(off[1]);
+            println!("{share} times the usual press: {:.2} mm off, {:?}: {layer}", 1e3 * off_m, touch.force);
+            assert!(off_m < 5e-3, "{off:?}");
+            if let Some(force) = touch.force {
+                assert_eq!(force.range(), "saturated");
+                assert!(force.nearest_n().unwrap() < 1.05 * indenter.force_n(), "{force:?}");
+            }
+        }
+    }
 }
 
 #[test]

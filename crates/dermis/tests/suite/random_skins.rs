@@ -19,7 +19,7 @@ const PAIRS: usize = 6;
 const SLACK: f64 = 0.1;
 
 /// Layers as written by `dermis new`.
-const LAYERS: [&str; 4] = [
+pub const LAYERS: [&str; 4] = [
     "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.2, gauge_factor = 1.0, modulus_kpa = 60.0 }",
     "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.5, gauge_factor = 0.0, \
      pressure_percent_per_kpa = 1.0 }",
