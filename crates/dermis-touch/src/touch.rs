@@ -54,7 +54,7 @@ pub struct Touch {
     pub velocity_m_per_s: [f64; 2],
     /// The contact's amplitude (not negative), filtered if so configured; image units.
     pub amplitude: f64,
-    /// The contact's area, m^2: of the contact fitted on a sandwich, otherwise of the image above half its peak.
+    /// The contact's area, m^2. Sandwiches fit it; on other skins, it is the area of the image above half its peak.
     pub area_m2: f64,
     /// The contact's force, if a calibration has estimated one.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -24,13 +24,13 @@ const SHEET_SHARE: f64 = 0.02;
 const MEMBRANE_SHARE: f64 = 0.08;
 /// Number of steps of the integral over a spot. Simpson's rule is then accurate to 1e-6 for changes of up to 95 %.
 const STEPS: usize = 64;
-/// Lowest and largest response of the channels that the law converts: that of a relative change u of -0.95, and of a
-/// perfect conductor.
+/// The law holds for responses of the channels in this range. A relative change u of -0.95 gives the first, a perfect
+/// conductor the second.
 const RESPONSES: [f64; 2] = [-1.81, 2.0];
 /// Above this response, u grows in proportion. Forces of discs on two foams are then right to 3 %; those of the dipole
 /// are 30 % too large at 95 kPa.
 const MOST_DIPOLE: f64 = 0.95;
-/// Step of the response by which the steepness of the law is measured, as a share.
+/// The steepness of the law is the difference quotient over this share of the response.
 const STEP: f64 = 0.01;
 
 /// Converts presses to forces on one skin.

@@ -414,7 +414,7 @@ impl SpotStage {
         }
         if !self.is_joint && estimate.presses.is_empty() && !estimate.is_at_rest && !has_gone {
             // If it stands out, it is too hard a press for the model. Its place in the image is rough.
-            contacts.truncate(usize::from(is_outstanding(contacts, lowest)));
+            contacts.truncate(usize::from(self.is_outstanding));
             let variance_m2 = self.typical_radius_m.powi(2);
             contacts.iter_mut().for_each(|contact| (0..2).for_each(|k| contact.covariance_m2[k][k] += variance_m2));
             return;
