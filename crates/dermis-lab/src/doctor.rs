@@ -158,7 +158,7 @@ impl Seen {
                     self.frames += 1;
                     self.elapsed_s = last_ns.saturating_sub(first) as f64 * 1e-9;
                     match self.pipeline.process(&frame, frame.host_monotonic_ns) {
-                        Ok(output) => count_ends(output.raw, &mut largest, &mut ends),
+                        Ok(output) => count_ends(&output.raw, &mut largest, &mut ends),
                         Err(error) => break Err(error.to_string()),
                     }
                 }

@@ -16,10 +16,10 @@ use dermis_live::calibration::{
 };
 use dermis_live::channels::ChannelReader;
 use dermis_live::forces::{load_forces, parse_forces_as};
-use dermis_live::output::Output;
 use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::{NoiseSource, Reference, are_pairs};
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::sink::{ImageStack, Sink, TouchColumns, TouchTable};
 use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
 
@@ -292,27 +292,23 @@ fn reconstruct_to(
             reconstructor.touches.touches().iter().filter(|touch| touch.observation != Observation::Missed).copied(),
         );
         touch_rows += touches.len();
-        let output = Output {
+        let output = SkinFrame {
             sequence: index as u64,
+            time_s: 1e-9 * time_ns as f64,
             time_ns,
-            wall_ns: 0,
-            device_time_ns: None,
-            raw: &frames[index],
-            compensated: if odd[index].is_some() { &unknown } else { difference },
-            image: &image,
+            is_ready: true,
+            raw: (&frames[index]).into(),
+            compensated: if odd[index].is_some() { (&unknown).into() } else { difference.into() },
+            image: (&image).into(),
             columns: grid.columns,
             rows: grid.rows,
-            touches: &touches,
-            ended: reconstructor.touches.ended(),
-            classes: None,
+            touches: (&touches).into(),
+            ended: reconstructor.touches.ended().into(),
             health: Health {
                 frame: odd[index].map(|kind| FrameFault { kind, since_ns: time_ns, since_sequence: index as u64 }),
                 ..Health::default()
             },
-            damage: dermis_live::stages::damage::DamageView::default(),
-            circuit: None,
-            anomalies: dermis_live::clock::FrameAnomalies::default(),
-            guard: None,
+            ..SkinFrame::default()
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;
         beside.iter_mut().try_for_each(|sink| sink.accept(&output))?;

@@ -39,6 +39,7 @@ pub(crate) struct FrameClock {
     last: Option<Last>,
     period_ns: Option<u64>,
     time_ns: u64,
+    first_ns: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -51,6 +52,11 @@ impl FrameClock {
     /// Time of the last frame, nanoseconds, starting from the first frame's clock.
     pub fn time_ns(&self) -> u64 {
         self.time_ns
+    }
+
+    /// Time of the last frame since the first, seconds.
+    pub fn elapsed_s(&self) -> f64 {
+        1e-9 * self.time_ns.saturating_sub(self.first_ns) as f64
     }
 
     /// Takes the next frame.
@@ -81,7 +87,7 @@ impl FrameClock {
                 }
             }
         } else {
-            self.time_ns = read_ns;
+            (self.first_ns, self.time_ns) = (read_ns, read_ns);
         }
         self.last = Some(Last { read_ns, sequence: frame.sequence });
         anomalies

@@ -7,8 +7,8 @@ use dermis_device::{Frame, HostStamp};
 use dermis_touch::ReferenceRecord;
 
 use crate::Error;
-use crate::output::Output;
 use crate::pipeline::Pipeline;
+use crate::skin_frame::SkinFrame;
 
 /// A command to execute between two frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,7 +64,7 @@ pub trait Observer<F: Feed> {
     ///
     /// # Errors
     /// Any error ends the run.
-    fn result(&mut self, output: &Output<'_>) -> Result<ControlFlow<()>, F::Error>;
+    fn result(&mut self, output: &SkinFrame<'_>) -> Result<ControlFlow<()>, F::Error>;
 
     /// Called before the feed is asked for the next item; may command the pipeline. False ends the run.
     ///
@@ -100,8 +100,8 @@ pub trait Observer<F: Feed> {
 }
 
 /// A closure that takes results is an observer.
-impl<F: Feed, C: FnMut(&Output<'_>) -> Result<ControlFlow<()>, F::Error>> Observer<F> for C {
-    fn result(&mut self, output: &Output<'_>) -> Result<ControlFlow<()>, F::Error> {
+impl<F: Feed, C: FnMut(&SkinFrame<'_>) -> Result<ControlFlow<()>, F::Error>> Observer<F> for C {
+    fn result(&mut self, output: &SkinFrame<'_>) -> Result<ControlFlow<()>, F::Error> {
         self(output)
     }
 }

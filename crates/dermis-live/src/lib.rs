@@ -30,7 +30,7 @@
 //! | [`prepare`], [`magnetic_model`] | a skin file to its forward model on the image grid |
 //! | [`channels`], [`reference`](mod@reference) | an instrument's readings to the skin's channels; baselines to the model's volts |
 //! | [`imager`], [`reconstructor`] | differences to images; images to touches |
-//! | [`pipeline`], [`stages`], [`output`] | all of this for every frame, in memory that does not grow; the results |
+//! | [`pipeline`], [`stages`], [`skin_frame`] | all of this for every frame, in memory that does not grow; the results |
 //! | [`driver`], [`clock`], [`latency`], [`instant`] | the loop over frames; their times; their durations |
 //! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | learning from pokes, presses and training |
 
@@ -52,12 +52,12 @@ pub mod label_checks;
 pub mod latency;
 pub mod magnetic_model;
 pub mod network;
-pub mod output;
 pub mod pipeline;
 pub mod prepare;
 pub mod reconstructor;
 pub mod reference;
 pub mod same_skin;
+pub mod skin_frame;
 pub mod stages;
 
 pub use error::Error;

@@ -30,9 +30,9 @@ pub use crate::channel_noise::TARE_FRAMES;
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
 use crate::instant::Instant;
-use crate::output::Output;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
+use crate::skin_frame::SkinFrame;
 use crate::stages::build_learning::BuildLearning;
 use crate::stages::circuit::CircuitStage;
 use crate::stages::classes::{ClassPace, ClassStage};
@@ -189,8 +189,9 @@ impl Pipeline {
     ///
     /// # Errors
     /// A frame of the wrong length, or times that run backwards.
-    pub fn process(&mut self, frame: &Frame, now_ns: u64) -> Result<Output<'_>, Error> {
+    pub fn process(&mut self, frame: &Frame, now_ns: u64) -> Result<SkinFrame<'_>, Error> {
         let start = Instant::now();
+        let is_ready = self.is_running();
         self.timing.frames += 1;
         self.reader.read(&frame.values, &frame.imaginary, &mut self.buffers.channels)?;
         let before_ns = self.timing.clock.time_ns();
@@ -229,22 +230,24 @@ impl Pipeline {
             State::Running(running) => (running.reconstructor.touches.touches(), running.reconstructor.touches.ended()),
             State::Starting(_) => (&[][..], &[][..]),
         };
-        Ok(Output {
+        Ok(SkinFrame {
             sequence: frame.sequence,
+            time_s: self.timing.clock.elapsed_s(),
             time_ns: frame.host_monotonic_ns,
             wall_ns: frame.host_wall_ns,
             device_time_ns: frame.device_time_ns,
-            raw: self.baseline.raw(),
-            compensated: self.baseline.compensated(),
-            image: &self.buffers.image,
+            is_ready,
+            raw: self.baseline.raw().into(),
+            compensated: self.baseline.compensated().into(),
+            image: (&self.buffers.image).into(),
             columns: grid.columns,
             rows: grid.rows,
-            touches,
-            ended,
+            touches: touches.into(),
+            ended: ended.into(),
             classes: self.classes.as_ref().and_then(ClassStage::seen),
             health: self.health(),
             damage: self.damage(),
-            circuit: self.circuit.as_ref().and_then(CircuitStage::news),
+            circuit: self.circuit.as_ref().and_then(CircuitStage::news).copied(),
             anomalies,
             guard,
         })

@@ -1,7 +1,7 @@
 //! Turns events of a frame into notices: damage, faults of channels, a circuit that was found, clock jumps.
 
 use dermis_live::clock::FrameAnomalies;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_live::stages::damage::describe;
 use dermis_live::stages::health::{HealthChange, HealthWatch};
 use dermis_skin::Skin;
@@ -21,10 +21,10 @@ impl Announcer {
     }
 
     /// Notices for the next frame.
-    pub fn notices(&mut self, output: &Output<'_>) -> Vec<Notice> {
+    pub fn notices(&mut self, output: &SkinFrame<'_>) -> Vec<Notice> {
         let warning = |text| Notice { level: Level::Warning, text };
         let mut notices: Vec<Notice> = output.damage.events.iter().map(|event| warning(describe(event))).collect();
-        notices.extend(self.health.changes(output.health).into_iter().map(
+        notices.extend(self.health.changes(&output.health).into_iter().map(
             |HealthChange { detail, is_fault, .. }| Notice {
                 level: if is_fault { Level::Warning } else { Level::Info },
                 text: detail,

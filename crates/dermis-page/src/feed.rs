@@ -9,8 +9,8 @@ use dermis_device::HostStamp;
 use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_live::latency::RecentLatencies;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_touch::guard::GuardReport;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFault};
 use dermis_touch::{BaselineState, Touch};
@@ -95,13 +95,13 @@ impl PageFeed {
 
     /// Takes over one frame's results. `now_ns` comes from the same monotonic clock in every call, nanoseconds; with a
     /// guard, whose verdicts age by it, from the host's monotonic clock.
-    pub fn show(&mut self, output: &Output<'_>, now_ns: u64) {
+    pub fn show(&mut self, output: &SkinFrame<'_>, now_ns: u64) {
         let update = &mut self.update;
         update.frame = output.sequence;
         update.time_ns = output.time_ns;
         update.monotonic_ns = HostStamp::on_system_clock(output.time_ns);
         (update.wall_ns, update.device_time_ns) = (output.wall_ns, output.device_time_ns);
-        update.image.values.copy_from_slice(output.image);
+        update.image.values.copy_from_slice(&output.image);
         update.channels.values.clear();
         update.channels.values.extend(output.raw.iter().map(|v| *v as f32));
         update.touches.clear();
@@ -130,12 +130,12 @@ impl PageFeed {
         is_new
     }
 
-    fn show_classes(&mut self, output: &Output<'_>) {
-        let Some(seen) = output.classes else {
+    fn show_classes(&mut self, output: &SkinFrame<'_>) {
+        let Some(seen) = &output.classes else {
             self.update.classes = None;
             return;
         };
-        let (shown, seen) = (self.update.classes.get_or_insert_default(), seen.classes);
+        let (shown, seen) = (self.update.classes.get_or_insert_default(), &seen.classes);
         (shown.rows, shown.cols) = (seen.rows, seen.columns);
         for (values, class) in [(&mut shown.lowered, LOWERED), (&mut shown.raised, RAISED)] {
             values.clear();
@@ -145,7 +145,7 @@ impl PageFeed {
         shown.falls_back = seen.falls_back;
     }
 
-    fn show_health(&mut self, output: &Output<'_>) {
+    fn show_health(&mut self, output: &SkinFrame<'_>) {
         let health = &mut self.update.health;
         let for_s = |since_ns: u64| output.time_ns.saturating_sub(since_ns) as f64 * 1e-9;
         let of_frame = |fault: FrameFault| FrameFaultView { kind: fault.kind.name(), for_s: for_s(fault.since_ns) };

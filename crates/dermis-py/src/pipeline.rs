@@ -8,6 +8,7 @@ use dermis_live::calibration::Calibration;
 use dermis_live::forces::parse_forces;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_skin::Skin;
 use pyo3::prelude::*;
 
@@ -244,9 +245,9 @@ impl PyPipeline {
     }
 
     fn result(&self, pipeline: &mut Pipeline, frame: &Frame, time_s: f64) -> Result<PyFrameResult, Fault> {
-        let ready = pipeline.reference().is_some();
-        let output = pipeline.process(frame, frame.host_monotonic_ns)?;
-        Ok(PyFrameResult::of(&output, time_s, ready, self.extent_mm, self.skin.modality.image_quantity()))
+        let result = pipeline.process(frame, frame.host_monotonic_ns)?.into_owned();
+        let result = SkinFrame { time_s, ..result };
+        Ok(PyFrameResult::new(result, self.extent_mm, self.skin.modality.image_quantity()))
     }
 }
 

@@ -12,7 +12,7 @@ use pyo3::types::{PyDict, PyList};
 
 use crate::arrays::{array1, array2};
 use crate::errors::Fault;
-use crate::result::{TouchRow, row_of_entry, table_of};
+use crate::result::{TouchRow, row_of, table_of};
 use crate::skin::PySkin;
 use crate::work::{run, run_interruptibly};
 
@@ -183,7 +183,7 @@ impl PyRecording {
             let (mut rows, mut sequences, mut times_ns) = (Vec::<TouchRow>::new(), Vec::new(), Vec::new());
             while let Some(entry) = recording.next_entry()? {
                 if let Entry::Touches { wall_ns, entry } = entry {
-                    rows.extend(entry.touches.iter().map(row_of_entry));
+                    rows.extend(entry.touches.iter().map(row_of));
                     sequences.resize(rows.len(), entry.sequence);
                     times_ns.resize(rows.len(), i64::try_from(wall_ns).unwrap_or(i64::MAX));
                 }

@@ -1,10 +1,12 @@
 //! [`PyFrameResult`]: the pipeline's results for one frame, as arrays made on demand.
 
+use std::collections::BTreeMap;
+
 use dermis_device::HostStamp;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::TouchEntry;
-use dermis_touch::guard::{GuardReason, GuardReport};
-use dermis_touch::{Touch, TouchPhase};
+use dermis_touch::TouchPhase;
+use dermis_touch::guard::GuardReason;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -30,31 +32,8 @@ fn other_numbers(other: Option<([f64; 2], f64)>) -> [f64; 3] {
     other.map_or([f64::NAN, f64::NAN, 0.0], |([x, y], probability)| [1e3 * x, 1e3 * y, probability])
 }
 
-fn row_of(touch: &Touch) -> TouchRow {
-    let [x, y] = touch.position_m;
-    let force_n = touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN);
-    let sigma = |axis: usize| 1e3 * touch.covariance_m2[axis][axis].sqrt();
-    let radius = touch.radius_m.map_or(f64::NAN, |radius| 1e3 * radius);
-    let [other_x, other_y, other_probability] =
-        other_numbers(touch.other_place.map(|other| (other.position_m, other.probability)));
-    let values = [
-        1e3 * x,
-        1e3 * y,
-        force_n,
-        touch.amplitude,
-        1e6 * touch.area_m2,
-        sigma(0),
-        sigma(1),
-        radius,
-        other_x,
-        other_y,
-        other_probability,
-    ];
-    (touch.id, phase_name(touch.phase), values)
-}
-
-/// The row of a recorded touch.
-pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
+/// The row of a touch.
+pub fn row_of(touch: &TouchEntry) -> TouchRow {
     let ([x, y], [sx, sy]) = (touch.position_m, touch.sigma_m);
     let [other_x, other_y, other_probability] =
         other_numbers(touch.other_place.map(|other| (other.position_m, other.probability)));
@@ -85,78 +64,17 @@ pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Bound<'py, 
 /// Results for one frame.
 #[pyclass(frozen, module = "dermis", name = "Result")]
 pub struct PyFrameResult {
-    sequence: u64,
-    time_s: f64,
-    wall_ns: u64,
-    monotonic_ns: u64,
-    device_ns: Option<u64>,
-    ready: bool,
-    raw: Vec<f64>,
-    compensated: Vec<f64>,
-    image: Vec<f32>,
-    shape: [usize; 2],
+    frame: SkinFrame<'static>,
     extent_mm: [f64; 4],
     quantity: &'static str,
-    touches: Vec<TouchRow>,
-    frame: Option<&'static str>,
-    channels: Vec<(u32, &'static str)>,
-    electrodes: Vec<u32>,
-    damages: Vec<Damage>,
-    proposal: Option<&'static str>,
-    watched: bool,
-    guard: Option<GuardReport>,
     shown: PyOnceLock<Py<PyArray2<f32>>>,
     table: PyOnceLock<Py<PyAny>>,
 }
 
-struct Damage {
-    id: u64,
-    state: &'static str,
-    centre_mm: [f64; 2],
-    length_mm: f64,
-    width_mm: f64,
-    direction_deg: f64,
-    depth: f64,
-    share: f64,
-}
-
 impl PyFrameResult {
-    /// Copies the results out of the pipeline's memory.
-    pub fn of(output: &Output<'_>, time_s: f64, ready: bool, extent_mm: [f64; 4], quantity: &'static str) -> Self {
-        let damage = |damage: &dermis_touch::damage::Damage| Damage {
-            id: damage.id,
-            state: damage.state.name(),
-            centre_mm: damage.shape.centre_m.map(|metres| 1e3 * metres),
-            length_mm: 1e3 * damage.shape.length_m,
-            width_mm: 1e3 * damage.shape.width_m,
-            direction_deg: damage.shape.direction_rad.to_degrees(),
-            depth: damage.depth,
-            share: damage.share,
-        };
-        Self {
-            sequence: output.sequence,
-            time_s,
-            wall_ns: output.wall_ns,
-            monotonic_ns: HostStamp::on_system_clock(output.time_ns),
-            device_ns: output.device_time_ns,
-            ready,
-            raw: output.raw.to_vec(),
-            compensated: output.compensated.to_vec(),
-            image: output.image.to_vec(),
-            shape: [output.rows, output.columns],
-            extent_mm,
-            quantity,
-            touches: output.touches.iter().chain(output.ended).map(row_of).collect(),
-            frame: output.health.frame.map(|fault| fault.kind.name()),
-            channels: output.health.channels.iter().map(|fault| (fault.channel, fault.kind.name())).collect(),
-            electrodes: output.health.electrodes.iter().map(|fault| fault.electrode).collect(),
-            damages: output.damage.damages.iter().map(damage).collect(),
-            proposal: output.damage.proposal.map(|_| "a new baseline is proposed"),
-            watched: output.damage.watched,
-            guard: output.guard,
-            shown: PyOnceLock::new(),
-            table: PyOnceLock::new(),
-        }
+    /// Results with the bounds and the quantity of their image.
+    pub fn new(frame: SkinFrame<'static>, extent_mm: [f64; 4], quantity: &'static str) -> Self {
+        Self { frame, extent_mm, quantity, shown: PyOnceLock::new(), table: PyOnceLock::new() }
     }
 }
 
@@ -165,56 +83,57 @@ impl PyFrameResult {
     /// Sequence number of the frame.
     #[getter]
     fn sequence(&self) -> u64 {
-        self.sequence
+        self.frame.sequence
     }
 
     /// Time of the frame, seconds.
     #[getter]
     fn time_s(&self) -> f64 {
-        self.time_s
+        self.frame.time_s
     }
 
     /// The host's wall clock at the frame's first byte, nanoseconds since 1970-01-01 UTC: ``time.time_ns()``.
     #[getter]
     fn wall_ns(&self) -> u64 {
-        self.wall_ns
+        self.frame.wall_ns
     }
 
     /// The system's monotonic clock at the frame's first byte, nanoseconds: ``time.monotonic_ns()`` on Linux. It is
     /// common to all processes of a machine.
     #[getter]
     fn monotonic_ns(&self) -> u64 {
-        self.monotonic_ns
+        HostStamp::on_system_clock(self.frame.time_ns)
     }
 
     /// The device's own clock, nanoseconds, or None.
     #[getter]
     fn device_ns(&self) -> Option<u64> {
-        self.device_ns
+        self.frame.device_time_ns
     }
 
     /// True if there was a baseline.
     #[getter]
     fn ready(&self) -> bool {
-        self.ready
+        self.frame.is_ready
     }
 
     /// Readings, shape (k,), in the skin's order.
     #[getter]
     fn raw<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        array1(py, self.raw.clone())
+        array1(py, self.frame.raw.to_vec())
     }
 
     /// Readings minus the baseline, shape (k,).
     #[getter]
     fn compensated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        array1(py, self.compensated.clone())
+        array1(py, self.frame.compensated.to_vec())
     }
 
     /// The image, shape (rows, columns), float32, row 0 at the top, NaN outside the skin.
     #[getter]
     fn image(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f32>>> {
-        let make = || Ok::<_, PyErr>(array2(py, self.image.clone(), self.shape[0], self.shape[1])?.unbind());
+        let SkinFrame { image, rows, columns, .. } = &self.frame;
+        let make = || Ok::<_, PyErr>(array2(py, image.to_vec(), *rows, *columns)?.unbind());
         Ok(self.shown.get_or_try_init(py, make)?.clone_ref(py))
     }
 
@@ -235,7 +154,9 @@ impl PyFrameResult {
     /// have just ended have the phase ``end``.
     #[getter]
     fn touches(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        let make = || Ok::<_, PyErr>(table_of(py, &self.touches)?.unbind());
+        let SkinFrame { touches, ended, .. } = &self.frame;
+        let rows = || touches.iter().chain(ended.iter()).map(|touch| row_of(&touch.into())).collect::<Vec<_>>();
+        let make = || Ok::<_, PyErr>(table_of(py, &rows())?.unbind());
         Ok(self.table.get_or_try_init(py, make)?.clone_ref(py))
     }
 
@@ -245,10 +166,13 @@ impl PyFrameResult {
     #[getter]
     fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let health = PyDict::new(py);
-        health.set_item("sound", self.frame.is_none() && self.channels.is_empty() && self.electrodes.is_empty())?;
-        health.set_item("frame", self.frame)?;
-        health.set_item("channels", self.channels.iter().copied().collect::<std::collections::BTreeMap<_, _>>())?;
-        health.set_item("electrodes", self.electrodes.clone())?;
+        let known = &self.frame.health;
+        let channels: BTreeMap<_, _> = known.channels.iter().map(|fault| (fault.channel, fault.kind.name())).collect();
+        let electrodes: Vec<u32> = known.electrodes.iter().map(|fault| fault.electrode).collect();
+        health.set_item("sound", known.is_sound())?;
+        health.set_item("frame", known.frame.map(|fault| fault.kind.name()))?;
+        health.set_item("channels", channels)?;
+        health.set_item("electrodes", electrodes)?;
         Ok(health)
     }
 
@@ -256,7 +180,7 @@ impl PyFrameResult {
     /// False; None if the skin file has no ``[guard]``.
     #[getter]
     fn guard<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let Some(report) = self.guard else { return Ok(None) };
+        let Some(report) = self.frame.guard else { return Ok(None) };
         let guard = PyDict::new(py);
         guard.set_item("verdict", report.verdict.name())?;
         guard.set_item("reasons", report.reasons.iter().map(GuardReason::name).collect::<Vec<_>>())?;
@@ -268,23 +192,24 @@ impl PyFrameResult {
     #[getter]
     fn damage<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let list = PyList::empty(py);
-        for damage in &self.damages {
+        for damage in self.frame.damage.damages.iter() {
+            let shape = &damage.shape;
             let row = PyDict::new(py);
             row.set_item("id", damage.id)?;
-            row.set_item("state", damage.state)?;
-            row.set_item("x_mm", damage.centre_mm[0])?;
-            row.set_item("y_mm", damage.centre_mm[1])?;
-            row.set_item("length_mm", damage.length_mm)?;
-            row.set_item("width_mm", damage.width_mm)?;
-            row.set_item("direction_deg", damage.direction_deg)?;
+            row.set_item("state", damage.state.name())?;
+            row.set_item("x_mm", 1e3 * shape.centre_m[0])?;
+            row.set_item("y_mm", 1e3 * shape.centre_m[1])?;
+            row.set_item("length_mm", 1e3 * shape.length_m)?;
+            row.set_item("width_mm", 1e3 * shape.width_m)?;
+            row.set_item("direction_deg", shape.direction_rad.to_degrees())?;
             row.set_item("depth", damage.depth)?;
             row.set_item("share", damage.share)?;
             list.append(row)?;
         }
         let seen = PyDict::new(py);
-        seen.set_item("watched", self.watched)?;
+        seen.set_item("watched", self.frame.damage.watched)?;
         seen.set_item("damages", list)?;
-        seen.set_item("proposal", self.proposal)?;
+        seen.set_item("proposal", self.frame.damage.proposal.map(|_| "a new baseline is proposed"))?;
         Ok(seen)
     }
 
@@ -308,7 +233,8 @@ impl PyFrameResult {
     }
 
     fn __repr__(&self) -> String {
-        let ready = if self.ready { "" } else { ", learning its baseline" };
-        format!("<dermis.Result {} at {:.3} s: {} touches{ready}>", self.sequence, self.time_s, self.touches.len())
+        let SkinFrame { sequence, time_s, is_ready, touches, ended, .. } = &self.frame;
+        let learns = if *is_ready { "" } else { ", learning its baseline" };
+        format!("<dermis.Result {sequence} at {time_s:.3} s: {} touches{learns}>", touches.len() + ended.len())
     }
 }

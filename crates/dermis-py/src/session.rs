@@ -36,7 +36,6 @@ struct Running {
     pipeline: Pipeline,
     twin: Option<TwinControl>,
     frames: u64,
-    origin_ns: Option<u64>,
     /// Head of recordings made from the page.
     head: RecordingHead,
     page: Option<LivePage>,
@@ -164,7 +163,7 @@ pub fn open(
     let extent_mm = extent_mm(pipeline.prepared());
     let queue = if (twin.is_some() || path.is_none()) && wait { TWIN_QUEUE } else { QUEUE };
     let acquisition = Acquisition::spawn(source, queue, wait);
-    let running = Running { acquisition, pipeline, twin, frames: 0, origin_ns: None, head, page: None };
+    let running = Running { acquisition, pipeline, twin, frames: 0, head, page: None };
     Ok(PySession {
         selector,
         skin,
@@ -215,17 +214,15 @@ impl PySession {
             if let Some(page) = &mut running.page {
                 page.record(&frame);
             }
-            let clock_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
-            let origin_ns = *running.origin_ns.get_or_insert(clock_ns);
-            let time_s = 1e-9 * clock_ns.saturating_sub(origin_ns) as f64;
-            let ready = running.pipeline.reference().is_some();
             let baselines = running.pipeline.baseline_records().len();
             let now_ns = dermis_device::HostStamp::now().monotonic_ns;
             let output = running.pipeline.process(&frame, now_ns)?;
-            let quantity = self.skin.modality.image_quantity();
-            let result = PyFrameResult::of(&output, time_s, ready, self.extent_mm, quantity);
             if let Some(page) = &mut running.page {
                 page.show(&output);
+            }
+            let quantity = self.skin.modality.image_quantity();
+            let result = PyFrameResult::new(output.into_owned(), self.extent_mm, quantity);
+            if let Some(page) = &mut running.page {
                 let is_renewed = running.pipeline.baseline_records().len() > baselines;
                 page.after(&running.acquisition, &running.pipeline, is_renewed.then_some(frame.host_wall_ns))?;
             }

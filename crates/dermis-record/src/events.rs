@@ -2,7 +2,7 @@
 //! for the readout's circuit.
 
 use dermis_device::Frame;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_live::stages::health::HealthWatch;
 use dermis_skin::Skin;
 use dermis_touch::damage::DamageEvent;
@@ -38,12 +38,12 @@ impl EventWatch {
     }
 
     /// Takes a frame's results. The first call also reports earlier faults and the current verdict.
-    pub fn results(&mut self, output: &Output<'_>, mut tell: impl FnMut(&str, &str, &[f64])) {
-        for event in output.damage.events {
+    pub fn results(&mut self, output: &SkinFrame<'_>, mut tell: impl FnMut(&str, &str, &[f64])) {
+        for event in output.damage.events.iter() {
             let (name, detail, values) = damage_event(event);
             tell(name, &detail, &values);
         }
-        for change in self.health.changes(output.health) {
+        for change in self.health.changes(&output.health) {
             tell(change.event, &change.detail, &change.numbers);
         }
         if let Some(report) = output.guard.filter(|report| self.verdict != Some(report.verdict)) {

@@ -7,8 +7,8 @@ use super::events::EventWatch;
 use super::live_writer::LiveWriter;
 use super::{RecorderHandle, RecorderStatus, RecordingStop, RecordingSummary};
 use crate::Error;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 
 /// Events that a replay carries out.
 pub(super) const TARE: &str = "tare";
@@ -61,7 +61,7 @@ impl LiveFeed {
 
     /// Passes on the results of the frame. New faults, recoveries and verdicts of the guard become events. The first
     /// frame also reports faults from before the start, and the state of a search for the readout's circuit.
-    pub fn results(&mut self, output: &Output<'_>) {
+    pub fn results(&mut self, output: &SkinFrame<'_>) {
         self.handle.offer_results(output, self.time_ns);
         let (handle, wall_ns) = (&self.handle, output.wall_ns);
         self.events.results(output, |event, detail, values| {

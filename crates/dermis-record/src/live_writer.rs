@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use dermis_device::Frame;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_touch::{ReferenceRecord, Touch};
 
 use super::view::SkinView;
@@ -24,17 +24,17 @@ pub(super) struct TouchBatch {
 
 impl TouchBatch {
     /// True if the frame has touches or one ended in it.
-    pub(super) fn is_due(output: &Output<'_>) -> bool {
+    pub(super) fn is_due(output: &SkinFrame<'_>) -> bool {
         !output.touches.is_empty() || !output.ended.is_empty()
     }
 
     /// Replaces the content with the touches of a frame.
-    pub(super) fn fill(&mut self, output: &Output<'_>) {
+    pub(super) fn fill(&mut self, output: &SkinFrame<'_>) {
         (self.wall_ns, self.sequence, self.time_ns) = (output.wall_ns, output.sequence, output.time_ns);
         self.touches.clear();
-        self.touches.extend_from_slice(output.touches);
+        self.touches.extend_from_slice(&output.touches);
         self.ended.clear();
-        self.ended.extend_from_slice(output.ended);
+        self.ended.extend_from_slice(&output.ended);
     }
 }
 

@@ -71,6 +71,28 @@ pub struct OtherPlaceEntry {
     pub probability: f64,
 }
 
+impl From<&Touch> for TouchEntry {
+    fn from(touch: &Touch) -> Self {
+        let sigmas = |covariance_m2: [[f64; 2]; 2]| [0, 1].map(|axis| covariance_m2[axis][axis].sqrt());
+        Self {
+            id: touch.id,
+            phase: touch.phase,
+            position_m: touch.position_m,
+            amplitude: touch.amplitude,
+            area_m2: touch.area_m2,
+            sigma_m: sigmas(touch.covariance_m2),
+            force_n: touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN),
+            force_range: touch.force.map_or("", |force| force.range()).to_owned(),
+            radius_m: touch.radius_m.unwrap_or(f64::NAN),
+            other_place: touch.other_place.map(|other| OtherPlaceEntry {
+                position_m: other.position_m,
+                sigma_m: sigmas(other.covariance_m2),
+                probability: other.probability,
+            }),
+        }
+    }
+}
+
 /// An event as recorded.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EventEntry {
@@ -152,33 +174,25 @@ pub(super) fn write_touches(
     touches: &[Touch],
     ended: &[Touch],
 ) {
-    let all = || touches.iter().chain(ended);
+    let all: Vec<TouchEntry> = touches.iter().chain(ended).map(TouchEntry::from).collect();
     let mut cdr = CdrWriter::new(out);
     cdr.u64(sequence);
     cdr.u64(time_ns);
-    cdr.length(all().count());
-    for touch in all() {
+    cdr.length(all.len());
+    for touch in &all {
         cdr.u64(touch.id);
         cdr.string(phase_name(touch.phase));
-        cdr.f64(touch.position_m[0]);
-        cdr.f64(touch.position_m[1]);
-        cdr.f64(touch.amplitude);
-        cdr.f64(touch.area_m2);
-        cdr.f64(touch.covariance_m2[0][0].sqrt());
-        cdr.f64(touch.covariance_m2[1][1].sqrt());
-        cdr.f64(touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN));
-        cdr.string(touch.force.map_or("", |force| force.range()));
-        cdr.f64(touch.radius_m.unwrap_or(f64::NAN));
+        let ([x, y], [sigma_x, sigma_y]) = (touch.position_m, touch.sigma_m);
+        let numbers = [x, y, touch.amplitude, touch.area_m2, sigma_x, sigma_y, touch.force_n];
+        numbers.into_iter().for_each(|value| cdr.f64(value));
+        cdr.string(&touch.force_range);
+        cdr.f64(touch.radius_m);
     }
-    let others = || all().filter_map(|touch| Some((touch.id, touch.other_place?)));
+    let others = || all.iter().filter_map(|touch| Some((touch.id, touch.other_place?)));
     cdr.length(others().count());
-    for (id, other) in others() {
+    for (id, OtherPlaceEntry { position_m: [x, y], sigma_m: [sigma_x, sigma_y], probability }) in others() {
         cdr.u64(id);
-        cdr.f64(other.position_m[0]);
-        cdr.f64(other.position_m[1]);
-        cdr.f64(other.covariance_m2[0][0].sqrt());
-        cdr.f64(other.covariance_m2[1][1].sqrt());
-        cdr.f64(other.probability);
+        [x, y, sigma_x, sigma_y, probability].into_iter().for_each(|value| cdr.f64(value));
     }
     cdr.header(stamp.wall_ns, stamp.frame_id);
 }

@@ -3,8 +3,8 @@
 
 use dermis_device::Frame;
 use dermis_device::acquire::AcquisitionCounters;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 
 use super::live_request::LiveRequest;
 
@@ -17,7 +17,7 @@ pub trait Publisher: Send {
     fn frame(&mut self, frame: &Frame);
 
     /// Takes the results of a frame.
-    fn results(&mut self, output: &Output<'_>);
+    fn results(&mut self, output: &SkinFrame<'_>);
 
     /// Takes the state after a frame.
     fn state(&mut self, pipeline: &Pipeline, counters: AcquisitionCounters);

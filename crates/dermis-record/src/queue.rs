@@ -17,7 +17,7 @@ use super::shared_file::FLUSH_INTERVAL;
 use super::view::SkinView;
 use super::writer::{Recorder, RecordingSummary};
 use crate::Error;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 
 /// Room for baselines and events, which are rare, in addition to frames and touches.
 const RARE: usize = 64;
@@ -184,7 +184,7 @@ impl RecorderHandle {
     /// Queues the results of a frame: its touches, if it has any or one ended, and its image, if one is due at
     /// `time_ns` on the frames' clock. Results that don't fit are left out, since they can be recomputed from the
     /// frame.
-    pub fn offer_results(&mut self, output: &Output<'_>, time_ns: u64) {
+    pub fn offer_results(&mut self, output: &SkinFrame<'_>, time_ns: u64) {
         let wall_ns = output.wall_ns;
         if TouchBatch::is_due(output)
             && let Ok(mut batch) = self.free_touches.try_recv()
@@ -201,7 +201,7 @@ impl RecorderHandle {
         {
             self.image_due_ns = time_ns.saturating_add(view.period_ns());
             image.clear();
-            image.extend_from_slice(output.image);
+            image.extend_from_slice(&output.image);
             self.send(Item::Image { wall_ns, image });
         }
     }

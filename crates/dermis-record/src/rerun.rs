@@ -16,9 +16,9 @@ use crate::Error;
 use dermis_live::calibration::Calibration;
 use dermis_live::driver::{Command, Driver, Feed, Next, Progress};
 use dermis_live::forces::parse_forces_as;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_skin::Skin;
 
 /// Longest sleep between checks of the stop flag.
@@ -99,10 +99,10 @@ pub fn rerun<R: Read + Seek>(
     pipeline: &mut Pipeline,
     options: RerunOptions,
     stop: &AtomicBool,
-    mut each: impl FnMut(&Output<'_>) -> Result<ControlFlow<()>, Error>,
+    mut each: impl FnMut(&SkinFrame<'_>) -> Result<ControlFlow<()>, Error>,
 ) -> Result<RerunReport, Error> {
     let mut feed = RecordingFeed { recording, options, stop, begun: None, is_stopped: false };
-    let progress = Driver::new(pipeline).run(&mut feed, &mut |output: &Output<'_>| each(output))?;
+    let progress = Driver::new(pipeline).run(&mut feed, &mut |output: &SkinFrame<'_>| each(output))?;
     let Progress { frames, missing, refused } = progress;
     let mut damage = feed.recording.damage();
     // Frames that weren't reached are not lost.

@@ -1,4 +1,4 @@
-//! Destinations for the results of the pipeline. A [`Sink`] takes one [`Output`](dermis_live::output::Output) per
+//! Destinations for the results of the pipeline. A [`Sink`] takes one [`SkinFrame`](dermis_live::skin_frame::SkinFrame) per
 //! frame and knows nothing of the stages before it; files appear under their names only when complete.
 
 mod image_stack;
@@ -15,10 +15,7 @@ pub use touch_table::{TouchColumns, TouchTable};
 
 #[cfg(test)]
 pub(crate) mod testing {
-    use dermis_live::clock::FrameAnomalies;
-    use dermis_live::output::Output;
-    use dermis_live::stages::damage::DamageView;
-    use dermis_touch::health::Health;
+    use dermis_live::skin_frame::SkinFrame;
     use dermis_touch::{ContactSign, Observation, Touch, TouchPhase};
 
     /// A touch at (x, y) in millimetres with standard deviations of 0.5 and 0.25 mm and an area of 100 mm^2.
@@ -45,28 +42,27 @@ pub(crate) mod testing {
     }
 
     /// A frame with two channels and an image of 2 rows and 3 columns.
-    pub(crate) fn output<'a>(sequence: u64, image: &'a [f32], touches: &'a [Touch], ended: &'a [Touch]) -> Output<'a> {
+    pub(crate) fn output<'a>(
+        sequence: u64,
+        image: &'a [f32],
+        touches: &'a [Touch],
+        ended: &'a [Touch],
+    ) -> SkinFrame<'a> {
         let (time_ns, wall_ns) = (12_000_000_345 + sequence, 1_700_000_000_000_000_000 + sequence);
-        let (raw, compensated) = (&[1.0, 2.0], &[0.0, 0.5]);
-        let (health, damage, anomalies) = (Health::default(), DamageView::default(), FrameAnomalies::default());
-        Output {
+        SkinFrame {
             sequence,
             time_ns,
             wall_ns,
             device_time_ns: Some(5),
-            raw,
-            compensated,
-            image,
+            is_ready: true,
+            raw: vec![1.0, 2.0].into(),
+            compensated: vec![0.0, 0.5].into(),
+            image: image.into(),
             columns: 3,
             rows: 2,
-            touches,
-            ended,
-            classes: None,
-            health,
-            damage,
-            circuit: None,
-            anomalies,
-            guard: None,
+            touches: touches.into(),
+            ended: ended.into(),
+            ..SkinFrame::default()
         }
     }
 }

@@ -54,7 +54,7 @@ impl Line {
             frame.device_time_ns = Some(time_ns);
             self.ticks += 1;
             let output = self.pipeline.process(&frame, time_ns)?;
-            for event in output.damage.events {
+            for event in output.damage.events.iter() {
                 println!("{:6.1} s  {}", self.time_s, describe(event));
             }
         }
@@ -70,7 +70,7 @@ impl Line {
         let ends = view.damages.iter().map(|damage| damage.shape.ends_m()).collect();
         self.panels.push(Panel { name: name.to_owned(), image: view.image.to_vec(), ends });
         let truth = self.twin.frontend().wounds().first().map_or(0.0, |wound| wound.healed);
-        for state in view.healing {
+        for state in view.healing.iter() {
             println!(
                 "{:6.1} s  {name}: {:.0} % joined (truth {:.0} %), {:.0} % of the response left, sheet risen by {:.1} %",
                 self.time_s,

@@ -12,7 +12,7 @@ pub fn main() -> Result<(), Error> {
     // The first 32 frames make the baseline. Don't touch a real skin during that time.
     for frame in Session::open(source, skin)?.take(200) {
         let frame = frame?;
-        for touch in frame.touches.iter().chain(&frame.ended) {
+        for touch in frame.touches.iter().chain(frame.ended.iter()) {
             let [x, y] = touch.position_m.map(|m| 1e3 * m);
             match touch.phase {
                 TouchPhase::Begin => {

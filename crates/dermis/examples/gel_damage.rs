@@ -45,7 +45,7 @@ fn main() -> Result<(), Error> {
         frame.refill(index as u64, HostStamp { monotonic_ns: time_ns, wall_ns: 0 }, values, &[]);
         frame.device_time_ns = Some(time_ns);
         let damage = pipeline.process(&frame, time_ns)?.damage;
-        for event in damage.events {
+        for event in damage.events.iter() {
             println!("frame {index}: {}", describe(event));
         }
         if index % 100 == 99 {

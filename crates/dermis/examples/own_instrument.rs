@@ -51,7 +51,7 @@ pub fn main() -> Result<(), Error> {
     let board = MyBoard { layout: layout.clone(), twin: Twin::from_skin(&skin)?, readings: Vec::new(), frames: 0 };
     let mut session = Session::of(Box::new(board), Pipeline::new(prepared, &layout, None)?);
     let last = session.by_ref().take(80).last().transpose()?;
-    let touches = last.map_or(Vec::new(), |frame| frame.touches);
+    let touches = last.map_or(Vec::new(), |frame| frame.touches.into_owned());
     touches.iter().for_each(|touch| println!("touch at {:.4?} m", touch.position_m));
     assert_eq!(touches.len(), 1);
     Ok(())

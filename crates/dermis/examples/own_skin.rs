@@ -15,7 +15,7 @@ pub fn main() -> Result<(), Error> {
     let mut session = Session::open("twin", skin)?;
     // The baseline: frames of the untouched skin.
     while session.pipeline().reference().is_none() {
-        session.next_output()?;
+        session.next_borrowed()?;
     }
     let mut worst_mm: f64 = 0.0;
     for place in [[0.0, 0.0], [0.05, 0.01], [-0.03, -0.015]] {

@@ -94,7 +94,18 @@ pub use body_run::BodyRun;
 /// ```
 pub use dermis_skin::FileError;
 pub use error::Error;
-pub use session::{Session, SessionOptions, SkinFrame};
+pub use session::{Session, SessionOptions};
+
+/// ```
+/// use dermis::{Session, Skin, SkinFrame};
+///
+/// let mut session = Session::open("twin", Skin::open("healing-square")?)?;
+/// let Some(first) = session.next().transpose()? else { panic!("a twin has no end") };
+/// let SkinFrame { sequence, raw, image, rows, columns, .. } = first;
+/// assert_eq!((sequence, raw.len(), image.len()), (0, 208, rows * columns));
+/// # Ok::<(), dermis::Error>(())
+/// ```
+pub use dermis_live::skin_frame::SkinFrame;
 
 /// ```
 /// use dermis::Body;

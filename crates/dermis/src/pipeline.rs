@@ -12,19 +12,7 @@
 /// ```
 pub use dermis_live::prepare::Prepared;
 
-/// ```
-/// use dermis::pipeline::Output;
-/// use dermis::{Session, Skin};
-///
-/// let mut session = Session::open("twin", Skin::open("healing-square")?)?;
-/// let output = session.next_output()?.expect("a twin has no end");
-/// let Output { sequence, raw, compensated, .. } = output;
-/// assert_eq!((sequence, raw.len(), compensated.len()), (0, 208, 208));
-/// # Ok::<(), dermis::Error>(())
-/// ```
-pub use dermis_live::output::Output;
-
-/// No example: fields of [`Output`].
+/// No example: fields of [`SkinFrame`](crate::SkinFrame).
 pub use dermis_live::{clock::FrameAnomalies, stages::classes::SeenClasses, stages::damage::DamageView};
 
 /// ```

@@ -11,7 +11,7 @@
 /// let head = RecordingHead::of(prepared, layout, "twin");
 /// // A thread writes; the session waits for no disk.
 /// let recording = LiveRecording::start(&file, &head, session.pipeline(), SkinView::IMAGES_PER_S)?;
-/// session.next_output()?;
+/// session.next_borrowed()?;
 /// let end = recording.finish();
 /// assert_eq!((end.lost, end.error), (0, None));
 /// # std::fs::remove_file(&file).map_err(|source| dermis::FileError { file, source })?;

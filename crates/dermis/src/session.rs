@@ -9,12 +9,11 @@ use dermis_device::{
 use dermis_lab::twin_source::TwinCommand;
 use dermis_live::calibration::Calibration;
 use dermis_live::forces::load_forces;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::read_frames_of;
 use dermis_skin::Skin;
-use dermis_touch::Touch;
 use dermis_twin::mechanics::{Indenter, check_on_skin};
 
 use crate::error::Error;
@@ -82,40 +81,8 @@ pub struct Session {
     twin: Option<TwinControl>,
     frame: Frame,
     last_sequence: Option<u64>,
-    first_ns: Option<u64>,
     patience: Duration,
     ended: bool,
-}
-
-/// The results of one frame of a [`Session`].
-///
-/// ```
-/// use dermis::{Session, SkinFrame, Skin};
-///
-/// let mut session = Session::open("twin", Skin::open("healing-square")?)?;
-/// let Some(first) = session.next().transpose()? else { panic!("a twin has no end") };
-/// let SkinFrame { sequence, image, rows, columns, .. } = first;
-/// assert_eq!((sequence, image.len()), (0, rows * columns));
-/// # Ok::<(), dermis::Error>(())
-/// ```
-#[derive(Clone, Debug)]
-pub struct SkinFrame {
-    /// The device's frame number. Gaps are lost frames.
-    pub sequence: u64,
-    /// Seconds since the session's first frame, by the device's clock if it has one.
-    pub time_s: f64,
-    /// False while the first frames make the baseline. Until then the image is `NaN`, and there are no touches.
-    pub is_ready: bool,
-    /// Touches on the skin in this frame: positions in metres from the skin's centre, x right, y up.
-    pub touches: Vec<Touch>,
-    /// Touches that ended in this frame, where they were seen last.
-    pub ended: Vec<Touch>,
-    /// The image, row-major, row 0 at the top (+y), `NaN` outside the skin.
-    pub image: Vec<f32>,
-    /// Rows of the image.
-    pub rows: usize,
-    /// Pixels per row of the image.
-    pub columns: usize,
 }
 
 impl Session {
@@ -154,8 +121,7 @@ impl Session {
     /// A session with any source, for example an instrument of your own, and a pipeline made for its layout.
     pub fn of(source: Box<dyn Source>, pipeline: Pipeline) -> Self {
         let frame = Frame::with_capacity(source.channels());
-        let (last_sequence, first_ns) = (None, None);
-        Self { source, pipeline, twin: None, frame, last_sequence, first_ns, patience: PATIENCE, ended: false }
+        Self { source, pipeline, twin: None, frame, last_sequence: None, patience: PATIENCE, ended: false }
     }
 
     /// Sets the time without a frame after which the session reports an error.
@@ -208,12 +174,12 @@ impl Session {
         self.twin.as_ref().ok_or_else(none)
     }
 
-    /// Waits for the next frame and runs it through the pipeline. The result is borrowed; nothing is copied. `None`
-    /// after the last frame of a file.
+    /// Waits for the next frame and runs it through the pipeline. The result borrows the pipeline's memory; nothing is
+    /// copied. `None` after the last frame of a file.
     ///
     /// # Errors
     /// The source fails, or is silent for longer than the session's patience; calling this again continues to wait.
-    pub fn next_output(&mut self) -> Result<Option<Output<'_>>, Error> {
+    pub fn next_borrowed(&mut self) -> Result<Option<SkinFrame<'_>>, Error> {
         if !self.receive()? {
             return Ok(None);
         }
@@ -242,28 +208,17 @@ impl Session {
         }
         Ok(false)
     }
-
-    fn next_frame(&mut self) -> Result<Option<SkinFrame>, Error> {
-        let Some(output) = self.next_output()? else { return Ok(None) };
-        let Output { sequence, time_ns, touches, ended, image, rows, columns, .. } = output;
-        let (touches, ended, image) = (touches.to_vec(), ended.to_vec(), image.to_vec());
-        let time_ns = self.frame.device_time_ns.unwrap_or(time_ns);
-        let first_ns = *self.first_ns.get_or_insert(time_ns);
-        let time_s = time_ns.saturating_sub(first_ns) as f64 * 1e-9;
-        let is_ready = self.pipeline.reference().is_some();
-        Ok(Some(SkinFrame { sequence, time_s, is_ready, touches, ended, image, rows, columns }))
-    }
 }
 
 /// Pointer id of the session's presses on the twin.
 const POINTER: u64 = 1;
 
 impl Iterator for Session {
-    type Item = Result<SkinFrame, Error>;
+    type Item = Result<SkinFrame<'static>, Error>;
 
     /// `None` after the last frame of a file. A source that fails yields its error again on every call.
     fn next(&mut self) -> Option<Self::Item> {
-        self.next_frame().transpose()
+        self.next_borrowed().map(|frame| frame.map(SkinFrame::into_owned)).transpose()
     }
 }
 

@@ -26,7 +26,7 @@ pub use dermis_touch::{LoadQuantity, TouchLoad, force::ForceReading};
 /// use dermis::{Session, Skin};
 ///
 /// let mut session = Session::open("twin", Skin::open("healing-square")?)?;
-/// let output = session.next_output()?.expect("a twin has no end");
+/// let output = session.next_borrowed()?.expect("a twin has no end");
 /// assert!(output.damage.damages.is_empty(), "the skin is new");
 /// # Ok::<(), dermis::Error>(())
 /// ```
@@ -56,7 +56,7 @@ pub use dermis_touch::health::{
 /// // With the usual limits any touch stops.
 /// let skin = Skin { guard: Some(GuardSettings::default()), ..Skin::open("healing-square")? };
 /// let mut session = Session::open("twin", skin)?;
-/// let output = session.next_output()?.expect("a twin has no end");
+/// let output = session.next_borrowed()?.expect("a twin has no end");
 /// let report = output.guard.expect("the skin has a guard");
 /// assert_ne!(report.verdict, GuardVerdict::Ok, "there is no baseline yet");
 /// # Ok::<(), dermis::Error>(())

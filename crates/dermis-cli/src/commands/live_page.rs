@@ -6,8 +6,8 @@ use crossbeam_channel::Receiver;
 use dermis::source::TwinControl;
 use dermis_device::Frame;
 use dermis_device::acquire::Acquisition;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::RecordingHead;
 
 use super::run::{Running, source};
@@ -67,7 +67,7 @@ impl LivePage {
     }
 
     /// Shows the results of the frame.
-    pub fn show(&mut self, output: &Output<'_>) {
+    pub fn show(&mut self, output: &SkinFrame<'_>) {
         self.run.show(output);
     }
 

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use dermis_device::Frame;
 use dermis_device::acquire::Acquisition;
 use dermis_live::driver::{Driver, Observer};
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::{LiveRecording, SkinView};
 
 use super::acquired::AcquiredFrames;
@@ -124,7 +124,7 @@ impl Observer<AcquiredFrames<'_>> for Recorded<'_> {
         Ok(())
     }
 
-    fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
+    fn result(&mut self, output: &SkinFrame<'_>) -> anyhow::Result<ControlFlow<()>> {
         self.recording.results(output);
         Ok(ControlFlow::Continue(()))
     }

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_live::stages::health::HealthWatch;
 use dermis_record::sink::{ImageStack, JsonLines, LinesFor, Sink, TouchColumns, TouchTable};
 use dermis_record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
@@ -95,9 +95,9 @@ impl Arguments {
         let mut health = HealthWatch::new(&pipeline.prepared().skin);
         // A closed pipe on stdout is not an error of the replay.
         let mut failed: Option<std::io::Error> = None;
-        let report = rerun(&mut recording, &mut pipeline, options, stop, |output: &Output<'_>| {
+        let report = rerun(&mut recording, &mut pipeline, options, stop, |output: &SkinFrame<'_>| {
             sinks.iter_mut().try_for_each(|sink| sink.accept(output))?;
-            for change in health.changes(output.health) {
+            for change in health.changes(&output.health) {
                 tracing::warn!(frame = output.sequence, "{}", change.detail);
             }
             if let Some(news) = output.circuit {

@@ -26,8 +26,8 @@ use dermis_device::{Frame, HostStamp};
 use dermis_learn::Model;
 use dermis_live::driver::{Driver, Observer};
 use dermis_live::network::built_in;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_live::stages::classes::ClassPace;
 use dermis_record::guard_socket::{GuardAddress, GuardPublisher, GuardSocket};
 use dermis_record::sink::{JsonLines, LinesFor, Sink};
@@ -342,7 +342,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
         Ok(())
     }
 
-    fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
+    fn result(&mut self, output: &SkinFrame<'_>) -> anyhow::Result<ControlFlow<()>> {
         // The guard comes first; everything else can wait.
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
             guard.publish(output.sequence, report);

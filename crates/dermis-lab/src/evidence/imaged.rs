@@ -2,7 +2,7 @@
 
 use dermis_device::{FileSpec, FrameSelect};
 use dermis_live::calibration::Calibration;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::sink::{Sink, Summary};
 use dermis_skin::Skin;
 
@@ -99,7 +99,7 @@ struct Kept {
 }
 
 impl Sink for Kept {
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), dermis_record::Error> {
+    fn accept(&mut self, output: &SkinFrame<'_>) -> Result<(), dermis_record::Error> {
         let frame = self.images.frames.len();
         self.touches.extend(output.touches.iter().map(|touch| TouchRow {
             frame,

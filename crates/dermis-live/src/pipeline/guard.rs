@@ -56,7 +56,7 @@ impl Pipeline {
             health: self.health(),
             readings: self.baseline.raw(),
             touches: running.map_or(&[], |running| running.reconstructor.touches.touches()),
-            damages: damage.damages,
+            damages: &damage.damages,
         });
         self.guard = Some(guard);
         Some(report)

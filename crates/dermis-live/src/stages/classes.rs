@@ -2,6 +2,7 @@
 //! touches must not wait for it. It therefore runs on its own thread, at a limited rate, and its classes arrive
 //! slightly after their frame.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
@@ -23,12 +24,19 @@ pub enum ClassPace {
 }
 
 /// A network's classes for a frame.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct SeenClasses<'a> {
     /// Classes of the pixels.
-    pub classes: &'a Classes,
+    pub classes: Cow<'a, Classes>,
     /// Number of the frame they belong to: the current one, or a slightly earlier one.
     pub sequence: u64,
+}
+
+impl SeenClasses<'_> {
+    /// The same classes, in memory of their own.
+    pub fn into_owned(self) -> SeenClasses<'static> {
+        SeenClasses { classes: Cow::Owned(self.classes.into_owned()), sequence: self.sequence }
+    }
 }
 
 /// A frame with the forward model's fit, in model volts.
@@ -188,7 +196,7 @@ impl ClassStage {
 
     /// The latest classes.
     pub(crate) fn seen(&self) -> Option<SeenClasses<'_>> {
-        self.sequence.map(|sequence| SeenClasses { classes: &self.classes, sequence })
+        self.sequence.map(|sequence| SeenClasses { classes: Cow::Borrowed(&self.classes), sequence })
     }
 }
 

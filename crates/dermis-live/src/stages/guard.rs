@@ -10,7 +10,7 @@ use dermis_touch::health::Health;
 use crate::clock::FrameAnomalies;
 
 /// A frame after all other stages.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct SeenFrame<'a> {
     /// The host's monotonic clock, nanoseconds.
     pub now_ns: u64,
@@ -71,7 +71,7 @@ impl GuardStage {
             has_baseline: seen.has_baseline,
             is_baseline_trusted: seen.is_baseline_trusted,
             is_seen: seen.is_seen,
-            health: seen.health,
+            health: seen.health.clone(),
             readings: seen.readings,
             touches: seen.touches,
             is_damaged: seen.damages.iter().any(is_there),

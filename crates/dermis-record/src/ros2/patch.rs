@@ -7,8 +7,8 @@ use crossbeam_channel::{Receiver, Sender};
 use dermis_body::{Press, Transform, Wrench, mount_transform, presses, trusted_force};
 use dermis_device::acquire::AcquisitionCounters;
 use dermis_device::{Frame, HostStamp};
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_skin::Skin;
 
 use super::messages::{self, NamedTransform};
@@ -212,7 +212,7 @@ impl PatchPublisher {
     }
 
     /// Sends image, cells and points of touches, if they are due.
-    fn clouds(&mut self, output: &Output<'_>) {
+    fn clouds(&mut self, output: &SkinFrame<'_>) {
         let Some(period_ns) = self.period_ns else { return };
         let now_ns = HostStamp::now().monotonic_ns;
         if now_ns < self.state.next_cloud_ns || !output.image.iter().any(|value| value.is_finite()) {
@@ -225,31 +225,31 @@ impl PatchPublisher {
             self.outbox.dropped.fetch_add(CLOUDS, Ordering::Relaxed);
             return;
         }
-        let cells = messages::cells(self.stamp(), &self.head.shape.cells, &self.state.sigmas, output.image);
+        let cells = messages::cells(self.stamp(), &self.head.shape.cells, &self.state.sigmas, &output.image);
         self.send(OfPatch::Points, cells);
         let mut image = Vec::new();
-        self.head.view.write_image(&mut image, output.wall_ns, output.image);
+        self.head.view.write_image(&mut image, output.wall_ns, &output.image);
         self.send(OfPatch::Image, image);
         let mut points = Vec::new();
-        self.head.view.write_touch_points(&mut points, output.wall_ns, output.touches);
+        self.head.view.write_touch_points(&mut points, output.wall_ns, &output.touches);
         self.send(OfPatch::TouchPoints, points);
     }
 
     /// Sends the touches and their wrenches. While a fault leaves the touches unknown, sends a message only if a touch
     /// has ended.
-    fn touches(&self, output: &Output<'_>) {
+    fn touches(&self, output: &SkinFrame<'_>) {
         let has_ended = !output.ended.is_empty();
         let is_known = self.state.baselines > 0 && output.health.frame.is_none();
         if is_known || has_ended {
             let mut message = Vec::new();
-            let Output { sequence, time_ns, touches, ended, .. } = *output;
-            write_touches(&mut message, self.stamp(), sequence, time_ns, touches, ended);
+            let SkinFrame { sequence, time_ns, touches, ended, .. } = output;
+            write_touches(&mut message, self.stamp(), *sequence, *time_ns, touches, ended);
             self.send(OfPatch::Touches, message);
         }
         if !is_known || self.head.limits.force_from.is_none() {
             return;
         }
-        let (known, unknown) = presses(output.touches, trusted_force);
+        let (known, unknown) = presses(&output.touches, trusted_force);
         let surface = self.head.skin.surface();
         let of = |press: &Press| Wrench::of(press, &surface, &Transform::IDENTITY, ORIGIN);
         let mut net = Wrench::none_about(ORIGIN);
@@ -273,7 +273,7 @@ impl Publisher for PatchPublisher {
         self.head.events.frame(frame, |event, detail, values| to.send(stamp, event, detail, values));
     }
 
-    fn results(&mut self, output: &Output<'_>) {
+    fn results(&mut self, output: &SkinFrame<'_>) {
         // The guard comes first; everything else can wait.
         if let Some(report) = output.guard {
             self.send(OfPatch::Guard, messages::guard(self.stamp(), output.sequence, &report));

@@ -10,7 +10,7 @@ use super::interface::{Sink, Summary};
 use super::staged::StagedFile;
 use super::touch_table::finished;
 use crate::Error;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 
 /// Writes an `.npy` file of shape (frames, rows, columns), little-endian `f4`, NaN outside the skin.
 ///
@@ -43,7 +43,7 @@ impl ImageStack {
 }
 
 impl Sink for ImageStack {
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+    fn accept(&mut self, output: &SkinFrame<'_>) -> Result<(), Error> {
         let file = self.file.as_mut().ok_or_else(|| finished(&self.path))?;
         let count = self.rows.saturating_mul(self.columns);
         if (output.rows, output.columns, output.image.len()) != (self.rows, self.columns, count) {

@@ -1,7 +1,7 @@
-//! The interface of every sink, which takes one [`Output`] per frame, and touches in the units used by files and
+//! The interface of every sink, which takes one [`SkinFrame`] per frame, and touches in the units used by files and
 //! streams.
 
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_touch::{LoadQuantity, PlaceHypothesis, Touch, TouchLoad};
 
 use crate::Error;
@@ -21,7 +21,7 @@ pub trait Sink: Send {
     ///
     /// # Errors
     /// The results could not be written; the sink must not be used any more.
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error>;
+    fn accept(&mut self, output: &SkinFrame<'_>) -> Result<(), Error>;
 
     /// Writes whatever is left and gives files their final names. Further calls have no effect.
     ///

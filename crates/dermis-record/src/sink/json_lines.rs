@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 use super::interface::{Sink, Summary};
 use crate::Error;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use extras::Plain;
 pub use extras::{LineExtras, NoFields};
 use frame::FrameLine;
@@ -100,7 +100,7 @@ impl<W: Write + Send> JsonLines<W> {
     ///
     /// # Errors
     /// As for [`Sink::accept`].
-    pub fn accept_with<E: LineExtras>(&mut self, output: &Output<'_>, extras: &E) -> Result<(), Error> {
+    pub fn accept_with<E: LineExtras>(&mut self, output: &SkinFrame<'_>, extras: &E) -> Result<(), Error> {
         self.summary.frames += 1;
         let quiet = output.damage.events.is_empty();
         let silent = output.touches.is_empty() && output.ended.is_empty() && quiet;
@@ -121,7 +121,7 @@ impl<W: Write + Send> JsonLines<W> {
 }
 
 impl<W: Write + Send> Sink for JsonLines<W> {
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+    fn accept(&mut self, output: &SkinFrame<'_>) -> Result<(), Error> {
         self.accept_with(output, &Plain)
     }
 
@@ -203,8 +203,8 @@ mod tests {
         let kind = ElectrodeFaultKind::Shorted { with: 5 };
         let electrodes = [ElectrodeFault { electrode: 4, kind, since_ns, since_sequence }];
         let mut bytes = Vec::new();
-        let health = Health { channels: &channels, electrodes: &electrodes, ..Health::default() };
-        let output = Output { health, ..output(1, &[0.0; 6], &[], &[]) };
+        let health = Health { channels: (&channels).into(), electrodes: (&electrodes).into(), ..Health::default() };
+        let output = SkinFrame { health, ..output(1, &[0.0; 6], &[], &[]) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         let expected = json!({"left_out": 2,
             "electrodes": [{"electrode": 5, "kind": "shorted", "with": 6, "since_s": 2.5}],
@@ -219,7 +219,7 @@ mod tests {
         let ended = [touch(3, TouchPhase::End, 1.0, 2.0)];
         let health = Health { frame, ..Health::default() };
         let mut bytes = Vec::new();
-        let output = Output { health, ..output(1, &[0.0; 6], &[], &ended) };
+        let output = SkinFrame { health, ..output(1, &[0.0; 6], &[], &ended) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         let line = &lines(&bytes)[0];
         assert_eq!((&line["touches"][0]["known"], &line["touches_known"]), (&json!(false), &json!(false)));
@@ -230,7 +230,7 @@ mod tests {
     fn odd_numbers_and_times_are_marked() {
         let mut bytes = Vec::new();
         let anomalies = FrameAnomalies { lost_before: 3, renumbered: false, clock_jump_ns: -1_500_000_000 };
-        let output = Output { anomalies, ..output(1, &[0.0; 6], &[], &[]) };
+        let output = SkinFrame { anomalies, ..output(1, &[0.0; 6], &[], &[]) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         assert_eq!(lines(&bytes)[0]["marks"], json!({"lost_before": 3, "renumbered": false, "clock_jump_s": -1.5}));
     }
@@ -243,7 +243,7 @@ mod tests {
         reasons.insert(GuardReason::Force);
         let report = GuardReport { verdict: GuardVerdict::Stop, reasons, frame_ns: 0, stale_after_ns: 1 };
         let mut bytes = Vec::new();
-        let output = Output { guard: Some(report), ..output(1, &[0.0; 6], &[], &[]) };
+        let output = SkinFrame { guard: Some(report), ..output(1, &[0.0; 6], &[], &[]) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         let expected = json!({"verdict": "stop", "reasons": ["force", "held"], "safety_rated": false});
         assert_eq!(lines(&bytes)[0]["guard"], expected);

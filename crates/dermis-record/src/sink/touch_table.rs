@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::interface::{Sink, Summary, TouchRow, load_names, load_numbers, other_numbers};
 use super::staged::StagedFile;
 use crate::Error;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_touch::{LoadQuantity, Touch};
 
 /// Header of the table.
@@ -86,9 +86,9 @@ impl TouchTable {
 }
 
 impl Sink for TouchTable {
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+    fn accept(&mut self, output: &SkinFrame<'_>) -> Result<(), Error> {
         let file = self.file.as_mut().ok_or_else(|| finished(&self.path))?;
-        for touch in output.touches {
+        for touch in output.touches.iter() {
             let TouchRow { x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm } = TouchRow::new(touch);
             let (frame, id) = (self.summary.frames, touch.id);
             let mut row = format!("{frame},{id},{x_mm},{y_mm},{amplitude},{area_mm2},{sigma_x_mm},{sigma_y_mm}");

@@ -8,7 +8,7 @@ use crate::health::Health;
 use crate::touch::Touch;
 
 /// A frame as the guard sees it. Times are nanoseconds.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct GuardFrame<'a> {
     /// The host's monotonic clock now; never earlier than for the frame before.
     pub now_ns: u64,

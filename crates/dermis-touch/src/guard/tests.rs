@@ -161,7 +161,7 @@ fn channels_left_out_are_stale_above_the_allowed_share() {
     let faults: Vec<ChannelFault> = (0..26).map(fault).collect();
     let with = |most_left_out, count: usize| {
         let (mut guard, next_ns) = running(GuardLimits { most_left_out, ..LIMITS });
-        let health = Health { channels: &faults[..count], ..Health::default() };
+        let health = Health { channels: (&faults[..count]).into(), ..Health::default() };
         guard.judge(&GuardFrame { health, ..sound(next_ns) })
     };
     assert_is(with(0.0, 1), GuardVerdict::Stale, GuardReason::ChannelsLeftOut);
@@ -322,7 +322,7 @@ proptest! {
             let fault = frame_fault.then_some(FrameFault { kind, since_ns: 0, since_sequence: 0 });
             let mut readings = [1e-3; 208];
             readings[..drawn.missing].fill(f64::NAN);
-            let health = Health { frame: fault, channels: &faults[..drawn.left_out], electrodes: &[] };
+            let health = Health { frame: fault, channels: (&faults[..drawn.left_out]).into(), electrodes: (&[]).into() };
             let report = guard.judge(&GuardFrame {
                 now_ns,
                 frame_ns,

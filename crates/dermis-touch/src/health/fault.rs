@@ -1,5 +1,7 @@
 //! Faults of channels, electrodes and frames.
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 
 /// Kind of fault of a channel.
@@ -119,18 +121,25 @@ pub struct FrameFault {
 }
 
 /// All known faults; both lists are in index order.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Health<'a> {
     /// Fault of whole frames. While there is one, touches are unknown: none are reported, but the skin may be
     /// touched.
     pub frame: Option<FrameFault>,
     /// Excluded channels.
-    pub channels: &'a [ChannelFault],
+    pub channels: Cow<'a, [ChannelFault]>,
     /// Faulty electrodes.
-    pub electrodes: &'a [ElectrodeFault],
+    pub electrodes: Cow<'a, [ElectrodeFault]>,
 }
 
 impl Health<'_> {
+    /// The same faults, in memory of their own.
+    #[must_use]
+    pub fn into_owned(self) -> Health<'static> {
+        let Health { frame, channels, electrodes } = self;
+        Health { frame, channels: Cow::Owned(channels.into_owned()), electrodes: Cow::Owned(electrodes.into_owned()) }
+    }
+
     /// True if no fault is known.
     #[must_use]
     pub fn is_sound(&self) -> bool {

@@ -80,7 +80,11 @@ impl HealthMonitor {
     /// All known faults.
     #[must_use]
     pub fn health(&self) -> Health<'_> {
-        Health { frame: self.frame.fault(), channels: &self.faults, electrodes: &self.electrode_faults }
+        Health {
+            frame: self.frame.fault(),
+            channels: (&self.faults).into(),
+            electrodes: (&self.electrode_faults).into(),
+        }
     }
 
     /// Channels to exclude permanently: those of [`HealthMonitor::health`].

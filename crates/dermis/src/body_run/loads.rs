@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use dermis_body::{Body, ForceEstimate, JointValues, Press, Transform, Vector, Wrench, presses};
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_touch::Touch;
 
 /// The presses of one patch.
@@ -42,14 +42,13 @@ impl Loads {
         &self,
         patch: usize,
         name: &str,
-        output: &Output<'_>,
-        is_ready: bool,
+        output: &SkinFrame<'_>,
         force: impl Fn(&Touch) -> Option<ForceEstimate>,
     ) {
-        if !is_ready {
+        if !output.is_ready {
             return self.lose(patch, format!("{name}: no baseline yet"));
         }
-        let (presses, without_force) = presses(output.touches, force);
+        let (presses, without_force) = presses(&output.touches, force);
         let why = |touch: &&Touch| format!("{name}: touch {} has no force: {}", touch.id, why_no_force(touch));
         let unknown = without_force.iter().map(why).collect();
         self.with(|loads| loads[patch] = PatchLoad { presses, unknown });

@@ -10,8 +10,8 @@ use dermis_body::{Body, SpatialTouch, Wrench, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
 use dermis_device::{Frame, HostStamp};
 use dermis_live::latency::RecentLatencies;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::guard_socket::GuardPublisher;
 use dermis_record::sink::{JsonLines, LinesFor};
 use dermis_record::{ForceAndTorque, LiveFeed, LiveRecording, LiveRequest, Publisher};
@@ -213,7 +213,6 @@ impl PatchThread {
     }
 
     fn frame(&mut self, frame: &Frame, lines: &mut JsonLines<Vec<u8>>) -> Result<(), Error> {
-        let is_ready_before = self.pipeline.reference().is_some();
         let baselines = self.pipeline.baseline_records().len();
         // Hand on the raw frame before it is processed.
         self.feeds().for_each(|feed| feed.frame(frame));
@@ -224,16 +223,14 @@ impl PatchThread {
         if let (Some(guard), Some(report)) = (&self.guard, output.guard) {
             guard.publish(output.sequence, report);
         }
-        // The frame that completes the baseline has no touches yet.
-        let is_ready = is_ready_before;
         self.recording.as_deref_mut().into_iter().chain(&mut self.feeds).for_each(|feed| feed.results(&output));
         self.publishers.iter_mut().for_each(|publisher| publisher.results(&output));
-        let Output { sequence, time_ns, touches, .. } = output;
+        let SkinFrame { sequence, time_ns, is_ready, ref touches, .. } = output;
         let channels_left_out = output.health.channels.len();
         let joints = self.joints.at(HostStamp::now().monotonic_ns);
         let is_known = joints.state != JointsState::Stale;
         let known = is_known.then_some(&joints.values);
-        self.loads.set(self.number, &patch.name, &output, is_ready, trusted_force);
+        self.loads.set(self.number, &patch.name, &output, trusted_force);
         let (on_link, on_body) = (self.loads.on_link(&self.body, patch.link), self.loads.on_body(&self.body, known));
         let link = on_link.wrench.filter(|_| self.link_tells_forces).map(force_and_torque);
         let whole = on_body.wrench.filter(|_| self.body_tells_forces).map(force_and_torque);

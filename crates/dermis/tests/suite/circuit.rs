@@ -121,7 +121,7 @@ impl Stream {
             self.recording.iter_mut().for_each(|recording| recording.frame(&frame));
             let output = self.pipeline.process(&frame, time_ns).unwrap();
             self.recording.iter_mut().for_each(|recording| recording.results(&output));
-            self.news.extend(output.circuit.map(|news| (self.number, *news)));
+            self.news.extend(output.circuit.map(|news| (self.number, news)));
             let seen = output.touches.iter().filter(|touch| touch.observation != Observation::Missed);
             place = seen.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).map(|touch| touch.position_m);
             self.touches.extend(output.touches.iter().map(|t| (self.number, t.position_m.map(f64::to_bits))));

@@ -63,9 +63,9 @@ impl Line {
             frame.device_time_ns = Some(time_ns);
             self.ticks += 1;
             let output = self.pipeline.process(&frame, time_ns).unwrap();
-            self.events.extend_from_slice(output.damage.events);
+            self.events.extend_from_slice(&output.damage.events);
             touches.clear();
-            touches.extend_from_slice(output.touches);
+            touches.extend_from_slice(&output.touches);
         }
         touches
     }

@@ -140,7 +140,7 @@ impl Gel {
     }
 
     fn only_damage(&self) -> Damage {
-        let [damage] = self.watch.pipeline.damage().damages else {
+        let [damage] = &*self.watch.pipeline.damage().damages else {
             panic!("{:?}", self.watch.pipeline.damage().damages)
         };
         *damage

@@ -103,7 +103,7 @@ fn lose_an_electrode(name: &str, electrode: u32) {
         }
         if line.ticks <= from {
             assert!(health.is_sound(), "{name}: frame {}: {health:?}", line.ticks);
-        } else if let [fault] = health.electrodes {
+        } else if let [fault] = &*health.electrodes {
             assert_eq!((fault.electrode + 1, fault.kind), (electrode, ElectrodeFaultKind::Lost), "{name}");
             assert!(fault.since_sequence.abs_diff(from) <= 1, "{name}: {fault:?}");
             known.get_or_insert(line.ticks - from);

@@ -448,14 +448,14 @@ fn a_network_in_the_background_names_the_frame_of_its_classes() {
         let stamp = HostStamp { monotonic_ns: number * 20_000_000, wall_ns: number };
         frame.refill(number, stamp, values, &[]);
         let output = at_once.process(&frame, stamp.monotonic_ns).unwrap();
-        assert!(output.classes.is_none_or(|of| of.sequence == number));
-        known.push(output.classes.map(|of| of.classes.clone()));
+        assert!(output.classes.as_ref().is_none_or(|of| of.sequence == number));
+        known.push(output.classes.map(|of| of.classes.into_owned()));
         let output = beside.process(&frame, stamp.monotonic_ns).unwrap();
         if let Some(of) = output.classes
             && let Some(expected) = known.get(of.sequence as usize)
         {
             assert!(of.sequence < number, "classes come later than their frame");
-            assert_eq!(Some(of.classes), expected.as_ref(), "frame {}", of.sequence);
+            assert_eq!(Some(&*of.classes), expected.as_ref(), "frame {}", of.sequence);
             seen = Some(of.sequence);
         }
         // Stop once a frame after the press has been classified.

@@ -173,7 +173,7 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
         seen += 1;
         let output = pipeline.process(&frame, frame.host_monotonic_ns).expect("a frame of this skin");
         let connection = frame.sequence.saturating_sub(BASELINE - BROUGHT) / (BROUGHT + MISSED);
-        for touch in output.ended.iter().chain(output.touches) {
+        for touch in output.ended.iter().chain(output.touches.iter()) {
             match touch.phase {
                 TouchPhase::Begin => {
                     assert!(begun.last().is_none_or(|(_, last)| touch.id > *last), "identities count up");

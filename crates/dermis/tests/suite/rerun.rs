@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use dermis_device::{Frame, Source, SourceEvent};
 use dermis_lab::twin_source::TwinSource;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_record::sink::{JsonLines, LinesFor, Sink};
 use dermis_record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, RerunReport, rerun};
 use dermis_skin::{Skin, builtin_text};
@@ -29,7 +29,7 @@ struct Result {
 }
 
 impl Result {
-    fn of(output: &Output<'_>) -> Self {
+    fn of(output: &SkinFrame<'_>) -> Self {
         let mut lines = JsonLines::new(Vec::new(), "test", LinesFor::EveryFrame);
         lines.accept(output).unwrap();
         let line = String::from_utf8(lines.get_mut().clone()).unwrap();

@@ -7,8 +7,8 @@ use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Server
 use crossbeam_channel::Receiver;
 use dermis_device::acquire::{Acquisition, AcquisitionCounters};
 use dermis_device::{Frame, HostStamp};
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_page::Announcer;
 use dermis_page::feed::{PageFeed, RecordingView};
 use dermis_page::message::Notice;
@@ -173,7 +173,7 @@ impl Running {
     }
 
     /// Hands the results of a frame to the recording, the viewers and the page, and announces events.
-    pub(in crate::commands) fn show(&mut self, output: &Output<'_>) {
+    pub(in crate::commands) fn show(&mut self, output: &SkinFrame<'_>) {
         self.feeds_mut().for_each(|feed| feed.results(output));
         self.publishers.iter_mut().for_each(|publisher| publisher.results(output));
         self.feed.show(output, HostStamp::now().monotonic_ns);

@@ -60,13 +60,13 @@ impl Line {
             self.ticks += 1;
             self.time_s += self.frame_s;
             let output = self.pipeline.process(&frame, time_ns)?;
-            self.events.extend_from_slice(output.damage.events);
+            self.events.extend_from_slice(&output.damage.events);
             self.touches.clear();
-            self.touches.extend_from_slice(output.touches);
+            self.touches.extend_from_slice(&output.touches);
             self.image.clear();
-            self.image.extend_from_slice(output.image);
+            self.image.extend_from_slice(&output.image);
             self.damage_image.clear();
-            self.damage_image.extend_from_slice(output.damage.image);
+            self.damage_image.extend_from_slice(&output.damage.image);
         }
         Ok(())
     }

@@ -4,6 +4,8 @@
 //! imaged. If its image is deep enough, it is damage, with position and extent from the image. A change that merely
 //! stays is treated as a touch for ten minutes.
 
+use std::borrow::Cow;
+
 use dermis_skin::Polarity;
 use dermis_touch::damage::{DamageMonitor, LevelChange, LevelParams, LevelWatch};
 use dermis_touch::{Baseline, PixelNoise, ReferenceOrigin};
@@ -259,12 +261,12 @@ impl LevelStage {
         DamageView {
             now_ns: 0,
             watched: self.intact.is_some(),
-            damages: self.monitor.damages(),
-            events: self.monitor.events(),
-            image: &self.image,
-            baselines: baseline.records(),
+            damages: self.monitor.damages().into(),
+            events: self.monitor.events().into(),
+            image: (&self.image).into(),
+            baselines: baseline.records().into(),
             intact: self.intact,
-            healing: &[],
+            healing: Cow::default(),
             proposal: None,
             drift: self.watch.drift(),
         }

@@ -280,12 +280,12 @@ impl DamageStage {
         DamageView {
             now_ns: 0,
             watched: self.intact.stands(),
-            damages: self.monitor.damages(),
-            events: self.monitor.events(),
-            image: self.intact.image(),
-            baselines: baseline.records(),
+            damages: self.monitor.damages().into(),
+            events: self.monitor.events().into(),
+            image: self.intact.image().into(),
+            baselines: baseline.records().into(),
             intact: self.intact.record(),
-            healing: self.cuts.healing(),
+            healing: self.cuts.healing().into(),
             proposal: self.rest.proposal(),
             drift: baseline.drift_factor() - 1.0,
         }

@@ -1,5 +1,7 @@
 //! Knowledge about damage and baselines in a frame, for users of the pipeline.
 
+use std::borrow::Cow;
+
 use dermis_touch::ReferenceRecord;
 use dermis_touch::damage::{Damage, DamageEvent, DamageState};
 
@@ -40,24 +42,24 @@ pub struct Proposal {
 }
 
 /// Everything known about damage and baselines in a frame. Empty if damage is not monitored.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct DamageView<'a> {
     /// True if damage is monitored and there is a baseline.
     pub watched: bool,
     /// Time of the frame on the axis of all times here, nanoseconds.
     pub now_ns: u64,
     /// All damage sites, including suspected and healed ones.
-    pub damages: &'a [Damage],
+    pub damages: Cow<'a, [Damage]>,
     /// Their events in this frame.
-    pub events: &'a [DamageEvent],
+    pub events: Cow<'a, [DamageEvent]>,
     /// The image against the intact skin, in the form of touch images; empty if not monitored.
-    pub image: &'a [f32],
+    pub image: Cow<'a, [f32]>,
     /// All baselines used, oldest first; the last is current.
-    pub baselines: &'a [ReferenceRecord],
+    pub baselines: Cow<'a, [ReferenceRecord]>,
     /// Index of the baseline that damage is judged against.
     pub intact: Option<usize>,
     /// Healing of the fitted cuts.
-    pub healing: &'a [Healing],
+    pub healing: Cow<'a, [Healing]>,
     /// The proposed baseline, if any.
     pub proposal: Option<Proposal>,
     /// Relative change of all readings since the start that was followed as drift.
@@ -65,6 +67,18 @@ pub struct DamageView<'a> {
 }
 
 impl DamageView<'_> {
+    /// The same view, in memory of its own.
+    pub fn into_owned(self) -> DamageView<'static> {
+        DamageView {
+            damages: Cow::Owned(self.damages.into_owned()),
+            events: Cow::Owned(self.events.into_owned()),
+            image: Cow::Owned(self.image.into_owned()),
+            baselines: Cow::Owned(self.baselines.into_owned()),
+            healing: Cow::Owned(self.healing.into_owned()),
+            ..self
+        }
+    }
+
     /// True if there is nothing to report: no damage, event or proposal.
     pub fn is_silent(&self) -> bool {
         self.damages.iter().all(|damage| damage.state == DamageState::Suspected)

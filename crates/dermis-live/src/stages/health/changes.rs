@@ -41,7 +41,7 @@ impl HealthWatch {
     }
 
     /// Changes in this frame.
-    pub fn changes(&mut self, health: Health<'_>) -> Vec<HealthChange> {
+    pub fn changes(&mut self, health: &Health<'_>) -> Vec<HealthChange> {
         if health.frame == self.frame && health.electrodes == self.electrodes && health.channels == self.channels {
             return Vec::new();
         }
@@ -53,13 +53,13 @@ impl HealthWatch {
         self.electrode_changes(health, &mut changes);
         self.channel_changes(health, &mut changes);
         self.electrodes.clear();
-        self.electrodes.extend_from_slice(health.electrodes);
+        self.electrodes.extend_from_slice(&health.electrodes);
         self.channels.clear();
-        self.channels.extend_from_slice(health.channels);
+        self.channels.extend_from_slice(&health.channels);
         changes
     }
 
-    fn electrode_changes(&self, health: Health<'_>, changes: &mut Vec<HealthChange>) {
+    fn electrode_changes(&self, health: &Health<'_>, changes: &mut Vec<HealthChange>) {
         let name = self.electrode;
         let same = |a: &ElectrodeFault, b: &ElectrodeFault| (a.electrode, a.kind) == (b.electrode, b.kind);
         for fault in health.electrodes.iter().filter(|fault| !self.electrodes.iter().any(|old| same(old, fault))) {
@@ -82,7 +82,7 @@ impl HealthWatch {
         }
     }
 
-    fn channel_changes(&self, health: Health<'_>, changes: &mut Vec<HealthChange>) {
+    fn channel_changes(&self, health: &Health<'_>, changes: &mut Vec<HealthChange>) {
         let is_own = |fault: &&ChannelFault| fault.kind != ChannelFaultKind::Electrode;
         let known = |fault: &ChannelFault| {
             self.channels.iter().any(|old| (old.channel, old.kind) == (fault.channel, fault.kind))
@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn faults_and_recoveries_are_told_once_each() {
         let mut watch = HealthWatch::new(&Skin::open("healing-square").unwrap());
-        assert!(watch.changes(Health::default()).is_empty());
+        assert!(watch.changes(&Health::default()).is_empty());
         let channels = [
             channel(1, ChannelFaultKind::Electrode),
             channel(3, ChannelFaultKind::Stuck),
@@ -163,8 +163,8 @@ mod tests {
             channel(9, ChannelFaultKind::Noisy),
         ];
         let electrodes = [electrode(6, ElectrodeFaultKind::Lost)];
-        let broken = Health { channels: &channels, electrodes: &electrodes, ..Health::default() };
-        let changes = watch.changes(broken);
+        let broken = Health { channels: (&channels).into(), electrodes: (&electrodes).into(), ..Health::default() };
+        let changes = watch.changes(&broken);
         let expected = [
             ("electrode-fault", "electrode 7 is lost since frame 7"),
             ("channel-fault", "channel 10 is noisy since frame 49"),
@@ -172,17 +172,21 @@ mod tests {
         ];
         assert_eq!(texts(&changes), expected);
         assert_eq!(changes[2].numbers, [4.0, 5.0]);
-        assert!(watch.changes(broken).is_empty());
+        assert!(watch.changes(&broken).is_empty());
         // One of the stuck channels turns out to belong to a short; the others recover.
         let channels = [channel(3, ChannelFaultKind::Electrode)];
         let electrodes = [electrode(6, ElectrodeFaultKind::Shorted { with: 7 })];
-        let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes, ..Health::default() });
+        let changes = watch.changes(&Health {
+            channels: (&channels).into(),
+            electrodes: (&electrodes).into(),
+            ..Health::default()
+        });
         let expected = [
             ("electrode-fault", "electrode 7 is shorted with electrode 8 since frame 7"),
             ("channel-recovered", "channels 5, 10 are sound again"),
         ];
         assert_eq!(texts(&changes), expected);
-        assert_eq!(texts(&watch.changes(Health::default())), [("electrode-recovered", "electrode 7 is sound again")]);
+        assert_eq!(texts(&watch.changes(&Health::default())), [("electrode-recovered", "electrode 7 is sound again")]);
     }
 
     #[test]
@@ -191,10 +195,10 @@ mod tests {
         let frame = Some(FrameFault { kind: FrameFaultKind::Frozen, since_ns: 0, since_sequence: 9 });
         let frozen = Health { frame, ..Health::default() };
         let told = "touches are unknown since frame 9: all channels read the same, frame after frame";
-        assert_eq!(texts(&watch.changes(frozen)), [("frame-fault", told)]);
-        assert!(watch.changes(frozen).is_empty());
+        assert_eq!(texts(&watch.changes(&frozen)), [("frame-fault", told)]);
+        assert!(watch.changes(&frozen).is_empty());
         let over = "the frames are sound again, and touches known";
-        assert_eq!(texts(&watch.changes(Health::default())), [("frame-recovered", over)]);
+        assert_eq!(texts(&watch.changes(&Health::default())), [("frame-recovered", over)]);
     }
 
     #[test]
@@ -202,7 +206,11 @@ mod tests {
         let mut watch = HealthWatch::new(&Skin::open("em-8").unwrap());
         let channels: Vec<ChannelFault> = (0..20).map(|c| channel(c, ChannelFaultKind::Missing)).collect();
         let electrodes = [electrode(2, ElectrodeFaultKind::Lost)];
-        let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes, ..Health::default() });
+        let changes = watch.changes(&Health {
+            channels: (&channels).into(),
+            electrodes: (&electrodes).into(),
+            ..Health::default()
+        });
         assert_eq!(changes[0].detail, "coil 3 is lost since frame 7");
         let many = "channels 1, 2, 3, 4, 5, 6, 7, 8 and 12 more are missing since frame 40";
         assert_eq!((changes[1].detail.as_str(), changes[1].numbers.len()), (many, 20));

@@ -85,7 +85,7 @@ struct Proposed {
 
 impl<'a> DamageObject<'a> {
     /// `None` if there is no news.
-    pub fn of(view: &DamageView<'a>) -> Option<Self> {
+    pub fn of(view: &'a DamageView<'a>) -> Option<Self> {
         let news = |event: &DamageEvent| Some(News { id: event.damage().id, event: event.name() });
         let proposed = |proposal: dermis_live::stages::damage::Proposal| Proposed {
             reason: proposal.reason.name(),
@@ -93,8 +93,8 @@ impl<'a> DamageObject<'a> {
             since_s: seconds(proposal.since_ns),
         };
         (!view.is_silent()).then(|| Self {
-            list: Each(view.damages, Known::of),
-            events: Each(view.events, news),
+            list: Each(&view.damages, Known::of),
+            events: Each(&view.events, news),
             baselines: view.baselines.len(),
             intact: view.intact.map(|intact| intact + 1),
             proposal: view.proposal.map(proposed),
@@ -107,7 +107,7 @@ mod tests {
     use super::super::super::testing::output;
     use super::super::{JsonLines, LinesFor, Sink};
     use super::*;
-    use dermis_live::output::Output;
+    use dermis_live::skin_frame::SkinFrame;
     use dermis_live::stages::damage::{Proposal, ProposalReason};
     use dermis_touch::damage::{DamageEvent, DamageShape};
     use serde_json::{Value, json};
@@ -137,15 +137,15 @@ mod tests {
         let proposal = Some(Proposal { reason: ProposalReason::Offset, since_ns: 3_000_000_000, offset_sigma: 1.5 });
         let view = DamageView {
             watched: true,
-            damages: &damages,
-            events: &events,
+            damages: (&damages).into(),
+            events: (&events).into(),
             intact: Some(0),
             proposal,
             ..DamageView::default()
         };
         let line = |view, lines_for| {
             let mut bytes = Vec::new();
-            let output = Output { damage: view, ..output(1, &[0.0; 6], &[], &[]) };
+            let output = SkinFrame { damage: view, ..output(1, &[0.0; 6], &[], &[]) };
             JsonLines::new(&mut bytes, "test", lines_for).accept(&output).unwrap();
             bytes
         };
@@ -156,8 +156,8 @@ mod tests {
             "proposal": {"reason": "offset", "offset_sigma": 1.5, "since_s": 3.0}});
         let numbers = |value: &Value| value.to_string().replace(".0,", ",").replace(".0]", "]").replace(".0}", "}");
         assert_eq!(numbers(&found["damage"]), numbers(&expected));
-        let silent = DamageView { damages: &damages[1..], ..DamageView::default() };
-        let found: Value = serde_json::from_slice(&line(silent, LinesFor::EveryFrame)).unwrap();
+        let silent = DamageView { damages: (&damages[1..]).into(), ..DamageView::default() };
+        let found: Value = serde_json::from_slice(&line(silent.clone(), LinesFor::EveryFrame)).unwrap();
         assert!(found.get("damage").is_none(), "a suspicion is not told");
         assert!(line(silent, LinesFor::Touches).is_empty());
     }

@@ -2,7 +2,7 @@
 
 use dermis_device::HostStamp;
 use dermis_live::clock::FrameAnomalies;
-use dermis_live::output::Output;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_touch::health::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health};
 use serde::{Serialize, Serializer};
 
@@ -46,7 +46,7 @@ pub(super) struct FrameLine<'a, E: LineExtras> {
 }
 
 impl<'a, E: LineExtras> FrameLine<'a, E> {
-    pub fn new(output: &'a Output<'a>, extras: &'a E, of_recording: bool) -> Self {
+    pub fn new(output: &'a SkinFrame<'a>, extras: &'a E, of_recording: bool) -> Self {
         let is_known = output.health.frame.is_none();
         Self {
             sequence: output.sequence,
@@ -68,14 +68,14 @@ impl<'a, E: LineExtras> FrameLine<'a, E> {
 }
 
 struct Touches<'a, E> {
-    output: &'a Output<'a>,
+    output: &'a SkinFrame<'a>,
     is_known: bool,
     extras: &'a E,
 }
 
 impl<E: LineExtras> Serialize for Touches<'_, E> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let all = self.output.touches.iter().chain(self.output.ended);
+        let all = self.output.touches.iter().chain(self.output.ended.iter());
         serializer.collect_seq(all.map(|touch| TouchObject::new(touch, self.is_known, self.extras)))
     }
 }
@@ -137,7 +137,7 @@ struct ChannelObject {
 }
 
 impl<'a> HealthObject<'a> {
-    fn of(health: &Health<'a>) -> Option<Self> {
+    fn of(health: &'a Health<'a>) -> Option<Self> {
         let frame =
             health.frame.map(|fault| FrameFaultObject { kind: fault.kind.name(), since_s: seconds(fault.since_ns) });
         let electrode = |fault: &ElectrodeFault| {
@@ -154,7 +154,7 @@ impl<'a> HealthObject<'a> {
                 since_s: seconds(fault.since_ns),
             })
         };
-        let (electrodes, channels) = (Each(health.electrodes, electrode), Each(health.channels, channel));
+        let (electrodes, channels) = (Each(&health.electrodes, electrode), Each(&health.channels, channel));
         (!health.is_sound()).then_some(Self { frame, left_out: health.channels.len(), electrodes, channels })
     }
 }

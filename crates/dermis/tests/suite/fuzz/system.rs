@@ -10,9 +10,9 @@ use dermis_device::acquire::AcquisitionCounters;
 use dermis_device::{Frame, Source, SourceEvent};
 use dermis_lab::twin_commands::{CommandRefused, MOST_TREATMENTS, TwinCommand, TwinCommands};
 use dermis_lab::twin_source::TwinSource;
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_page::feed::PageFeed;
 use dermis_page::message::Notice;
 use dermis_page::protocol::{Encoded, PageMessage, parse};
@@ -400,15 +400,15 @@ pub fn peak_bytes() -> Option<f64> {
 }
 
 /// Every touch begins once and ends once, and is seen only in between.
-fn identities(output: &Output<'_>, begun: &mut BTreeSet<u64>, ended: &mut BTreeSet<u64>) {
-    for touch in output.ended {
+fn identities(output: &SkinFrame<'_>, begun: &mut BTreeSet<u64>, ended: &mut BTreeSet<u64>) {
+    for touch in output.ended.iter() {
         assert!(begun.contains(&touch.id), "touch {} ended before it began", touch.id);
         assert!(ended.insert(touch.id), "touch {} ended twice", touch.id);
     }
     for touch in output.touches.iter().filter(|touch| touch.phase == TouchPhase::Begin) {
         assert!(begun.insert(touch.id), "touch {} began twice", touch.id);
     }
-    for touch in output.touches {
+    for touch in output.touches.iter() {
         assert!(
             begun.contains(&touch.id) && !ended.contains(&touch.id),
             "touch {} is reported but not active",

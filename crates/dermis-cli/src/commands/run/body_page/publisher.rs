@@ -9,8 +9,8 @@ use dermis::source::TwinControl;
 use dermis_body::{SpatialTouch, Transform, trusted_force};
 use dermis_device::acquire::AcquisitionCounters;
 use dermis_device::{Frame, HostStamp};
-use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
+use dermis_live::skin_frame::SkinFrame;
 use dermis_page::feed::PageFeed;
 use dermis_page::message::Notice;
 use dermis_page::{Announcer, BodyTouchView, PlacedTouchView};
@@ -101,19 +101,19 @@ fn placed(touch: &SpatialTouch) -> PlacedTouchView {
 impl Publisher for PagePublisher {
     fn frame(&mut self, _frame: &Frame) {}
 
-    fn results(&mut self, output: &Output<'_>) {
+    fn results(&mut self, output: &SkinFrame<'_>) {
         self.feed.show(output, HostStamp::now().monotonic_ns);
         for Notice { level, text } in self.announcer.notices(output) {
             tracing::warn!(frame = output.sequence, "{text}");
             self.announce(level, &text);
         }
-        let touches = self.touches(output.touches);
+        let touches = self.touches(&output.touches);
         let update = self.feed.update();
         self.board.post(|posted| {
             posted.version += 1;
             (posted.frame, posted.time_ns) = (output.sequence, output.time_ns);
             posted.image.clear();
-            posted.image.extend_from_slice(output.image);
+            posted.image.extend_from_slice(&output.image);
             (posted.touches, posted.guard) = (touches, output.guard);
             (posted.fps, posted.demonstrates) = (update.fps, update.state.demonstrates);
         });
