@@ -1,13 +1,17 @@
 //! Arrays in and out. A C-ordered, aligned array of native doubles is used without a copy, even if read-only;
 //! anything else is converted by NumPy. Returned arrays own their data.
 
+use std::convert::Infallible;
+
+use numpy::ndarray::Dimension;
 use numpy::{
-    Element, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
-    PyUntypedArrayMethods,
+    Complex64, Element, IntoPyArray, Ix1, Ix2, Ix3, IxDyn, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
-use pyo3::intern;
+use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use pyo3::{intern, type_hint_identifier, type_hint_subscript};
 
 use crate::errors::{Fault, Kind};
 
@@ -166,19 +170,81 @@ pub fn type_name(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "a value".into(), |name| name.to_string())
 }
 
+/// An array for Python, where its type is `NDArray` of the scalar.
+pub struct Array<'py, T: Element, D>(Bound<'py, PyArray<T, D>>);
+
+/// A vector.
+pub type Array1<'py, T> = Array<'py, T, Ix1>;
+/// A table.
+pub type Array2<'py, T> = Array<'py, T, Ix2>;
+/// A stack of tables.
+pub type Array3<'py, T> = Array<'py, T, Ix3>;
+/// An array with any number of axes.
+pub type ArrayDyn<'py, T> = Array<'py, T, IxDyn>;
+
+impl<'py, T: Element, D: Dimension> Array<'py, T, D> {
+    /// Forgets the number of axes.
+    pub fn into_dyn(self) -> ArrayDyn<'py, T> {
+        Array(self.0.to_dyn().clone())
+    }
+
+    /// The array without the interpreter lock.
+    pub fn unbind(self) -> Py<PyArray<T, D>> {
+        self.0.unbind()
+    }
+}
+
+impl<'py, T: Element, D> From<Bound<'py, PyArray<T, D>>> for Array<'py, T, D> {
+    fn from(array: Bound<'py, PyArray<T, D>>) -> Self {
+        Self(array)
+    }
+}
+
+impl<'py, T: Element, D> From<Array<'py, T, D>> for Bound<'py, PyArray<T, D>> {
+    fn from(array: Array<'py, T, D>) -> Self {
+        array.0
+    }
+}
+
+impl<'py, T: Scalar, D: Dimension> IntoPyObject<'py> for Array<'py, T, D> {
+    type Target = PyArray<T, D>;
+    type Output = Bound<'py, PyArray<T, D>>;
+    type Error = Infallible;
+    const OUTPUT_TYPE: PyStaticExpr =
+        type_hint_subscript!(type_hint_identifier!("numpy.typing", "NDArray"), type_hint_identifier!("numpy", T::NAME));
+
+    fn into_pyobject(self, _: Python<'py>) -> Result<Self::Output, Infallible> {
+        Ok(self.0)
+    }
+}
+
+/// A number in arrays.
+pub trait Scalar: Element {
+    /// Its name in NumPy.
+    const NAME: &'static str;
+}
+
+macro_rules! scalars {
+    ($($type:ty: $name:literal),*) => {$(
+        impl Scalar for $type {
+            const NAME: &'static str = $name;
+        }
+    )*};
+}
+
+scalars!(
+    bool: "bool_", i32: "int32", i64: "int64", u32: "uint32", u64: "uint64", f32: "float32", f64: "float64",
+    Complex64: "complex128"
+);
+
 /// A one-dimensional array.
-pub fn array1<T: Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
-    values.into_pyarray(py)
+pub fn array1<T: Element>(py: Python<'_>, values: Vec<T>) -> Array1<'_, T> {
+    Array(values.into_pyarray(py))
 }
 
 /// A two-dimensional array.
-pub fn array2<T: Element>(
-    py: Python<'_>,
-    values: Vec<T>,
-    rows: usize,
-    columns: usize,
-) -> PyResult<Bound<'_, PyArray2<T>>> {
-    values.into_pyarray(py).reshape([rows, columns])
+pub fn array2<T: Element>(py: Python<'_>, values: Vec<T>, rows: usize, columns: usize) -> PyResult<Array2<'_, T>> {
+    Ok(Array(values.into_pyarray(py).reshape([rows, columns])?))
 }
 
 /// A stack of images.
@@ -186,14 +252,12 @@ pub fn array3<T: Element>(
     py: Python<'_>,
     values: Vec<T>,
     [images, rows, columns]: [usize; 3],
-) -> PyResult<Bound<'_, PyArray3<T>>> {
-    values.into_pyarray(py).reshape([images, rows, columns])
+) -> PyResult<Array3<'_, T>> {
+    Ok(Array(values.into_pyarray(py).reshape([images, rows, columns])?))
 }
 
 /// An array that Python cannot write to, because the object returns it repeatedly.
-pub fn read_only<'py, T: Element, D: numpy::ndarray::Dimension>(
-    array: Bound<'py, numpy::PyArray<T, D>>,
-) -> PyResult<Bound<'py, numpy::PyArray<T, D>>> {
-    array.call_method1("setflags", (false,))?;
+pub fn read_only<'py, T: Element, D: Dimension>(array: Array<'py, T, D>) -> PyResult<Array<'py, T, D>> {
+    array.0.call_method1("setflags", (false,))?;
     Ok(array)
 }

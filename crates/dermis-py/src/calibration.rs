@@ -6,11 +6,11 @@ use std::sync::Arc;
 use dermis_live::calibrate::calibrate as fit_calibration;
 use dermis_live::calibration::{Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes};
 use dermis_live::prepare::Prepared;
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1, array2};
+use crate::arrays::{Array1, Array2, Doubles, array1, array2};
 use crate::errors::Fault;
+use crate::hints::{ArrayLike, SkinOrModel};
 use crate::model::PyModel;
 use crate::skin::skin_of;
 use crate::work::{run, run_interruptibly};
@@ -59,21 +59,21 @@ pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
 #[pyo3(signature = (skin, baselines, frames, positions_m, *, depths_m=None, forces_n=None, groups=None, start=None))]
 pub fn calibrate(
     py: Python<'_>,
-    skin: &Bound<'_, PyAny>,
-    baselines: &Bound<'_, PyAny>,
-    frames: &Bound<'_, PyAny>,
-    positions_m: &Bound<'_, PyAny>,
-    depths_m: Option<&Bound<'_, PyAny>>,
-    forces_n: Option<&Bound<'_, PyAny>>,
-    groups: Option<&Bound<'_, PyAny>>,
+    skin: SkinOrModel<'_>,
+    baselines: ArrayLike<'_>,
+    frames: ArrayLike<'_>,
+    positions_m: ArrayLike<'_>,
+    depths_m: Option<ArrayLike<'_>>,
+    forces_n: Option<ArrayLike<'_>>,
+    groups: Option<ArrayLike<'_>>,
     start: Option<PyRef<'_, PyCalibration>>,
 ) -> PyResult<PyCalibration> {
-    let prepared = prepared_of(skin)?;
+    let prepared = prepared_of(&skin)?;
     let channels = prepared.channels();
     let of = format!("one reading per channel of skin {}", prepared.skin.name);
-    let baselines = Doubles::rows("baselines", baselines, channels, &of)?.0.to_rows()?;
-    let frames = Doubles::rows("frames", frames, channels, &of)?.0.to_rows()?;
-    let positions = Doubles::rows("positions_m", positions_m, 2, "x and y of a poke")?.0.finite("positions_m")?;
+    let baselines = Doubles::rows("baselines", &baselines, channels, &of)?.0.to_rows()?;
+    let frames = Doubles::rows("frames", &frames, channels, &of)?.0.to_rows()?;
+    let positions = Doubles::rows("positions_m", &positions_m, 2, "x and y of a poke")?.0.finite("positions_m")?;
     let positions_m: Vec<[f64; 2]> = positions.values()?.chunks_exact(2).map(|p| [p[0], p[1]]).collect();
     let loads = match (depths_m, forces_n) {
         (Some(_), Some(_)) => return Err(Fault::input("loads", "depths_m or forces_n", "both").into()),
@@ -83,7 +83,7 @@ pub fn calibrate(
     };
     let loads = match loads {
         Some((what, quantity, values)) => {
-            let values = Doubles::vector(what, values, positions_m.len(), "one per poke")?.finite(what)?;
+            let values = Doubles::vector(what, &values, positions_m.len(), "one per poke")?.finite(what)?;
             Some((quantity, values.values()?.to_vec()))
         }
         None => None,
@@ -91,7 +91,7 @@ pub fn calibrate(
     let touches = positions_m.len();
     let mut pokes = Pokes { positions_m, further_m: Vec::new(), loads };
     if let Some(groups) = groups {
-        let groups = Doubles::vector("groups", groups, touches, "one per touch")?.finite("groups")?;
+        let groups = Doubles::vector("groups", &groups, touches, "one per touch")?.finite("groups")?;
         pokes = pokes.grouped(groups.values()?);
     }
     let earlier: Vec<Calibration> = start.iter().map(|start| start.calibration.clone()).collect();
@@ -144,7 +144,7 @@ impl PyCalibration {
 
     /// These distances for every poke, shape (pokes,), millimetres.
     #[getter]
-    fn leave_one_out_errors_mm<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn leave_one_out_errors_mm<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         let examples = &self.calibration.leave_one_out().examples;
         array1(py, examples.iter().map(|left| 1e3 * left.error_m).collect())
     }
@@ -157,7 +157,7 @@ impl PyCalibration {
 
     /// Positions at which further pokes would help most, shape (count, 2), metres.
     #[pyo3(signature = (count=5))]
-    fn suggest_pokes<'py>(&self, py: Python<'py>, count: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn suggest_pokes<'py>(&self, py: Python<'py>, count: usize) -> PyResult<Array2<'py, f64>> {
         let pokes = run(py, || Ok(self.calibration.suggest_pokes(count)?))?;
         array2(py, pokes.iter().flat_map(|poke| poke.position_m).collect(), pokes.len(), 2)
     }

@@ -5,12 +5,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_lab::design::{Maps, Noise, spread_width};
 use dermis_lab::tolerances::{Extent, run as run_tolerances};
-use numpy::PyArray2;
 use pyo3::prelude::*;
 
-use crate::arrays::array2;
+use crate::arrays::{Array2, array2};
 use crate::calibration::prepared_of;
 use crate::errors::Fault;
+use crate::hints::{Axes, SkinLike, SkinOrModel};
 use crate::skin::{PySkin, skin_of};
 use crate::work::run_interruptibly;
 
@@ -43,7 +43,7 @@ pub struct PyMaps {
 #[pyo3(signature = (skin, *, amplitude=0.1, snr_db=None, noise_v=None, places=32))]
 pub fn design(
     py: Python<'_>,
-    skin: &Bound<'_, PyAny>,
+    skin: SkinOrModel<'_>,
     amplitude: f64,
     snr_db: Option<f64>,
     noise_v: Option<f64>,
@@ -58,7 +58,7 @@ pub fn design(
         (None, Some(volts)) => Noise::Volts(volts),
         (Some(_), Some(_)) => return Err(Fault::input("noise", "snr_db or noise_v", "both").into()),
     };
-    let prepared = prepared_of(skin)?;
+    let prepared = prepared_of(&skin)?;
     run_interruptibly(py, "design", move || {
         let maps = Maps::new(&prepared, noise, amplitude, places)?;
         let spread_m = spread_width(&prepared, &maps)?;
@@ -67,7 +67,7 @@ pub fn design(
 }
 
 impl PyMaps {
-    fn map<'py>(&self, py: Python<'py>, values: &[f64], factor: f64) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn map<'py>(&self, py: Python<'py>, values: &[f64], factor: f64) -> PyResult<Array2<'py, f64>> {
         let grid = &self.maps.grid;
         let mut image = vec![f64::NAN; grid.len()];
         for (&pixel, value) in self.maps.pixels.iter().zip(values) {
@@ -101,32 +101,32 @@ impl PyMaps {
 
     /// Signal-to-noise ratio of all channels together for a relative change of 1, shape (rows, columns).
     #[getter]
-    fn sensitivity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn sensitivity<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         self.map(py, &self.maps.sensitivity, 1.0)
     }
 
     /// Smallest detectable relative change, shape (rows, columns).
     #[getter]
-    fn smallest_change<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn smallest_change<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         self.map(py, &self.maps.smallest, 1.0)
     }
 
     /// Cramer-Rao bound on the standard deviation of a position along its worse axis, shape (rows, columns),
     /// millimetres; NaN outside.
     #[getter]
-    fn position_bound_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn position_bound_mm<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         self.map(py, &self.maps.position_m, 1e3)
     }
 
     /// Relative bound on the standard deviation of the amplitude, shape (rows, columns).
     #[getter]
-    fn amplitude_bound<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn amplitude_bound<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         self.map(py, &self.maps.amplitude_share, 1.0)
     }
 
     /// Width of a point's image, shape (rows, columns), millimetres.
     #[getter]
-    fn spread_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn spread_mm<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         self.map(py, &self.spread_m, 1e3)
     }
 
@@ -141,8 +141,8 @@ impl PyMaps {
     /// -------
     /// matplotlib.axes.Axes
     #[pyo3(signature = (axes=None))]
-    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis.plot")?.getattr("maps")?.call1((slf, axes))
+    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<Axes<'py>>) -> PyResult<Axes<'py>> {
+        Ok(Axes(slf.py().import("dermis.plot")?.getattr("maps")?.call1((slf, axes))?))
     }
 
     fn __repr__(&self) -> String {
@@ -155,13 +155,13 @@ impl PyMaps {
 #[pyo3(signature = (skin, *, samples=200, presses=12, pokes=None, seed=1))]
 pub fn tolerance_rows(
     py: Python<'_>,
-    skin: &Bound<'_, PyAny>,
+    skin: SkinLike<'_>,
     samples: usize,
     presses: usize,
     pokes: Option<Vec<usize>>,
     seed: u64,
 ) -> PyResult<Vec<(String, usize, [f64; 2], [f64; 2], f64)>> {
-    let skin = skin_of(skin)?;
+    let skin = skin_of(&skin)?;
     // Without this, abandoned work would occupy all threads for minutes.
     let wanted = Arc::new(AtomicBool::new(true));
     let told = wanted.clone();

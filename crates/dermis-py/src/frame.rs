@@ -1,11 +1,11 @@
 //! [`PyFrame`]: one frame of readings with its time.
 
 use dermis_device::{Frame, HostStamp};
-use numpy::PyArray1;
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1};
+use crate::arrays::{Array1, Doubles, array1};
 use crate::errors::Fault;
+use crate::hints::{AnyArray, ArrayLike, DTypeLike};
 
 /// One frame, as delivered by a twin or an instrument.
 ///
@@ -45,8 +45,8 @@ impl PyFrame {
 impl PyFrame {
     #[new]
     #[pyo3(signature = (values, *, sequence=0, time_s=0.0))]
-    fn new(values: &Bound<'_, PyAny>, sequence: u64, time_s: f64) -> PyResult<Self> {
-        let values = Doubles::of("values", values)?;
+    fn new(values: ArrayLike<'_>, sequence: u64, time_s: f64) -> PyResult<Self> {
+        let values = Doubles::of("values", &values)?;
         if values.shape().len() != 1 {
             return Err(Fault::input("values", "shape (k,)", crate::arrays::shape_text(values.shape())).into());
         }
@@ -58,13 +58,13 @@ impl PyFrame {
 
     /// Readings, shape (k,), in the instrument's unit; NaN where missing.
     #[getter]
-    fn values<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn values<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         array1(py, self.frame.values.clone())
     }
 
     /// Imaginary parts, shape (k,), or none.
     #[getter]
-    fn imaginary<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn imaginary<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         array1(py, self.frame.imaginary.clone())
     }
 
@@ -88,15 +88,15 @@ impl PyFrame {
     fn __array__<'py>(
         &self,
         py: Python<'py>,
-        dtype: Option<&Bound<'py, PyAny>>,
-        copy: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<Bound<'py, PyAny>> {
+        dtype: Option<DTypeLike<'py>>,
+        copy: Option<bool>,
+    ) -> PyResult<AnyArray<'py>> {
         let _ = copy;
-        let values = self.values(py);
-        match dtype {
-            Some(dtype) => values.call_method1("astype", (dtype,)),
-            None => Ok(values.into_any()),
-        }
+        let values = Bound::from(self.values(py));
+        Ok(AnyArray(match dtype {
+            Some(dtype) => values.call_method1("astype", (dtype,))?,
+            None => values.into_any(),
+        }))
     }
 
     fn __repr__(&self) -> String {

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use dermis_tomo::mesh::PixelMap;
-use numpy::PyArray2;
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array2, array3};
+use crate::arrays::{Array2, Array3, Doubles, array2, array3};
 use crate::errors::Fault;
+use crate::hints::ArrayLike;
 
 /// A grid of pixels over a mesh, for images.
 #[pyclass(frozen, module = "dermis", name = "Grid")]
@@ -53,16 +53,16 @@ impl PyGrid {
 
     /// True for pixels with a value, shape (rows, columns).
     #[getter]
-    fn inside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+    fn inside<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, bool>> {
         array2(py, self.map.inside_mask(), self.rows(), self.columns())
     }
 
     /// Centres of the pixels, shape (rows, columns, 2), metres.
     #[getter]
-    fn centres_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    fn centres_m<'py>(&self, py: Python<'py>) -> PyResult<Array3<'py, f64>> {
         let centres = self.map.grid().centres_m();
         let shape = [self.rows(), self.columns(), 2];
-        Ok(array3(py, centres.as_flattened().to_vec(), shape)?.into_any())
+        array3(py, centres.as_flattened().to_vec(), shape)
     }
 
     /// Converts values of elements to an image, weighted by area of overlap; NaN outside.
@@ -76,9 +76,9 @@ impl PyGrid {
     /// -------
     /// numpy.ndarray
     ///     Shape (rows, columns).
-    fn to_pixels<'py>(&self, py: Python<'py>, values: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn to_pixels<'py>(&self, py: Python<'py>, values: ArrayLike<'py>) -> PyResult<Array2<'py, f64>> {
         let elements = self.map.element_count();
-        let values = Doubles::vector("values", values, elements, "one value per element")?;
+        let values = Doubles::vector("values", &values, elements, "one value per element")?;
         let image = self.map.to_pixels(values.values()?).map_err(Fault::from)?;
         array2(py, image, self.rows(), self.columns())
     }

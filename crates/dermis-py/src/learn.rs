@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use dermis_lab::learning::train_set::{Simulator, TrainSetRequest};
 use dermis_learn::{Model, TrainingSet};
 use dermis_live::prepare::Prepared;
-use numpy::{PyArray1, PyArray3};
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1, array3, shape_text};
+use crate::arrays::{Array1, Array3, Doubles, array1, array3, shape_text};
 use crate::errors::Fault;
+use crate::hints::{ArrayLike, SkinLike};
 use crate::skin::skin_of;
 use crate::work::{run, run_interruptibly};
 
@@ -48,13 +48,13 @@ fn set_of(request: &TrainSetRequest, folder: &Path) -> Result<(Prepared, Trainin
 #[pyo3(signature = (skin, folder, samples, *, shard_samples=250, seed=1))]
 pub fn create_train_set(
     py: Python<'_>,
-    skin: &Bound<'_, PyAny>,
+    skin: SkinLike<'_>,
     folder: PathBuf,
     samples: usize,
     shard_samples: usize,
     seed: u64,
 ) -> PyResult<Vec<usize>> {
-    let request = request_of(skin, samples, shard_samples, seed)?;
+    let request = request_of(&skin, samples, shard_samples, seed)?;
     run_interruptibly(py, "training set", move || Ok(set_of(&request, &folder)?.1.missing()))
 }
 
@@ -64,14 +64,14 @@ pub fn create_train_set(
 #[pyo3(signature = (skin, folder, shard, samples, *, shard_samples=250, seed=1))]
 pub fn write_shard(
     py: Python<'_>,
-    skin: &Bound<'_, PyAny>,
+    skin: SkinLike<'_>,
     folder: PathBuf,
     shard: usize,
     samples: usize,
     shard_samples: usize,
     seed: u64,
 ) -> PyResult<usize> {
-    let request = request_of(skin, samples, shard_samples, seed)?;
+    let request = request_of(&skin, samples, shard_samples, seed)?;
     run_interruptibly(py, "shard", move || {
         let (prepared, set) = set_of(&request, &folder)?;
         if shard >= set.manifest().shards() {
@@ -114,7 +114,7 @@ impl PyNetwork {
 
     /// Factors for the input images, shape (inputs,).
     #[getter]
-    fn input_scale<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+    fn input_scale<'py>(&self, py: Python<'py>) -> Array1<'py, f32> {
         array1(py, self.model.card.input_scale.clone())
     }
 
@@ -129,10 +129,10 @@ impl PyNetwork {
     /// -------
     /// numpy.ndarray
     ///     Shape (classes, rows, columns), float32.
-    fn probabilities<'py>(&self, py: Python<'py>, images: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    fn probabilities<'py>(&self, py: Python<'py>, images: ArrayLike<'py>) -> PyResult<Array3<'py, f32>> {
         let card = &self.model.card;
         let expected = [card.shape.inputs, card.rows, card.columns];
-        let images = Doubles::of("images", images)?.finite("images")?;
+        let images = Doubles::of("images", &images)?.finite("images")?;
         if images.shape() != expected {
             return Err(Fault::input("images", shape_text(&expected), shape_text(images.shape())).into());
         }

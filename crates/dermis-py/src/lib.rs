@@ -1,5 +1,6 @@
 //! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. Parts that needn't be
-//! fast are written in Python, in `python/dermis`; `_dermis.pyi` and `__init__.py` there list every name in this crate.
+//! fast are written in Python, in `python/dermis`; `__init__.py` there lists every public name, and `_dermis.pyi` has the
+//! types of this crate as `scripts/stubs.py` writes them.
 
 mod arrays;
 mod calibration;
@@ -8,6 +9,7 @@ mod eit;
 mod errors;
 mod frame;
 mod grid;
+mod hints;
 mod learn;
 mod mit;
 mod model;
@@ -44,41 +46,24 @@ fn _panic(py: Python<'_>) -> PyResult<()> {
 
 /// The compiled half of the package `dermis`.
 #[pymodule(gil_used = true)]
-fn _dermis(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    work::remember_process();
-    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    module.add_class::<skin::PySkin>()?;
-    module.add_class::<model::PyModel>()?;
-    module.add_class::<grid::PyGrid>()?;
-    module.add_class::<frame::PyFrame>()?;
-    module.add_class::<twin::PyTwin>()?;
-    module.add_class::<pipeline::PyPipeline>()?;
-    module.add_class::<result::PyFrameResult>()?;
-    module.add_class::<session::PySession>()?;
-    module.add_class::<recording::PyRecording>()?;
-    module.add_class::<calibration::PyCalibration>()?;
-    module.add_class::<design::PyMaps>()?;
-    module.add_class::<learn::PyNetwork>()?;
-    module.add_class::<eit::mesh::PyMesh>()?;
-    module.add_class::<eit::mesh::PyElectrode>()?;
-    module.add_class::<eit::protocol::PyProtocol>()?;
-    module.add_class::<eit::forward::PyForwardModel>()?;
-    module.add_class::<eit::operator::PyPrior>()?;
-    module.add_class::<eit::operator::PyOperator>()?;
-    module.add_class::<mit::PyCoils>()?;
-    module.add_class::<mit::PyBody>()?;
-    module.add_function(wrap_pyfunction!(session::open, module)?)?;
-    module.add_function(wrap_pyfunction!(recording::read_frames, module)?)?;
-    module.add_function(wrap_pyfunction!(order::search_order, module)?)?;
-    module.add_function(wrap_pyfunction!(order::estimate_conductance, module)?)?;
-    module.add_function(wrap_pyfunction!(calibration::calibrate, module)?)?;
-    module.add_function(wrap_pyfunction!(design::design, module)?)?;
-    module.add_function(wrap_pyfunction!(design::tolerance_rows, module)?)?;
-    module.add_function(wrap_pyfunction!(learn::create_train_set, module)?)?;
-    module.add_function(wrap_pyfunction!(learn::write_shard, module)?)?;
-    module.add_function(wrap_pyfunction!(eit::figures::greit_figures, module)?)?;
-    module.add_function(wrap_pyfunction!(pipeline::_seconds_of_frames, module)?)?;
-    module.add_function(wrap_pyfunction!(run_command, module)?)?;
-    module.add_function(wrap_pyfunction!(_panic, module)?)?;
-    Ok(())
+mod _dermis {
+    #[pymodule_export]
+    use super::{
+        _panic, calibration::PyCalibration, calibration::calibrate, design::PyMaps, design::design,
+        design::tolerance_rows, eit::figures::greit_figures, eit::forward::PyForwardModel, eit::mesh::PyElectrode,
+        eit::mesh::PyMesh, eit::operator::PyOperator, eit::operator::PyPrior, eit::protocol::PyProtocol,
+        frame::PyFrame, grid::PyGrid, learn::PyNetwork, learn::create_train_set, learn::write_shard, mit::PyBody,
+        mit::PyCoils, model::PyModel, order::estimate_conductance, order::search_order, pipeline::_seconds_of_frames,
+        pipeline::PyPipeline, recording::PyRecording, recording::read_frames, result::PyFrameResult, run_command,
+        session::PySession, session::open, skin::PySkin, twin::PyTwin,
+    };
+
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+
+    #[pymodule_init]
+    fn remember_process() {
+        super::work::remember_process();
+    }
 }

@@ -1,11 +1,12 @@
 //! `dermis.mit`: coils, bodies, and the changes of mutual inductance caused by bodies.
 
 use dermis_mit::{CoilArray, CoilShape, CoilSpec, Complex, Polarizability, Sphere};
-use numpy::{Complex64, PyArray1, PyArray2};
+use numpy::Complex64;
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1, array2, shape_text};
+use crate::arrays::{Array1, Array2, Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
+use crate::hints::ArrayLike;
 use crate::work::run;
 
 fn plain(values: &[Complex]) -> Vec<Complex64> {
@@ -39,7 +40,7 @@ impl PyCoils {
     #[pyo3(signature = (places_m, *, inner_m, outer_m, turns, square=false, inductance_h=None, shield_z_m=None))]
     fn new(
         py: Python<'_>,
-        places_m: &Bound<'_, PyAny>,
+        places_m: ArrayLike<'_>,
         inner_m: f64,
         outer_m: f64,
         turns: usize,
@@ -47,7 +48,7 @@ impl PyCoils {
         inductance_h: Option<f64>,
         shield_z_m: Option<f64>,
     ) -> PyResult<Self> {
-        let places = Doubles::of("places_m", places_m)?.finite("places_m")?;
+        let places = Doubles::of("places_m", &places_m)?.finite("places_m")?;
         let &[_, columns @ (2 | 3)] = places.shape() else {
             return Err(Fault::input("places_m", "shape (n, 2) or (n, 3)", shape_text(places.shape())).into());
         };
@@ -71,25 +72,25 @@ impl PyCoils {
 
     /// Pairs of coils in channel order, shape (p, 2).
     #[getter]
-    fn pairs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    fn pairs<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, u32>> {
         let pairs = self.coils.pairs();
         array2(py, pairs.as_flattened().iter().map(|&coil| coil as u32).collect(), pairs.len(), 2)
     }
 
     /// Centres, shape (n, 3), metres.
     #[getter]
-    fn places_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn places_m<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let outlines = self.coils.outlines();
         array2(py, outlines.iter().flat_map(|outline| outline.centre_m).collect(), outlines.len(), 3)
     }
 
     /// Mutual inductance of every pair, shape (p,), henries.
-    fn mutuals_h<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    fn mutuals_h<'py>(&self, py: Python<'py>) -> PyResult<Array1<'py, f64>> {
         Ok(array1(py, run(py, || Ok(self.coils.mutuals_h()))?))
     }
 
     /// Self-inductance of every coil, shape (n,), henries.
-    fn self_inductances_h<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    fn self_inductances_h<'py>(&self, py: Python<'py>) -> PyResult<Array1<'py, f64>> {
         let own = || Ok(self.coils.coils().iter().map(|coil| coil.self_inductance_h()).collect());
         Ok(array1(py, run(py, own)?))
     }
@@ -112,7 +113,7 @@ impl PyCoils {
         py: Python<'py>,
         body: &Bound<'py, PyBody>,
         centre_m: [f64; 3],
-    ) -> PyResult<Bound<'py, PyArray1<Complex64>>> {
+    ) -> PyResult<Array1<'py, Complex64>> {
         let body = &body.get().body;
         let changes = run(py, || {
             for (number, coil) in self.coils.coils().iter().enumerate() {
@@ -181,7 +182,7 @@ impl PyBody {
 
     /// Its response to the harmonics of a field, shape (h, h), complex.
     #[getter]
-    fn tau<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<Complex64>>> {
+    fn tau<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, Complex64>> {
         let size = dermis_mit::HARMONICS;
         array2(py, plain(self.body.tau()), size, size)
     }

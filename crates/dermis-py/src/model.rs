@@ -12,12 +12,13 @@ use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::arrays::{Doubles, array1, array2, array3, read_only, type_name};
+use crate::arrays::{Array1, Array2, ArrayDyn, Doubles, array1, array2, array3, read_only, type_name};
 use crate::eit::forward::{electrodes_of, voltages_of_rows};
 use crate::eit::mesh::{elements_of, nodes_of};
 use crate::eit::protocol::{channels_of, dense_patterns};
 use crate::errors::Fault;
 use crate::grid::PyGrid;
+use crate::hints::{ArrayLike, Electrodes, HyperparameterChoice, PriorChoice, Restorer};
 use crate::skin_argument::PySkin;
 use crate::work::{run, run_interruptibly};
 
@@ -162,33 +163,33 @@ impl PyModel {
 
     /// Node coordinates, shape (n, 2) for flat meshes, otherwise (n, 3), metres. Read-only.
     #[getter]
-    fn nodes(&self, py: Python<'_>) -> Py<PyArray2<f64>> {
-        self.nodes.clone_ref(py)
+    fn nodes<'py>(&self, py: Python<'py>) -> Array2<'py, f64> {
+        self.nodes.bind(py).clone().into()
     }
 
     /// Node indices of the elements, shape (m, 3) or (m, 4), from 0. Read-only.
     #[getter]
-    fn elements(&self, py: Python<'_>) -> Py<PyArray2<u32>> {
-        self.elements.clone_ref(py)
+    fn elements<'py>(&self, py: Python<'py>) -> Array2<'py, u32> {
+        self.elements.bind(py).clone().into()
     }
 
     /// Sheet conductance of every element in the skin file, shape (m,), siemens. Read-only.
     #[getter]
-    fn sigma(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
-        self.sigma.clone_ref(py)
+    fn sigma<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
+        self.sigma.bind(py).clone().into()
     }
 
     /// The electrodes in order.
     #[getter]
-    fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, electrodes_of(&self.prepared.body.mesh))
+    fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Electrodes<'py>> {
+        Ok(Electrodes(PyTuple::new(py, electrodes_of(&self.prepared.body.mesh))?.into_any()))
     }
 
     /// Electrodes of every channel, shape (k, 4), from 0: the drive's first and second (current enters at the
     /// second), and the measured first and second (the reading is the first's potential minus the second's); -1 if a
     /// pattern has no such electrode, or several.
     #[getter]
-    fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+    fn channels<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, i32>> {
         channels_of(py, self.protocol())
     }
 
@@ -200,13 +201,13 @@ impl PyModel {
 
     /// Currents into the body, shape (s, electrodes), amperes.
     #[getter]
-    fn stimulations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn stimulations<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         dense_patterns(py, self.protocol().electrode_count(), self.protocol().stimulations().iter())
     }
 
     /// Weights of the potentials in every channel's reading, shape (k, electrodes).
     #[getter]
-    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let protocol = self.protocol();
         let patterns = (0..protocol.channel_count()).map(|channel| protocol.pattern_of(channel));
         dense_patterns(py, protocol.electrode_count(), patterns)
@@ -214,7 +215,7 @@ impl PyModel {
 
     /// The stimulation of every channel, shape (k,).
     #[getter]
-    fn stimulation_of<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
+    fn stimulation_of<'py>(&self, py: Python<'py>) -> Array1<'py, u32> {
         array1(py, self.protocol().measurements().iter().map(|measurement| measurement.stimulation).collect())
     }
 
@@ -236,11 +237,11 @@ impl PyModel {
     /// numpy.ndarray
     ///     Shape (k,), volts.
     #[pyo3(signature = (sigma=None))]
-    fn voltages<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    fn voltages<'py>(&self, py: Python<'py>, sigma: Option<ArrayLike<'py>>) -> PyResult<Array1<'py, f64>> {
         if sigma.is_none() {
             return Ok(array1(py, self.prepared.voltages.clone()));
         }
-        let sigma = self.sigma_of(py, sigma)?;
+        let sigma = self.sigma_of(py, sigma.as_deref())?;
         let values = sigma.values()?;
         Ok(array1(py, run(py, || self.read(values))?))
     }
@@ -258,8 +259,8 @@ impl PyModel {
     ///     Shape (k, m), dv/dsigma in volts per siemens. With a readout circuit, the Jacobian of its patterns at
     ///     sigma.
     #[pyo3(signature = (sigma=None))]
-    fn jacobian<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let sigma = self.sigma_of(py, sigma)?;
+    fn jacobian<'py>(&self, py: Python<'py>, sigma: Option<ArrayLike<'py>>) -> PyResult<Array2<'py, f64>> {
+        let sigma = self.sigma_of(py, sigma.as_deref())?;
         let values = sigma.values()?;
         let jacobian = run(py, || Ok(self.effective(values)?.solve(values)?.jacobian()))?;
         array2(py, jacobian.values, jacobian.rows, jacobian.columns)
@@ -281,11 +282,11 @@ impl PyModel {
     fn vjp<'py>(
         &self,
         py: Python<'py>,
-        sigma: &Bound<'py, PyAny>,
-        cotangent: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let sigma = self.sigma_of(py, Some(sigma))?;
-        let cotangent = Doubles::vector("cotangent", cotangent, self.prepared.channels(), "one weight per channel")?;
+        sigma: ArrayLike<'py>,
+        cotangent: ArrayLike<'py>,
+    ) -> PyResult<Array1<'py, f64>> {
+        let sigma = self.sigma_of(py, Some(&sigma))?;
+        let cotangent = Doubles::vector("cotangent", &cotangent, self.prepared.channels(), "one weight per channel")?;
         let (sigma, cotangent) = (sigma.values()?, cotangent.finite("cotangent")?);
         let cotangent = cotangent.values()?;
         Ok(array1(py, run(py, || Ok(self.effective(sigma)?.solve(sigma)?.vjp(cotangent)?))?))
@@ -308,10 +309,10 @@ impl PyModel {
     fn voltages_many<'py>(
         &self,
         py: Python<'py>,
-        sigmas: &Bound<'py, PyAny>,
+        sigmas: ArrayLike<'py>,
         threads: Option<usize>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        voltages_of_rows(py, sigmas, self.element_count(), self.prepared.channels(), threads, &|sigma: &[f64]| {
+    ) -> PyResult<Array2<'py, f64>> {
+        voltages_of_rows(py, &sigmas, self.element_count(), self.prepared.channels(), threads, &|sigma: &[f64]| {
             self.read(sigma)
         })
     }
@@ -319,7 +320,7 @@ impl PyModel {
     /// Sensitivity to relative changes of the inside pixels, shape (k, pixels), volts; for coils, to the elements'
     /// travel.
     #[getter]
-    fn pixel_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn pixel_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let jacobian = &self.prepared.jacobian;
         array2(py, jacobian.values.clone(), jacobian.rows, jacobian.columns)
     }
@@ -345,16 +346,16 @@ impl PyModel {
     fn image<'py>(
         &self,
         py: Python<'py>,
-        baseline: &Bound<'py, PyAny>,
-        frames: &Bound<'py, PyAny>,
-        prior: Option<&Bound<'py, PyAny>>,
-        hyperparameter: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<Bound<'py, PyAny>> {
+        baseline: ArrayLike<'py>,
+        frames: ArrayLike<'py>,
+        prior: Option<PriorChoice<'py>>,
+        hyperparameter: Option<HyperparameterChoice<'py>>,
+    ) -> PyResult<ArrayDyn<'py, f32>> {
         let channels = self.prepared.channels();
-        let baseline = Doubles::rows("baseline", baseline, channels, "one reading per channel")?.0.to_rows()?;
-        let (frames, single) = Doubles::rows("frames", frames, channels, "one reading per channel")?;
+        let baseline = Doubles::rows("baseline", &baseline, channels, "one reading per channel")?.0.to_rows()?;
+        let (frames, single) = Doubles::rows("frames", &frames, channels, "one reading per channel")?;
         let frames = frames.to_rows()?;
-        let prepared = self.with_choices(prior, hyperparameter)?;
+        let prepared = self.with_choices(prior.as_deref(), hyperparameter.as_deref())?;
         let grid = prepared.map.grid();
         let (count, rows, columns) = (frames.len(), grid.rows, grid.columns);
         let images = run_interruptibly(py, "images", move || {
@@ -370,9 +371,9 @@ impl PyModel {
             Ok(images)
         })?;
         if single {
-            return Ok(array2(py, images, rows, columns)?.into_any());
+            return Ok(array2(py, images, rows, columns)?.into_dyn());
         }
-        Ok(array3(py, images, [count, rows, columns])?.into_any())
+        Ok(array3(py, images, [count, rows, columns])?.into_dyn())
     }
 
     fn __repr__(&self) -> String {
@@ -386,8 +387,8 @@ impl PyModel {
         )
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Py<PySkin>,))> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Restorer<'py>, (Py<PySkin>,))> {
         let make = slf.py().import("dermis")?.getattr("_model_of")?;
-        Ok((make, (Py::new(slf.py(), slf.get().skin())?,)))
+        Ok((Restorer(make), (Py::new(slf.py(), slf.get().skin())?,)))
     }
 }

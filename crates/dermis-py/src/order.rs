@@ -3,12 +3,12 @@
 use dermis_device::{FrameTable, Layout};
 use dermis_lab::channel_search::{self, LEAST, find_order};
 use dermis_lab::conductance::conductance;
-use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Doubles, array1, array2, shape_text};
+use crate::arrays::{Array2, Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
+use crate::hints::{ArrayLike, FoundConductance, FoundOrder, SkinLike};
 use crate::skin::skin_of;
 use crate::work::run_interruptibly;
 
@@ -24,13 +24,9 @@ fn table_of(what: &str, frames: &Bound<'_, PyAny>) -> PyResult<FrameTable> {
 
 /// Result of `dermis order` as a dictionary; `dermis.find_order` turns it into an `Order`.
 #[pyfunction]
-pub fn search_order<'py>(
-    py: Python<'py>,
-    skin: &Bound<'py, PyAny>,
-    baseline: &Bound<'py, PyAny>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let skin = skin_of(skin)?;
-    let table = table_of("baseline", baseline)?;
+pub fn search_order<'py>(py: Python<'py>, skin: SkinLike<'py>, baseline: ArrayLike<'py>) -> PyResult<FoundOrder<'py>> {
+    let skin = skin_of(&skin)?;
+    let table = table_of("baseline", &baseline)?;
     let (found, mapped) = run_interruptibly(py, "order", move || {
         let found = find_order(&table, Some(&skin))?;
         let mapped = match found.candidates.first() {
@@ -58,18 +54,18 @@ pub fn search_order<'py>(
     let (source, signs) = mapped.unzip();
     dict.set_item("source", source.map(|list| array1(py, list.into_iter().map(i64::from).collect())))?;
     dict.set_item("sign", signs.map(|list| array1(py, list)))?;
-    Ok(dict)
+    Ok(FoundOrder(dict.into_any()))
 }
 
 /// Result of `dermis conductance` as a dictionary; `dermis.conductance` turns it into a `Conductance`.
 #[pyfunction]
 pub fn estimate_conductance<'py>(
     py: Python<'py>,
-    skin: &Bound<'py, PyAny>,
-    frames: &Bound<'py, PyAny>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let skin = skin_of(skin)?;
-    let table = table_of("frames", frames)?;
+    skin: SkinLike<'py>,
+    frames: ArrayLike<'py>,
+) -> PyResult<FoundConductance<'py>> {
+    let skin = skin_of(&skin)?;
+    let table = table_of("frames", &frames)?;
     let found = run_interruptibly(py, "conductance", move || Ok(conductance(&skin, &table)?))?;
     let dict = PyDict::new(py);
     dict.set_item("sheet_s", found.sheet_s)?;
@@ -83,10 +79,9 @@ pub fn estimate_conductance<'py>(
         .collect();
     let count = regions.len();
     dict.set_item("regions", array2(py, regions.concat(), count, 5)?)?;
-    let image = |values: Vec<f64>| -> PyResult<Bound<'py, PyArray2<f64>>> {
-        array2(py, values, found.grid.rows, found.grid.columns)
-    };
+    let image =
+        |values: Vec<f64>| -> PyResult<Array2<'py, f64>> { array2(py, values, found.grid.rows, found.grid.columns) };
     dict.set_item("image_s", image(found.image_s.clone())?)?;
     dict.set_item("sigma_s", image(found.sigma_s.clone())?)?;
-    Ok(dict)
+    Ok(FoundConductance(dict.into_any()))
 }

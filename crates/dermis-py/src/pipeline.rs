@@ -12,10 +12,11 @@ use dermis_live::skin_frame::SkinFrame;
 use dermis_skin::Skin;
 use pyo3::prelude::*;
 
-use crate::arrays::Doubles;
+use crate::arrays::{Array1, Doubles, array1};
 use crate::calibration::PyCalibration;
 use crate::errors::Fault;
 use crate::frame::PyFrame;
+use crate::hints::{ArrayLike, CalibrationLike, FrameLike, SkinOrModel};
 use crate::model::PyModel;
 use crate::result::PyFrameResult;
 use crate::skin::{PySkin, same_skin, skin_of};
@@ -77,17 +78,17 @@ impl PyPipeline {
     #[pyo3(signature = (skin, *, calibration=None, forces=None, hyperparameter=None))]
     fn new(
         py: Python<'_>,
-        skin: &Bound<'_, PyAny>,
-        calibration: Option<&Bound<'_, PyAny>>,
+        skin: SkinOrModel<'_>,
+        calibration: Option<CalibrationLike<'_>>,
         forces: Option<PathBuf>,
         hyperparameter: Option<f64>,
     ) -> PyResult<Self> {
         let of_model = skin.cast::<PyModel>().ok().map(|model| model.get().prepared.clone());
         let skin = match &of_model {
             Some(prepared) => prepared.skin.clone(),
-            None => skin_of(skin)?,
+            None => skin_of(&skin)?,
         };
-        let calibration = calibration_of(calibration)?;
+        let calibration = calibration_of(calibration.as_deref())?;
         let forces = match &forces {
             Some(path) => {
                 let text = dermis_device::instruments::read_bytes(path).map_err(Fault::from)?;
@@ -161,7 +162,7 @@ impl PyPipeline {
     /// Result
     ///     The result; until there is a baseline (32 frames), its image is NaN and it has no touches.
     #[pyo3(signature = (frame, *, time_s=None))]
-    fn process(&self, py: Python<'_>, frame: &Bound<'_, PyAny>, time_s: Option<f64>) -> PyResult<PyFrameResult> {
+    fn process(&self, py: Python<'_>, frame: FrameLike<'_>, time_s: Option<f64>) -> PyResult<PyFrameResult> {
         if let Some(time_s) = time_s.filter(|time_s| !(0.0..1e9).contains(time_s)) {
             return Err(Fault::input("time_s", "seconds, 0 or more", time_s).into());
         }
@@ -174,7 +175,7 @@ impl PyPipeline {
             return self.work(py, |running| self.result(&mut running.pipeline, &frame.frame, frame.time_s));
         }
         let of = format!("one reading per channel of skin {}", self.skin.name);
-        let values = Doubles::vector("frame", frame, self.channels, &of)?;
+        let values = Doubles::vector("frame", &frame, self.channels, &of)?;
         let values = values.values()?;
         if let Some(channel) = values.iter().position(|value| value.is_infinite()) {
             let got = format!("{} at channel {channel}", values[channel]);
@@ -212,8 +213,8 @@ impl PyPipeline {
 
     /// The baseline, shape (k,), as measured.
     #[getter]
-    fn baseline<'py>(&self, py: Python<'py>) -> Bound<'py, numpy::PyArray1<f64>> {
-        crate::arrays::array1(py, lock(&self.running).pipeline.baseline().0.to_vec())
+    fn baseline<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
+        array1(py, lock(&self.running).pipeline.baseline().0.to_vec())
     }
 
     /// Rejects a model of another skin.
@@ -257,12 +258,12 @@ impl PyPipeline {
 pub fn _seconds_of_frames(
     py: Python<'_>,
     pipeline: &Bound<'_, PyPipeline>,
-    frames: &Bound<'_, PyAny>,
+    frames: ArrayLike<'_>,
     count: usize,
 ) -> PyResult<f64> {
     let pipeline = pipeline.get();
     let of = format!("one reading per channel of skin {}", pipeline.skin.name);
-    let frames = Doubles::rows("frames", frames, pipeline.channels, &of)?.0;
+    let frames = Doubles::rows("frames", &frames, pipeline.channels, &of)?.0;
     let values = frames.values()?;
     run(py, || {
         let mut running = lock(&pipeline.running);

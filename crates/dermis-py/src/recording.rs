@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use dermis_device::{Frame, ReadOptions};
 use dermis_live::channels::ChannelReader;
-use dermis_record::{Entry, Recording};
+use dermis_record::{BaselineEntry, Entry, EventEntry, Recording};
 use dermis_skin::Skin;
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::PyDict;
 
-use crate::arrays::{array1, array2};
+use crate::arrays::{Array1, Array2, array1, array2};
 use crate::errors::Fault;
+use crate::hints::{self, Baseline, DataArray, DataFrame, Event, SkinLike, Table, Touches};
 use crate::result::{TouchRow, row_of, table_of};
 use crate::skin::PySkin;
 use crate::work::{run, run_interruptibly};
@@ -139,13 +139,7 @@ impl PyRecording {
     /// numpy.ndarray
     ///     Shape (n, k), NaN where missing.
     #[pyo3(signature = (start=0, stop=None, *, raw=false))]
-    fn frames<'py>(
-        &self,
-        py: Python<'py>,
-        start: usize,
-        stop: Option<usize>,
-        raw: bool,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn frames<'py>(&self, py: Python<'py>, start: usize, stop: Option<usize>, raw: bool) -> PyResult<Array2<'py, f64>> {
         let frames = run(py, || self.read_frames(start, stop, raw))?;
         array2(py, frames.values, frames.times_s.len(), frames.channels)
     }
@@ -171,13 +165,13 @@ impl PyRecording {
         py: Python<'py>,
         start: usize,
         stop: Option<usize>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<u64>>)> {
+    ) -> PyResult<(Array1<'py, f64>, Array1<'py, i64>, Array1<'py, u64>)> {
         let frames = run(py, || self.read_frames(start, stop, true))?;
         Ok((array1(py, frames.times_s), array1(py, frames.wall_ns), array1(py, frames.sequences)))
     }
 
     /// Recorded touches as a structured array: ``sequence``, ``wall_ns`` and the fields of ``dermis.touch_dtype``.
-    fn touches<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    fn touches<'py>(&self, py: Python<'py>) -> PyResult<Touches<'py>> {
         let (rows, sequences, times_ns) = run(py, || {
             let mut recording = self.read()?;
             let (mut rows, mut sequences, mut times_ns) = (Vec::<TouchRow>::new(), Vec::new(), Vec::new());
@@ -192,28 +186,27 @@ impl PyRecording {
         })?;
         let touches = table_of(py, &rows)?;
         let arguments = (array1(py, sequences), array1(py, times_ns), touches);
-        py.import("dermis._tables")?.getattr("recorded_touches")?.call1(arguments)
+        Ok(Touches(py.import("dermis._tables")?.getattr("recorded_touches")?.call1(arguments)?))
     }
 
     /// Frames as a ``pandas.DataFrame``.
-    fn to_pandas<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis._tables")?.getattr("to_pandas")?.call1((slf,))
+    fn to_pandas<'py>(slf: &Bound<'py, Self>) -> PyResult<DataFrame<'py>> {
+        Ok(DataFrame(slf.py().import("dermis._tables")?.getattr("to_pandas")?.call1((slf,))?))
     }
 
     /// Frames as a ``pyarrow.Table``.
-    fn to_arrow<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis._tables")?.getattr("to_arrow")?.call1((slf,))
+    fn to_arrow<'py>(slf: &Bound<'py, Self>) -> PyResult<Table<'py>> {
+        Ok(Table(slf.py().import("dermis._tables")?.getattr("to_arrow")?.call1((slf,))?))
     }
 
     /// Frames as an ``xarray.DataArray``.
-    fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis._tables")?.getattr("to_xarray")?.call1((slf,))
+    fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyResult<DataArray<'py>> {
+        Ok(DataArray(slf.py().import("dermis._tables")?.getattr("to_xarray")?.call1((slf,))?))
     }
 
     /// Baselines that came into use: for each a dictionary with ``wall_ns``, ``reason``, ``values`` and
     /// ``noise_std``, both of shape (k,).
-    fn baselines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let list = PyList::empty(py);
+    fn baselines<'py>(&self, py: Python<'py>) -> PyResult<Vec<Baseline<'py>>> {
         let found = run(py, || {
             let mut recording = self.read()?;
             let mut found = Vec::new();
@@ -224,20 +217,19 @@ impl PyRecording {
             }
             Ok(found)
         })?;
-        for (wall_ns, entry) in found {
+        let row = |(wall_ns, entry): (u64, BaselineEntry)| {
             let row = PyDict::new(py);
             row.set_item("wall_ns", wall_ns)?;
             row.set_item("reason", entry.record.reason)?;
             row.set_item("values", array1(py, entry.values))?;
             row.set_item("noise_std", array1(py, entry.noise_std))?;
-            list.append(row)?;
-        }
-        Ok(list)
+            Ok(Baseline(row.into_any()))
+        };
+        found.into_iter().map(row).collect()
     }
 
     /// Events: for each a dictionary with ``wall_ns``, ``event``, ``detail`` and ``values``.
-    fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let list = PyList::empty(py);
+    fn events<'py>(&self, py: Python<'py>) -> PyResult<Vec<Event<'py>>> {
         let found = run(py, || {
             let mut recording = self.read()?;
             let mut found = Vec::new();
@@ -250,15 +242,15 @@ impl PyRecording {
             }
             Ok(found)
         })?;
-        for (wall_ns, entry) in found {
+        let row = |(wall_ns, entry): (u64, EventEntry)| {
             let row = PyDict::new(py);
             row.set_item("wall_ns", wall_ns)?;
             row.set_item("event", entry.event)?;
             row.set_item("detail", entry.detail)?;
             row.set_item("values", array1(py, entry.values))?;
-            list.append(row)?;
-        }
-        Ok(list)
+            Ok(Event(row.into_any()))
+        };
+        found.into_iter().map(row).collect()
     }
 
     fn __repr__(&self) -> String {
@@ -317,15 +309,15 @@ struct FileFrames {
 pub fn read_frames<'py>(
     py: Python<'py>,
     path: PathBuf,
-    skin: Option<&Bound<'py, PyAny>>,
+    skin: Option<SkinLike<'py>>,
     format: Option<String>,
     columns: Option<String>,
     skip_rows: usize,
     array: Option<String>,
     topic: Option<String>,
     transpose: bool,
-) -> PyResult<Bound<'py, PyAny>> {
-    let skin = skin.map(crate::skin::skin_of).transpose()?;
+) -> PyResult<hints::FileFrames<'py>> {
+    let skin = skin.as_deref().map(crate::skin::skin_of).transpose()?;
     let found = run_interruptibly(py, "read", move || {
         let spec: dermis_device::FileSpec = path.to_string_lossy().parse()?;
         let options = ReadOptions {
@@ -364,5 +356,5 @@ pub fn read_frames<'py>(
         found.wall_ns.map(|moments| array1(py, moments)),
         found.understood,
     );
-    py.import("dermis._tables")?.getattr("FileFrames")?.call1(arguments)
+    Ok(hints::FileFrames(py.import("dermis._tables")?.getattr("FileFrames")?.call1(arguments)?))
 }

@@ -7,12 +7,13 @@ use dermis_live::skin_frame::SkinFrame;
 use dermis_record::TouchEntry;
 use dermis_touch::TouchPhase;
 use dermis_touch::guard::GuardReason;
-use numpy::{PyArray1, PyArray2};
+use numpy::PyArray2;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList};
 
-use crate::arrays::{array1, array2};
+use crate::arrays::{Array1, Array2, array1, array2};
+use crate::hints::{Axes, DamageWatch, Guard, Health, Touches};
 
 /// A touch in numbers: id, phase, then x_mm, y_mm, force_n, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, radius_mm,
 /// other_x_mm, other_y_mm, other_probability.
@@ -54,11 +55,11 @@ pub fn row_of(touch: &TouchEntry) -> TouchRow {
 }
 
 /// Rows as the structured array of `dermis._tables.touches`.
-pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Bound<'py, PyAny>> {
+pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Touches<'py>> {
     let ids = array1(py, rows.iter().map(|row| row.0).collect());
     let phases = PyList::new(py, rows.iter().map(|row| row.1))?;
     let values = array2(py, rows.iter().flat_map(|row| row.2).collect(), rows.len(), NUMBERS)?;
-    py.import("dermis._tables")?.getattr("touches")?.call1((ids, phases, values))
+    Ok(Touches(py.import("dermis._tables")?.getattr("touches")?.call1((ids, phases, values))?))
 }
 
 /// Results for one frame.
@@ -119,22 +120,22 @@ impl PyFrameResult {
 
     /// Readings, shape (k,), in the skin's order.
     #[getter]
-    fn raw<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn raw<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         array1(py, self.frame.raw.to_vec())
     }
 
     /// Readings minus the baseline, shape (k,).
     #[getter]
-    fn compensated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn compensated<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         array1(py, self.frame.compensated.to_vec())
     }
 
     /// The image, shape (rows, columns), float32, row 0 at the top, NaN outside the skin.
     #[getter]
-    fn image(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f32>>> {
+    fn image<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f32>> {
         let SkinFrame { image, rows, columns, .. } = &self.frame;
         let make = || Ok::<_, PyErr>(array2(py, image.to_vec(), *rows, *columns)?.unbind());
-        Ok(self.shown.get_or_try_init(py, make)?.clone_ref(py))
+        Ok(self.shown.get_or_try_init(py, make)?.bind(py).clone().into())
     }
 
     /// Left, right, bottom and top of the image, millimetres.
@@ -153,18 +154,18 @@ impl PyFrameResult {
     /// ``amplitude``, ``area_mm2``, ``sigma_x_mm``, ``sigma_y_mm``, ``radius_mm``; NaN where unknown. Touches that
     /// have just ended have the phase ``end``.
     #[getter]
-    fn touches(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+    fn touches<'py>(&self, py: Python<'py>) -> PyResult<Touches<'py>> {
         let SkinFrame { touches, ended, .. } = &self.frame;
         let rows = || touches.iter().chain(ended.iter()).map(|touch| row_of(&touch.into())).collect::<Vec<_>>();
-        let make = || Ok::<_, PyErr>(table_of(py, &rows())?.unbind());
-        Ok(self.table.get_or_try_init(py, make)?.clone_ref(py))
+        let make = || Ok::<_, PyErr>(table_of(py, &rows())?.0.unbind());
+        Ok(Touches(self.table.get_or_try_init(py, make)?.bind(py).clone()))
     }
 
     /// ``sound``; ``frame`` (fault of the frames as a whole: ``"frozen"``, ``"saturated"``, ``"flipped"``,
     /// ``"out-of-range"``, ``"blank"``, or None); the ``channels`` left out, with their faults; and the faulty
     /// ``electrodes``, from 0.
     #[getter]
-    fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    fn health<'py>(&self, py: Python<'py>) -> PyResult<Health<'py>> {
         let health = PyDict::new(py);
         let known = &self.frame.health;
         let channels: BTreeMap<_, _> = known.channels.iter().map(|fault| (fault.channel, fault.kind.name())).collect();
@@ -173,24 +174,24 @@ impl PyFrameResult {
         health.set_item("frame", known.frame.map(|fault| fault.kind.name()))?;
         health.set_item("channels", channels)?;
         health.set_item("electrodes", electrodes)?;
-        Ok(health)
+        Ok(Health(health.into_any()))
     }
 
     /// The guard's ``verdict`` (``"ok"``, ``"stale"`` or ``"stop"``), its ``reasons``, and ``safety_rated``, which is
     /// False; None if the skin file has no ``[guard]``.
     #[getter]
-    fn guard<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+    fn guard<'py>(&self, py: Python<'py>) -> PyResult<Option<Guard<'py>>> {
         let Some(report) = self.frame.guard else { return Ok(None) };
         let guard = PyDict::new(py);
         guard.set_item("verdict", report.verdict.name())?;
         guard.set_item("reasons", report.reasons.iter().map(GuardReason::name).collect::<Vec<_>>())?;
         guard.set_item("safety_rated", false)?;
-        Ok(Some(guard))
+        Ok(Some(Guard(guard.into_any())))
     }
 
     /// ``watched``, a list of ``damages``, and a ``proposal`` of a new baseline, or None.
     #[getter]
-    fn damage<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    fn damage<'py>(&self, py: Python<'py>) -> PyResult<DamageWatch<'py>> {
         let list = PyList::empty(py);
         for damage in self.frame.damage.damages.iter() {
             let shape = &damage.shape;
@@ -210,7 +211,7 @@ impl PyFrameResult {
         seen.set_item("watched", self.frame.damage.watched)?;
         seen.set_item("damages", list)?;
         seen.set_item("proposal", self.frame.damage.proposal.map(|_| "a new baseline is proposed"))?;
-        Ok(seen)
+        Ok(DamageWatch(seen.into_any()))
     }
 
     /// Draws image and touches.
@@ -224,12 +225,12 @@ impl PyFrameResult {
     /// -------
     /// matplotlib.axes.Axes
     #[pyo3(signature = (axes=None))]
-    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis.plot")?.getattr("result")?.call1((slf, axes))
+    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<Axes<'py>>) -> PyResult<Axes<'py>> {
+        Ok(Axes(slf.py().import("dermis.plot")?.getattr("result")?.call1((slf, axes))?))
     }
 
-    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis._tables")?.getattr("result_html")?.call1((slf,))
+    fn _repr_html_(slf: &Bound<'_, Self>) -> PyResult<String> {
+        slf.py().import("dermis._tables")?.getattr("result_html")?.call1((slf,))?.extract()
     }
 
     fn __repr__(&self) -> String {

@@ -13,9 +13,9 @@ use dermis_record::RecordingHead;
 use dermis_skin::Skin;
 use dermis_twin::mechanics::{Indenter, Shape};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
 
 use crate::errors::{Fault, Kind};
+use crate::hints::{Exception, ExceptionClass, Named, SessionArrays, SkinLike, Source, Traceback};
 use crate::pipeline::extent_mm;
 use crate::python_source::PythonSource;
 use crate::result::PyFrameResult;
@@ -104,8 +104,8 @@ pub struct PySession {
 #[pyo3(signature = (source, skin=None, *, frames=None, speed=0.0, calibration=None, forces=None, as_set=false, as_skin=false))]
 pub fn open(
     py: Python<'_>,
-    source: &Bound<'_, PyAny>,
-    skin: Option<&Bound<'_, PyAny>>,
+    source: Source<'_>,
+    skin: Option<SkinLike<'_>>,
     frames: Option<u64>,
     speed: f64,
     calibration: Option<PathBuf>,
@@ -116,7 +116,7 @@ pub fn open(
     if !(speed >= 0.0 && speed.is_finite()) {
         return Err(Fault::input("speed", "0 (as fast as possible) or a positive number", speed).into());
     }
-    let given = skin.map(skin_of).transpose()?;
+    let given = skin.as_deref().map(skin_of).transpose()?;
     if as_skin && given.is_none() {
         return Err(Fault::input("as_skin", "a skin to read the frames as", "none").into());
     }
@@ -128,9 +128,9 @@ pub fn open(
                 .clone()
                 .ok_or_else(|| Fault::input("skin", "a skin with a source of your own, for its channels", "none"))?;
             let channels = skin.protocol().map_err(Fault::from)?.channel_count();
-            let made = PythonSource::new(source, channels).map_err(|_| {
+            let made = PythonSource::new(&source, channels).map_err(|_| {
                 let expected = "a text, a path, an iterable of frames, or a function that returns one";
-                Fault::input("source", expected, crate::arrays::type_name(source))
+                Fault::input("source", expected, crate::arrays::type_name(&source))
             })?;
             Some((skin, made))
         }
@@ -262,10 +262,15 @@ impl PySession {
         slf
     }
 
-    #[pyo3(signature = (*_error))]
-    fn __exit__(&self, py: Python<'_>, _error: &Bound<'_, PyTuple>) -> PyResult<bool> {
-        self.close(py)?;
-        Ok(false)
+    #[pyo3(signature = (_class=None, _error=None, _traceback=None))]
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        _class: Option<ExceptionClass<'_>>,
+        _error: Option<Exception<'_>>,
+        _traceback: Option<Traceback<'_>>,
+    ) -> PyResult<()> {
+        self.close(py)
     }
 
     /// Stops reading, ends a recording started from the page, and closes the page. Closing a closed session has no
@@ -285,8 +290,8 @@ impl PySession {
     }
 
     /// Runs to the end, and returns times (n,), readings (n, k) and images (n, rows, columns).
-    fn asnumpy<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis._tables")?.getattr("session_arrays")?.call1((slf,))
+    fn asnumpy<'py>(slf: &Bound<'py, Self>) -> PyResult<SessionArrays<'py>> {
+        Ok(SessionArrays(slf.py().import("dermis._tables")?.getattr("session_arrays")?.call1((slf,))?))
     }
 
     /// Opens the live page of this session's own frames in a browser.
@@ -346,15 +351,18 @@ impl PySession {
 
     /// Numbers of frames delivered, and dropped, lost, damaged and repeated on the way.
     #[getter]
-    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Named<'py, u64>> {
         let (frames, counters) = run(py, || self.with(|running| Ok((running.frames, running.acquisition.counters()))))?;
-        let named = PyDict::new(py);
-        named.set_item("frames", frames)?;
-        named.set_item("dropped", counters.dropped)?;
-        named.set_item("lost", counters.lost)?;
-        named.set_item("damaged", counters.bad)?;
-        named.set_item("repeated", counters.repeated)?;
-        Ok(named)
+        Named::of(
+            py,
+            [
+                ("frames", frames),
+                ("dropped", counters.dropped),
+                ("lost", counters.lost),
+                ("damaged", counters.bad),
+                ("repeated", counters.repeated),
+            ],
+        )
     }
 
     /// Takes a new baseline, like :meth:`Pipeline.tare`.

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{BUILTIN_NAMES, Modality, Skin};
 use dermis_tomo::mesh::{Outline, Surface};
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1, array2, read_only};
+use crate::arrays::{Array1, Array2, Doubles, array1, array2, read_only};
 use crate::errors::{Fault, Kind};
+use crate::hints::{self, ArrayLike, Axes, Restorer, SkinLike};
 use crate::model::PyModel;
 pub use crate::skin_argument::{PySkin, skin_of};
 use crate::work::run_interruptibly;
@@ -20,8 +20,8 @@ const DISC_CORNERS: usize = 128;
 #[pymethods]
 impl PySkin {
     #[new]
-    fn new(source: &Bound<'_, PyAny>) -> PyResult<Self> {
-        Ok(Self { skin: skin_of(source)? })
+    fn new(source: SkinLike<'_>) -> PyResult<Self> {
+        Ok(Self { skin: skin_of(&source)? })
     }
 
     /// The names of the built-in skins.
@@ -60,8 +60,8 @@ impl PySkin {
 
     /// Physical principle: ``eit`` or ``mit``.
     #[getter]
-    fn modality(&self) -> &'static str {
-        self.skin.modality.name()
+    fn modality(&self) -> hints::Modality {
+        hints::Modality::of(self.skin.modality.name())
     }
 
     /// Quantity of its images' values.
@@ -96,7 +96,7 @@ impl PySkin {
 
     /// Corners of the rim, shape (n, 2), metres, without repeating the first; a disc has 128. Read-only.
     #[getter]
-    fn outline<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn outline<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let points: Vec<[f64; 2]> = match self.skin.outline() {
             Outline::Disc { radius_m } => (0..DISC_CORNERS)
                 .map(|k| {
@@ -140,8 +140,8 @@ impl PySkin {
     /// -------
     /// numpy.ndarray
     ///     Shape (n,), bool.
-    fn contains<'py>(&self, py: Python<'py>, points_m: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<bool>>> {
-        let (points, _) = Doubles::rows("points_m", points_m, 2, "x and y of each point")?;
+    fn contains<'py>(&self, py: Python<'py>, points_m: ArrayLike<'py>) -> PyResult<Array1<'py, bool>> {
+        let (points, _) = Doubles::rows("points_m", &points_m, 2, "x and y of each point")?;
         let outline = self.skin.outline();
         let inside = points.values()?.chunks_exact(2).map(|point| outline.contains([point[0], point[1]])).collect();
         Ok(array1(py, inside))
@@ -184,8 +184,8 @@ impl PySkin {
     /// -------
     /// matplotlib.axes.Axes
     #[pyo3(signature = (axes=None))]
-    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
-        slf.py().import("dermis.plot")?.getattr("skin")?.call1((slf, axes))
+    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<Axes<'py>>) -> PyResult<Axes<'py>> {
+        Ok(Axes(slf.py().import("dermis.plot")?.getattr("skin")?.call1((slf, axes))?))
     }
 
     fn _repr_svg_(&self, py: Python<'_>) -> PyResult<Option<String>> {
@@ -213,9 +213,9 @@ impl PySkin {
         hasher.finish()
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Restorer<'py>, (String,))> {
         let make = slf.get_type().getattr("from_toml")?;
-        Ok((make, (slf.get().to_toml(),)))
+        Ok((Restorer(make), (slf.get().to_toml(),)))
     }
 }
 

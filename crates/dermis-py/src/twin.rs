@@ -8,10 +8,10 @@ use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::{Scene, SceneOptions};
 use dermis_twin::{AnyTwin, Frontend as _, TouchTruth, TwinKit};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
 
 use crate::errors::{Fault, Kind};
 use crate::frame::PyFrame;
+use crate::hints::{Named, SkinLike};
 use crate::skin::{PySkin, skin_of};
 use crate::work::{lock, run, run_interruptibly};
 
@@ -65,8 +65,8 @@ pub fn radius_and_load(
 impl PyTwin {
     #[new]
     #[pyo3(signature = (skin, seed=None, *, fade_s=0.08))]
-    fn new(py: Python<'_>, skin: &Bound<'_, PyAny>, seed: Option<u64>, fade_s: f64) -> PyResult<Self> {
-        let mut skin = skin_of(skin)?;
+    fn new(py: Python<'_>, skin: SkinLike<'_>, seed: Option<u64>, fade_s: f64) -> PyResult<Self> {
+        let mut skin = skin_of(&skin)?;
         if !(0.0..=MOST_FADE_S).contains(&fade_s) {
             return Err(Fault::input("fade_s", format!("0 to {MOST_FADE_S} seconds"), fade_s).into());
         }
@@ -198,18 +198,21 @@ impl PyTwin {
     /// The true presses in the last frame: for each a dictionary with ``x_mm``, ``y_mm``, ``radius_mm``,
     /// ``pressure_kpa``, ``force_n``.
     #[getter]
-    fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let touches = PyList::empty(py);
-        for touch in &lock(&self.running).truth {
-            let row = PyDict::new(py);
-            row.set_item("x_mm", 1e3 * touch.x_m)?;
-            row.set_item("y_mm", 1e3 * touch.y_m)?;
-            row.set_item("radius_mm", 1e3 * touch.radius_m)?;
-            row.set_item("pressure_kpa", 1e-3 * touch.pressure_pa)?;
-            row.set_item("force_n", touch.pressure_pa * std::f64::consts::PI * touch.radius_m * touch.radius_m)?;
-            touches.append(row)?;
-        }
-        Ok(touches)
+    fn truth<'py>(&self, py: Python<'py>) -> PyResult<Vec<Named<'py, f64>>> {
+        let row = |touch: &TouchTruth| {
+            let force_n = touch.pressure_pa * std::f64::consts::PI * touch.radius_m * touch.radius_m;
+            Named::of(
+                py,
+                [
+                    ("x_mm", 1e3 * touch.x_m),
+                    ("y_mm", 1e3 * touch.y_m),
+                    ("radius_mm", 1e3 * touch.radius_m),
+                    ("pressure_kpa", 1e-3 * touch.pressure_pa),
+                    ("force_n", force_n),
+                ],
+            )
+        };
+        lock(&self.running).truth.iter().map(row).collect()
     }
 
     fn __repr__(&self) -> String {

@@ -84,5 +84,5 @@ def stubbed_arrays():
         for member in node.body if isinstance(node, ast.ClassDef) else ():
             if isinstance(member, ast.FunctionDef) and member.decorator_list and member.returns is not None:
                 annotation = ast.unparse(member.returns)
-                if "_Floats" in annotation or "NDArray" in annotation:
+                if "NDArray" in annotation:
                     yield f"{node.name}.{member.name}", annotation

@@ -1,4 +1,4 @@
-"""Types: the stubs match the compiled half, the examples type-check, and they run."""
+"""Types: the stubs are those of the Rust code and match the compiled half, the examples type-check, and they run."""
 
 import shutil
 import subprocess
@@ -7,9 +7,36 @@ from pathlib import Path
 
 import pytest
 
+import dermis
+from dermis import _types
+
 HERE = Path(__file__).resolve().parent
 EXAMPLES = sorted((HERE.parent / "examples").glob("*.py"))
 PROJECT = HERE.parent / "pyproject.toml"
+STUBS = HERE.parents[2] / "scripts" / "stubs.py"
+
+
+def test_stubs_are_those_of_the_rust_code():
+    pytest.importorskip("maturin", reason="maturin is not installed")
+    if shutil.which("cargo") is None:
+        pytest.skip("cargo is not installed")
+    run = subprocess.run([sys.executable, STUBS, "--check"], capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_dictionaries_have_the_keys_of_their_types(skin, model, pressed):
+    pipe = dermis.Pipeline(skin)
+    for frame in pressed[0]:
+        result = pipe.process(frame)
+    voltages = model.voltages()
+    found = {
+        _types.Health: result.health,
+        _types.DamageWatch: result.damage,
+        _types.FoundOrder: dermis._dermis.search_order(skin, voltages),
+        _types.FoundConductance: dermis._dermis.estimate_conductance(skin, voltages),
+    }
+    for stated, given in found.items():
+        assert set(given) == set(stated.__annotations__), stated
 
 
 def test_stubs(tmp_path):

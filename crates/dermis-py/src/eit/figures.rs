@@ -2,11 +2,11 @@
 
 use dermis_tomo::quality::{GreitFigures, Target};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
 
 use crate::arrays::{Doubles, shape_text};
 use crate::errors::Fault;
 use crate::grid::PyGrid;
+use crate::hints::{ArrayLike, Named};
 
 /// The GREIT figures of an image of one target (Adler et al., Physiol. Meas. 30, 2009).
 ///
@@ -29,13 +29,13 @@ use crate::grid::PyGrid;
 #[pyfunction]
 pub fn greit_figures<'py>(
     py: Python<'py>,
-    image: &Bound<'py, PyAny>,
+    image: ArrayLike<'py>,
     grid: &Bound<'py, PyGrid>,
     centre_m: [f64; 2],
     area_m2: f64,
     change: f64,
-) -> PyResult<Bound<'py, PyDict>> {
-    let image = Doubles::of("image", image)?;
+) -> PyResult<Named<'py, f64>> {
+    let image = Doubles::of("image", &image)?;
     let grid = grid.get().map.grid();
     if image.shape() != [grid.rows, grid.columns] {
         let expected = format!("shape ({}, {})", grid.rows, grid.columns);
@@ -43,12 +43,15 @@ pub fn greit_figures<'py>(
     }
     let target = Target { centre_m, area_m2, change };
     let figures = GreitFigures::of(image.values()?, grid, &target).map_err(Fault::from)?;
-    let named = PyDict::new(py);
-    named.set_item("amplitude_response", figures.amplitude_response)?;
-    named.set_item("radial_position_error_m", figures.radial_position_error_m)?;
-    named.set_item("position_error_m", figures.position_error_m)?;
-    named.set_item("resolution", figures.resolution)?;
-    named.set_item("shape_deformation", figures.shape_deformation)?;
-    named.set_item("ringing", figures.ringing)?;
-    Ok(named)
+    Named::of(
+        py,
+        [
+            ("amplitude_response", figures.amplitude_response),
+            ("radial_position_error_m", figures.radial_position_error_m),
+            ("position_error_m", figures.position_error_m),
+            ("resolution", figures.resolution),
+            ("shape_deformation", figures.shape_deformation),
+            ("ringing", figures.ringing),
+        ],
+    )
 }

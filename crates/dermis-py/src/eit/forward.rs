@@ -4,15 +4,15 @@ use std::sync::Arc;
 
 use dermis_tomo::eit::{ForwardModel, Solution};
 use dermis_tomo::mesh::{ElectrodedMesh, Mesh};
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use rayon::prelude::*;
 
 use super::mesh::{Numbering, PyElectrode, PyMesh};
 use super::protocol::PyProtocol;
-use crate::arrays::{Doubles, array1, array2, shape_text};
+use crate::arrays::{Array1, Array2, Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
+use crate::hints::{ArrayLike, Electrodes};
 use crate::work::{run, run_sized, run_steps};
 
 /// Operations for preparing and factoring a model, per element, and for each electrode's field.
@@ -32,7 +32,7 @@ pub fn voltages_of_rows<'py>(
     channels: usize,
     threads: Option<usize>,
     read: &(dyn Fn(&[f64]) -> Result<Vec<f64>, Fault> + Sync),
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+) -> PyResult<Array2<'py, f64>> {
     let sigmas = Doubles::of("sigmas", sigmas)?;
     let &[count, columns] = sigmas.shape() else {
         let expected = format!("shape (n, {elements}), one conductivity per element");
@@ -151,12 +151,12 @@ impl PyForwardModel {
 
     /// The electrodes.
     #[getter]
-    fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+    fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Electrodes<'py>> {
         let mut electrodes = electrodes_of(self.model.body());
         if let Some(numbering) = &self.numbering {
             electrodes.iter_mut().for_each(|own| own.electrode = numbering.to_caller(&own.electrode));
         }
-        PyTuple::new(py, electrodes)
+        Ok(Electrodes(PyTuple::new(py, electrodes)?.into_any()))
     }
 
     /// The protocol.
@@ -176,8 +176,8 @@ impl PyForwardModel {
     /// -------
     /// numpy.ndarray
     ///     Shape (k,), volts.
-    fn voltages<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let sigma = self.sigma(sigma)?.values()?.to_vec();
+    fn voltages<'py>(&self, py: Python<'py>, sigma: ArrayLike<'py>) -> PyResult<Array1<'py, f64>> {
+        let sigma = self.sigma(&sigma)?.values()?.to_vec();
         let (model, operations) = (Arc::clone(&self.model), self.operations());
         Ok(array1(py, run_sized(py, "voltages", operations, move || Ok(model.voltages(&sigma)?))?))
     }
@@ -199,11 +199,11 @@ impl PyForwardModel {
     fn voltages_many<'py>(
         &self,
         py: Python<'py>,
-        sigmas: &Bound<'py, PyAny>,
+        sigmas: ArrayLike<'py>,
         threads: Option<usize>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    ) -> PyResult<Array2<'py, f64>> {
         let read = |sigma: &[f64]| Ok(self.model.voltages(sigma)?);
-        voltages_of_rows(py, sigmas, self.elements(), self.channels(), threads, &read)
+        voltages_of_rows(py, &sigmas, self.elements(), self.channels(), threads, &read)
     }
 
     /// Sensitivity of every channel to every element, with EIDORS' sign and units.
@@ -217,8 +217,8 @@ impl PyForwardModel {
     /// -------
     /// numpy.ndarray
     ///     Shape (k, m), dv/dsigma.
-    fn jacobian<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let jacobian = self.solved(py, sigma, |solution| Ok(solution.jacobian()))?;
+    fn jacobian<'py>(&self, py: Python<'py>, sigma: ArrayLike<'py>) -> PyResult<Array2<'py, f64>> {
+        let jacobian = self.solved(py, &sigma, |solution| Ok(solution.jacobian()))?;
         array2(py, jacobian.values, jacobian.rows, jacobian.columns)
     }
 
@@ -238,13 +238,13 @@ impl PyForwardModel {
     fn vjp<'py>(
         &self,
         py: Python<'py>,
-        sigma: &Bound<'py, PyAny>,
-        cotangent: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let cotangent = Doubles::vector("cotangent", cotangent, self.channels(), "one weight per channel")?;
+        sigma: ArrayLike<'py>,
+        cotangent: ArrayLike<'py>,
+    ) -> PyResult<Array1<'py, f64>> {
+        let cotangent = Doubles::vector("cotangent", &cotangent, self.channels(), "one weight per channel")?;
         let cotangent = cotangent.finite("cotangent")?;
         let cotangent = cotangent.values()?;
-        Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.vjp(cotangent)?))?))
+        Ok(array1(py, self.solved(py, &sigma, |solution| Ok(solution.vjp(cotangent)?))?))
     }
 
     /// Potentials of all nodes during a stimulation.
@@ -263,11 +263,11 @@ impl PyForwardModel {
     fn node_potentials<'py>(
         &self,
         py: Python<'py>,
-        sigma: &Bound<'py, PyAny>,
+        sigma: ArrayLike<'py>,
         stimulation: usize,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    ) -> PyResult<Array1<'py, f64>> {
         let stimulation = self.stimulation(stimulation)?;
-        let potentials = self.solved(py, sigma, |solution| Ok(solution.node_potentials(stimulation)))?;
+        let potentials = self.solved(py, &sigma, |solution| Ok(solution.node_potentials(stimulation)))?;
         Ok(array1(
             py,
             match &self.numbering {
@@ -293,11 +293,11 @@ impl PyForwardModel {
     fn electrode_potentials<'py>(
         &self,
         py: Python<'py>,
-        sigma: &Bound<'py, PyAny>,
+        sigma: ArrayLike<'py>,
         stimulation: usize,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    ) -> PyResult<Array1<'py, f64>> {
         let stimulation = self.stimulation(stimulation)?;
-        Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.electrode_potentials(stimulation)))?))
+        Ok(array1(py, self.solved(py, &sigma, |solution| Ok(solution.electrode_potentials(stimulation)))?))
     }
 
     /// Potentials of the electrodes for currents into them.
@@ -312,12 +312,8 @@ impl PyForwardModel {
     /// numpy.ndarray
     ///     Shape (electrodes, electrodes), ohm: potential of the row's electrode relative to the last one, for 1 A
     ///     into the column's.
-    fn transfer_impedance<'py>(
-        &self,
-        py: Python<'py>,
-        sigma: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (values, size) = self.solved(py, sigma, |solution| {
+    fn transfer_impedance<'py>(&self, py: Python<'py>, sigma: ArrayLike<'py>) -> PyResult<Array2<'py, f64>> {
+        let (values, size) = self.solved(py, &sigma, |solution| {
             let impedance = solution.transfer_impedance();
             let size = impedance.nrows();
             let values = (0..size * size).map(|at| impedance[(at / size, at % size)]).collect::<Vec<f64>>();

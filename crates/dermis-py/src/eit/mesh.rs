@@ -3,16 +3,16 @@
 use std::sync::Arc;
 
 use dermis_tomo::mesh::{CellKind, Contact, Electrode, Mesh, PixelGrid, PixelMap};
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1, array2, indices, read_only, shape_text};
+use crate::arrays::{Array1, Array2, ArrayDyn, Doubles, array1, array2, indices, read_only, shape_text};
 use crate::errors::{Fault, Kind};
 use crate::grid::PyGrid;
+use crate::hints::{ArrayLike, ElectrodeKind, Restorer};
 use crate::work::run_sized;
 
 /// Nodes as an array, with two columns if all lie in the plane z = 0.
-pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArray2<f64>>> {
+pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Array2<'py, f64>> {
     let nodes = mesh.nodes();
     let flat = mesh.kind() == CellKind::Triangle && nodes.iter().all(|node| node[2] == 0.0);
     let columns = if flat { 2 } else { 3 };
@@ -21,7 +21,7 @@ pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArra
 }
 
 /// Node indices of the elements as an array.
-pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArray2<u32>>> {
+pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Array2<'py, u32>> {
     let values = mesh.elements().flatten().copied().collect();
     read_only(array2(py, values, mesh.element_count(), mesh.kind().nodes_per_element())?)
 }
@@ -133,12 +133,12 @@ impl PyMesh {
 #[pymethods]
 impl PyMesh {
     #[new]
-    fn new(py: Python<'_>, nodes: &Bound<'_, PyAny>, elements: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let nodes = Doubles::of("nodes", nodes)?;
+    fn new(py: Python<'_>, nodes: ArrayLike<'_>, elements: ArrayLike<'_>) -> PyResult<Self> {
+        let nodes = Doubles::of("nodes", &nodes)?;
         let &[count, columns @ (2 | 3)] = nodes.shape() else {
             return Err(Fault::input("nodes", "shape (n, 2) or (n, 3)", shape_text(nodes.shape())).into());
         };
-        let (list, shape) = indices("elements", elements, count, "nodes")?;
+        let (list, shape) = indices("elements", &elements, count, "nodes")?;
         let &[_, corners @ (3 | 4)] = shape.as_slice() else {
             return Err(Fault::input("elements", "shape (m, 3) or (m, 4)", shape_text(&shape)).into());
         };
@@ -162,7 +162,7 @@ impl PyMesh {
 
     /// Shape (n, 2) for flat meshes, otherwise (n, 3), metres. Read-only.
     #[getter]
-    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let Some(numbering) = &self.numbering else { return nodes_of(py, &self.mesh) };
         let flat = self.mesh.kind() == CellKind::Triangle && numbering.nodes.iter().all(|node| node[2] == 0.0);
         let columns = if flat { 2 } else { 3 };
@@ -172,27 +172,27 @@ impl PyMesh {
 
     /// Shape (m, 3) or (m, 4), from 0. Read-only.
     #[getter]
-    fn elements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    fn elements<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, u32>> {
         let values = self.given(self.mesh.elements().flatten().copied());
         read_only(array2(py, values, self.mesh.element_count(), self.mesh.kind().nodes_per_element())?)
     }
 
     /// Area or volume of every element, shape (m,).
     #[getter]
-    fn measures<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn measures<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         array1(py, self.mesh.measures().to_vec())
     }
 
     /// Centres of the elements, shape (m, 3), metres.
     #[getter]
-    fn centroids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn centroids<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let count = self.mesh.element_count();
         array2(py, (0..count).flat_map(|element| self.mesh.centroid(element)).collect(), count, 3)
     }
 
     /// Faces that belong to a single element, shape (p, 2) or (p, 3).
     #[getter]
-    fn boundary_faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    fn boundary_faces<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, u32>> {
         let faces = self.mesh.boundary_faces();
         let columns = self.mesh.kind().nodes_per_face();
         array2(py, self.given(faces.iter().flat_map(|(face, _)| face.iter().copied())), faces.len(), columns)
@@ -200,7 +200,7 @@ impl PyMesh {
 
     /// Pairs of elements that share a face, shape (p, 2).
     #[getter]
-    fn neighbours<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    fn neighbours<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, u32>> {
         let pairs = self.mesh.neighbours();
         array2(py, pairs.as_flattened().to_vec(), pairs.len(), 2)
     }
@@ -232,11 +232,9 @@ impl PyMesh {
         format!("<dermis.eit.Mesh: {nodes} nodes, {} {what}>", self.mesh.element_count())
     }
 
-    fn __reduce__<'py>(
-        slf: &Bound<'py, Self>,
-    ) -> PyResult<(Bound<'py, PyAny>, (Py<PyArray2<f64>>, Py<PyArray2<u32>>))> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Restorer<'py>, (Array2<'py, f64>, Array2<'py, u32>))> {
         let (py, mesh) = (slf.py(), slf.get());
-        Ok((slf.get_type().into_any(), (mesh.nodes(py)?.unbind(), mesh.elements(py)?.unbind())))
+        Ok((Restorer(slf.get_type().into_any()), (mesh.nodes(py)?, mesh.elements(py)?)))
     }
 }
 
@@ -265,6 +263,17 @@ fn faces(what: &str, nodes: &Bound<'_, PyAny>, columns: usize) -> PyResult<Vec<V
     Ok(list.chunks_exact(columns).map(<[u32]>::to_vec).collect())
 }
 
+impl PyElectrode {
+    fn kind_name(&self) -> &'static str {
+        match &self.electrode.contact {
+            Contact::Faces(faces) if faces.first().is_some_and(|face| face.len() == 3) => "faces",
+            Contact::Faces(_) => "edges",
+            Contact::Area(_) => "elements",
+            Contact::Point(_) => "point",
+        }
+    }
+}
+
 #[pymethods]
 impl PyElectrode {
     /// An electrode on edges of a flat mesh.
@@ -280,8 +289,8 @@ impl PyElectrode {
     /// -------
     /// Electrode
     #[staticmethod]
-    fn edges(nodes: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
-        let contact = Contact::Faces(faces("edges", nodes, 2)?);
+    fn edges(nodes: ArrayLike<'_>, contact_impedance: f64) -> PyResult<Self> {
+        let contact = Contact::Faces(faces("edges", &nodes, 2)?);
         Ok(Self { electrode: Electrode { contact, contact_impedance } })
     }
 
@@ -299,8 +308,8 @@ impl PyElectrode {
     /// Electrode
     #[staticmethod]
     #[pyo3(name = "faces")]
-    fn of_faces(nodes: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
-        let contact = Contact::Faces(faces("faces", nodes, 3)?);
+    fn of_faces(nodes: ArrayLike<'_>, contact_impedance: f64) -> PyResult<Self> {
+        let contact = Contact::Faces(faces("faces", &nodes, 3)?);
         Ok(Self { electrode: Electrode { contact, contact_impedance } })
     }
 
@@ -317,8 +326,8 @@ impl PyElectrode {
     /// -------
     /// Electrode
     #[staticmethod]
-    fn elements(elements: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
-        let (list, shape) = indices("elements", elements, ANY, "elements")?;
+    fn elements(elements: ArrayLike<'_>, contact_impedance: f64) -> PyResult<Self> {
+        let (list, shape) = indices("elements", &elements, ANY, "elements")?;
         if shape.len() != 1 {
             return Err(Fault::input("elements", "shape (p,)", shape_text(&shape)).into());
         }
@@ -333,25 +342,20 @@ impl PyElectrode {
 
     /// ``edges``, ``faces``, ``elements`` or ``point``.
     #[getter]
-    fn kind(&self) -> &'static str {
-        match &self.electrode.contact {
-            Contact::Faces(faces) if faces.first().is_some_and(|face| face.len() == 3) => "faces",
-            Contact::Faces(_) => "edges",
-            Contact::Area(_) => "elements",
-            Contact::Point(_) => "point",
-        }
+    fn kind(&self) -> ElectrodeKind {
+        ElectrodeKind::of(self.kind_name())
     }
 
     /// Nodes of its edges, shape (p, 2), or faces, shape (p, 3); its elements, shape (p,); or its node, shape (1,).
     #[getter]
-    fn parts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+    fn parts<'py>(&self, py: Python<'py>) -> PyResult<ArrayDyn<'py, u32>> {
         Ok(match &self.electrode.contact {
             Contact::Faces(faces) => {
                 let columns = faces.first().map_or(2, Vec::len);
-                array2(py, faces.concat(), faces.len(), columns)?.into_any()
+                array2(py, faces.concat(), faces.len(), columns)?.into_dyn()
             }
-            Contact::Area(elements) => array1(py, elements.clone()).into_any(),
-            Contact::Point(node) => array1(py, vec![*node]).into_any(),
+            Contact::Area(elements) => array1(py, elements.clone()).into_dyn(),
+            Contact::Point(node) => array1(py, vec![*node]).into_dyn(),
         })
     }
 
@@ -367,6 +371,6 @@ impl PyElectrode {
             Contact::Area(elements) => elements.len(),
             Contact::Point(_) => 1,
         };
-        format!("<dermis.eit.Electrode: {count} {}, z {}>", self.kind(), self.electrode.contact_impedance)
+        format!("<dermis.eit.Electrode: {count} {}, z {}>", self.kind_name(), self.electrode.contact_impedance)
     }
 }

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use dermis_tomo::inverse::{Hyperparameter, ImageBasis, LinearProblem, MOST_NESTED, Operator, Prior, Weighting};
 use faer::{Mat, MatRef};
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 use super::mesh::PyMesh;
-use crate::arrays::{Doubles, array1, array2, shape_text};
+use crate::arrays::{Array1, Array2, ArrayDyn, Doubles, array1, array2, shape_text};
 use crate::errors::{Fault, Kind};
+use crate::hints::{ArrayLike, Rule};
 use crate::work::run_sized;
 
 /// Prior knowledge of an image.
@@ -187,15 +187,15 @@ impl PyOperator {
     #[pyo3(signature = (jacobian, prior, hyperparameter, *, mesh=None, noise=None, data=None, signal=None))]
     fn new(
         py: Python<'_>,
-        jacobian: &Bound<'_, PyAny>,
+        jacobian: ArrayLike<'_>,
         prior: &Bound<'_, PyPrior>,
-        hyperparameter: &Bound<'_, PyAny>,
+        hyperparameter: Rule<'_>,
         mesh: Option<&Bound<'_, PyMesh>>,
-        noise: Option<&Bound<'_, PyAny>>,
-        data: Option<&Bound<'_, PyAny>>,
-        signal: Option<&Bound<'_, PyAny>>,
+        noise: Option<ArrayLike<'_>>,
+        data: Option<ArrayLike<'_>>,
+        signal: Option<ArrayLike<'_>>,
     ) -> PyResult<Self> {
-        let jacobian = Doubles::of("jacobian", jacobian)?.finite("jacobian")?;
+        let jacobian = Doubles::of("jacobian", &jacobian)?.finite("jacobian")?;
         let &[channels, unknowns] = jacobian.shape() else {
             return Err(Fault::input("jacobian", "shape (channels, elements)", shape_text(jacobian.shape())).into());
         };
@@ -207,7 +207,7 @@ impl PyOperator {
         let noise = match noise {
             None => Noise::None,
             Some(noise) => {
-                let noise = Doubles::of("noise", noise)?;
+                let noise = Doubles::of("noise", &noise)?;
                 match noise.shape() {
                     [length] if *length == channels => Noise::Deviations(noise.values()?.to_vec()),
                     [rows, columns] if *rows == channels && *columns == channels => {
@@ -228,10 +228,10 @@ impl PyOperator {
             None => return Err(Fault::input("mesh", "the mesh of the elements, which this prior needs", "None").into()),
         };
         let data = match data {
-            Some(data) => Doubles::rows("data", data, channels, "one difference per channel")?.0.to_rows()?,
+            Some(data) => Doubles::rows("data", &data, channels, "one difference per channel")?.0.to_rows()?,
             None => Vec::new(),
         };
-        let rule = rule_of(hyperparameter, signal)?;
+        let rule = rule_of(&hyperparameter, signal.as_deref())?;
         let (prior, values) = (prior.get().prior.clone(), jacobian.values()?.to_vec());
         let (rows, columns) = (channels as f64, unknowns as f64);
         let smaller = rows.min(columns);
@@ -270,7 +270,7 @@ impl PyOperator {
 
     /// The matrix, shape (elements, channels).
     #[getter]
-    fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let matrix: &Mat<f64> = &self.operator.matrix;
         let (rows, columns) = (matrix.nrows(), matrix.ncols());
         let mut values = Vec::with_capacity(rows * columns);
@@ -282,12 +282,12 @@ impl PyOperator {
 
     /// Standard deviation of every unknown due to the noise, shape (elements,).
     #[getter]
-    fn noise_deviation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn noise_deviation<'py>(&self, py: Python<'py>) -> Array1<'py, f64> {
         array1(py, self.operator.noise_deviation.clone())
     }
 
     /// Posterior standard deviation of every unknown, shape (elements,).
-    fn posterior_deviation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    fn posterior_deviation<'py>(&self, py: Python<'py>) -> PyResult<Array1<'py, f64>> {
         let (lambda, problem) = (self.operator.hyperparameter, Arc::clone(&self.problem));
         let operations = self.operations();
         let work = move || Ok(problem.posterior_deviation(lambda)?);
@@ -312,23 +312,23 @@ impl PyOperator {
     fn at(
         &self,
         py: Python<'_>,
-        hyperparameter: &Bound<'_, PyAny>,
-        data: Option<&Bound<'_, PyAny>>,
-        signal: Option<&Bound<'_, PyAny>>,
+        hyperparameter: Rule<'_>,
+        data: Option<ArrayLike<'_>>,
+        signal: Option<ArrayLike<'_>>,
     ) -> PyResult<Self> {
         let data = match data {
-            Some(data) => Doubles::rows("data", data, self.channels(), "one difference per channel")?.0.to_rows()?,
+            Some(data) => Doubles::rows("data", &data, self.channels(), "one difference per channel")?.0.to_rows()?,
             None => Vec::new(),
         };
-        let rule = rule_of(hyperparameter, signal)?;
+        let rule = rule_of(&hyperparameter, signal.as_deref())?;
         let (problem, operations) = (Arc::clone(&self.problem), self.operations());
         let work = move || Ok(problem.operator(problem.choose(&rule, &data)?)?);
         let operator = run_sized(py, "operator", operations, work)?;
         Ok(Self { problem: self.problem.clone(), operator: Arc::new(operator) })
     }
 
-    fn __call__<'py>(&self, py: Python<'py>, differences: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-        let (rows, single) = Doubles::rows("differences", differences, self.channels(), "one difference per channel")?;
+    fn __call__<'py>(&self, py: Python<'py>, differences: ArrayLike<'py>) -> PyResult<ArrayDyn<'py, f64>> {
+        let (rows, single) = Doubles::rows("differences", &differences, self.channels(), "one difference per channel")?;
         let rows = rows.finite("differences")?;
         let (channels, unknowns) = (self.channels(), self.operator.matrix.nrows());
         let (values, operator) = (rows.values()?.to_vec(), Arc::clone(&self.operator));
@@ -340,9 +340,9 @@ impl PyOperator {
             Ok((0..count * unknowns).map(|at| images[(at % unknowns, at / unknowns)]).collect::<Vec<f64>>())
         })?;
         if single {
-            return Ok(array1(py, images).into_any());
+            return Ok(array1(py, images).into_dyn());
         }
-        Ok(array2(py, images, count, unknowns)?.into_any())
+        Ok(array2(py, images, count, unknowns)?.into_dyn())
     }
 
     fn __repr__(&self) -> String {

@@ -1,18 +1,18 @@
 //! Stimulation and measurement patterns.
 
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Pattern, Protocol, ProtocolSpec, Reference};
-use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::arrays::{Doubles, array1, array2, indices, shape_text};
+use crate::arrays::{Array1, Array2, Doubles, array1, array2, indices, shape_text};
 use crate::errors::Fault;
+use crate::hints::{ArrayLike, Patterns, Restorer};
 
 /// Patterns as dense rows over the electrodes.
 pub fn dense_patterns<'py, 'a>(
     py: Python<'py>,
     electrodes: usize,
     patterns: impl Iterator<Item = &'a Pattern>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+) -> PyResult<Array2<'py, f64>> {
     let mut values = Vec::new();
     let mut rows = 0;
     for pattern in patterns {
@@ -28,7 +28,7 @@ pub fn dense_patterns<'py, 'a>(
 /// Electrodes of every channel, from 0, in the order of a skin file: the drive's first and second (current enters at
 /// the second), and the measured first and second (the reading is the first's potential minus the second's). -1 if a
 /// pattern has no such electrode, or several.
-pub fn channels_of<'py>(py: Python<'py>, protocol: &Protocol) -> PyResult<Bound<'py, PyArray2<i32>>> {
+pub fn channels_of<'py>(py: Python<'py>, protocol: &Protocol) -> PyResult<Array2<'py, i32>> {
     let only = |pattern: &Pattern, sign: f64| {
         let mut found = pattern.entries().iter().filter(|entry| sign * entry.1 > 0.0);
         match (found.next(), found.next()) {
@@ -59,6 +59,9 @@ pub struct PyProtocol {
     /// The lists.
     pub protocol: Protocol,
 }
+
+/// Arguments that make a protocol.
+type Parts<'py> = (Array2<'py, f64>, Array2<'py, f64>, Array1<'py, u32>);
 
 fn rows(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
     let rows = Doubles::of(what, value)?;
@@ -114,13 +117,9 @@ const MOST_ELECTRODES: usize = 512;
 #[pymethods]
 impl PyProtocol {
     #[new]
-    fn new(
-        stimulations: &Bound<'_, PyAny>,
-        measurements: &Bound<'_, PyAny>,
-        stimulation_of: &Bound<'_, PyAny>,
-    ) -> PyResult<Self> {
-        let (stimulations, measurements) = (rows("stimulations", stimulations)?, rows("measurements", measurements)?);
-        let (of, shape) = indices("stimulation_of", stimulation_of, stimulations.len(), "stimulations")?;
+    fn new(stimulations: ArrayLike<'_>, measurements: ArrayLike<'_>, stimulation_of: ArrayLike<'_>) -> PyResult<Self> {
+        let (stimulations, measurements) = (rows("stimulations", &stimulations)?, rows("measurements", &measurements)?);
+        let (of, shape) = indices("stimulation_of", &stimulation_of, stimulations.len(), "stimulations")?;
         if shape != [measurements.len()] {
             let expected = format!("shape ({},), one per measurement", measurements.len());
             return Err(Fault::input("stimulation_of", expected, shape_text(&shape)).into());
@@ -148,8 +147,8 @@ impl PyProtocol {
     #[pyo3(signature = (electrodes, drive=None, measure=None, *, rotating=false, keep_driven=false, amplitude_a=1e-3))]
     fn generate(
         electrodes: usize,
-        drive: Option<&Bound<'_, PyAny>>,
-        measure: Option<&Bound<'_, PyAny>>,
+        drive: Option<Patterns<'_>>,
+        measure: Option<Patterns<'_>>,
         rotating: bool,
         keep_driven: bool,
         amplitude_a: f64,
@@ -162,8 +161,8 @@ impl PyProtocol {
         }
         let spec = ProtocolSpec {
             electrode_count: electrodes,
-            drive: drive.map_or(Ok(Drive::Adjacent), |drive| drive_of(drive, electrodes))?,
-            measure: measure.map_or(Ok(Measure::Adjacent), |measure| measure_of(measure, electrodes))?,
+            drive: drive.map_or(Ok(Drive::Adjacent), |drive| drive_of(&drive, electrodes))?,
+            measure: measure.map_or(Ok(Measure::Adjacent), |measure| measure_of(&measure, electrodes))?,
             order: if rotating { Order::Rotating } else { Order::Absolute },
             driven: if keep_driven { Driven::Keep } else { Driven::Drop },
             amplitude_a,
@@ -207,26 +206,26 @@ impl PyProtocol {
 
     /// Shape (s, electrodes), amperes into the body.
     #[getter]
-    fn stimulations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn stimulations<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         dense_patterns(py, self.protocol.electrode_count(), self.protocol.stimulations().iter())
     }
 
     /// Shape (k, electrodes).
     #[getter]
-    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, f64>> {
         let patterns = (0..self.protocol.channel_count()).map(|channel| self.protocol.pattern_of(channel));
         dense_patterns(py, self.protocol.electrode_count(), patterns)
     }
 
     /// The stimulation of every channel, shape (k,).
     #[getter]
-    fn stimulation_of<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
+    fn stimulation_of<'py>(&self, py: Python<'py>) -> Array1<'py, u32> {
         array1(py, self.protocol.measurements().iter().map(|measurement| measurement.stimulation).collect())
     }
 
     /// Electrodes of every channel, shape (k, 4), as in :attr:`dermis.Model.channels`.
     #[getter]
-    fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+    fn channels<'py>(&self, py: Python<'py>) -> PyResult<Array2<'py, i32>> {
         channels_of(py, &self.protocol)
     }
 
@@ -249,9 +248,9 @@ impl PyProtocol {
         )
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Restorer<'py>, Parts<'py>)> {
         let (py, own) = (slf.py(), slf.get());
         let arguments = (own.stimulations(py)?, own.measurements(py)?, own.stimulation_of(py));
-        Ok((slf.get_type().into_any(), arguments.into_pyobject(py)?.into_any()))
+        Ok((Restorer(slf.get_type().into_any()), arguments))
     }
 }

@@ -1,0 +1,195 @@
+//! Values of Python by their Python types: pyo3 shows these types in the stubs (`_dermis.pyi`) where a Rust type cannot
+//! tell them. Unions and dictionaries have their names in `python/dermis/_types.py`.
+
+use std::convert::Infallible;
+use std::marker::PhantomData;
+use std::ops::Deref;
+use std::path::PathBuf;
+
+use pyo3::inspect::{PyStaticConstant, PyStaticExpr};
+use pyo3::prelude::*;
+use pyo3::type_object::PyTypeInfo;
+use pyo3::types::{PyDict, PyTuple};
+use pyo3::{type_hint_identifier as name, type_hint_subscript as subscript, type_hint_union};
+
+use crate::arrays::{Array1, Array2, Array3};
+use crate::calibration::PyCalibration;
+use crate::eit::mesh::PyElectrode;
+use crate::frame::PyFrame;
+use crate::model::PyModel;
+use crate::skin_argument::PySkin;
+
+const ARRAY_LIKE: PyStaticExpr = name!("numpy.typing", "ArrayLike");
+const PATH: PyStaticExpr = <PathBuf as FromPyObject>::INPUT_TYPE;
+const SKIN: PyStaticExpr = type_hint_union!(PySkin::TYPE_HINT, PATH);
+const ELLIPSIS: PyStaticExpr = PyStaticExpr::Constant { value: PyStaticConstant::Ellipsis };
+
+/// A name in `python/dermis/_types.py`.
+macro_rules! own {
+    ($name:literal) => {
+        name!("dermis._types", $name)
+    };
+}
+
+/// Defines a wrapper of any Python object for each type.
+macro_rules! python_types {
+    ($($(#[$doc:meta])* $of:ident = $hint:expr;)*) => {$(
+        $(#[$doc])*
+        pub struct $of<'py>(pub Bound<'py, PyAny>);
+
+        impl<'py> FromPyObject<'_, 'py> for $of<'py> {
+            type Error = Infallible;
+            const INPUT_TYPE: PyStaticExpr = $hint;
+
+            fn extract(object: Borrowed<'_, 'py, PyAny>) -> Result<Self, Infallible> {
+                Ok(Self(object.to_owned()))
+            }
+        }
+
+        impl<'py> IntoPyObject<'py> for $of<'py> {
+            type Target = PyAny;
+            type Output = Bound<'py, PyAny>;
+            type Error = Infallible;
+            const OUTPUT_TYPE: PyStaticExpr = $hint;
+
+            fn into_pyobject(self, _: Python<'py>) -> Result<Self::Output, Infallible> {
+                Ok(self.0)
+            }
+        }
+
+        impl<'py> Deref for $of<'py> {
+            type Target = Bound<'py, PyAny>;
+
+            fn deref(&self) -> &Self::Target {
+                &self.0
+            }
+        }
+    )*};
+}
+
+python_types! {
+    /// Anything that NumPy can convert to an array.
+    ArrayLike = ARRAY_LIKE;
+    /// A data type of NumPy, or its name.
+    DTypeLike = name!("numpy.typing", "DTypeLike");
+    /// An array of any type.
+    AnyArray = own!("AnyArray");
+    /// Touches as a structured array.
+    Touches = own!("Touches");
+    /// Times, readings and images of a session.
+    SessionArrays = <(Array1<'static, f64>, Array2<'static, f64>, Array3<'static, f32>) as IntoPyObject>::OUTPUT_TYPE;
+    /// A skin, the name of one, its file, or its text.
+    SkinLike = SKIN;
+    /// The same, or its model.
+    SkinOrModel = type_hint_union!(PyModel::TYPE_HINT, SKIN);
+    /// A calibration or its file.
+    CalibrationLike = type_hint_union!(PyCalibration::TYPE_HINT, PATH);
+    /// A frame or its readings.
+    FrameLike = type_hint_union!(PyFrame::TYPE_HINT, ARRAY_LIKE);
+    /// A source of frames.
+    Source = own!("Source");
+    /// A prior as in a skin file.
+    PriorChoice = own!("PriorChoice");
+    /// A hyperparameter or a rule for it, as in a skin file.
+    HyperparameterChoice = own!("HyperparameterChoice");
+    /// A hyperparameter or a rule for it.
+    Rule = own!("Rule");
+    /// Name of a pattern, or pairs of electrodes.
+    Patterns = type_hint_union!(name!("builtins", "str"), ARRAY_LIKE);
+    /// A tuple of electrodes.
+    Electrodes = subscript!(PyTuple::TYPE_HINT, PyElectrode::TYPE_HINT, ELLIPSIS);
+    /// What restores a pickled object from the arguments beside it.
+    Restorer = subscript!(name!("collections.abc", "Callable"), ELLIPSIS, name!("builtins", "object"));
+    /// Class of an exception.
+    ExceptionClass = subscript!(name!("builtins", "type"), name!("builtins", "BaseException"));
+    /// An exception.
+    Exception = name!("builtins", "BaseException");
+    /// Where an exception was raised.
+    Traceback = name!("types", "TracebackType");
+    /// Axes to draw on.
+    Axes = name!("matplotlib.axes", "Axes");
+    /// A table of pandas.
+    DataFrame = name!("pandas", "DataFrame");
+    /// A table of Arrow.
+    Table = name!("pyarrow", "Table");
+    /// An array of xarray.
+    DataArray = name!("xarray", "DataArray");
+    /// Frames of a file.
+    FileFrames = name!("dermis._tables", "FileFrames");
+    /// The health of a skin.
+    Health = own!("Health");
+    /// The guard's verdict.
+    Guard = own!("Guard");
+    /// What watching for damage has found.
+    DamageWatch = own!("DamageWatch");
+    /// A baseline of a recording.
+    Baseline = own!("Baseline");
+    /// An event of a recording.
+    Event = own!("Event");
+    /// A search for the order of channels.
+    FoundOrder = own!("FoundOrder");
+    /// An estimate of a conductance.
+    FoundConductance = own!("FoundConductance");
+}
+
+/// Numbers by their names: a dictionary with values of one type.
+pub struct Named<'py, T>(Bound<'py, PyDict>, PhantomData<T>);
+
+impl<'py, T: IntoPyObject<'py>> Named<'py, T> {
+    /// A dictionary of these names and values.
+    pub fn of<const N: usize>(py: Python<'py>, entries: [(&str, T); N]) -> PyResult<Self> {
+        let dict = PyDict::new(py);
+        for (name, value) in entries {
+            dict.set_item(name, value)?;
+        }
+        Ok(Self(dict, PhantomData))
+    }
+}
+
+impl<'py, T: IntoPyObject<'py>> IntoPyObject<'py> for Named<'py, T> {
+    type Target = PyDict;
+    type Output = Bound<'py, PyDict>;
+    type Error = Infallible;
+    const OUTPUT_TYPE: PyStaticExpr = subscript!(PyDict::TYPE_HINT, name!("builtins", "str"), T::OUTPUT_TYPE);
+
+    fn into_pyobject(self, _: Python<'py>) -> Result<Self::Output, Infallible> {
+        Ok(self.0)
+    }
+}
+
+/// Defines a type for each closed set of words, shown as `Literal`.
+macro_rules! words {
+    ($($(#[$doc:meta])* $of:ident = $($word:literal)|+;)*) => {$(
+        $(#[$doc])*
+        pub struct $of(&'static str);
+
+        impl $of {
+            /// One of these words.
+            pub fn of(word: &'static str) -> Self {
+                debug_assert!([$($word),+].contains(&word), "{word} is none of {:?}", [$($word),+]);
+                Self(word)
+            }
+        }
+
+        impl<'py> IntoPyObject<'py> for $of {
+            type Target = PyAny;
+            type Output = Bound<'py, PyAny>;
+            type Error = PyErr;
+            const OUTPUT_TYPE: PyStaticExpr = subscript!(
+                name!("typing", "Literal"),
+                $(PyStaticExpr::Constant { value: PyStaticConstant::Str($word) }),+
+            );
+
+            fn into_pyobject(self, py: Python<'py>) -> PyResult<Self::Output> {
+                Ok(self.0.into_pyobject(py)?.into_any())
+            }
+        }
+    )*};
+}
+
+words! {
+    /// Physical principle of a skin.
+    Modality = "eit" | "mit";
+    /// Parts of a mesh that an electrode covers.
+    ElectrodeKind = "edges" | "faces" | "elements" | "point";
+}
