@@ -2,8 +2,8 @@
 //! touches, recording and page follow, with three viewers, one of which never reads, and a reader of the guard's
 //! verdicts.
 //!
-//! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after `cargo
-//! build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if a frame was
+//! `cargo run --release -p dermis-cli --example soak -- [--skin NAME] [--seconds 3600] [--rate 1000] [--cut SECONDS]`
+//! after `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if a frame was
 //! lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut` the skin
 //! is cut after that many seconds, then left alone for six while the cut is recognised.
 
@@ -14,17 +14,19 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use std::{env, fs, thread};
 
-use dermis_device::instruments::wire::WireDevice;
+use dermis_device::instruments::wire::{DeviceInfo, WireDevice};
 use dermis_device::{Frame, HostStamp, Status};
 use dermis_lab::serve::device_info;
 use dermis_live::latency::LatencyHistogram;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
+use dermis_twin::from_skin::{PressRange, press_range};
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Treatment};
 
@@ -34,7 +36,10 @@ use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
+/// The skin, if none is named.
 const SKIN: &str = "healing-square";
+/// Radius of the circle on which the finger moves, as a share of the skin's shorter side.
+const CIRCLE: f64 = 0.2;
 /// Frames in the repeated sequence: first at rest, then pressed.
 const LOOP: usize = 600;
 /// Time between two frames of the twin that made them, seconds.
@@ -47,20 +52,25 @@ type Failure = Box<dyn Error + Send + Sync>;
 fn main() -> Result<(), Failure> {
     let (seconds, rate) = (argument("--seconds", 3600.0)?, argument("--rate", 1000.0)?);
     let cut_s = argument("--cut", f64::INFINITY)?;
-    let played = Played { intact: frames(false)?, cut: frames(true)?, cut_after: rate * cut_s, rest: 6.0 * rate };
+    let name: String = argument("--skin", SKIN.to_owned())?;
+    let skin = Skin::open(&name)?;
+    let intact = frames(&skin, false)?;
+    let cut = if cut_s.is_finite() { frames(&skin, true)? } else { Vec::new() };
+    let info = DeviceInfo { frames_per_s: rate as f32, ..device_info(&skin)? };
+    let played = Played { intact, cut, cut_after: rate * cut_s, rest: 6.0 * rate };
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let port = listener.local_addr()?.port();
     let (stop, sent) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let device = {
         let (stop, sent) = (stop.clone(), sent.clone());
-        thread::spawn(move || send(&listener, &played, rate, &stop, &sent))
+        thread::spawn(move || send(&listener, info, &played, &stop, &sent))
     };
     let folder = env::temp_dir().join(format!("dermis-soak-{}", std::process::id()));
     fs::create_dir_all(&folder)?;
     let recording = folder.join("soak.mcap");
     let page = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
     let socket = folder.join("guard");
-    let mut child = run(port, page.port(), &recording, &socket)?;
+    let mut child = run(&name, port, page.port(), &recording, &socket)?;
     let reader = thread::spawn(move || read_verdicts(&socket));
     let outcome = tokio::runtime::Runtime::new()?.block_on(watch(page, &mut child, seconds, &sent));
     stop.store(true, Ordering::Relaxed);
@@ -93,18 +103,23 @@ impl Played {
 }
 
 /// Frames of the twin on an intact or cut skin. In half of them a moving finger presses.
-fn frames(cut: bool) -> Result<Vec<Vec<f64>>, Failure> {
-    let mut kit = TwinKit::of(&Skin::open(SKIN)?)?;
+fn frames(skin: &Skin, cut: bool) -> Result<Vec<Vec<f64>>, Failure> {
+    let mut kit = TwinKit::of(skin)?;
+    let PressRange { initial_radius_m, initial_pressure_pa, .. } = press_range(skin);
+    let (low, high) = skin.outline().bounds_m();
+    let circle_m = CIRCLE * (high[0] - low[0]).min(high[1] - low[1]);
+    let middle = [0, 1].map(|axis| 0.5 * (low[axis] + high[axis]));
     if cut {
         kit.twin.frontend_mut().treat(&Treatment::Cut(Cut::open([0.015, 0.018], [0.031, 0.03])))?;
     }
     let (mut frames, mut values) = (Vec::new(), Vec::new());
     for k in 0..LOOP {
-        let (y, x) = (0.02 * k as f64).sin_cos();
+        let (sin, cos) = (0.02 * k as f64).sin_cos();
+        let [x, y] = [middle[0] + circle_m * cos, middle[1] + circle_m * sin];
         match k {
-            _ if k == LOOP / 2 => kit.twin.scene_mut().press(0, 0.02 * x, 0.02 * y, 0.01, 80e3)?,
+            _ if k == LOOP / 2 => kit.twin.scene_mut().press(0, x, y, initial_radius_m, initial_pressure_pa)?,
             _ if k == LOOP - 20 => kit.twin.scene_mut().release_all(),
-            _ if k > LOOP / 2 && k < LOOP - 20 => kit.twin.scene_mut().move_to(0, 0.02 * x, 0.02 * y)?,
+            _ if k > LOOP / 2 && k < LOOP - 20 => kit.twin.scene_mut().move_to(0, x, y)?,
             _ => {}
         }
         kit.twin.step(TWIN_S * k as f64, &mut values)?;
@@ -116,13 +131,12 @@ fn frames(cut: bool) -> Result<Vec<Vec<f64>>, Failure> {
 /// Plays the instrument to one host until stopped.
 fn send(
     listener: &TcpListener,
+    info: DeviceInfo,
     played: &Played,
-    rate: f64,
     stop: &AtomicBool,
     sent: &AtomicU64,
 ) -> Result<(), Failure> {
-    let mut info = device_info(&Skin::open(SKIN)?)?;
-    info.frames_per_s = rate as f32;
+    let rate = f64::from(info.frames_per_s);
     let mut device = WireDevice::new(info);
     let (mut stream, _) = listener.accept()?;
     stream.set_nodelay(true)?;
@@ -169,12 +183,12 @@ fn write_all(stream: &mut TcpStream, mut bytes: &[u8]) -> Result<(), Failure> {
 }
 
 /// Starts `dermis run` of the same build, next to this example's folder.
-fn run(device: u16, page: u16, recording: &PathBuf, guard: &Path) -> Result<Child, Failure> {
+fn run(skin: &str, device: u16, page: u16, recording: &PathBuf, guard: &Path) -> Result<Child, Failure> {
     let examples = env::current_exe()?;
     let folder = examples.parent().and_then(|folder| folder.parent()).ok_or("no folder of builds")?;
     let source = format!("tcp:127.0.0.1:{device}");
     Ok(Command::new(folder.join("dermis"))
-        .args(["run", SKIN, "--no-open", "--as-set", "--source", &source, "--port", &page.to_string(), "--record"])
+        .args(["run", skin, "--no-open", "--as-set", "--source", &source, "--port", &page.to_string(), "--record"])
         .arg(recording)
         .arg("--guard")
         .arg(format!("unix://{}", guard.display()))
@@ -326,9 +340,9 @@ fn end(process: u32) -> Result<(), Failure> {
     if status.success() { Ok(()) } else { Err("dermis could not be told to end".into()) }
 }
 
-fn argument(name: &str, default: f64) -> Result<f64, Failure> {
+fn argument<T: FromStr>(name: &str, default: T) -> Result<T, Failure> {
     let arguments: Vec<String> = env::args().collect();
     let Some(at) = arguments.iter().position(|argument| argument == name) else { return Ok(default) };
-    let value = arguments.get(at + 1).ok_or_else(|| format!("{name}: expected a number after it"))?;
-    Ok(value.parse().map_err(|_| format!("{name} {value}: expected a number"))?)
+    let value = arguments.get(at + 1).ok_or_else(|| format!("{name}: expected a value after it"))?;
+    Ok(value.parse().map_err(|_| format!("{name} {value}: not a valid value"))?)
 }
