@@ -8,6 +8,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::plane::distance;
 use crate::typical::spacing;
 
 /// Places less probable than this share of the peak belong to no mode.
@@ -343,10 +344,6 @@ impl PlaceHypotheses {
             (false, false) => (None, false),
         }
     }
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 #[cfg(test)]

@@ -61,6 +61,7 @@ pub mod locator;
 pub mod measure;
 mod moments;
 mod noise;
+mod plane;
 pub mod rhythm;
 mod touch;
 mod touch_load;

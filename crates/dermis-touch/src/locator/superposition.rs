@@ -14,8 +14,8 @@ mod map;
 
 use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
-use super::pair_correlations::squared_distance;
 use super::rows::{dot, products};
+use crate::plane::squared_distance;
 use crate::typical::{evenly, median};
 pub use map::LabelledFrame;
 use map::{Learned, Map, Shape, Sums, candidates};

@@ -13,9 +13,10 @@ use faer::{Mat, Side};
 
 use super::landmarks;
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::locator::pair_correlations::{Sessions, squared_distance};
+use crate::locator::pair_correlations::Sessions;
 use crate::locator::posterior::quantile;
 use crate::locator::rows::{dot, matern52, matern52_of, products};
+use crate::plane::squared_distance;
 use crate::typical::{evenly, median};
 
 /// Lengths tried, relative to the median distance between examples.
