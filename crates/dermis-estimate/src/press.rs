@@ -1,5 +1,7 @@
 //! A press, and the interface for fitting presses to frames.
 
+use dermis_tomo::mesh::distance;
+
 /// A press with its posterior.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Press {
@@ -27,7 +29,7 @@ impl Press {
 
     /// Distance from another press, metres.
     pub fn distance_m(&self, other: &Self) -> f64 {
-        (self.position_m[0] - other.position_m[0]).hypot(self.position_m[1] - other.position_m[1])
+        distance(self.position_m, other.position_m)
     }
 
     /// Ratio of the strength to its standard deviation.

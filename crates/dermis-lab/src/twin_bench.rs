@@ -1,7 +1,7 @@
 //! A twin on the bench: pressed with known forces, read with noise, and imaged as its skin file says.
 
 use dermis_mit::LiftOffFit;
-use dermis_tomo::mesh::Surface;
+use dermis_tomo::mesh::{Surface, distance};
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::{Contact, Observation};
 use dermis_twin::Frontend;
@@ -255,7 +255,7 @@ pub(super) fn disc(centre_m: [f64; 2], diameter_mm: f64, force_n: f64) -> Indent
 
 /// Distance between two places, millimetres.
 pub(super) fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
-    1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
+    1e3 * distance(a, b)
 }
 
 fn read(

@@ -7,6 +7,8 @@
 //! mirrored table from the right one. *Signatures*: the cosine between a frame's difference and the model's
 //! prediction for a press at its label. This identifies mirrored and rotated axes if the model is roughly right.
 
+use dermis_tomo::mesh::distance;
+
 use crate::Error;
 use crate::calibration::{PokeFrames, Pokes, differences_of};
 use crate::prepare::Prepared;
@@ -126,7 +128,7 @@ fn error_m(neighbours: &[Vec<usize>], labels_m: &[[f64; 2]]) -> f64 {
         .filter(|(_, near)| !near.is_empty())
         .map(|(poke, near)| {
             let mean = |axis: usize| near.iter().map(|other| labels_m[*other][axis]).sum::<f64>() / near.len() as f64;
-            (mean(0) - labels_m[poke][0]).hypot(mean(1) - labels_m[poke][1])
+            distance([0, 1].map(mean), labels_m[poke])
         })
         .collect();
     if errors.is_empty() {

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
-use dermis_tomo::mesh::{ElectrodedMesh, PixelMap};
+use dermis_tomo::mesh::{ElectrodedMesh, PixelMap, distance};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -180,16 +180,13 @@ impl Prepared {
     /// row-major). An image that needs a value everywhere on the skin can take it from there.
     pub fn rim_pixels(&self) -> Vec<(usize, usize)> {
         let grid = self.map.grid();
-        let distance = |a: usize, b: usize| {
-            let (p, q) = (grid.centre_m(a), grid.centre_m(b));
-            (p[0] - q[0]).hypot(p[1] - q[1])
-        };
+        let away_m = |a: usize, b: usize| distance(grid.centre_m(a), grid.centre_m(b));
         let mask = self.map.inside_mask();
         let on_rim = (0..grid.len()).filter(|&pixel| !mask[pixel] && self.map.coverage()[pixel] > LEAST_RIM_COVERAGE);
         on_rim
             .filter_map(|pixel| {
                 let inside = self.map.inside_pixels().iter().map(|&p| p as usize);
-                let nearest = inside.min_by(|&a, &b| distance(pixel, a).total_cmp(&distance(pixel, b)))?;
+                let nearest = inside.min_by(|&a, &b| away_m(pixel, a).total_cmp(&away_m(pixel, b)))?;
                 Some((pixel, nearest))
             })
             .collect()

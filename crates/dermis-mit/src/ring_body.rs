@@ -8,6 +8,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use dermis_tomo::mesh::distance;
 use faer::Mat;
 use faer::prelude::Solve;
 use rayon::prelude::*;
@@ -50,8 +51,7 @@ impl Section {
 
     /// Mean mutual inductance with another section's rings, henries.
     fn mutual_h(&self, other: &Self) -> f64 {
-        let apart =
-            (self.centre_m[0] - other.centre_m[0]).hypot(self.centre_m[1] - other.centre_m[1]).max(f64::MIN_POSITIVE);
+        let apart = distance(self.centre_m, other.centre_m).max(f64::MIN_POSITIVE);
         // Enough points that their spacing is smaller than the distance of the sections; one more in the second, so
         // that none coincide.
         let count = |side: f64, more: usize| ((2.0 * side / apart).ceil() as usize).clamp(1, 8) + more;

@@ -7,7 +7,7 @@ use dermis_live::imager::Imager;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::{Bend, Layer};
-use dermis_tomo::mesh::{Contact, Outline};
+use dermis_tomo::mesh::{Contact, Outline, Point, distance};
 use dermis_twin::from_skin::usual_travel_share;
 use dermis_twin::{PressRange, TypicalPress};
 
@@ -176,8 +176,8 @@ fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
 
 /// The two nodes farthest apart.
 fn ends(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
-    let distance = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let pairs = nodes.iter().flat_map(|a| nodes.iter().map(move |b| (a, b)));
+    let points: Vec<Point> = nodes.iter().map(|node| [node[0], node[1]]).collect();
+    let pairs = points.iter().flat_map(|a| points.iter().map(move |b| (*a, *b)));
     let farthest = pairs.max_by(|x, y| distance(x.0, x.1).total_cmp(&distance(y.0, y.1)));
     farthest.map_or(Vec::new(), |(a, b)| vec![[a[0] * MM, a[1] * MM], [b[0] * MM, b[1] * MM]])
 }

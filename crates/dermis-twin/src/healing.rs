@@ -9,6 +9,7 @@
 //!
 //! The constants of a material are in its [`HealingLaw`].
 
+use dermis_tomo::mesh::distance;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check, check_positive};
@@ -66,8 +67,7 @@ impl HealingLaw {
 
     /// Relative heating of a point by a pad: 1 under it, 0 next to it, in between at its rim.
     fn nearness(&self, heating: &Heating, point: [f64; 2]) -> f64 {
-        let distance = (point[0] - heating.centre_m[0]).hypot(point[1] - heating.centre_m[1]);
-        (0.5 + (heating.radius_m - distance) / self.pad_rim_m).clamp(0.0, 1.0)
+        (0.5 + (heating.radius_m - distance(point, heating.centre_m)) / self.pad_rim_m).clamp(0.0, 1.0)
     }
 
     /// Dose rate at a point with relative heating `x` by a pad, 1/s.

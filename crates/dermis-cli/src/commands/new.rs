@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use dermis_device::SourceSelector;
 use dermis_device::instruments::csv::read_numbers;
 use dermis_skin::{FileError, Skin};
+use dermis_tomo::mesh::distance;
 
 use crate::draw::{self, SkinDrawing};
 use crate::exit::{Outcome, UsageError};
@@ -222,7 +223,7 @@ impl Outline {
             Self::Rectangle(width, height) => 2.0 * (width + height),
             Self::Polygon(corners) => {
                 let next = corners.iter().cycle().skip(1);
-                corners.iter().zip(next).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).sum()
+                corners.iter().zip(next).map(|(a, b)| distance(*a, *b)).sum()
             }
         }
     }

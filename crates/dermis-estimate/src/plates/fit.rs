@@ -6,6 +6,7 @@ use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{
     Error, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
 };
+use dermis_tomo::mesh::distance;
 
 use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed, turned};
@@ -289,8 +290,8 @@ impl PressFit for PlateFit {
             let mut best: Option<(usize, f64)> = None;
             for (k, product) in products.iter().enumerate() {
                 let value = if negative { product.abs() } else { *product };
-                let [x, y] = self.model.proposals[k].0;
-                let is_apart = |other: &Press| (x - other.position_m[0]).hypot(y - other.position_m[1]) >= apart_m;
+                let at_m = self.model.proposals[k].0;
+                let is_apart = |other: &Press| distance(at_m, other.position_m) >= apart_m;
                 if value > best.map_or(0.0, |(_, most)| most) && found.iter().all(is_apart) {
                     best = Some((k, value));
                 }

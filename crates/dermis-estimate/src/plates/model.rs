@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use dermis_tomo::eit::EitError;
 use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PatchSets, PlateContact, PlatedSheet};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, distance};
 
 use super::law::{Conductance, PlateLaw};
 use super::pressure::{Field, OF_PRESS, Pressed, normal_exactly};
@@ -187,10 +187,8 @@ impl PlateModel {
     /// Groups of presses that lie apart.
     fn groups(&self, presses: &[Pressed], all: &[usize]) -> Vec<Vec<usize>> {
         let reach_m = |k: usize| presses[k].log_radius.exp() + self.law().spread_m;
-        let are_near = |a: usize, b: usize| {
-            let [x, y] = [0, 1].map(|axis| presses[a].position_m[axis] - presses[b].position_m[axis]);
-            x.hypot(y) < reach_m(a) + reach_m(b)
-        };
+        let are_near =
+            |a: usize, b: usize| distance(presses[a].position_m, presses[b].position_m) < reach_m(a) + reach_m(b);
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for &k in all {
             let (near, apart): (Vec<_>, Vec<_>) =

@@ -2,6 +2,7 @@
 
 use dermis_live::imager::Imager;
 use dermis_live::reference::Reference;
+use dermis_tomo::mesh::distance;
 use dermis_tomo::quality::spread_width_m;
 
 use super::maps::Maps;
@@ -23,9 +24,9 @@ pub fn spread_width(prepared: &Prepared, maps: &Maps) -> Result<Vec<f64>, Error>
     let polarity = prepared.skin.imaging.polarity.sign();
     let mut image = vec![f32::NAN; grid.len()];
     let mut widths = Vec::with_capacity(maps.places_m.len());
-    for [x, y] in &maps.places_m {
-        let distance = |p: &[f64; 3]| (p[0] - x).hypot(p[1] - y);
-        let nearest = (0..positions.len()).min_by(|&a, &b| distance(&positions[a]).total_cmp(&distance(&positions[b])));
+    for place_m in &maps.places_m {
+        let away_m = |k: usize| distance([positions[k][0], positions[k][1]], *place_m);
+        let nearest = (0..positions.len()).min_by(|&a, &b| away_m(a).total_cmp(&away_m(b)));
         let Some(pixel) = nearest else { continue };
         let point: Vec<f64> = (0..prepared.channels()).map(|c| polarity * prepared.jacobian.row(c)[pixel]).collect();
         imager.image(&point, &mut image)?;

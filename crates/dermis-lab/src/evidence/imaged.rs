@@ -5,6 +5,7 @@ use dermis_live::calibration::Calibration;
 use dermis_live::output::Output;
 use dermis_record::sink::{Sink, Summary};
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 
 use crate::Error;
 use crate::reconstruct::{Report, Request, reconstruct_into};
@@ -27,7 +28,7 @@ pub struct TouchRow {
 impl TouchRow {
     /// Distance from a position, millimetres.
     pub fn distance_mm(&self, place_mm: [f64; 2]) -> f64 {
-        (self.at_mm[0] - place_mm[0]).hypot(self.at_mm[1] - place_mm[1])
+        distance(self.at_mm, place_mm)
     }
 }
 

@@ -133,7 +133,7 @@ mod tests {
         let fitted = KernelRidge::fit(&views, &places, None).unwrap();
         for place in [[0.3, 0.4], [0.71, 0.62], [0.5, 0.2]] {
             let found = fitted.place(&frame(place));
-            assert!((found[0] - place[0]).hypot(found[1] - place[1]) < 0.02, "{place:?}: {found:?}");
+            assert!(dermis_tomo::mesh::distance(found, place) < 0.02, "{place:?}: {found:?}");
         }
     }
 

@@ -8,6 +8,7 @@ use dermis_live::calibration::{Calibration, CalibrationOptions, PokeFrames, Poke
 use dermis_live::channels::ChannelReader;
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -206,12 +207,8 @@ impl Presses {
     pub fn judge_middle(&self) -> PlaceErrors {
         let count = self.count().max(1) as f64;
         let middle = [0, 1].map(|axis| self.pokes.positions_m.iter().map(|place| place[axis]).sum::<f64>() / count);
-        let mut errors_mm: Vec<f64> = self
-            .pokes
-            .positions_m
-            .iter()
-            .map(|place| 1e3 * (place[0] - middle[0]).hypot(place[1] - middle[1]))
-            .collect();
+        let mut errors_mm: Vec<f64> =
+            self.pokes.positions_m.iter().map(|place| 1e3 * distance(*place, middle)).collect();
         errors_mm.sort_by(f64::total_cmp);
         PlaceErrors { presses: self.count(), extra: 0, errors_mm, within: [f64::NAN; 2] }
     }

@@ -4,7 +4,7 @@
 
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh, distance};
 use dermis_twin::from_skin::press_range;
 use dermis_twin::mechanics::{ContactLaw, normal_cdf};
 use dermis_twin::physics::{Cut, SheetConductance, Shortcut, SlitPath, SlitPaths, TwoSheets, damaged_conductance};
@@ -136,7 +136,7 @@ fn damaged(
     }
     let of_triangle = |corners: &[[f64; 2]; 3]| {
         let middle = [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
-        let reach = corners.iter().map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1])).fold(0.0, f64::max);
+        let reach = corners.iter().map(|p| distance(*p, middle)).fold(0.0, f64::max);
         let lowered = holes.iter().filter(|(figure, _)| figure.contains(middle)).map(|(_, factor)| factor);
         let own_s = rest_s * lowered.product::<f64>();
         let near = |cut: &&Cut| {

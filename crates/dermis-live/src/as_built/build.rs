@@ -1,7 +1,7 @@
 //! Manufacturing errors as parameters, and the skin that results from them.
 
 use dermis_skin::{SkinBody, Tolerances};
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Mesh, MeshError, Outline};
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Mesh, MeshError, Outline, distance};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
@@ -214,10 +214,8 @@ fn handles(outline: &Outline, shapes: &[ElectrodeShape], build: &Build) -> Vec<H
         }
         let Some((centre_m, half_m)) = shape.pad_box() else { continue };
         let others = shapes.iter().filter_map(|other| Some(other.pad_box()?.0));
-        let apart_m = others
-            .map(|other| (other[0] - centre_m[0]).hypot(other[1] - centre_m[1]))
-            .filter(|apart| *apart > 0.0)
-            .fold(f64::INFINITY, f64::min);
+        let apart_m =
+            others.map(|other| distance(other, centre_m)).filter(|apart| *apart > 0.0).fold(f64::INFINITY, f64::min);
         let reach_m = (0.5 * apart_m - half_m[0].max(half_m[1])).max(0.25 * apart_m).min(0.5 * apart_m);
         handles.push(Handle::Pad { centre_m, half_m, by_m: *by_m, wider: *wider, reach_m });
     }

@@ -165,16 +165,16 @@ pub(crate) fn find_circuit_while(
         is_wanted = go_on(judge.tried);
         judged.likelihood
     };
-    let mut begun: Vec<(f64, Point)> = Vec::new();
+    let mut begun: Vec<(f64, Trial)> = Vec::new();
     for reading in READINGS {
-        let tries = LOADS.map(|[load, idle]| Point { load, idle, reading: unit(reading) });
+        let tries = LOADS.map(|[load, idle]| Trial { load, idle, reading: unit(reading) });
         let ranked = tries.map(|point| (likelihood(Some(&point.circuit())), point));
         // Keep only the best of each kind of reading, so that the search starts from different points.
         begun.extend(ranked.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)));
     }
     begun.sort_by(|a, b| b.0.total_cmp(&a.0));
     begun.truncate(IMPROVED);
-    let mut improved: Vec<(f64, Point)> = begun.iter().map(|start| climb(*start, &mut likelihood)).collect();
+    let mut improved: Vec<(f64, Trial)> = begun.iter().map(|start| climb(*start, &mut likelihood)).collect();
     if !is_wanted {
         return Ok(None);
     }
@@ -206,14 +206,14 @@ pub(crate) fn find_circuit_while(
 
 /// A circuit during the search.
 #[derive(Clone, Copy, Debug)]
-struct Point {
+struct Trial {
     load: f64,
     idle: f64,
     /// Normalised to unit length.
     reading: [f64; 3],
 }
 
-impl Point {
+impl Trial {
     /// Rounded to three digits, as in a file; the largest weight is 1.
     fn circuit(self) -> Circuit {
         let round = |v: f64| if v == 0.0 { 0.0 } else { format!("{v:.2e}").parse().unwrap_or(v) };
@@ -243,7 +243,7 @@ impl Point {
 }
 
 /// Moves to better neighbours while there are any, in ever smaller steps.
-fn climb(start: (f64, Point), likelihood: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Point) {
+fn climb(start: (f64, Trial), likelihood: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Trial) {
     let mut best = start;
     for halving in 0..=HALVINGS {
         let share = 0.5_f64.powi(halving as i32);

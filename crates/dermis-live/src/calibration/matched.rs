@@ -197,7 +197,7 @@ mod tests {
     }
 
     fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
-        1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
+        1e3 * dermis_tomo::mesh::distance(a, b)
     }
 
     /// A skin that has calibrated itself by presses all over it.

@@ -5,6 +5,7 @@ use dermis_skin::{HyperparameterChoice, Polarity};
 use dermis_tomo::inverse::{
     CalibrationOptions, Hyperparameter, LinearProblem, SelfCalibration, TouchEffect, TouchTemplates,
 };
+use dermis_tomo::mesh::distance;
 
 use super::matched::{MatchedFinder, PlaceError, TOUCHES_APART, are_two};
 use crate::Error;
@@ -97,7 +98,7 @@ pub(super) fn places_off_the_rim(prepared: &Prepared, margin_m: f64) -> Vec<[f64
     let bottom = grid.top_m - grid.rows as f64 * grid.pixel_m;
     let far = |p: &[f64; 2]| {
         let edge = (p[0] - grid.left_m).min(right - p[0]).min(grid.top_m - p[1]).min(p[1] - bottom);
-        edge >= margin_m && outside.iter().all(|q| (p[0] - q[0]).hypot(p[1] - q[1]) >= margin_m)
+        edge >= margin_m && outside.iter().all(|q| distance(*p, *q) >= margin_m)
     };
     prepared.map.inside_centres_m().into_iter().filter(far).collect()
 }

@@ -9,6 +9,7 @@ mod seek;
 use std::f64::consts::PI;
 
 use dermis_skin::Layer;
+use dermis_tomo::mesh::distance;
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use self::fit::{
@@ -287,9 +288,7 @@ impl ElementPresses {
         let most_n = found.forces_n.iter().copied().fold(0.0, f64::max);
         let excess = (found.left / found.degrees_of_freedom.max(1) as f64).max(1.0);
         for (number, press) in found.presses.iter().enumerate() {
-            let away = |contact: &Contact| {
-                (contact.centroid_m[0] - press.centre_m[0]).hypot(contact.centroid_m[1] - press.centre_m[1])
-            };
+            let away = |contact: &Contact| distance(contact.centroid_m, press.centre_m);
             let nearest = (0..of_image.len()).min_by(|&a, &b| away(&of_image[a]).total_cmp(&away(&of_image[b])));
             let share = || strongest.map(|contact| contact.share_at(press.centre_m, found.forces_n[number] / most_n));
             let Some(contact) = nearest.map(|k| of_image.swap_remove(k)).or_else(share) else { continue };
@@ -369,7 +368,7 @@ mod tests {
     }
 
     fn nearest_mm(contacts: &[Contact], [x, y, ..]: [f64; 4]) -> f64 {
-        let away = |c: &Contact| (1e3 * c.centroid_m[0] - x).hypot(1e3 * c.centroid_m[1] - y);
+        let away = |c: &Contact| distance(c.centroid_m.map(|m| 1e3 * m), [x, y]);
         contacts.iter().map(away).fold(f64::INFINITY, f64::min)
     }
 

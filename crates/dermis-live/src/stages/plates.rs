@@ -7,7 +7,7 @@ use dermis_estimate::{PlateLaw, PlateModel, PlateOptions};
 use dermis_skin::{ContactLaw, Layer, PatchesLayer, SandwichLayer, Skin, SkinBody};
 use dermis_tomo::eit::contacts::PlatedSheet;
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::mesh::{PixelGrid, SlitEdge, SlitMesh};
+use dermis_tomo::mesh::{PixelGrid, SlitEdge, SlitMesh, distance};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -221,7 +221,7 @@ impl Plates {
 
 /// A segment shortened by this length at each end, or what is left of it around its middle.
 fn shortened([a, b]: Ends, by_m: f64) -> Ends {
-    let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+    let length = distance(a, b);
     let share = (by_m / length.max(f64::MIN_POSITIVE)).min(0.499);
     let at = |share: f64| [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])];
     [at(share), at(1.0 - share)]

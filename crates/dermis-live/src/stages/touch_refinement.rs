@@ -2,7 +2,7 @@
 
 use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Memory, Press, PressFit};
 use dermis_skin::Layer;
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, distance};
 use dermis_touch::force::ForceReading;
 use dermis_touch::{Contact, ContactStrength};
 
@@ -489,8 +489,4 @@ impl SpotStage {
         let values = rows.flat_map(unknowns).map(|unknown| f64::from(image[unknown - first]));
         values.fold(0.0, |most: f64, value| if value.abs() > most.abs() { value } else { most })
     }
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }

@@ -8,6 +8,7 @@
 
 use std::f64::consts::PI;
 
+use dermis_tomo::mesh::distance;
 use faer::Mat;
 use faer::prelude::Solve;
 use rayon::prelude::*;
@@ -387,7 +388,7 @@ fn neighbours(
     for (a, p) in places_m.iter().enumerate() {
         for (b, q) in places_m.iter().enumerate().filter(|(b, _)| *b != a) {
             let (dx, dy) = ((p[0] - q[0]).abs(), (p[1] - q[1]).abs());
-            let distance_m = dx.hypot(dy);
+            let distance_m = distance(*p, *q);
             if dx < plate.size_m[0] && dy < plate.size_m[1] {
                 let needed_m = plate.size_m[0].max(plate.size_m[1]);
                 return Err(MitError::BodiesOverlap { first: a + 1, second: b + 1, distance_m, needed_m });

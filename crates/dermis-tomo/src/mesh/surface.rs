@@ -91,7 +91,7 @@ mod tests {
             let radius = point[0].hypot(point[2] + 0.095);
             assert!((radius - 0.095).abs() < 1e-15 && point[1] == sheet[1], "{point:?}");
             let back = surface.sheet_m(point);
-            assert!((back[0] - sheet[0]).hypot(back[1] - sheet[1]) < 1e-15, "{sheet:?} {back:?}");
+            assert!(crate::mesh::distance(back, sheet) < 1e-15, "{sheet:?} {back:?}");
             let normal = surface.normal(sheet);
             assert!((normal[0] * 0.095 - point[0]).abs() < 1e-15 && normal[1] == 0.0);
         }

@@ -2,7 +2,7 @@
 //! for pressed (positive), `-1.0` for damage.
 
 use super::error::{QualityError, check_length};
-use crate::mesh::PixelGrid;
+use crate::mesh::{PixelGrid, distance};
 
 /// Centre of the pixel with the largest value (times the sign of `sign`), metres. Ties go to the first in row-major
 /// order.
@@ -33,7 +33,7 @@ pub fn position_error_by_peak_m(
     sign: f64,
     true_m: [f64; 2],
 ) -> Result<f64, QualityError> {
-    Ok(distance_m(peak_m(image, grid, sign)?, true_m))
+    Ok(distance(peak_m(image, grid, sign)?, true_m))
 }
 
 /// Distance from [`centroid_above_m`] at half the peak to the true position, metres.
@@ -46,7 +46,7 @@ pub fn position_error_by_centroid_m(
     sign: f64,
     true_m: [f64; 2],
 ) -> Result<f64, QualityError> {
-    Ok(distance_m(centroid_above_m(image, grid, sign, 0.5)?, true_m))
+    Ok(distance(centroid_above_m(image, grid, sign, 0.5)?, true_m))
 }
 
 /// Width of a point-spread function, metres: the diameter of a disc with the area of the region around the peak at
@@ -79,10 +79,6 @@ pub(super) fn peak(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<(usize,
 pub(super) fn centroid_m(grid: &PixelGrid, pixels: &[usize]) -> [f64; 2] {
     let sum = pixels.iter().map(|&index| grid.centre_m(index)).fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]);
     sum.map(|value| value / pixels.len() as f64)
-}
-
-pub(super) fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 fn region_above(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Result<Vec<usize>, QualityError> {
@@ -124,7 +120,7 @@ mod tests {
         let image = grid
             .centres_m()
             .iter()
-            .map(|&c| (-0.5 * (distance_m(c, centre) / sigma).powi(2)).exp())
+            .map(|&c| (-0.5 * (distance(c, centre) / sigma).powi(2)).exp())
             .map(|value| if value < 1e-8 { f64::NAN } else { value })
             .collect();
         (grid, image)

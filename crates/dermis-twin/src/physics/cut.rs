@@ -8,7 +8,7 @@
 //! shorten it first ([`Cut::shortened`]). A sheet whose mesh can be slit along the cut needs none of this
 //! ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and conducts by [`Cut::joining_per_m`].
 
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, distance};
 use serde::{Deserialize, Serialize};
 
 use super::element::SheetConductance;
@@ -49,7 +49,7 @@ impl Cut {
 
     /// Distance between its ends, metres.
     pub fn length_m(&self) -> f64 {
-        (self.to_m[0] - self.from_m[0]).hypot(self.to_m[1] - self.from_m[1])
+        distance(self.from_m, self.to_m)
     }
 
     /// True if another cut has the same ends, in either order.

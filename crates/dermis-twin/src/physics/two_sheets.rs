@@ -458,7 +458,7 @@ impl TwoSheets {
 /// Contribution of a joined edge, siemens.
 pub(super) fn joint_entries(&(edge, s_per_m): &(SlitEdge, f64), positions: &[[f64; 2]]) -> Vec<((u32, u32), f64)> {
     let [p, q] = edge[0].map(|node| positions[node as usize]);
-    mesh::joint_entries(edge, (p[0] - q[0]).hypot(p[1] - q[1]), s_per_m)
+    mesh::joint_entries(edge, mesh::distance(p, q), s_per_m)
 }
 
 /// A factor to be overwritten, initially of the identity.

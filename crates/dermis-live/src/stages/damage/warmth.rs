@@ -1,6 +1,7 @@
 //! Warmth around damage: heat heals, and makes the sheet more conductive, which looks like a touch. A change there
 //! that has developed steadily, or that stays low for long, is warmth and belongs in the baseline.
 
+use dermis_tomo::mesh::distance;
 use dermis_touch::Touch;
 use dermis_touch::damage::Damage;
 
@@ -118,7 +119,7 @@ impl Warmth {
             self.resting = None;
             return None;
         };
-        let stays = |warm: &Resting| (warm.at_m[0] - here[0]).hypot(warm.at_m[1] - here[1]) <= WARM_TRAVEL_M;
+        let stays = |warm: &Resting| distance(warm.at_m, here) <= WARM_TRAVEL_M;
         if !self.resting.as_ref().is_some_and(stays) {
             self.resting = Some(Resting { at_m: here, since_ns: frame.time_ns, readings: Readings::default() });
         }

@@ -12,6 +12,7 @@ use super::scratch::{FitScratch, OF_SPOT, State};
 use super::{Spot, SpotModel};
 use crate::inverse::InverseError;
 use crate::least_squares::{factorise, solve_factored};
+use crate::mesh::distance;
 
 /// Radii of the filter, as shares of the logarithmic range from the typical radius to the largest of the table.
 const RADII: [f64; 3] = [0.0, 0.35, 0.7];
@@ -191,10 +192,7 @@ impl SpotModel {
             let mut best: Option<(usize, f32)> = None;
             for (k, product) in values.iter().enumerate() {
                 let value = if negative { product.abs() } else { *product };
-                let is_apart = |other: &SpotProposal| {
-                    let [x, y] = filter.places[k].0;
-                    (x - other.position_m[0]).hypot(y - other.position_m[1]) >= apart
-                };
+                let is_apart = |other: &SpotProposal| distance(filter.places[k].0, other.position_m) >= apart;
                 if value > best.map_or(0.0, |(_, most)| most) && found.iter().all(is_apart) {
                     best = Some((k, value));
                 }

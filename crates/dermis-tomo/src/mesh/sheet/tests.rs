@@ -108,8 +108,8 @@ fn square_with_electrodes_per_side_begins_bottom_left() {
         assert_relative(length, 0.01, 1e-12);
     }
     let close = |electrode: usize, wanted: [f64; 2]| {
-        let [x, y] = middle(&mesh, electrode);
-        assert!((x - wanted[0]).hypot(y - wanted[1]) < 1e-9, "electrode {electrode} at {x}, {y}");
+        let found = middle(&mesh, electrode);
+        assert!(distance(found, wanted) < 1e-9, "electrode {electrode} at {found:?}");
     };
     close(0, [-0.0375, -0.05]);
     close(4, [0.05, -0.0375]);

@@ -2,6 +2,7 @@ use faer::Mat;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 use super::*;
+use crate::mesh::distance;
 
 /// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
 fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
@@ -56,7 +57,7 @@ fn spots_without_noise_are_recovered_together() {
     for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
         // Interpolation error of the cubics between tabulated positions (5 mm steps, spots of 11 mm and more) and
         // radii (a factor of up to 1.4 apart).
-        assert!((spot.position_m[0] - place[0]).hypot(spot.position_m[1] - place[1]) < 1e-4, "{spot:?} {outcome:?}");
+        assert!(distance(spot.position_m, *place) < 1e-4, "{spot:?} {outcome:?}");
         assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
     }
     // 1.2 % of the frame, from the same cubics.
@@ -95,7 +96,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     assert!(as_linear.radius_m < 0.95 * truth.1, "{as_linear:?}");
     // Amplitudes are defined by the channels' response.
     assert!((spot.amplitude / (truth.2 / (1.0 - 0.5 * truth.2)) - 1.0).abs() < 0.05, "{spot:?}");
-    assert!((spot.position_m[0] - truth.0[0]).hypot(spot.position_m[1] - truth.0[1]) < 1e-4, "{spot:?}");
+    assert!(distance(spot.position_m, truth.0) < 1e-4, "{spot:?}");
     assert!(large(&positions[1..]).is_err());
 }
 
@@ -228,7 +229,7 @@ fn a_model_without_channels_is_the_one_made_without_them() {
         made.fit(&data, &starts, &mut other).unwrap();
         for (a, b) in one.spots().iter().zip(other.spots()) {
             // The combinations kept differ only by weak ones, and sums are in single precision.
-            assert!((a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]) < 2e-5, "{a:?} {b:?}");
+            assert!(distance(a.position_m, b.position_m) < 2e-5, "{a:?} {b:?}");
             assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.02, "{a:?} {b:?}");
         }
     }
