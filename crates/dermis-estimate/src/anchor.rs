@@ -5,7 +5,7 @@
 //! estimated: the posterior of its logarithm given them, `ln l + C_la C_aa^-1 (a - x_a) / l`. Load and radius trade off
 //! as powers of each other.
 
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 
 use crate::press::Press;
 
@@ -20,7 +20,7 @@ const MOVED_RADII: f64 = 0.3;
 /// Position and radius of a press while its baseline was fresh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anchor {
-    position_m: [f64; 2],
+    position_m: Point,
     log_radius: f64,
     frames: f64,
 }

@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
-use dermis_tomo::mesh::{ElectrodedMesh, PixelMap, distance};
+use dermis_tomo::mesh::{ElectrodedMesh, PixelMap, Point, distance};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -211,7 +211,7 @@ impl Prepared {
 
     /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data
     /// in model volts for a relative change of 1 at its centre, polarity included.
-    pub fn signatures(&self, positions_m: &[[f64; 2]]) -> Vec<f64> {
+    pub fn signatures(&self, positions_m: &[Point]) -> Vec<f64> {
         let sigma = self.skin.touch.relative_size * self.half_width_m();
         let polarity = self.skin.imaging.polarity.sign();
         let mut rows = Vec::with_capacity(positions_m.len() * self.channels());
@@ -343,7 +343,7 @@ fn conductances_s(skin: &Skin, body: &SkinBody, build: Option<&Build>) -> Vec<f6
 /// has its first cell and the range of its weights.
 fn weigh_near(
     cells_m: &[[f64; 3]],
-    place_m: [f64; 2],
+    place_m: Point,
     sigma_m: f64,
     runs: &mut Vec<(usize, Range<usize>)>,
     weights: &mut Vec<f64>,

@@ -10,7 +10,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 
 use crate::coil::{Coil, Filament};
 use crate::constants::MU0;
@@ -42,7 +42,7 @@ struct Loop {
 /// Turns around one vertical axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoundWinding {
-    axis_m: [f64; 2],
+    axis_m: Point,
     loops: Vec<Loop>,
 }
 

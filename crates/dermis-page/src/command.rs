@@ -1,6 +1,7 @@
 //! Commands from the page to the pipeline, and checks that reject impossible ones.
 
 use dermis_skin::TwinAction;
+use dermis_tomo::mesh::Point;
 use dermis_twin::from_skin::treatment_of;
 use serde::Deserialize;
 
@@ -91,7 +92,7 @@ impl Command {
 
 impl Press {
     /// Position, metres.
-    pub fn position_m(&self) -> [f64; 2] {
+    pub fn position_m(&self) -> Point {
         [self.x_mm * 1e-3, self.y_mm * 1e-3]
     }
 

@@ -39,7 +39,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>, calibration: Option
         Some(_) => ("touch strength", "typical pokes per pixel"),
         None => (prepared.skin.modality.image_quantity(), ""),
     };
-    let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
+    let mm = |p: Point| [p[0] * MM, p[1] * MM];
     let lambda = typical_hyperparameter(prepared);
     Scene {
         skin: prepared.skin.name.clone(),
@@ -137,7 +137,7 @@ fn typical_hyperparameter(prepared: &Prepared) -> f64 {
 
 /// Closed rings of an outline, metres, without repeating the first point: the outer boundary first, then holes. A
 /// circle becomes a polygon.
-pub fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
+pub fn rings(outline: &Outline) -> Vec<Vec<Point>> {
     match outline {
         Outline::Disc { radius_m } => {
             let corner = |k: usize| {

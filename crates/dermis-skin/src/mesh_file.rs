@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use dermis_tomo::mesh::{CellKind, Contact, ElectrodeGroups, ElectrodedMesh, distance, read_msh};
+use dermis_tomo::mesh::{CellKind, Contact, ElectrodeGroups, ElectrodedMesh, Point, distance, read_msh};
 
 use crate::check::{Checker, MM};
 use crate::error::Error;
@@ -144,7 +144,7 @@ fn loops(read: &ElectrodedMesh) -> Vec<Vec<u32>> {
     loops
 }
 
-fn signed_area(ring: &[[f64; 2]]) -> f64 {
+fn signed_area(ring: &[Point]) -> f64 {
     let next = |k: usize| ring[(k + 1) % ring.len()];
     (0..ring.len()).map(|k| 0.5 * (ring[k][0] * next(k)[1] - next(k)[0] * ring[k][1])).sum()
 }

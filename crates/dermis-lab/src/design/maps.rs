@@ -1,6 +1,6 @@
 //! Maps of a skin's sensitivity, its smallest detectable amplitude, and the bounds on position and amplitude.
 
-use dermis_tomo::mesh::{PixelGrid, PixelMap};
+use dermis_tomo::mesh::{PixelGrid, PixelMap, Point};
 use rayon::prelude::*;
 
 use crate::Error;
@@ -18,7 +18,7 @@ const STEP_SHARE: f64 = 0.05;
 #[derive(Clone, Debug)]
 pub struct Maps {
     /// Places, metres.
-    pub places_m: Vec<[f64; 2]>,
+    pub places_m: Vec<Point>,
     /// Pixel of each place.
     pub pixels: Vec<usize>,
     /// Grid of the maps.
@@ -150,7 +150,7 @@ impl Summary {
 }
 
 /// Sensitivity, smallest amplitude, position bound (worse axis, metres) and relative amplitude bound at one place.
-fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: [f64; 2], step: f64, amplitude: f64) -> [f64; 4] {
+fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: Point, step: f64, amplitude: f64) -> [f64; 4] {
     let places = [[x, y], [x + step, y], [x - step, y], [x, y + step], [x, y - step]];
     let rows = prepared.signatures(&places);
     let channels = deviations.len();

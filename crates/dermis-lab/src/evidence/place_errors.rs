@@ -8,7 +8,7 @@ use dermis_live::calibration::{Calibration, CalibrationOptions, PokeFrames, Poke
 use dermis_live::channels::ChannelReader;
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -191,7 +191,7 @@ impl Presses {
     pub fn judge_plain(&self, taught: &[usize], rows: &[usize]) -> PlaceErrors {
         let changes = self.changes();
         let views: Vec<&[f64]> = taught.iter().map(|&row| changes[row].as_slice()).collect();
-        let places: Vec<[f64; 2]> = taught.iter().map(|&row| self.pokes.positions_m[row]).collect();
+        let places: Vec<Point> = taught.iter().map(|&row| self.pokes.positions_m[row]).collect();
         let fitted = KernelRidge::fit(&views, &places, self.noise().as_deref());
         let error_mm = |&row: &usize| {
             let found = fitted.as_ref()?.place(&changes[row]);

@@ -12,6 +12,7 @@ use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, Solution};
 use dermis_tomo::inverse::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, SelfCalibration, TouchEffect, TouchTemplates,
 };
+use dermis_tomo::mesh::Point;
 use faer::Mat;
 
 use super::circuit_fit::{CircuitFit, RunnerUp};
@@ -331,7 +332,7 @@ struct Products {
     electrodes: usize,
     /// (electrodes - 1)^2 rows, a-major, by positions.
     rows: Mat<f64>,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
 }
 
 impl Products {
@@ -349,7 +350,7 @@ impl Products {
         let size = prepared.skin.touch.relative_size * prepared.half_width_m();
         let places = places_off_the_rim(prepared, RIM_SIZES * size);
         let step = places.len().div_ceil(MOST_PLACES).max(1);
-        let places_m: Vec<[f64; 2]> = places.into_iter().step_by(step).collect();
+        let places_m: Vec<Point> = places.into_iter().step_by(step).collect();
         let pixels = prepared.map.inside_centres_m();
         let templates = TouchTemplates::blurred(jacobian.as_mat(), &pixels, &places_m, size)?;
         Ok(Self { electrodes, rows: templates.matrix().to_owned(), places_m })

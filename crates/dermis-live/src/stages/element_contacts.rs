@@ -8,7 +8,7 @@
 
 use dermis_mit::LiftOffFit;
 use dermis_skin::{Layer, Solve};
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::{Contact, ContactSign};
 
 use crate::prepare::Prepared;
@@ -37,7 +37,7 @@ const MODEL_ERROR_CELLS: f64 = 0.06;
 /// Merges contacts of elements moved by one press.
 #[derive(Debug)]
 pub(crate) struct ElementContacts {
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     cell_m: [f64; 2],
     /// Indices of the elements adjacent to each.
     beside: Vec<Vec<usize>>,
@@ -296,7 +296,7 @@ impl ElementContacts {
         Some((centroid, covariance))
     }
 
-    fn nearest(&self, at_m: [f64; 2]) -> usize {
+    fn nearest(&self, at_m: Point) -> usize {
         let away_m = |k: usize| distance(self.places_m[k], at_m);
         (0..self.places_m.len()).min_by(|&a, &b| away_m(a).total_cmp(&away_m(b))).unwrap_or(0)
     }
@@ -309,7 +309,7 @@ impl ElementContacts {
 }
 
 /// For each element, the indices of those one cell away along x or y, to within a tenth of a cell.
-pub(crate) fn beside(places_m: &[[f64; 2]], cell_m: [f64; 2]) -> Vec<Vec<usize>> {
+pub(crate) fn beside(places_m: &[Point], cell_m: [f64; 2]) -> Vec<Vec<usize>> {
     let is_beside = |a: [f64; 2], b: [f64; 2]| {
         let [x, y] = [0, 1].map(|axis| ((a[axis] - b[axis]) / cell_m[axis]).abs());
         (x + y - 1.0).abs() < 0.1 && x.min(y) < 0.1
@@ -325,12 +325,12 @@ mod tests {
 
     /// Elements in 6 x 8 unit cells, with the forces of round faces of given centres and radii, in cells.
     fn pressed(faces: &[([f64; 2], f64)]) -> ElementContacts {
-        let places_m: Vec<[f64; 2]> = (0..48).map(|k| [(k % COLUMNS) as f64, (k / COLUMNS) as f64]).collect();
+        let places_m: Vec<Point> = (0..48).map(|k| [(k % COLUMNS) as f64, (k / COLUMNS) as f64]).collect();
         const FINE: usize = 20;
-        let share = |place: &[f64; 2]| -> f64 {
+        let share = |place: &Point| -> f64 {
             let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
             let points = (0..FINE * FINE).map(|k| [place[0] + at(k % FINE), place[1] + at(k / FINE)]);
-            let covered = |p: [f64; 2]| faces.iter().any(|(c, r)| distance(p, *c) < *r);
+            let covered = |p: Point| faces.iter().any(|(c, r)| distance(p, *c) < *r);
             points.filter(|p| covered(*p)).count() as f64 / (FINE * FINE) as f64
         };
         ElementContacts {
@@ -357,7 +357,7 @@ mod tests {
     }
 
     /// Centres between 2 and 3 cells from the left and below.
-    fn middles() -> impl Iterator<Item = [f64; 2]> {
+    fn middles() -> impl Iterator<Item = Point> {
         (0..36).map(|k| [2.0 + (k % 6) as f64 / 6.0, 2.0 + (k / 6) as f64 / 6.0])
     }
 

@@ -9,7 +9,7 @@ mod seek;
 use std::f64::consts::PI;
 
 use dermis_skin::Layer;
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use self::fit::{
@@ -85,7 +85,7 @@ impl ElementPresses {
     /// # Errors
     /// Readings that the model of the coils rejects.
     pub fn place(&mut self, mut frame: ElementFrame<'_>, contacts: &mut Vec<Contact>) -> Result<(), Error> {
-        let centres: Vec<[f64; 2]> = contacts
+        let centres: Vec<Point> = contacts
             .iter()
             .filter(|contact| contact.sign == ContactSign::Positive)
             .map(|contact| contact.centroid_m)
@@ -110,7 +110,7 @@ impl ElementPresses {
         self.last.clear();
     }
 
-    fn start_at(&self, centre_m: [f64; 2]) -> Press {
+    fn start_at(&self, centre_m: Point) -> Press {
         Press { centre_m, log_radius: self.usual.log_radius, log_pressure: self.usual.log_pressure }
     }
 
@@ -125,7 +125,7 @@ impl ElementPresses {
     }
 
     /// Finds the number of presses that explains a frame with contacts at these positions, and their parameters.
-    fn explain(&self, frame: &mut ElementFrame<'_>, centres: &[[f64; 2]]) -> Result<FittedPresses, Error> {
+    fn explain(&self, frame: &mut ElementFrame<'_>, centres: &[Point]) -> Result<FittedPresses, Error> {
         let mut best = self.fit(frame, &self.starts(centres), MOST_TRIALS)?;
         while let Some(fewer) = self.with_fewer(frame, &best)? {
             best = fewer;
@@ -145,8 +145,8 @@ impl ElementPresses {
     }
 
     /// The presses of the last frame, if each contact is one of them; otherwise usual ones at the contacts.
-    fn starts(&self, centres: &[[f64; 2]]) -> Vec<Press> {
-        let is_known = |centre: &[f64; 2]| {
+    fn starts(&self, centres: &[Point]) -> Vec<Press> {
+        let is_known = |centre: &Point| {
             let at = self.start_at(*centre);
             self.last.iter().filter(|press| self.mechanics.cells_between(press, &at) <= SAME_CELLS).count() == 1
         };
@@ -269,7 +269,7 @@ impl ElementPresses {
     }
 
     /// True if a position is close to the edge of the elements, in either sense along a direction.
-    fn is_at_rim(&self, at_m: [f64; 2], along: [f64; 2]) -> bool {
+    fn is_at_rim(&self, at_m: Point, along: [f64; 2]) -> bool {
         let cell_m = self.mechanics.cell_m;
         [-RIM_CELLS, RIM_CELLS].iter().any(|cells| {
             let there = [0, 1].map(|axis| at_m[axis] + cells * along[axis] * cell_m[axis]);
@@ -330,7 +330,7 @@ mod tests {
         (presses, coils, noise_h)
     }
 
-    fn contact(centroid_m: [f64; 2]) -> Contact {
+    fn contact(centroid_m: Point) -> Contact {
         Contact {
             covariance_m2: [[1e-6, 0.0], [0.0, 1e-6]],
             significance: 30.0,
@@ -340,12 +340,12 @@ mod tests {
 
     /// The contacts found if the image showed these, under presses with these positions and radii (mm) and pressures
     /// (kPa).
-    fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]]) -> Vec<Contact> {
+    fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[Point]) -> Vec<Contact> {
         found_in_noise(name, pressed, shown_mm, 0.0)
     }
 
     /// As `found`, with `noise` times the stated noise of the readings.
-    fn found_in_noise(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]], noise: f64) -> Vec<Contact> {
+    fn found_in_noise(name: &str, pressed: &[[f64; 4]], shown_mm: &[Point], noise: f64) -> Vec<Contact> {
         let (mut stage, mut coils, noise_h) = bench(name);
         let press = |[x, y, radius, pressure]: &[f64; 4]| Press {
             centre_m: [1e-3 * x, 1e-3 * y],

@@ -2,7 +2,7 @@
 //! which belongs in the baseline.
 
 use dermis_estimate::Press;
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 
 /// A press below this share of its own peak amplitude is only a remnant: layers creep, and take a set of a few per
 /// cent. The peak is remembered for this long, nanoseconds.
@@ -12,7 +12,7 @@ const REMEMBERED_NS: u64 = 5_000_000_000;
 /// The highest amplitude that a press has reached.
 #[derive(Clone, Copy, Debug)]
 struct Peak {
-    position_m: [f64; 2],
+    position_m: Point,
     radius_m: f64,
     amplitude: f64,
     seen_ns: u64,

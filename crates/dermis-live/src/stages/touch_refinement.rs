@@ -2,7 +2,7 @@
 
 use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Memory, Press, PressFit};
 use dermis_skin::Layer;
-use dermis_tomo::mesh::{PixelGrid, distance};
+use dermis_tomo::mesh::{PixelGrid, Point, distance};
 use dermis_touch::force::ForceReading;
 use dermis_touch::{Contact, ContactStrength};
 
@@ -473,7 +473,7 @@ impl SpotStage {
     }
 
     /// Peak of the image of one press alone, whose response is in `volts`.
-    fn image_value(&mut self, imager: &Imager, position_m: [f64; 2]) -> f64 {
+    fn image_value(&mut self, imager: &Imager, position_m: Point) -> f64 {
         imager.fill_in_left_out(&mut self.volts);
         let reach = (self.typical_radius_m / self.grid.pixel_m).ceil().max(1.0) as usize;
         let Some(middle) = self.grid.pixel_at(position_m) else { return 0.0 };

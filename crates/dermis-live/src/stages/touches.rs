@@ -1,5 +1,6 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::force::{ForceCalibration, ForceReading};
 use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{
@@ -251,7 +252,7 @@ impl TouchStage {
 
     /// A contact for a touch that only the calibration sees because the image is below its threshold: one cell, with
     /// the image's value there.
-    fn contact_at(&self, position_m: [f64; 2], image: &[f32]) -> Option<Contact> {
+    fn contact_at(&self, position_m: Point, image: &[f32]) -> Option<Contact> {
         let cells = self.finder.cells();
         let cell = cells.cell_at(position_m)?;
         let value = image.get(cell).copied().filter(|value| value.is_finite() && *value != 0.0)?;

@@ -4,13 +4,13 @@
 
 use super::error::{QualityError, check_positive};
 use super::peak::{centroid_m, peak};
-use crate::mesh::{PixelGrid, distance};
+use crate::mesh::{PixelGrid, Point, distance};
 
 /// The target that an image should show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
     /// Centre, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Area, m^2.
     pub area_m2: f64,
     /// Change, in the unit of the image (S/m for conductivity); negative for a drop.

@@ -7,7 +7,7 @@
 //! where they were used, by the mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error. Few
 //! pokes can't judge what was fitted to them alone.
 
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
 use serde::{Deserialize, Serialize};
 
@@ -70,7 +70,7 @@ pub(super) struct Earlier<'a> {
     pub locator: &'a FusedLocator,
     /// Difference data of each poke, model volts.
     pub frames: &'a [Vec<f64>],
-    pub positions_m: &'a [[f64; 2]],
+    pub positions_m: &'a [Point],
     pub loads: Option<&'a [f64]>,
 }
 

@@ -1,7 +1,7 @@
 //! Warmth around damage: heat heals, and makes the sheet more conductive, which looks like a touch. A change there
 //! that has developed steadily, or that stays low for long, is warmth and belongs in the baseline.
 
-use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::Touch;
 use dermis_touch::damage::Damage;
 
@@ -36,7 +36,7 @@ pub(super) enum Look {
 /// A contact that rests on damage.
 #[derive(Debug)]
 struct Resting {
-    at_m: [f64; 2],
+    at_m: Point,
     since_ns: u64,
     readings: Readings,
 }
@@ -104,7 +104,7 @@ impl Warmth {
             self.resting = None;
             return Some(adoption);
         }
-        let near = |at_m: [f64; 2]| lies_on_damage(damages, at_m);
+        let near = |at_m: Point| lies_on_damage(damages, at_m);
         let low = |touch: &Touch| touch.amplitude <= WARM_HEIGHT && near(touch.position_m);
         let here = match (frame.touches, frame.contacts) {
             // Something was there a moment ago; wait for the next frames.
@@ -164,6 +164,6 @@ impl Warmth {
 }
 
 /// True if a position lies on damage, open or healed: a scar stays warm for longer than the cut is open.
-fn lies_on_damage(damages: &[Damage], at_m: [f64; 2]) -> bool {
+fn lies_on_damage(damages: &[Damage], at_m: Point) -> bool {
     damages.iter().any(|damage| damage.shape.distance_m(at_m) <= WARM_REACH_M)
 }

@@ -2,11 +2,11 @@ use faer::Mat;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 use super::*;
-use crate::mesh::distance;
+use crate::mesh::{Point, distance};
 
 /// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
 fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
-    let positions: Vec<[f64; 2]> =
+    let positions: Vec<Point> =
         (0..400).map(|k| [0.005 * ((k % 20) as f64 - 9.5), 0.005 * ((k / 20) as f64 - 9.5)]).collect();
     let jacobian = Mat::from_fn(60, 400, |c, p| {
         let ([x, y], c) = (positions[p], c as f64);
@@ -30,7 +30,7 @@ fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
     (model, jacobian, positions)
 }
 
-fn frame(jacobian: &Mat<f64>, positions: &[[f64; 2]], spots: &[([f64; 2], f64, f64)]) -> Vec<f64> {
+fn frame(jacobian: &Mat<f64>, positions: &[Point], spots: &[([f64; 2], f64, f64)]) -> Vec<f64> {
     let sigma: Vec<f64> = positions
         .iter()
         .map(|q| {
@@ -73,7 +73,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
         let answered: Vec<f64> = changes.iter().map(|u| -u / (1.0 + 0.5 * u)).collect();
         Some((&lowered * faer::ColRef::from_slice(&answered)).iter().copied().collect())
     });
-    let large = |positions: &[[f64; 2]]| {
+    let large = |positions: &[Point]| {
         linear.clone().with_large_changes(response.clone(), jacobian.as_ref(), None, positions, -1.0)
     };
     let truth = ([0.012, -0.02], 0.013, 0.5);
@@ -158,7 +158,7 @@ fn a_model_with_changed_noise_equals_one_built_for_it() {
 fn derivatives_agree_with_differences_of_the_values() {
     let (model, ..) = model(1e-4);
     let length = model.combinations();
-    let at = |p: [f64; 2], log_r: f64| {
+    let at = |p: Point, log_r: f64| {
         let mut out = vec![0.0; 4 * length];
         model.responses.evaluate(p, log_r, &mut [], &mut out).unwrap();
         out
