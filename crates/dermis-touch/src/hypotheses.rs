@@ -9,7 +9,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::plane::distance;
-use crate::typical::spacing;
+use crate::statistics::spacing;
 
 /// Places less probable than this share of the peak belong to no mode.
 const LEAST_LIKELY: f64 = 1e-3;

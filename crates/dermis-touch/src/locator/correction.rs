@@ -14,7 +14,7 @@ use super::data::{LeaveOneOut, LeftOut, MIN_EXAMPLES};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
 use super::pair_correlations::matern52;
 use super::posterior::quantile;
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Lengths tried, relative to half the shorter side of the skin.
 const LENGTHS: [f64; 4] = [0.3, 0.6, 1.2, 3.0];

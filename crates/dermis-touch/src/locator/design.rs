@@ -8,7 +8,7 @@ use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
 use super::pair_correlations::{APART, Copies, Sessions, matern52};
 use crate::plane::squared_distance;
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Channel noise is raised to at least this share of the median, so that a stuck channel does not dominate.
 const NOISE_FLOOR: f64 = 0.05;

@@ -16,7 +16,7 @@ use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
 use super::rows::{dot, products};
 use crate::plane::squared_distance;
-use crate::typical::{evenly, median};
+use crate::statistics::{evenly, median};
 pub use map::LabelledFrame;
 use map::{Learned, Map, Shape, Sums, candidates};
 

@@ -7,7 +7,7 @@ use super::report::Accuracy;
 use crate::locator::data::{Examples, MIN_EXAMPLES};
 use crate::locator::error::LocatorError;
 use crate::plane::distance;
-use crate::typical::evenly;
+use crate::statistics::evenly;
 
 /// Maximum number of pokes used. The statistic needs no more, and its time grows with their cube.
 const MOST: usize = 2000;

@@ -8,7 +8,7 @@
 use crate::locator::data::{Examples, MIN_CHANNELS};
 use crate::locator::design::channel_weights;
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Lower bound on a channel's median, as a share of the median channel's.
 const SMALLEST_MEDIAN: f64 = 0.2;

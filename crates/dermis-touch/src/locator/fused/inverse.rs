@@ -17,7 +17,7 @@ use crate::locator::pair_correlations::Sessions;
 use crate::locator::posterior::quantile;
 use crate::locator::rows::{dot, matern52, matern52_of, products};
 use crate::plane::squared_distance;
-use crate::typical::{evenly, median};
+use crate::statistics::{evenly, median};
 
 /// Lengths tried, relative to the median distance between examples.
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];

@@ -4,7 +4,7 @@ use super::fusion::Fusion;
 use crate::locator::data::LeaveOneOut;
 use crate::locator::posterior::quantile;
 use crate::plane::distance;
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Distances between true and located positions of left-out examples.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -8,7 +8,7 @@ use crate::locator::pair_correlations::matern52;
 use crate::locator::posterior::extent;
 use crate::locator::rows::dot;
 use crate::plane::squared_distance;
-use crate::typical::{evenly, median};
+use crate::statistics::{evenly, median};
 
 /// Maximum rank of the projection, and maximum number of frames that define it.
 const MOST_RANK: usize = 64;
