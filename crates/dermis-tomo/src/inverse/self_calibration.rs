@@ -21,7 +21,7 @@ use batch::{Batch, Norms, Peak, channel_scale, check_not_infinite, row_rms, scal
 use faer::{Mat, MatRef};
 use templates::square_distance;
 
-use super::check::positive;
+use super::error::positive;
 use super::{InverseError, Weighting, check_finite};
 use crate::mesh::Point;
 

@@ -10,7 +10,7 @@ use super::large_changes::{ChangeResponse, LargeChanges};
 use super::responses::Responses;
 use super::table::Table;
 use crate::inverse::InverseError;
-use crate::inverse::check::positive;
+use crate::inverse::error::positive;
 use crate::mesh::Point;
 
 /// Largest number of combinations of channels kept.

@@ -3,7 +3,6 @@
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
-use super::SpotOptions;
 use super::products::{KINDS, WeightedColumns, sum_up};
 use crate::mesh::Point;
 
@@ -15,6 +14,19 @@ const MARGIN: usize = 2;
 const MOST_ALONG: f64 = 44.0;
 /// Exponent beyond which a spot counts as zero: 6e-6.
 const NOTHING: f64 = 12.0;
+
+/// The range of spots that the table covers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpotOptions {
+    /// Smallest radius, metres: about a pixel. Below that, the pixels become visible.
+    pub smallest_radius_m: f64,
+    /// Largest radius, metres.
+    pub largest_radius_m: f64,
+    /// Expected radius (the mean of the prior), metres.
+    pub typical_radius_m: f64,
+    /// Largest number of spots fitted together.
+    pub most_spots: usize,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct Table {

@@ -3,7 +3,7 @@
 
 use faer::{Mat, MatRef};
 
-use super::super::check::positive;
+use super::super::error::positive;
 use super::super::{InverseError, check_finite};
 use crate::mesh::Point;
 
