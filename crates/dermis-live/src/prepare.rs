@@ -5,7 +5,8 @@ use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
-use dermis_tomo::mesh::{ElectrodedMesh, PixelMap, Point, distance};
+use dermis_tomo::mesh::{ElectrodedMesh, PixelGrid, PixelMap, Point, distance};
+use dermis_touch::{GridGeometry, ImageCells};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -174,6 +175,12 @@ impl Prepared {
     /// Number of channels of a frame.
     pub fn channels(&self) -> usize {
         self.voltages.len()
+    }
+
+    /// The cells of its images, for touch extraction. Only this function assumes that they are a grid.
+    pub(crate) fn image_cells(&self) -> ImageCells {
+        let PixelGrid { columns, rows, pixel_m, left_m, top_m } = *self.map.grid();
+        ImageCells::from(GridGeometry { columns, rows, pixel_m, left_m, top_m })
     }
 
     /// Pixels that the skin barely covers and that images exclude, each with the nearest inside pixel (both

@@ -9,7 +9,6 @@ use dermis_touch::{
 };
 
 use crate::Error;
-use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::model_error::ModelError;
 use crate::stages::placement::Placement;
@@ -51,7 +50,7 @@ impl TouchStage {
     /// Thresholds out of range.
     pub fn new(prepared: &Prepared, noise: Vec<f32>) -> Result<Self, Error> {
         let settings = &prepared.skin.touch;
-        let cells = image_cells(prepared.map.grid());
+        let cells = prepared.image_cells();
         let half_width = prepared.half_width_m();
         let contact = ContactParams {
             k_on: settings.begin_sigma,
