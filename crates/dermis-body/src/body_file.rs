@@ -9,6 +9,11 @@ use toml::Spanned;
 
 use crate::error::Error;
 
+/// The files of a demonstration without hardware, name and text: an arm of primitives with four skins, each played by
+/// its twin. They belong in one folder.
+pub const DEMO_FILES: [(&str, &str); 2] =
+    [("arm.toml", include_str!("../demo/arm.toml")), ("arm.urdf", include_str!("../demo/arm.urdf"))];
+
 /// Largest body file, bytes.
 const MOST_BYTES: u64 = 4 << 20;
 

@@ -40,7 +40,6 @@
 
 mod body;
 mod body_file;
-mod demo;
 mod error;
 mod files;
 pub mod joint_lines;
@@ -53,8 +52,7 @@ pub mod urdf;
 mod wrench;
 
 pub use body::{Body, MOST_PATCHES, ONLY_LINK, Patch, Problem, mount_transform};
-pub use body_file::is_body_file;
-pub use demo::DEMO_FILES;
+pub use body_file::{DEMO_FILES, is_body_file};
 pub use error::Error;
 pub use joint_source::JointSource;
 pub use kinematics::{Assigned, JointValues, Kinematics};

@@ -1,7 +1,7 @@
 //! Touches and cells of a skin in space: position, outward normal, force and their covariances, in the patch's frame
 //! or any other. Forces act on the sensor: whatever presses on a skin pushes against its outward normal.
 
-use dermis_tomo::mesh::{PixelMap, Surface};
+use dermis_tomo::mesh::{PixelMap, Point, Surface};
 use dermis_touch::force::ForceReading;
 use dermis_touch::{LoadQuantity, Touch};
 
@@ -84,7 +84,7 @@ pub(crate) struct SurfacePoint {
 }
 
 impl SurfacePoint {
-    pub fn at(surface: &Surface, sheet_m: [f64; 2]) -> Self {
+    pub fn at(surface: &Surface, sheet_m: Point) -> Self {
         let (position_m, normal) = (surface.point_m(sheet_m), surface.normal(sheet_m));
         let (along_x, curvature) = match *surface {
             Surface::Flat => ([1.0, 0.0, 0.0], 0.0),

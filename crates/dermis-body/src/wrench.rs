@@ -1,6 +1,6 @@
 //! Net force and torque of touches, with their covariance to first order in the errors of position and force.
 
-use dermis_tomo::mesh::Surface;
+use dermis_tomo::mesh::{Point, Surface};
 use dermis_touch::{Observation, Touch};
 
 use crate::space::{ForceEstimate, SurfacePoint};
@@ -26,7 +26,7 @@ pub struct Wrench {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Press {
     /// Position on the flattened sheet, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
     /// The force.

@@ -5,6 +5,8 @@
 //! estimated: the posterior of its logarithm given them, `ln l + C_la C_aa^-1 (a - x_a) / l`. Load and radius trade off
 //! as powers of each other.
 
+use dermis_tomo::mesh::{Point, distance};
+
 use crate::press::Press;
 
 /// Largest squared Mahalanobis distance between an anchor and its press: the 99 % quantile of chi-squared with three
@@ -18,7 +20,7 @@ const MOVED_RADII: f64 = 0.3;
 /// Position and radius of a press while its baseline was fresh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Anchor {
-    position_m: [f64; 2],
+    position_m: Point,
     log_radius: f64,
     frames: f64,
 }
@@ -31,14 +33,12 @@ impl Anchor {
 
     /// True if a press could be this one.
     pub fn is_near(&self, press: &Press) -> bool {
-        let [x, y] = press.position_m;
-        (x - self.position_m[0]).hypot(y - self.position_m[1]) <= press.radius_m.max(self.log_radius.exp())
+        distance(press.position_m, self.position_m) <= press.radius_m.max(self.log_radius.exp())
     }
 
     /// Updates the anchor with a press from a frame with a fresh baseline.
     pub fn learn(&mut self, press: &Press) {
-        let [x, y] = press.position_m;
-        if (x - self.position_m[0]).hypot(y - self.position_m[1]) > MOVED_RADII * press.radius_m {
+        if distance(press.position_m, self.position_m) > MOVED_RADII * press.radius_m {
             *self = Self::at(press);
             return;
         }

@@ -1,10 +1,12 @@
 //! A press, and the interface for fitting presses to frames.
 
+use dermis_tomo::mesh::{Point, distance};
+
 /// A press with its posterior.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Press {
     /// Centre in the skin's frame, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Radius, metres; its exact meaning depends on the response.
     pub radius_m: f64,
     /// Change of the skin at the centre, in the response's unit. Negative for a press that is part of the baseline
@@ -27,7 +29,7 @@ impl Press {
 
     /// Distance from another press, metres.
     pub fn distance_m(&self, other: &Self) -> f64 {
-        (self.position_m[0] - other.position_m[0]).hypot(self.position_m[1] - other.position_m[1])
+        distance(self.position_m, other.position_m)
     }
 
     /// Ratio of the strength to its standard deviation.
@@ -170,7 +172,7 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     fn most_gain(&self, negative: bool) -> f64;
 
     /// True if a position is on the skin.
-    fn is_inside(&self, position_m: [f64; 2]) -> bool;
+    fn is_inside(&self, position_m: Point) -> bool;
 
     /// Radius of a typical press, metres.
     fn typical_radius_m(&self) -> f64;

@@ -1,7 +1,7 @@
 //! Presses on sheets, separate patches and under membranes, as smooth spots of changed conductance.
 
 use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotProposal};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point};
 
 use crate::press::{Cost, Effort, Press, PressFit};
 
@@ -119,7 +119,7 @@ impl PressFit for SpotFit {
         self.model.most_gain(&self.filter, negative, &self.scratch)
     }
 
-    fn is_inside(&self, position_m: [f64; 2]) -> bool {
+    fn is_inside(&self, position_m: Point) -> bool {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
     }
 

@@ -13,10 +13,8 @@ mod compare;
 mod force;
 mod maps;
 mod search;
-mod spread;
 
 pub use compare::{SharedInstrument, verdict};
 pub use force::{ForceMap, smallest_force};
-pub use maps::{DETECTED_SIGMA, Maps, Noise, Summary};
+pub use maps::{DETECTED_SIGMA, Maps, Noise, Summary, spread_width};
 pub use search::{Candidate, Freedom, Search, improve};
-pub use spread::spread_width;

@@ -6,6 +6,7 @@
 use dermis_live::imager::Imager;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::{are_pairs, check_frames};
+use dermis_tomo::mesh::Point;
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceReading, ForceSample, GainMap};
 use dermis_touch::{Contact, TouchError};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
@@ -94,7 +95,7 @@ pub fn press_twin(
 }
 
 /// The centre and eight places on two rings, one rotated against the other.
-fn places(half_width_m: f64) -> Vec<[f64; 2]> {
+fn places(half_width_m: f64) -> Vec<Point> {
     let ring = |radius: f64, first: f64| {
         (0..4).map(move |k| {
             let angle = first + f64::from(k) * std::f64::consts::FRAC_PI_2;
@@ -160,7 +161,7 @@ pub fn force_samples(
 }
 
 /// A press of known force that shows as this contact.
-fn sample(position_m: [f64; 2], force_n: f64, contact: &Contact) -> ForceSample {
+fn sample(position_m: Point, force_n: f64, contact: &Contact) -> ForceSample {
     let by_law = contact.force.and_then(ForceReading::by_law);
     ForceSample { position_m, force_n, signal: contact.peak_value, by_law }
 }

@@ -1,7 +1,7 @@
 //! A twin on the bench: pressed with known forces, read with noise, and imaged as its skin file says.
 
 use dermis_mit::LiftOffFit;
-use dermis_tomo::mesh::Surface;
+use dermis_tomo::mesh::{Point, Surface, distance};
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::{Contact, Observation};
 use dermis_twin::Frontend;
@@ -150,7 +150,7 @@ impl Rig {
     }
 
     /// Spread of an image around a place: root mean square distance weighted by the squared values, millimetres.
-    pub fn spread_mm(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
+    pub fn spread_mm(&self, image: &[f32], [x, y]: Point) -> f64 {
         let columns = self.columns();
         let finite = image.iter().enumerate().filter(|(_, value)| value.is_finite());
         let (moment, total) = finite.fold((0.0, 0.0), |(moment, total), (index, value)| {
@@ -191,7 +191,7 @@ impl Rig {
     }
 
     /// An image panel with the indenters' positions marked.
-    pub fn panel(&self, name: impl Into<String>, values: &[f32], places_m: &[[f64; 2]]) -> ImagePanel {
+    pub fn panel(&self, name: impl Into<String>, values: &[f32], places_m: &[Point]) -> ImagePanel {
         panel_of(&self.prepared, name, values, places_m)
     }
 
@@ -215,7 +215,7 @@ impl Rig {
     }
 
     /// Mean of the image over the 3 x 3 pixels around a place, fewer at a rim.
-    pub fn mean_around(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
+    pub fn mean_around(&self, image: &[f32], [x, y]: Point) -> f64 {
         let grid = self.prepared.map.grid();
         let column = ((x - grid.left_m) / grid.pixel_m).floor() as i64;
         let row = ((grid.top_m - y) / grid.pixel_m).floor() as i64;
@@ -230,15 +230,10 @@ impl Rig {
 }
 
 /// An image panel of a skin, with places marked.
-pub(super) fn panel_of(
-    prepared: &Prepared,
-    name: impl Into<String>,
-    values: &[f32],
-    places_m: &[[f64; 2]],
-) -> ImagePanel {
+pub(super) fn panel_of(prepared: &Prepared, name: impl Into<String>, values: &[f32], places_m: &[Point]) -> ImagePanel {
     let grid = prepared.map.grid();
     let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
-    let share = |p: &[f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
+    let share = |p: &Point| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
     let bend = match prepared.skin.surface() {
         Surface::Cylinder { radius_m } => Some(radius_m / width),
         Surface::Flat => None,
@@ -249,13 +244,13 @@ pub(super) fn panel_of(
 }
 
 /// A round weight or indenter.
-pub(super) fn disc(centre_m: [f64; 2], diameter_mm: f64, force_n: f64) -> Indenter {
+pub(super) fn disc(centre_m: Point, diameter_mm: f64, force_n: f64) -> Indenter {
     Indenter { centre_m, shape: Shape::Disc { radius_m: 0.5e-3 * diameter_mm }, load: Load::ForceN(force_n) }
 }
 
 /// Distance between two places, millimetres.
 pub(super) fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
-    1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
+    1e3 * distance(a, b)
 }
 
 fn read(

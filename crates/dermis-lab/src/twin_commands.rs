@@ -5,6 +5,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
+use dermis_tomo::mesh::Point;
 use dermis_twin::Treatment;
 use dermis_twin::instrument::Fault;
 
@@ -21,7 +22,7 @@ pub enum TwinCommand {
         /// Identifies the press.
         pointer: u64,
         /// Position, metres.
-        position_m: [f64; 2],
+        position_m: Point,
         /// Radius of the indenter, metres.
         radius_m: f64,
         /// Pressure, pascals.

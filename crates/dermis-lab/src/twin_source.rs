@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, TryRecvError};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point};
 use dermis_twin::instrument::{Fault, FrameFate, TimedFault};
 use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, Preparation, Treatment, TwinError};
@@ -292,7 +292,7 @@ impl TwinSource {
 
     /// Presses, or gives the reason as a notice, because an invalid press must not end the source. A pointer that
     /// slides off the skin is silently released, and presses again when it returns.
-    fn press(&mut self, pointer: u64, [x_m, y_m]: [f64; 2], radius_m: f64, pressure_pa: f64) {
+    fn press(&mut self, pointer: u64, [x_m, y_m]: Point, radius_m: f64, pressure_pa: f64) {
         if self.pressing.len() >= MOST_POINTERS && !self.pressing.contains(&pointer) {
             if self.refused.len() < MOST_POINTERS && self.refused.insert(pointer) {
                 self.notice(format!(

@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use dermis_skin::budget::Budget;
+use dermis_tomo::mesh::Point;
 use dermis_touch::locator::{FusedOptions, LeftOut, PlaceCorrection, PokeSight, SeenPoke};
 use dermis_touch::{Contact, ContactStrength};
 
@@ -92,7 +93,7 @@ fn learned_as_built(
     }
     let chosen: Vec<usize> = (0..count).step_by(count.div_ceil(MOST_FOR_BUILD)).collect();
     let count = chosen.len();
-    let places_m: Vec<[f64; 2]> = chosen.iter().map(|&i| pokes.positions_m[i]).collect();
+    let places_m: Vec<Point> = chosen.iter().map(|&i| pokes.positions_m[i]).collect();
     differences = chosen.iter().map(|&i| std::mem::take(&mut differences[i])).collect();
     // If pokes aren't spots, only their baseline teaches; they then show how good the resulting skin is.
     let taught = if teaches { count } else { 0 };
@@ -134,8 +135,8 @@ fn learned_as_built(
 
 /// A poke as placed by a model that had not learned from it.
 struct LeftOutPoke {
-    truth_m: [f64; 2],
-    located_m: [f64; 2],
+    truth_m: Point,
+    located_m: Point,
     /// Variance of each coordinate by noise, and by what the other pokes leave unknown, m^2.
     noise_m2: f64,
     built_m2: f64,
@@ -143,7 +144,7 @@ struct LeftOutPoke {
 
 impl LeftOutPoke {
     /// `errors` are part of what the model states. A poke that is not seen counts as placed in the middle of the skin.
-    fn of(sight: &PokeSight, truth_m: [f64; 2], errors: &WorkshopError) -> Self {
+    fn of(sight: &PokeSight, truth_m: Point, errors: &WorkshopError) -> Self {
         let (located_m, noise_m2) = match sight {
             PokeSight::Single(poke) | PokeSight::Several(poke) => (poke.seen_m, poke.variance_m2),
             PokeSight::Nothing(_) => ([0.0; 2], truth_m[0].powi(2) + truth_m[1].powi(2)),
@@ -215,7 +216,7 @@ pub struct MeasuredPoke<'a> {
     /// Difference data, model volts.
     pub difference: &'a [f64],
     /// True position, metres.
-    pub truth_m: [f64; 2],
+    pub truth_m: Point,
     /// Load relative to a typical poke.
     pub load_share: f64,
 }
@@ -276,12 +277,12 @@ mod tests {
     use dermis_skin::Skin;
 
     /// Positions on a grid six columns wide, starting at `first_m`.
-    fn grid(count: u32, pitch_m: f64, first_m: [f64; 2]) -> Vec<[f64; 2]> {
+    fn grid(count: u32, pitch_m: f64, first_m: Point) -> Vec<Point> {
         (0..count).map(|i| [pitch_m * f64::from(i % 6) + first_m[0], pitch_m * f64::from(i / 6) + first_m[1]]).collect()
     }
 
     /// Frames that the model itself predicts for presses at these positions, each with its strength.
-    fn pressed(prepared: &Prepared, positions_m: &[[f64; 2]], share: impl Fn(usize) -> f64) -> Vec<Vec<f64>> {
+    fn pressed(prepared: &Prepared, positions_m: &[Point], share: impl Fn(usize) -> f64) -> Vec<Vec<f64>> {
         let rest = &prepared.voltages;
         let press = |(poke, signature): (usize, &[f64])| {
             rest.iter().zip(signature).map(|(v, s)| v + share(poke) * s).collect::<Vec<f64>>()

@@ -84,3 +84,25 @@ fn read(text: &[u8], path: &Path) -> Result<(ForceCalibration, Option<String>), 
     };
     Ok((serde_json::from_value(stored).map_err(content)?, skin_sha256))
 }
+
+/// Source of the forces that touches report.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ForceSource {
+    /// A force calibration.
+    Calibration,
+    /// A calibration with pokes of known force.
+    Pokes,
+    /// The law of the layer in the skin file.
+    Law,
+}
+
+impl ForceSource {
+    /// The source in one word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Calibration => "calibration",
+            Self::Pokes => "pokes",
+            Self::Law => "law",
+        }
+    }
+}

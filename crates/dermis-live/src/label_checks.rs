@@ -7,6 +7,8 @@
 //! mirrored table from the right one. *Signatures*: the cosine between a frame's difference and the model's
 //! prediction for a press at its label. This identifies mirrored and rotated axes if the model is roughly right.
 
+use dermis_tomo::mesh::{Point, distance};
+
 use crate::Error;
 use crate::calibration::{PokeFrames, Pokes, differences_of};
 use crate::prepare::Prepared;
@@ -71,7 +73,7 @@ impl Turn {
     ];
 
     /// The position of a label with this symmetry undone.
-    pub fn undone(self, [x, y]: [f64; 2]) -> [f64; 2] {
+    pub fn undone(self, [x, y]: Point) -> Point {
         self.matrix.map(|[a, b]| f64::from(a) * x + f64::from(b) * y)
     }
 }
@@ -119,14 +121,14 @@ fn neighbours(unit: &[Vec<f64>]) -> Vec<Vec<usize>> {
 }
 
 /// Median distance between labels and their prediction from the neighbours' labels.
-fn error_m(neighbours: &[Vec<usize>], labels_m: &[[f64; 2]]) -> f64 {
+fn error_m(neighbours: &[Vec<usize>], labels_m: &[Point]) -> f64 {
     let mut errors: Vec<f64> = neighbours
         .iter()
         .enumerate()
         .filter(|(_, near)| !near.is_empty())
         .map(|(poke, near)| {
             let mean = |axis: usize| near.iter().map(|other| labels_m[*other][axis]).sum::<f64>() / near.len() as f64;
-            (mean(0) - labels_m[poke][0]).hypot(mean(1) - labels_m[poke][1])
+            distance([0, 1].map(mean), labels_m[poke])
         })
         .collect();
     if errors.is_empty() {
@@ -136,7 +138,7 @@ fn error_m(neighbours: &[Vec<usize>], labels_m: &[[f64; 2]]) -> f64 {
     *errors.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-fn permutation_test(unit: &[Vec<f64>], labels_m: &[[f64; 2]]) -> (f64, Option<f64>) {
+fn permutation_test(unit: &[Vec<f64>], labels_m: &[Point]) -> (f64, Option<f64>) {
     let near = neighbours(unit);
     let found = error_m(&near, labels_m);
     if unit.len() < FEWEST {
@@ -168,7 +170,7 @@ fn shuffle(labels: &mut [[f64; 2]], state: &mut u64) {
 
 /// Number of rows by which labels lag, if shifted ones fit far better and the shifted table passes the permutation
 /// test.
-fn lag(unit: &[Vec<f64>], labels_m: &[[f64; 2]], found_m: f64) -> Option<i64> {
+fn lag(unit: &[Vec<f64>], labels_m: &[Point], found_m: f64) -> Option<i64> {
     if unit.len() < FEWEST + 2 {
         return None;
     }
@@ -188,14 +190,14 @@ fn lag(unit: &[Vec<f64>], labels_m: &[[f64; 2]], found_m: f64) -> Option<i64> {
 }
 
 /// The symmetry of the axes that fits the model far better than the labels as they are.
-fn turn(prepared: &Prepared, unit: &[Vec<f64>], labels_m: &[[f64; 2]], step: usize) -> Option<Turn> {
+fn turn(prepared: &Prepared, unit: &[Vec<f64>], labels_m: &[Point], step: usize) -> Option<Turn> {
     if !prepared.skin.backend.wiring.is_known() || unit.len() < 5 {
         return None;
     }
     let taken: Vec<usize> = (0..unit.len()).step_by(step).collect();
     let outline = prepared.skin.outline();
-    let fit = |undone: &dyn Fn([f64; 2]) -> [f64; 2]| {
-        let places: Vec<[f64; 2]> = taken.iter().map(|poke| undone(labels_m[*poke])).collect();
+    let fit = |undone: &dyn Fn(Point) -> Point| {
+        let places: Vec<Point> = taken.iter().map(|poke| undone(labels_m[*poke])).collect();
         if places.iter().any(|place| !outline.contains(*place)) {
             return f64::NEG_INFINITY;
         }
@@ -221,7 +223,7 @@ mod tests {
     use dermis_skin::Skin;
 
     /// Frames predicted by the model for presses at these positions.
-    fn pressed(prepared: &Prepared, positions_m: &[[f64; 2]]) -> Vec<Vec<f64>> {
+    fn pressed(prepared: &Prepared, positions_m: &[Point]) -> Vec<Vec<f64>> {
         let rest = &prepared.voltages;
         let add = |signature: &[f64]| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect();
         prepared.signatures(positions_m).chunks_exact(rest.len()).map(add).collect()
@@ -232,10 +234,10 @@ mod tests {
         let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
         // In random order: neighbours in the table are not neighbours on the skin.
         let place = |k: usize| [1e-3 * ((k * 37 % 83) as f64 - 40.0), 1e-3 * ((k * 53 % 71) as f64 - 30.0) * 0.8];
-        let places: Vec<[f64; 2]> = (0..60).map(place).collect();
+        let places: Vec<Point> = (0..60).map(place).collect();
         let frames = pressed(&prepared, &places);
         let rest = prepared.voltages.clone();
-        let check = |positions_m: Vec<[f64; 2]>| {
+        let check = |positions_m: Vec<Point>| {
             let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
             check_labels(&prepared, measured, &Pokes { positions_m, further_m: Vec::new(), loads: None }).unwrap()
         };

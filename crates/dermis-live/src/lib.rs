@@ -45,7 +45,6 @@ pub mod driver;
 mod error;
 pub mod forces;
 pub mod frame_noise;
-mod image_cells;
 pub mod imager;
 pub mod instant;
 pub mod label_checks;

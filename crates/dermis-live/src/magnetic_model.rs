@@ -5,6 +5,7 @@
 use dermis_mit::{Coil, CoilArray, Complex, HARMONICS, MU0, Polarizability, Sphere};
 use dermis_skin::{Element, Elements, Skin};
 use dermis_tomo::eit::Jacobian;
+use dermis_tomo::mesh::Point;
 use rayon::prelude::*;
 
 use crate::Error;
@@ -66,7 +67,7 @@ impl MagneticModel {
 
     /// Magnitudes at rest, volts, and their change with the pixels of an image, volts per share of the full travel.
     /// An element's travel is the image around its centre, weighted by a Gaussian a quarter of the pitch wide.
-    pub(crate) fn linearised(&self, at_m: &[[f64; 2]], pixel_m: f64) -> Result<(Vec<f64>, Jacobian), Error> {
+    pub(crate) fn linearised(&self, at_m: &[Point], pixel_m: f64) -> Result<(Vec<f64>, Jacobian), Error> {
         let model = self;
         let rest_h = model.rest_h();
         let travel_v = model.volts_per_h * model.elements.travel_mm * MM;
@@ -81,7 +82,7 @@ impl MagneticModel {
             })
             .collect();
         let width = ELEMENT_WIDTH * model.elements.pitch_m();
-        let weight = |p: [f64; 2], q: [f64; 2]| {
+        let weight = |p: Point, q: Point| {
             let square = ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)) / (width * width);
             if square > REACH * REACH {
                 return 0.0;
@@ -113,7 +114,7 @@ impl MagneticModel {
     }
 
     /// One element at its resting height at this position.
-    fn dipole_at(&self, [x, y]: [f64; 2]) -> Dipole<'_> {
+    fn dipole_at(&self, [x, y]: Point) -> Dipole<'_> {
         let z = self.elements.rest_mm * MM;
         // B = -mu0 grad(c0 z + c1 x + c2 y).
         let expansion = |coil: &Coil, z: f64| {

@@ -5,7 +5,6 @@ mod built_in;
 mod classes;
 mod classifier;
 mod contact_image;
-mod fingerprint;
 mod first_network;
 mod input_image;
 mod masks;
@@ -14,9 +13,8 @@ mod plain_images;
 
 pub use built_in::built_in;
 pub use classes::{CLASSES, Classes, UNLIKE};
-pub use classifier::{Classifier, Seen};
+pub use classifier::{Classifier, Seen, imaging_sha256, suits};
 pub use contact_image::{FittedTouches, draw_discs};
-pub use fingerprint::{imaging_sha256, suits};
 pub use input_image::InputImage;
 pub use masks::{MaskRule, PRESENCE, PresenceRule, enlarge, masks_of_image};
 pub use network_input::FirstStep;

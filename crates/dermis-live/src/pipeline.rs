@@ -7,12 +7,9 @@ mod as_built;
 mod baselines;
 mod calibrations;
 mod circuit;
-mod force_source;
 mod guard;
 mod hyperparameter;
 mod levels;
-mod operators;
-mod stage_latencies;
 mod state;
 
 use std::sync::Arc;
@@ -29,7 +26,9 @@ use crate::calibration::{Calibration, check_wiring};
 pub use crate::channel_noise::TARE_FRAMES;
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
+pub use crate::forces::ForceSource;
 use crate::instant::Instant;
+pub use crate::latency::StageLatencies;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::skin_frame::SkinFrame;
@@ -39,10 +38,7 @@ use crate::stages::classes::{ClassPace, ClassStage};
 use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
 use crate::stages::guard::GuardStage;
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
-pub use force_source::ForceSource;
-use operators::Operators;
-pub use stage_latencies::StageLatencies;
-use state::{Choices, Running, Starting, State, drift_compensation};
+use state::{Choices, Operators, Running, Starting, State, drift_compensation};
 
 /// Before the first baseline, a frame counts if one in this many of its channels has a reading.
 const LEAST_START: usize = 4;

@@ -5,7 +5,8 @@ use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
-use dermis_tomo::mesh::{ElectrodedMesh, PixelMap};
+use dermis_tomo::mesh::{ElectrodedMesh, PixelGrid, PixelMap, Point, distance};
+use dermis_touch::{GridGeometry, ImageCells};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -176,20 +177,23 @@ impl Prepared {
         self.voltages.len()
     }
 
+    /// The cells of its images, for touch extraction. Only this function assumes that they are a grid.
+    pub(crate) fn image_cells(&self) -> ImageCells {
+        let PixelGrid { columns, rows, pixel_m, left_m, top_m } = *self.map.grid();
+        ImageCells::from(GridGeometry { columns, rows, pixel_m, left_m, top_m })
+    }
+
     /// Pixels that the skin barely covers and that images exclude, each with the nearest inside pixel (both
     /// row-major). An image that needs a value everywhere on the skin can take it from there.
     pub fn rim_pixels(&self) -> Vec<(usize, usize)> {
         let grid = self.map.grid();
-        let distance = |a: usize, b: usize| {
-            let (p, q) = (grid.centre_m(a), grid.centre_m(b));
-            (p[0] - q[0]).hypot(p[1] - q[1])
-        };
+        let away_m = |a: usize, b: usize| distance(grid.centre_m(a), grid.centre_m(b));
         let mask = self.map.inside_mask();
         let on_rim = (0..grid.len()).filter(|&pixel| !mask[pixel] && self.map.coverage()[pixel] > LEAST_RIM_COVERAGE);
         on_rim
             .filter_map(|pixel| {
                 let inside = self.map.inside_pixels().iter().map(|&p| p as usize);
-                let nearest = inside.min_by(|&a, &b| distance(pixel, a).total_cmp(&distance(pixel, b)))?;
+                let nearest = inside.min_by(|&a, &b| away_m(pixel, a).total_cmp(&away_m(pixel, b)))?;
                 Some((pixel, nearest))
             })
             .collect()
@@ -214,7 +218,7 @@ impl Prepared {
 
     /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data
     /// in model volts for a relative change of 1 at its centre, polarity included.
-    pub fn signatures(&self, positions_m: &[[f64; 2]]) -> Vec<f64> {
+    pub fn signatures(&self, positions_m: &[Point]) -> Vec<f64> {
         let sigma = self.skin.touch.relative_size * self.half_width_m();
         let polarity = self.skin.imaging.polarity.sign();
         let mut rows = Vec::with_capacity(positions_m.len() * self.channels());
@@ -346,7 +350,7 @@ fn conductances_s(skin: &Skin, body: &SkinBody, build: Option<&Build>) -> Vec<f6
 /// has its first cell and the range of its weights.
 fn weigh_near(
     cells_m: &[[f64; 3]],
-    place_m: [f64; 2],
+    place_m: Point,
     sigma_m: f64,
     runs: &mut Vec<(usize, Range<usize>)>,
     weights: &mut Vec<f64>,

@@ -11,6 +11,7 @@ mod coil_tables;
 
 pub use coil_tables::CoilTables;
 
+use dermis_tomo::mesh::distance;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, Par};
 
@@ -83,17 +84,14 @@ impl MultipoleArray {
         if bodies.len() != count {
             return Err(MitError::Count { what: "bodies", expected: count, got: bodies.len() });
         }
-        let distance = |a: usize, b: usize| {
-            let (p, q) = (tables.places_m[a], tables.places_m[b]);
-            (p[0] - q[0]).hypot(p[1] - q[1])
-        };
         let mut neighbours = Vec::new();
         for a in 0..count {
             for b in (0..count).filter(|b| *b != a) {
                 // Bodies that excite each other need disjoint surrounding spheres, others only disjoint inscribed
                 // spheres.
                 let reach = |body: &Polarizability| if coupling.is_some() { body.radius_m } else { body.inner_m };
-                let (distance_m, needed_m) = (distance(a, b), reach(&bodies[a]) + reach(&bodies[b]));
+                let distance_m = distance(tables.places_m[a], tables.places_m[b]);
+                let needed_m = reach(&bodies[a]) + reach(&bodies[b]);
                 if distance_m < needed_m * (1.0 - 1e-9) {
                     return Err(MitError::BodiesOverlap { first: a + 1, second: b + 1, distance_m, needed_m });
                 }

@@ -10,6 +10,8 @@
 
 use std::f64::consts::{PI, TAU};
 
+use dermis_tomo::mesh::{Point, distance};
+
 use crate::coil::{Coil, Filament};
 use crate::constants::MU0;
 use crate::error::{MitError, frequency, positive};
@@ -40,7 +42,7 @@ struct Loop {
 /// Turns around one vertical axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoundWinding {
-    axis_m: [f64; 2],
+    axis_m: Point,
     loops: Vec<Loop>,
 }
 
@@ -158,7 +160,7 @@ impl ConductingPlate {
         for winding in [m, n] {
             positive("height of a loop over the plate (m)", winding.lowest_m() - self.face_z_m)?;
         }
-        let apart = (m.axis_m[0] - n.axis_m[0]).hypot(m.axis_m[1] - n.axis_m[1]);
+        let apart = distance(m.axis_m, n.axis_m);
         let reach = m.widest_m() + n.widest_m() + apart;
         let heights = m.lowest_m() + n.lowest_m() - 2.0 * self.face_z_m;
         let rule = gauss_legendre(16);

@@ -8,6 +8,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use dermis_tomo::mesh::{Point, distance};
 use faer::Mat;
 use faer::prelude::Solve;
 use rayon::prelude::*;
@@ -23,7 +24,7 @@ use crate::vector::{Complex, Vector};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
     /// Centre: distance from the axis and height, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Vector from the centre to the middle of one side, metres.
     pub across_m: [f64; 2],
     /// Vector from the centre to the middle of an adjacent side, metres.
@@ -50,15 +51,14 @@ impl Section {
 
     /// Mean mutual inductance with another section's rings, henries.
     fn mutual_h(&self, other: &Self) -> f64 {
-        let apart =
-            (self.centre_m[0] - other.centre_m[0]).hypot(self.centre_m[1] - other.centre_m[1]).max(f64::MIN_POSITIVE);
+        let apart = distance(self.centre_m, other.centre_m).max(f64::MIN_POSITIVE);
         // Enough points that their spacing is smaller than the distance of the sections; one more in the second, so
         // that none coincide.
         let count = |side: f64, more: usize| ((2.0 * side / apart).ceil() as usize).clamp(1, 8) + more;
         let mine = self.points(self.sides().map(|side| count(side, 0)));
         let theirs = other.points(other.sides().map(|side| count(side, 1)));
         let ring = |[rho, z]: [f64; 2]| Ring::flat([0.0, 0.0, z], rho);
-        let to = |p: [f64; 2]| theirs.iter().map(|(q, w)| w * ring(p).mutual_h(&ring(*q))).sum::<f64>();
+        let to = |p: Point| theirs.iter().map(|(q, w)| w * ring(p).mutual_h(&ring(*q))).sum::<f64>();
         mine.iter().map(|(p, w)| w * to(*p)).sum()
     }
 

@@ -1,6 +1,7 @@
 //! The constant properties of a running body: its links and joints, and the skins on it as triangles. Sent once to each
 //! page. Poses are `[x, y, z, qx, qy, qz, qw]`: metres, and a unit quaternion.
 
+use dermis_tomo::mesh::Point;
 use serde::Serialize;
 
 use crate::scene::{GridView, PressLimits};
@@ -128,7 +129,7 @@ pub struct RunningPatchView {
     /// The image's grid on the flattened sheet.
     pub grid: GridView,
     /// Outlines on the flattened sheet, as in the skin's own scene.
-    pub outline_mm: Vec<Vec<[f64; 2]>>,
+    pub outline_mm: Vec<Vec<Point>>,
     /// Quantity shown by the image.
     pub image_quantity: String,
     /// Initial colour range, as in the skin's own scene.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use dermis_tomo::mesh::Point;
 use serde::Serialize;
 
 use crate::body_scene::Pose;
@@ -81,7 +82,7 @@ pub struct BodyTouchView {
     /// Phase.
     pub phase: TouchPhase,
     /// Position on the flattened sheet, millimetres.
-    pub sheet_mm: [f64; 2],
+    pub sheet_mm: Point,
     /// Fitted radius, or else the radius of a disc of its area, millimetres; `None` if unknown.
     pub radius_mm: Option<f64>,
     /// Magnitude of the force, newtons, if it can be trusted.

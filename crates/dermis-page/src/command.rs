@@ -1,8 +1,10 @@
 //! Commands from the page to the pipeline, and checks that reject impossible ones.
 
 use dermis_skin::TwinAction;
+use dermis_tomo::mesh::Point;
 use dermis_twin::from_skin::treatment_of;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 
 use crate::scene::Scene;
 
@@ -91,7 +93,7 @@ impl Command {
 
 impl Press {
     /// Position, metres.
-    pub fn position_m(&self) -> [f64; 2] {
+    pub fn position_m(&self) -> Point {
         [self.x_mm * 1e-3, self.y_mm * 1e-3]
     }
 
@@ -151,4 +153,24 @@ fn check_channels(indices: &[u32], scene: &Scene) -> Result<(), String> {
         Some(index) => Err(format!("channel {index} refused: expected an index below {count}")),
         None => Ok(()),
     }
+}
+
+/// A command from the page of a body.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum BodyCommand {
+    /// A command to one patch.
+    Patch(PatchCommand),
+    /// Values of joints, radians or metres.
+    Joints(BTreeMap<String, f64>),
+}
+
+/// A command to one patch.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PatchCommand {
+    /// Number of the patch in the scene.
+    pub number: usize,
+    /// The command, as from the patch's own page.
+    pub command: Command,
 }

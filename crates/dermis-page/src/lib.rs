@@ -16,7 +16,6 @@
 //! ```
 
 mod announcer;
-mod body_command;
 mod body_scene;
 mod body_state;
 mod command;
@@ -33,12 +32,11 @@ mod update;
 mod words;
 
 pub use announcer::Announcer;
-pub use body_command::{BodyCommand, PatchCommand};
 pub use body_scene::{
     BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, ShapeView, SurfaceView,
 };
 pub use body_state::{BodyState, BodyTouchView, JointsView, LinkPoseView, PatchStateView, PlacedTouchView};
-pub use command::{Command, Press};
+pub use command::{BodyCommand, Command, PatchCommand, Press};
 pub use error::UpdateError;
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use skin_scene::{rings, scene};

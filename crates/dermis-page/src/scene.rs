@@ -1,6 +1,7 @@
 //! The constant properties of a running skin: its shape, electrodes, image grid, channels and units. Sent once to
 //! each page.
 
+use dermis_tomo::mesh::Point;
 use serde::Serialize;
 
 /// The skin as drawn by the page. Lengths are millimetres in the skin's frame.
@@ -18,7 +19,7 @@ pub struct Scene {
     /// True if the twin can be cut and healed.
     pub is_treatable: bool,
     /// Closed rings, without repeating the first point: the outer boundary first, then holes.
-    pub outline_mm: Vec<Vec<[f64; 2]>>,
+    pub outline_mm: Vec<Vec<Point>>,
     /// Diameter of the cylinder that the sheet is bent around, with its axis along y; `None` if flat. Other lengths are
     /// those of the flattened sheet.
     pub bend_diameter_mm: Option<f64>,
@@ -51,9 +52,9 @@ pub struct ElectrodeView {
     /// Number shown, from 1.
     pub number: u32,
     /// Position of the number: the electrode's centre.
-    pub position_mm: [f64; 2],
+    pub position_mm: Point,
     /// Its outline; empty for a point, two points for a rim segment, more for a polygon.
-    pub outline_mm: Vec<[f64; 2]>,
+    pub outline_mm: Vec<Point>,
 }
 
 /// Position of the image: the outer edges of its corner pixels.

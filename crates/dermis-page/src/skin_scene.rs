@@ -7,7 +7,7 @@ use dermis_live::imager::Imager;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::{Bend, Layer};
-use dermis_tomo::mesh::{Contact, Outline};
+use dermis_tomo::mesh::{Contact, Outline, Point, distance};
 use dermis_twin::from_skin::usual_travel_share;
 use dermis_twin::{PressRange, TypicalPress};
 
@@ -39,7 +39,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>, calibration: Option
         Some(_) => ("touch strength", "typical pokes per pixel"),
         None => (prepared.skin.modality.image_quantity(), ""),
     };
-    let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
+    let mm = |p: Point| [p[0] * MM, p[1] * MM];
     let lambda = typical_hyperparameter(prepared);
     Scene {
         skin: prepared.skin.name.clone(),
@@ -137,7 +137,7 @@ fn typical_hyperparameter(prepared: &Prepared) -> f64 {
 
 /// Closed rings of an outline, metres, without repeating the first point: the outer boundary first, then holes. A
 /// circle becomes a polygon.
-pub fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
+pub fn rings(outline: &Outline) -> Vec<Vec<Point>> {
     match outline {
         Outline::Disc { radius_m } => {
             let corner = |k: usize| {
@@ -176,8 +176,8 @@ fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
 
 /// The two nodes farthest apart.
 fn ends(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
-    let distance = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let pairs = nodes.iter().flat_map(|a| nodes.iter().map(move |b| (a, b)));
+    let points: Vec<Point> = nodes.iter().map(|node| [node[0], node[1]]).collect();
+    let pairs = points.iter().flat_map(|a| points.iter().map(move |b| (*a, *b)));
     let farthest = pairs.max_by(|x, y| distance(x.0, x.1).total_cmp(&distance(y.0, y.1)));
     farthest.map_or(Vec::new(), |(a, b)| vec![[a[0] * MM, a[1] * MM], [b[0] * MM, b[1] * MM]])
 }

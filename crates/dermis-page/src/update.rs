@@ -3,6 +3,7 @@
 
 use std::borrow::Cow;
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::guard::{GuardReason, GuardReport};
 use serde::Serialize;
 
@@ -124,7 +125,7 @@ pub struct DamageRow {
     /// Direction from +x, counter-clockwise.
     pub direction_deg: f64,
     /// Both ends.
-    pub ends_mm: [[f64; 2]; 2],
+    pub ends_mm: [Point; 2],
     /// Largest drop of the image since the damage began.
     pub depth: f64,
     /// Share that has healed, 0 to 1.

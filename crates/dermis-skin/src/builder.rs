@@ -1,5 +1,7 @@
 //! Skins made in code, in a line or two instead of a skin file.
 
+use dermis_tomo::mesh::Point;
+
 use crate::backend::MOST_PAIRS;
 use crate::backend::{Backend, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads, Wiring};
 use crate::channel_list::{ChannelList, ListedChannel};
@@ -117,7 +119,7 @@ impl Skin {
     }
 
     /// A polygon, in millimetres; see [`Skin::new`].
-    pub fn polygon(name: &str, outer_mm: Vec<[f64; 2]>, holes_mm: Vec<Vec<[f64; 2]>>, layer: Layer) -> Self {
+    pub fn polygon(name: &str, outer_mm: Vec<Point>, holes_mm: Vec<Vec<Point>>, layer: Layer) -> Self {
         Self::new(name, Shape::Polygon { outer_mm, holes_mm }, layer)
     }
 

@@ -6,7 +6,7 @@ pub use electrodes::{Electrodes, Pad, PadRing, RimElectrode};
 
 use std::path::Path;
 
-use dermis_tomo::mesh::{Outline, Surface};
+use dermis_tomo::mesh::{Outline, Point, Surface};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -72,10 +72,10 @@ pub enum Shape {
     /// Any polygon, holes allowed.
     Polygon {
         /// Vertices of the rim.
-        outer_mm: Vec<[f64; 2]>,
+        outer_mm: Vec<Point>,
         /// Vertices of each hole.
         #[serde(default)]
-        holes_mm: Vec<Vec<[f64; 2]>>,
+        holes_mm: Vec<Vec<Point>>,
     },
     /// The rim of a flat mesh in a file, with its electrodes. Reading a skin replaces it with a polygon.
     Mesh(MeshFile),
@@ -102,7 +102,7 @@ impl Shape {
                 Outline::Rectangle { width_m: width_mm * MM, height_m: height_mm * MM }
             }
             Shape::Polygon { outer_mm, holes_mm } => {
-                let metres = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] * MM, p[1] * MM]).collect::<Vec<_>>();
+                let metres = |points: &[Point]| points.iter().map(|p| [p[0] * MM, p[1] * MM]).collect::<Vec<_>>();
                 Outline::Polygon { outer: metres(outer_mm), holes: holes_mm.iter().map(|h| metres(h)).collect() }
             }
             // Unreachable in a checked skin.
@@ -162,7 +162,7 @@ impl Shape {
 }
 
 /// Checks a ring: three or more vertices, no crossing or touching itself.
-fn check_ring(field: &str, ring: &[[f64; 2]], checker: &Checker<'_>) -> Result<(), Error> {
+fn check_ring(field: &str, ring: &[Point], checker: &Checker<'_>) -> Result<(), Error> {
     if ring.len() < 3 {
         return Err(checker.refused(field, format!("{} vertices", ring.len()), "3 or more"));
     }
@@ -186,7 +186,7 @@ fn check_ring(field: &str, ring: &[[f64; 2]], checker: &Checker<'_>) -> Result<(
 }
 
 /// True if two segments intersect.
-fn cross(p: [f64; 2], q: [f64; 2], r: [f64; 2], s: [f64; 2]) -> bool {
+fn cross(p: Point, q: Point, r: Point, s: Point) -> bool {
     let side = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     let within =
         |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (0..2).all(|k| c[k] >= a[k].min(b[k]) && c[k] <= a[k].max(b[k]));
@@ -201,7 +201,7 @@ fn cross(p: [f64; 2], q: [f64; 2], r: [f64; 2], s: [f64; 2]) -> bool {
 }
 
 /// True if a point is inside a ring, by counting the edges to its right.
-fn contains(ring: &[[f64; 2]], p: [f64; 2]) -> bool {
+fn contains(ring: &[Point], p: Point) -> bool {
     let mut inside = false;
     for k in 0..ring.len() {
         let (a, b) = (ring[k], ring[(k + 1) % ring.len()]);

@@ -36,7 +36,6 @@ mod layer;
 mod magnetic;
 mod mesh_file;
 mod mesh_source;
-mod mount;
 mod pair;
 mod parts;
 mod refinement;
@@ -64,11 +63,10 @@ pub use imaging::{GainMatch, HyperparameterChoice, Imaging, MixturePart, Polarit
 pub use layer::{ContactLaw, ElementsLayer, Layer, LiquidLayer, Memory, PatchesLayer, SandwichLayer, SheetLayer};
 pub use magnetic::{CoilConductor, CoilPlaces, Coils, ElementPlaces, Elements, Winding};
 pub use mesh_source::{LengthUnit, MeshFile};
-pub use mount::Mount;
 pub use pair::Pair;
 pub use refinement::Refinement;
 pub use schema::json_schema;
-pub use skin::{Modality, Skin};
+pub use skin::{Modality, Mount, Skin};
 pub use tolerances::{Dice, Tolerances, built_electrodes};
 pub use touch::TouchSettings;
 pub use twin::{

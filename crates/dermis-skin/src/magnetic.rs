@@ -1,7 +1,7 @@
 //! Coils and conducting elements of a magnetic induction skin, as given in the file.
 
 use dermis_mit::{CoilArray, CoilGrid, CoilShape, CoilSpec, Conductor, ElementShape, MitError};
-use dermis_tomo::mesh::{ElectrodeShape, Outline};
+use dermis_tomo::mesh::{ElectrodeShape, Outline, Point};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -140,7 +140,7 @@ pub enum ElementPlaces {
     /// Explicit list.
     List {
         /// Centre [x, y] of each element.
-        at_mm: Vec<[f64; 2]>,
+        at_mm: Vec<Point>,
         /// Width and height of the cell around each element; pressure on the cell presses the element.
         cell_mm: Pair<f64>,
     },
@@ -300,7 +300,7 @@ impl Coils {
 
 impl Elements {
     /// Centres of the elements, metres.
-    pub fn places_m(&self) -> Vec<[f64; 2]> {
+    pub fn places_m(&self) -> Vec<Point> {
         match &self.places {
             ElementPlaces::Grid { rows, columns, pitch_mm } => {
                 let [px, py] = pitch_mm.both();
@@ -349,7 +349,7 @@ impl Elements {
         }
         check_shape(&self.shape, checker)?;
         let (low, high) = outline.bounds_m();
-        let off = |p: &&[f64; 2]| (0..2).any(|axis| p[axis] < low[axis] || p[axis] > high[axis]);
+        let off = |p: &&Point| (0..2).any(|axis| p[axis] < low[axis] || p[axis] > high[axis]);
         if let Some([x, y]) = self.places_m().iter().find(off) {
             let value = format!("[{}, {}] mm", x / MM, y / MM);
             return Err(checker.refused(&key("places"), value, "middles of elements on the skin"));

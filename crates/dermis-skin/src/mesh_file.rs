@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use dermis_tomo::mesh::{CellKind, Contact, ElectrodeGroups, ElectrodedMesh, read_msh};
+use dermis_tomo::mesh::{CellKind, Contact, ElectrodeGroups, ElectrodedMesh, Point, distance, read_msh};
 
 use crate::check::{Checker, MM};
 use crate::error::Error;
@@ -81,10 +81,7 @@ impl MeshFile {
             return Err(refuse(message));
         }
         let count = outer.len();
-        let length = |k: usize| {
-            let (a, b) = (place(&outer[k]), place(&outer[(k + 1) % count]));
-            (b[0] - a[0]).hypot(b[1] - a[1])
-        };
+        let length = |k: usize| distance(place(&outer[k]), place(&outer[(k + 1) % count]));
         let mut begins = vec![0.0; count + 1];
         (0..count).for_each(|k| begins[k + 1] = begins[k] + length(k));
         let edge_of: HashMap<[u32; 2], usize> = (0..count)
@@ -147,7 +144,7 @@ fn loops(read: &ElectrodedMesh) -> Vec<Vec<u32>> {
     loops
 }
 
-fn signed_area(ring: &[[f64; 2]]) -> f64 {
+fn signed_area(ring: &[Point]) -> f64 {
     let next = |k: usize| ring[(k + 1) % ring.len()];
     (0..ring.len()).map(|k| 0.5 * (ring[k][0] * next(k)[1] - next(k)[0] * ring[k][1])).sum()
 }

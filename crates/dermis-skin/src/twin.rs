@@ -1,5 +1,6 @@
 //! Settings in a skin file for its twin: noise seed and instrument faults.
 
+use dermis_tomo::mesh::Point;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -146,14 +147,14 @@ pub enum TwinAction {
     /// A cut with a blade.
     Cut {
         /// One end.
-        from_mm: [f64; 2],
+        from_mm: Point,
         /// The other end.
-        to_mm: [f64; 2],
+        to_mm: Point,
     },
     /// A heat pad laid on the sheet.
     Heal {
         /// Centre of the pad.
-        at_mm: [f64; 2],
+        at_mm: Point,
         /// Radius of the pad.
         radius_mm: f64,
         /// Temperature of the pad.

@@ -4,7 +4,6 @@
 //! inverse covariance up to `lambda^2` (the hyperparameter enters squared, as in EIDORS), `dv` the difference data.
 
 mod about_guess;
-mod check;
 mod error;
 mod greit;
 mod hyperparameter;
@@ -24,9 +23,8 @@ mod total_variation;
 mod weighting;
 
 pub use about_guess::{Guess, GuessCorrelations};
-pub(crate) use check::check_finite;
-pub use check::check_hyperparameter;
-pub use error::InverseError;
+pub(crate) use error::check_finite;
+pub use error::{InverseError, check_hyperparameter};
 pub use greit::{Greit, GreitSpec};
 pub use hyperparameter::Hyperparameter;
 pub use leave_one_out_residual::LeaveOneOutResidual;

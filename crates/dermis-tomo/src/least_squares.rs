@@ -5,12 +5,10 @@
 //! example within bounds. The loop decides which steps to take and when to stop.
 
 mod params;
-mod progress;
 #[cfg(test)]
 mod tests;
 
-pub use params::{Acceptance, Control, Damping, Error, Params, Tolerances};
-pub use progress::Progress;
+pub use params::{Acceptance, Control, Damping, Error, Params, Progress, Tolerances};
 
 /// The normal equations at one point.
 #[derive(Clone, Debug, Default, PartialEq)]

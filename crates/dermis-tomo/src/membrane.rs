@@ -11,7 +11,7 @@
 
 use faer::Mat;
 
-use crate::mesh::{CellKind, Mesh};
+use crate::mesh::{CellKind, Mesh, Point};
 use crate::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 
 /// Pairs (a, b), a >= b, of a triangle's corners.
@@ -32,7 +32,7 @@ pub struct MembraneSpec {
 /// A membrane on a mesh of triangles. Nodes on the mesh's border are fixed, unless the tank is open.
 #[derive(Debug)]
 pub struct Membrane {
-    positions: Vec<[f64; 2]>,
+    positions: Vec<Point>,
     triangles: Vec<[u32; 3]>,
     areas: Vec<f64>,
     structure: SpdStructure,
@@ -74,7 +74,7 @@ impl Membrane {
             let reason = "a membrane needs triangles; the mesh has tetrahedra".to_string();
             return Err(SparseError::Structure { reason });
         }
-        let positions: Vec<[f64; 2]> = plan.nodes().iter().map(|p| [p[0], p[1]]).collect();
+        let positions: Vec<Point> = plan.nodes().iter().map(|p| [p[0], p[1]]).collect();
         let triangles: Vec<[u32; 3]> = plan.elements().map(|cell| [cell[0], cell[1], cell[2]]).collect();
         let (unknowns, free) = number_free_nodes(plan, spec.is_open());
         let (structure, slots) = structure_of(&positions, &triangles, &unknowns, free)?;
@@ -139,7 +139,7 @@ impl Membrane {
     }
 
     /// Positions of the nodes, metres.
-    pub fn positions_m(&self) -> &[[f64; 2]] {
+    pub fn positions_m(&self) -> &[Point] {
         &self.positions
     }
 
@@ -220,7 +220,7 @@ fn free_pair(unknowns: &[Option<u32>], triangle: &[u32; 3], (a, b): (usize, usiz
 
 /// Structure over the free nodes, and the slots of the free pairs, triangle by triangle in the order of [`PAIRS`].
 fn structure_of(
-    positions: &[[f64; 2]],
+    positions: &[Point],
     triangles: &[[u32; 3]],
     unknowns: &[Option<u32>],
     free: usize,
@@ -240,7 +240,7 @@ fn structure_of(
 }
 
 /// `integral grad phi_a . grad phi_b` for each of [`PAIRS`].
-fn stiffness(corners: [[f64; 2]; 3], area: f64) -> [f64; 6] {
+fn stiffness(corners: [Point; 3], area: f64) -> [f64; 6] {
     let edge = |k: usize| {
         let (from, to) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
         [to[0] - from[0], to[1] - from[1]]

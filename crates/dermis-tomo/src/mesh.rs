@@ -18,7 +18,7 @@ pub use self::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshErr
 pub(crate) use self::core::{dot, subtract};
 pub use self::import::{ElectrodeGroups, read_msh};
 pub use self::pixels::{INSIDE_COVERAGE, PixelGrid, PixelMap};
-pub use self::plane::{distance, to_segment};
+pub use self::plane::{Point, distance, to_segment};
 pub use self::shapes::{Direction, ElectrodeShape, Outline};
 pub use self::sheet::{MeshQuality, SheetSpec};
 pub use self::slit::{SlitEdge, SlitMesh, joint_entries};

@@ -8,7 +8,7 @@ use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, ReadoutCircuit};
 use dermis_tomo::inverse::{
     CalibrationOptions, Hyperparameter, ImageBasis, LinearProblem, Prior, SelfCalibration, TouchTemplates,
 };
-use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec};
+use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec, distance};
 
 const RADIUS_M: f64 = 0.0855;
 const ELECTRODES: usize = 16;
@@ -96,7 +96,7 @@ impl Model {
 
 /// Median and 90th percentile, millimetres.
 fn errors_mm(found: impl Iterator<Item = [f64; 2]>, truth: &[[f64; 2]]) -> (f64, f64) {
-    let mut errors: Vec<f64> = found.zip(truth).map(|(f, t)| 1e3 * (f[0] - t[0]).hypot(f[1] - t[1])).collect();
+    let mut errors: Vec<f64> = found.zip(truth).map(|(f, t)| 1e3 * distance(f, *t)).collect();
     assert_eq!(errors.len(), truth.len());
     errors.sort_by(f64::total_cmp);
     (errors[errors.len() / 2], errors[errors.len() * 9 / 10])
@@ -185,7 +185,7 @@ fn centroid(image: &[f64], centres: &[[f64; 2]], pixel_m: f64) -> [f64; 2] {
     while next < region.len() {
         let at = centres[region[next]];
         for k in 0..image.len() {
-            let near = (centres[k][0] - at[0]).hypot(centres[k][1] - at[1]) < 1.1 * pixel_m;
+            let near = distance(centres[k], at) < 1.1 * pixel_m;
             if near && !taken[k] && image[k] > half {
                 taken[k] = true;
                 region.push(k);

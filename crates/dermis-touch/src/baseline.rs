@@ -9,7 +9,6 @@
 //! constant current changes all its voltages by the same share; a touch or a cut does not. Every baseline that was in
 //! use is kept with its time and reason, and can be restored.
 
-mod statistics;
 mod types;
 
 pub use types::{
@@ -17,7 +16,7 @@ pub use types::{
 };
 
 use crate::error::{TouchError, require, require_length};
-use statistics::robust_mean_and_std;
+use crate::statistics::robust_mean_and_std;
 
 /// Minimum share of a change's energy in its uniform part for the change to count as uniform.
 const UNIFORM_SHARE: f64 = 0.9;

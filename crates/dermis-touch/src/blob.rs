@@ -1,7 +1,8 @@
 //! Image objects that carry touches: one filtered contact each, with one touch or, while merged, several.
 
 use crate::contact::{Contact, ContactSign};
-use crate::kalman::{Kalman, Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
+use crate::kalman::{Kalman, Mat2, plus_diagonal};
+use crate::plane::{Point, Vec2, add, distance, scale, sub};
 use crate::touch::Touch;
 use crate::tracker_params::TrackerParams;
 
@@ -23,7 +24,7 @@ pub(crate) struct Blob {
     /// The last contact.
     pub contact: Contact,
     /// Position and velocity predicted for this frame, before its contact was used.
-    pub predicted: (Vec2, Vec2),
+    pub predicted: (Point, Vec2),
 }
 
 /// Stage in the life of a blob.
@@ -126,7 +127,7 @@ impl Blob {
     /// and touches that merge or separate jump by about as much.
     pub(crate) fn gate(&self, contact: &Contact, params: &TrackerParams) -> Option<f64> {
         let position = params.position.of(contact);
-        if contact.sign != self.sign || norm(sub(position, self.filter.position)) > params.gate_max_m {
+        if contact.sign != self.sign || distance(position, self.filter.position) > params.gate_max_m {
             return None;
         }
         let widened = plus_diagonal(measured_variance(contact, params), (0.5 * contact.radius_m()).powi(2));

@@ -9,7 +9,6 @@
 use crate::error::{TouchError, require, require_length};
 use crate::force::ForceReading;
 use crate::hypotheses::PlaceHypothesis;
-use crate::touch_load::TouchLoad;
 use serde::{Deserialize, Serialize};
 
 /// Side of the background that a contact is on.
@@ -284,4 +283,26 @@ impl Contact {
     pub fn radius_m(&self) -> f64 {
         (self.area_m2 / std::f64::consts::PI).sqrt()
     }
+}
+
+/// Quantity in which the load of pokes was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoadQuantity {
+    /// Depth of indentation, metres.
+    DepthM,
+    /// Force, newtons.
+    ForceN,
+}
+
+/// The load of a touch, in the quantity that the calibration's pokes were measured in.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TouchLoad {
+    /// Depth or force.
+    pub quantity: LoadQuantity,
+    /// Value in metres or newtons.
+    pub value: f64,
+    /// Standard deviation of `value`, in its unit.
+    pub sigma: f64,
 }

@@ -84,3 +84,11 @@ pub(crate) fn require(ok: bool, name: &'static str, value: f64, expected: &'stat
 pub(crate) fn require_length(what: &'static str, expected: usize, got: usize) -> Result<(), TouchError> {
     if expected == got { Ok(()) } else { Err(TouchError::Length { what, expected, got }) }
 }
+
+/// Checks that every value is finite.
+pub(crate) fn require_finite(what: &'static str, values: &[f64]) -> Result<(), TouchError> {
+    match values.iter().position(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(TouchError::NonFinite { what, index, value: values[index] }),
+    }
+}

@@ -5,6 +5,7 @@ use crate::cells::{Bounds, GridLattice, ImageCells, Lattice, SurfaceLattice};
 use crate::contact::{CentroidWeight, Contact, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise};
 use crate::error::{TouchError, require_length};
 use crate::moments::CorrelatedSum;
+use crate::plane::distance;
 use crate::watershed::{MergeRule, Watershed, largest_of, largest_with_noise};
 use std::sync::Arc;
 
@@ -197,11 +198,8 @@ impl<L: Lattice> FinderOn<L> {
         let reach = self.params.min_separation_m / self.watershed.lattice().unit_m();
         let mut kept = 0;
         for next in 0..self.regions.len() {
-            let [x, y] = self.regions[next].peak_at;
-            let near = (0..kept).find(|&slot| {
-                let [other_x, other_y] = self.regions[slot].peak_at;
-                (x - other_x).hypot(y - other_y) < reach
-            });
+            let peak_at = self.regions[next].peak_at;
+            let near = (0..kept).find(|&slot| distance(peak_at, self.regions[slot].peak_at) < reach);
             if let Some(slot) = near {
                 self.watershed.absorb(self.regions[next].basin, self.regions[slot].basin);
             } else {

@@ -8,7 +8,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::typical::spacing;
+use crate::plane::distance;
+use crate::statistics::spacing;
 
 /// Places less probable than this share of the peak belong to no mode.
 const LEAST_LIKELY: f64 = 1e-3;
@@ -343,10 +344,6 @@ impl PlaceHypotheses {
             (false, false) => (None, false),
         }
     }
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 #[cfg(test)]

@@ -4,24 +4,9 @@
 //! [dt^2/2, dt]] in (position, velocity) of each axis (Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to
 //! Tracking and Navigation*, 2001, section 6.2.2).
 
-pub(crate) type Vec2 = [f64; 2];
+use crate::plane::{Point, Vec2, add, scale, sub};
+
 pub(crate) type Mat2 = [[f64; 2]; 2];
-
-pub(crate) fn add(a: Vec2, b: Vec2) -> Vec2 {
-    [a[0] + b[0], a[1] + b[1]]
-}
-
-pub(crate) fn sub(a: Vec2, b: Vec2) -> Vec2 {
-    [a[0] - b[0], a[1] - b[1]]
-}
-
-pub(crate) fn scale(a: Vec2, factor: f64) -> Vec2 {
-    [a[0] * factor, a[1] * factor]
-}
-
-pub(crate) fn norm(a: Vec2) -> f64 {
-    a[0].hypot(a[1])
-}
 
 pub(crate) fn plus_diagonal(m: Mat2, variance: f64) -> Mat2 {
     [[m[0][0] + variance, m[0][1]], [m[1][0], m[1][1] + variance]]
@@ -57,7 +42,7 @@ fn inverse(a: Mat2) -> Mat2 {
 /// State and covariance in blocks.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Kalman {
-    pub position: Vec2,
+    pub position: Point,
     pub velocity: Vec2,
     /// Covariance of the position, m^2.
     pub position_variance: Mat2,
@@ -67,7 +52,7 @@ pub(crate) struct Kalman {
 }
 
 impl Kalman {
-    pub(crate) fn new(position: Vec2, variance: Mat2, velocity: Vec2, speed_sigma: f64) -> Self {
+    pub(crate) fn new(position: Point, variance: Mat2, velocity: Vec2, speed_sigma: f64) -> Self {
         Self {
             position,
             velocity,
@@ -88,7 +73,7 @@ impl Kalman {
     }
 
     /// Updates with a measured position whose covariance is positive definite.
-    pub(crate) fn update(&mut self, measured: Vec2, variance: Mat2) {
+    pub(crate) fn update(&mut self, measured: Point, variance: Mat2) {
         let innovation = sub(measured, self.position);
         let weight = inverse(combine(self.position_variance, variance, 1.0));
         let position_gain = times(self.position_variance, weight);
@@ -102,7 +87,7 @@ impl Kalman {
     }
 
     /// Squared Mahalanobis distance of a measured position from the predicted one.
-    pub(crate) fn distance_squared(&self, measured: Vec2, variance: Mat2) -> f64 {
+    pub(crate) fn distance_squared(&self, measured: Point, variance: Mat2) -> f64 {
         let innovation = sub(measured, self.position);
         let weighted = apply(inverse(combine(self.position_variance, variance, 1.0)), innovation);
         innovation[0] * weighted[0] + innovation[1] * weighted[1]

@@ -61,12 +61,12 @@ pub mod locator;
 pub mod measure;
 mod moments;
 mod noise;
+mod plane;
 pub mod rhythm;
+mod statistics;
 mod touch;
-mod touch_load;
 mod track;
 mod tracker_params;
-mod typical;
 mod watershed;
 
 pub use baseline::{
@@ -74,14 +74,16 @@ pub use baseline::{
     TareGuard,
 };
 pub use cells::{GridGeometry, ImageCells, SurfaceCells};
-pub use contact::{CentroidWeight, Contact, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise};
+pub use contact::{
+    CentroidWeight, Contact, ContactParams, ContactSign, ContactSigns, ContactStrength, LoadQuantity, PixelNoise,
+    TouchLoad,
+};
 pub use error::TouchError;
 pub use finder::ContactFinder;
 pub use hypotheses::{PlaceHypotheses, PlaceHypothesis, PlaceModes, PlacesTold};
 pub use locator::{Located, Locator, LocatorError, LocatorOptions, LocatorScratch};
 pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
+pub use statistics::{evenly, median};
 pub use touch::{Observation, Touch, TouchPhase};
-pub use touch_load::{LoadQuantity, TouchLoad};
 pub use track::Tracker;
 pub use tracker_params::{PositionSource, TrackerParams};
-pub use typical::{evenly, median};

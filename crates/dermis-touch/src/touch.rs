@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::contact::ContactSign;
+use crate::contact::TouchLoad;
 use crate::force::ForceReading;
 use crate::hypotheses::PlaceHypothesis;
-use crate::touch_load::TouchLoad;
 
 /// Phase of a touch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -8,7 +8,8 @@ use crate::assignment::{Assignment, FORBIDDEN};
 use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settle_riders};
 use crate::contact::{Contact, ContactStrength};
 use crate::error::TouchError;
-use crate::kalman::{Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
+use crate::kalman::{Mat2, plus_diagonal};
+use crate::plane::{Point, Vec2, add, distance, norm, scale, sub};
 use crate::touch::{Observation, Touch, TouchPhase};
 use crate::tracker_params::TrackerParams;
 
@@ -218,8 +219,8 @@ impl Tracker {
         for &column in &self.free {
             let contact = &contacts[column];
             let reach = 2.0 * spread + contact.radius_m() + self.params.gate_sigma * self.params.position_floor_m;
-            let distance = norm(sub(self.params.position.of(contact), blob.predicted.0));
-            if contact.sign == blob.sign && distance <= reach.min(self.params.gate_max_m) {
+            let distance_m = distance(self.params.position.of(contact), blob.predicted.0);
+            if contact.sign == blob.sign && distance_m <= reach.min(self.params.gate_max_m) {
                 self.candidates.push(*contact);
                 self.columns.push(column);
             }
@@ -300,15 +301,17 @@ impl Tracker {
     }
 
     /// The blob nearest to `position` among those just assigned to members of the split group.
-    fn nearest_new_blob(&self, position: Vec2) -> Option<usize> {
+    fn nearest_new_blob(&self, position: Point) -> Option<usize> {
         let given = |blob: &Blob| {
             self.members
                 .iter()
                 .zip(&self.rows)
                 .any(|(&member, &column)| column != usize::MAX && self.riders[member].blob == blob.key)
         };
-        let distance = |index: usize| norm(sub(self.blobs[index].filter.position, position));
-        (0..self.blobs.len()).filter(|&i| given(&self.blobs[i])).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+        let distance_m = |index: usize| distance(self.blobs[index].filter.position, position);
+        (0..self.blobs.len())
+            .filter(|&i| given(&self.blobs[i]))
+            .min_by(|&a, &b| distance_m(a).total_cmp(&distance_m(b)))
     }
 
     /// Merges a touch that lost its contact with a nearby touch that has one. Both must have been seen together in
@@ -321,7 +324,7 @@ impl Tracker {
                 continue;
             }
             let (params, blobs) = (&self.params, &self.blobs);
-            let distance = |other: usize| norm(sub(params.position.of(&blobs[other].contact), from.predicted.0));
+            let distance_m = |other: usize| distance(params.position.of(&blobs[other].contact), from.predicted.0);
             let host = (0..blobs.len())
                 .filter(|&other| {
                     let blob = &blobs[other];
@@ -331,11 +334,11 @@ impl Tracker {
                         && blob.seen & from.seen != 0
                         && blob.sign == from.sign
                         && !(params.max_merged_single_frames == 0 && blob.contact.is_single)
-                        && distance(other) <= params.merge_radii * blob.contact.radius_m()
+                        && distance_m(other) <= params.merge_radii * blob.contact.radius_m()
                         && may_be_of_both(blob, &from, params)
                         && self.has_riders(blob.key)
                 })
-                .min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+                .min_by(|&a, &b| distance_m(a).total_cmp(&distance_m(b)));
             if let Some(host) = host {
                 merge_blobs(&mut self.riders, &from, &mut self.blobs[host], time_ns, &self.params);
             }
@@ -427,8 +430,8 @@ impl Tracker {
 fn may_be_of_both(host: &Blob, from: &Blob, params: &TrackerParams) -> bool {
     let was_there_alone = from.missed > 1 && host.seen & 2 != 0;
     let (at, own, other) = (params.position.of(&host.contact), host.predicted.0, from.predicted.0);
-    let way = norm(sub(at, own)) + norm(sub(at, other));
-    !was_there_alone && way <= DETOUR * norm(sub(own, other)) + host.contact.radius_m()
+    let way = distance(at, own) + distance(at, other);
+    !was_there_alone && way <= DETOUR * distance(own, other) + host.contact.radius_m()
 }
 
 /// Covariance from noise and model error.

@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use dermis_mit::{CoilArray, CoilTables, Complex, Coupling, MultipoleArray, Polarizability, Sphere};
 use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -64,7 +64,7 @@ pub struct ElementOptions {
     /// The coils, with a metal plate under them if there is one ([`CoilArray::with_shield`]).
     pub coils: CoilArray,
     /// Centres of the elements, metres, in any order; 1 to 1024 elements.
-    pub places_m: Vec<[f64; 2]>,
+    pub places_m: Vec<Point>,
     /// Width and height of the cell around each element, metres; pressure on a cell presses its element. Elements one
     /// cell apart, within a tenth of a cell, are neighbours.
     pub cell_m: [f64; 2],
@@ -183,7 +183,7 @@ impl ElementSkin {
     }
 
     /// Positions of the elements, metres, in their order.
-    pub fn places_m(&self) -> &[[f64; 2]] {
+    pub fn places_m(&self) -> &[Point] {
         self.grid.places_m()
     }
 
@@ -241,7 +241,7 @@ const MOST_TABLES: usize = 4;
 /// As [`CoilTables::new`], but reuses tables for skins that differ in other respects.
 fn tables_of(
     coils: &CoilArray,
-    places_m: &[[f64; 2]],
+    places_m: &[Point],
     range_m: [f64; 2],
     clearance_m: f64,
 ) -> Result<CoilTables, TwinError> {

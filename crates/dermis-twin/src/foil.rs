@@ -7,7 +7,7 @@
 use dermis_mit::edge::Source;
 use dermis_mit::sheet::{Sheet, SheetMaterial, SheetMesh};
 use dermis_mit::{CoilArray, Complex};
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point};
 
 use crate::error::{TwinError, check, check_positive};
 use crate::mechanics::{Cover, Indenter};
@@ -66,7 +66,7 @@ pub struct FoilSkin {
     mutuals_h: Vec<f64>,
     flat: SheetMesh,
     /// Vertices of the dent's grid, row by row.
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     pressure_pa: Vec<f64>,
     /// Deflection of each vertex, metres.
     way_m: Vec<f64>,
@@ -84,7 +84,7 @@ impl FoilSkin {
         let nodes = options.cells + 1;
         let step = options.side_m / options.cells as f64;
         let at = |k: usize| k as f64 * step - 0.5 * options.side_m;
-        let places_m: Vec<[f64; 2]> = (0..nodes * nodes).map(|k| [at(k % nodes), at(k / nodes)]).collect();
+        let places_m: Vec<Point> = (0..nodes * nodes).map(|k| [at(k % nodes), at(k / nodes)]).collect();
         Ok(Self {
             flat: SheetMesh::rectangle([options.side_m; 2], [options.cells; 2])?,
             mutuals_h: options.coils.mutuals_h(),
@@ -98,11 +98,11 @@ impl FoilSkin {
     }
 
     /// Deflection of the foil at the nearest vertex after the last frame, metres.
-    pub fn way_m(&self, place_m: [f64; 2]) -> f64 {
+    pub fn way_m(&self, place_m: Point) -> f64 {
         self.way_m[self.nearest(place_m)]
     }
 
-    fn nearest(&self, place_m: [f64; 2]) -> usize {
+    fn nearest(&self, place_m: Point) -> usize {
         let (cells, step) = (self.options.cells, self.options.side_m / self.options.cells as f64);
         let index = |x: f64| (((x + 0.5 * self.options.side_m) / step).round().max(0.0) as usize).min(cells);
         index(place_m[1]) * (cells + 1) + index(place_m[0])

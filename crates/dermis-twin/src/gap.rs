@@ -1,5 +1,7 @@
 //! The gap of skins whose layers touch under pressure: the load, its memory, and the resulting contact.
 
+use dermis_tomo::mesh::Point;
+
 use crate::error::TwinError;
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
 
@@ -54,7 +56,7 @@ impl Gap {
     }
 
     /// Presses at these places for `dt_s`; returns true if the fields must be solved again.
-    pub fn press(&mut self, indenters: &[Indenter], places_m: &[[f64; 2]], dt_s: f64) -> bool {
+    pub fn press(&mut self, indenters: &[Indenter], places_m: &[Point], dt_s: f64) -> bool {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
             indenter.add_pressure(self.cover, places_m, &mut self.pressure_pa);

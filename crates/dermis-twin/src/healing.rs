@@ -9,6 +9,7 @@
 //!
 //! The constants of a material are in its [`HealingLaw`].
 
+use dermis_tomo::mesh::{Point, distance};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check, check_positive};
@@ -65,9 +66,8 @@ impl HealingLaw {
     }
 
     /// Relative heating of a point by a pad: 1 under it, 0 next to it, in between at its rim.
-    fn nearness(&self, heating: &Heating, point: [f64; 2]) -> f64 {
-        let distance = (point[0] - heating.centre_m[0]).hypot(point[1] - heating.centre_m[1]);
-        (0.5 + (heating.radius_m - distance) / self.pad_rim_m).clamp(0.0, 1.0)
+    fn nearness(&self, heating: &Heating, point: Point) -> f64 {
+        (0.5 + (heating.radius_m - distance(point, heating.centre_m)) / self.pad_rim_m).clamp(0.0, 1.0)
     }
 
     /// Dose rate at a point with relative heating `x` by a pad, 1/s.
@@ -83,7 +83,7 @@ impl HealingLaw {
 #[serde(deny_unknown_fields)]
 pub struct Heating {
     /// Centre of the pad, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Radius of the pad, metres.
     pub radius_m: f64,
     /// Temperature of the pad, degrees Celsius.
@@ -176,7 +176,7 @@ impl<'a> Rates<'a> {
         Self { law, heating, beside: law.rate_of(heating, 0.0), under: law.rate_of(heating, 1.0) }
     }
 
-    fn at(&self, point: [f64; 2]) -> f64 {
+    fn at(&self, point: Point) -> f64 {
         match self.law.nearness(self.heating, point) {
             0.0 => self.beside,
             1.0 => self.under,
@@ -290,12 +290,12 @@ impl Wear {
     }
 
     /// Conductivity at a point relative to a new sheet, ignoring cuts.
-    pub fn share_at(&self, point: [f64; 2]) -> f64 {
+    pub fn share_at(&self, point: Point) -> f64 {
         self.share()(point)
     }
 
     /// The same for many points; common terms are computed once.
-    pub fn share(&self) -> impl Fn([f64; 2]) -> f64 + '_ {
+    pub fn share(&self) -> impl Fn(Point) -> f64 + '_ {
         let warmths: Vec<Warmth> =
             self.law.iter().flat_map(|law| self.pads.iter().map(|pad| Warmth::of(pad, law))).collect();
         move |point| {

@@ -6,7 +6,7 @@
 //! sheet.
 
 use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec};
 
 use crate::error::{TwinError, check, check_positive};
 use crate::gap::Gap;
@@ -72,7 +72,7 @@ pub struct PatchedSkin {
     body: ElectrodedMesh,
     protocol: Protocol,
     sheet: PatchedSheet,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     gap: Gap,
     voltages_v: Vec<f64>,
 }
@@ -89,7 +89,7 @@ impl PatchedSkin {
         spec.electrode_element_size_m = options.electrode_element_size_m;
         let (body, _) = spec.build(&options.contact_impedances_ohm_m2)?;
         let sheet = PatchedSheet::new(&body, options.sheet_s, options.patches, &options.conductance)?;
-        let places_m: Vec<[f64; 2]> = sheet.cells().iter().map(|cell| cell.centre_m).collect();
+        let places_m: Vec<Point> = sheet.cells().iter().map(|cell| cell.centre_m).collect();
         gap.reset(places_m.len());
         Ok(Self {
             voltages_v: vec![0.0; options.protocol.channel_count()],

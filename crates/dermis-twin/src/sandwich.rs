@@ -6,7 +6,7 @@ use std::any::Any;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec};
 
 use crate::error::{TwinError, check, check_positive};
 use crate::gap::Gap;
@@ -67,7 +67,7 @@ impl SandwichOptions {
 #[derive(Debug, Default)]
 struct Slits {
     /// Both ends of every cut, metres.
-    ends_m: Vec<[[f64; 2]; 2]>,
+    ends_m: Vec<[Point; 2]>,
     /// True if the mesh is slit along each cut; otherwise the elements that it crosses are blocked.
     is_slit: Vec<bool>,
     /// Index of the cut for each edge of the slits.
@@ -174,7 +174,7 @@ impl Sandwich {
 
     fn renew_sheet(&mut self) -> Result<(), TwinError> {
         let cuts = self.pieces(&self.wear);
-        let ends_m: Vec<[[f64; 2]; 2]> = cuts.iter().map(|pieces| whole(pieces)).collect();
+        let ends_m: Vec<[Point; 2]> = cuts.iter().map(|pieces| whole(pieces)).collect();
         if ends_m != self.slits.ends_m {
             let slit = SlitSheets::build(&self.plan(), ends_m)?;
             self.install(slit);
@@ -281,7 +281,7 @@ struct SlitSheets {
 }
 
 impl SlitSheets {
-    fn build(plan: &Plan, ends_m: Vec<[[f64; 2]; 2]>) -> Result<Self, TwinError> {
+    fn build(plan: &Plan, ends_m: Vec<[Point; 2]>) -> Result<Self, TwinError> {
         let (slit, is_slit) = plan.spec.build_slit(&plan.contact_impedances, &ends_m)?;
         let slit_cuts = is_slit.iter().enumerate().filter(|(_, is_slit)| **is_slit).map(|(cut, _)| cut);
         let cut_of_edge = slit_cuts.zip(&slit.slits).flat_map(|(cut, edges)| edges.iter().map(move |_| cut)).collect();

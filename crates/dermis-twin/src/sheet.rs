@@ -15,7 +15,7 @@
 //! the cover and including its memory.
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec};
 
 use crate::error::{TwinError, check, check_positive};
 use crate::healing::{Treatment, Wear, Wound};
@@ -91,8 +91,8 @@ pub struct SheetSkin {
     /// Length by which cuts are shortened at both ends.
     inset_m: f64,
     wear: Wear,
-    triangles_m: Vec<[[f64; 2]; 3]>,
-    centroids_m: Vec<[f64; 2]>,
+    triangles_m: Vec<[Point; 3]>,
+    centroids_m: Vec<Point>,
     pressure_pa: Vec<f64>,
     /// Sheet conductance of each element without pressure, siemens.
     rest_s: Vec<f64>,
@@ -113,9 +113,9 @@ impl SheetSkin {
         spec.electrode_element_size_m = options.electrode_element_size_m;
         let (body, _) = spec.build(&options.contact_impedances_ohm_m2)?;
         let at = |node: u32| [body.mesh.nodes()[node as usize][0], body.mesh.nodes()[node as usize][1]];
-        let triangles_m: Vec<[[f64; 2]; 3]> = body.mesh.elements().map(|cell| [0, 1, 2].map(|k| at(cell[k]))).collect();
-        let middle = |corners: &[[f64; 2]; 3]| [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
-        let centroids_m: Vec<[f64; 2]> = triangles_m.iter().map(middle).collect();
+        let triangles_m: Vec<[Point; 3]> = body.mesh.elements().map(|cell| [0, 1, 2].map(|k| at(cell[k]))).collect();
+        let middle = |corners: &[Point; 3]| [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
+        let centroids_m: Vec<Point> = triangles_m.iter().map(middle).collect();
         let elements = centroids_m.len();
         let rest_s: Vec<f64> =
             centroids_m.iter().map(|place| options.sheet_s * options.conductance.at(*place)).collect();

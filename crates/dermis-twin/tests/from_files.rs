@@ -4,7 +4,7 @@ mod published;
 
 use dermis_mit::Coupling;
 use dermis_skin::Skin;
-use dermis_tomo::mesh::ElectrodeShape;
+use dermis_tomo::mesh::{ElectrodeShape, distance};
 use dermis_twin::from_skin::{element_options, instrument_options, patched_options};
 use dermis_twin::instrument::{Converter, InstrumentOptions};
 use dermis_twin::mechanics::Indenter;
@@ -72,7 +72,7 @@ fn elements_over_coils() {
         let radius_m = skin.element().unwrap().shape.volume_radius_m();
         assert!(same(radius_m, options.body().unwrap().radius_m), "{name}: {radius_m}");
         for (a, b) in made.places_m.iter().zip(&options.places_m) {
-            assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-15, "{name}: {a:?} {b:?}");
+            assert!(distance(*a, *b) < 1e-15, "{name}: {a:?} {b:?}");
         }
         // Neighbours along sides and diagonals excite each other; elements two cells apart do not.
         for coupling in [made.coupling, options.coupling] {
@@ -107,8 +107,8 @@ fn patches() {
             _ => panic!("{shape:?} is not round"),
         };
         for (a, b) in made.electrodes.iter().zip(&options.electrodes) {
-            let (([ax, ay], radius), ([bx, by], expected)) = (pad(a), pad(b));
-            assert!((ax - bx).hypot(ay - by) < 1e-15 && radius == expected, "{a:?} {b:?}");
+            let ((centre, radius), (wanted, expected)) = (pad(a), pad(b));
+            assert!(distance(centre, wanted) < 1e-15 && radius == expected, "{a:?} {b:?}");
         }
         same_instrument(instrument_options(&skin, 1.0), piezo_instrument());
         assert_eq!(skin.backend.frames_per_s, Some(PIEZO_RATE_HZ));

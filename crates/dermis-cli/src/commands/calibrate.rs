@@ -24,9 +24,8 @@ use dermis_touch::force::{CalibrationScope, CurveKind, ForceSample};
 use dermis_twin::from_skin::press_range;
 use report::{print_experts, print_forces, print_pokes};
 
-use super::calendar::date_of;
-use super::circuit::print_circuit;
 use super::extent::Extent;
+use super::printing::{date_of, print_circuit};
 use super::reading::ReadArguments;
 use super::recorded::baseline_or_differences;
 use super::skin_word::SkinWord;

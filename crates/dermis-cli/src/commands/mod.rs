@@ -3,9 +3,7 @@
 mod acquired;
 mod bench;
 mod body;
-mod calendar;
 mod calibrate;
-mod circuit;
 mod completions;
 mod conductance;
 mod design;

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use dermis_device::SourceSelector;
 use dermis_device::instruments::csv::read_numbers;
 use dermis_skin::{FileError, Skin};
+use dermis_tomo::mesh::{Point, distance};
 
 use crate::draw::{self, SkinDrawing};
 use crate::exit::{Outcome, UsageError};
@@ -184,8 +185,7 @@ impl Outline {
             "polygon" => {
                 let unreadable = |error: dermis_device::DeviceError| UsageError(format!("outline: {error}"));
                 let table = read_numbers(Path::new(size)).map_err(unreadable)?.in_millimetres();
-                let corners: Vec<[f64; 2]> =
-                    (0..table.rows()).filter_map(|row| table.row(row)?.try_into().ok()).collect();
+                let corners: Vec<Point> = (0..table.rows()).filter_map(|row| table.row(row)?.try_into().ok()).collect();
                 if corners.len() != table.rows() || corners.len() < 3 {
                     let text = format!("outline: {size}: expected at least 3 rows of x_mm, y_mm");
                     return Err(UsageError(text));
@@ -222,7 +222,7 @@ impl Outline {
             Self::Rectangle(width, height) => 2.0 * (width + height),
             Self::Polygon(corners) => {
                 let next = corners.iter().cycle().skip(1);
-                corners.iter().zip(next).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).sum()
+                corners.iter().zip(next).map(|(a, b)| distance(*a, *b)).sum()
             }
         }
     }

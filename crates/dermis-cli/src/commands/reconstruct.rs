@@ -10,8 +10,8 @@ use dermis_lab::reconstruct::{Report, Request, reconstruct};
 use dermis_live::reference::NoiseSource;
 use dermis_record::read_frames;
 
-use super::circuit::print_circuit;
 use super::order::print_order;
+use super::printing::print_circuit;
 use super::recorded::{RecordedFrames, baseline_or_differences};
 use super::{listed, print_json, with_progress};
 use crate::exit::{Outcome, UsageError};

@@ -1,7 +1,6 @@
 //! `dermis reproduce`: replays the experiments of the published skins on their twins, with tables, figures and one
 //! report.
 
-mod cells;
 mod figures;
 mod page;
 mod report;

@@ -8,6 +8,7 @@ use std::path::Path;
 use anyhow::Context;
 use dermis_device::write_atomic;
 use dermis_lab::tolerances::{ToleranceReport, ToleranceRow, Tolerances};
+use dermis_tomo::mesh::Point;
 
 use crate::commands::escaped;
 use crate::draw::{self, Heatmap, Panel, Picture};
@@ -107,7 +108,7 @@ fn picture(report: &ToleranceReport) -> Picture {
     let (grid, values) = (&report.grid, &report.map_mm);
     let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
     let pressed = report.places.iter().filter(|place| place.presses > 0);
-    let mark = |p: [f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
+    let mark = |p: Point| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
     let panel = Panel {
         name: "all errors together".into(),
         quantity: "median position error (mm)".into(),

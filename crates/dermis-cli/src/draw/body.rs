@@ -4,7 +4,7 @@
 use dermis_body::urdf::{Geometry, Shape as UrdfShape};
 use dermis_body::{Body, JointValues, Transform, Vector};
 
-use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Text};
+use super::picture::{Anchor, Colour, INK, Item, Picture, PixelPoint, Polyline, Shape, Text};
 
 const LINK: Colour = Colour(150, 162, 176);
 const BONE: Colour = Colour(90, 104, 120);
@@ -84,7 +84,7 @@ impl BodyDrawing<'_> {
         for (index, view) in VIEWS.iter().enumerate() {
             let centre = [cell * (index as f64 + 0.5), head + 0.5 * cell];
             let about = view.flat(middle);
-            let place = |point: &Vector| -> Point {
+            let place = |point: &Vector| -> PixelPoint {
                 let [right, up] = view.flat(*point);
                 [centre[0] + pixels_per_m * (right - about[0]), centre[1] - pixels_per_m * (up - about[1])]
             };

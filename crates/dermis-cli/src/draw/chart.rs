@@ -3,7 +3,7 @@
 use super::axis::{Axis, power_of_ten};
 use super::colours::CURVES;
 use super::marker::{Marker, dashed};
-use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Stroke, Text, WHITE};
+use super::picture::{Anchor, Colour, INK, Item, Picture, PixelPoint, Polyline, Shape, Stroke, Text, WHITE};
 use super::text::width;
 
 const GRID: Colour = Colour(226, 229, 233);
@@ -82,7 +82,7 @@ fn repeats(points: &[[f64; 2]]) -> Vec<[f64; 3]> {
 /// An entry in the legend: the series, and the position of its symbol.
 struct Entry {
     index: usize,
-    at: Point,
+    at: PixelPoint,
 }
 
 impl Chart {
@@ -118,7 +118,7 @@ impl Chart {
             Text::new(&self.x_label, LABEL_SIZE, [centre(x), y.start + 48.0]),
             Text { upward: true, ..Text::new(&self.y_label, LABEL_SIZE, [18.0, centre(y)]) },
         ];
-        let power = |axis: &Axis, at: Point, anchor: Anchor| {
+        let power = |axis: &Axis, at: PixelPoint, anchor: Anchor| {
             let words = format!("× {}", power_of_ten(axis.power()));
             (axis.power() != 0).then(|| Text { anchor, ..Text::new(words, TICK_SIZE, at) })
         };
@@ -153,8 +153,8 @@ impl Chart {
         let colour = self.colour(index);
         let marker = if series.mark.is_paper() { Marker::HollowSquare } else { Marker::of(self.number(index)) };
         let is_finite = |p: &[f64; 2]| p.iter().all(|v| v.is_finite());
-        let place = |p: &[f64; 2]| -> Point { [x.place(p[0]), y.place(p[1])] };
-        let points: Vec<Point> = series.points.iter().filter(|p| is_finite(p)).map(place).collect();
+        let place = |p: &[f64; 2]| -> PixelPoint { [x.place(p[0]), y.place(p[1])] };
+        let points: Vec<PixelPoint> = series.points.iter().filter(|p| is_finite(p)).map(place).collect();
         let mut items: Vec<Item> = Vec::new();
         if series.mark.is_line() {
             let pieces = series.points.split(|p| !is_finite(p)).filter(|piece| piece.len() > 1);
@@ -231,7 +231,7 @@ fn y_edge(x: &Axis) -> f64 {
 }
 
 /// Means with their bars, drawn before the points they summarise.
-fn spread(series: &Series, place: impl Fn(&[f64; 2]) -> Point, colour: Colour, marker: Marker) -> Vec<Item> {
+fn spread(series: &Series, place: impl Fn(&[f64; 2]) -> PixelPoint, colour: Colour, marker: Marker) -> Vec<Item> {
     let finite = series.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
     let dots: Vec<Polyline> = finite.map(|p| Polyline::disc(place(p), 1.8)).collect();
     let groups = repeats(&series.points);
@@ -241,7 +241,7 @@ fn spread(series: &Series, place: impl Fn(&[f64; 2]) -> Point, colour: Colour, m
         bars.push(Polyline::open([low, high]));
         bars.extend([low, high].map(|[x, y]| Polyline::open([[x - 4.0, y], [x + 4.0, y]])));
     }
-    let means: Vec<Point> = groups.iter().map(|[x, mean, _]| place(&[*x, *mean])).collect();
+    let means: Vec<PixelPoint> = groups.iter().map(|[x, mean, _]| place(&[*x, *mean])).collect();
     let mut items: Vec<Item> = vec![Shape::filled("repeats", dots, pale(colour)).into()];
     items.push(Shape::stroked("bars", bars, colour, 1.5).into());
     items.extend(marker.shape("points", &means, colour).map(Item::Shape));

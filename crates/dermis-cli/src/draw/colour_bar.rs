@@ -2,7 +2,7 @@
 
 use super::axis::{Axis, nice_at_least, power_of_ten};
 use super::colours::Scale;
-use super::picture::{Anchor, INK, Item, Point, Polyline, Shape, Text};
+use super::picture::{Anchor, INK, Item, PixelPoint, Polyline, Shape, Text};
 use super::text::width;
 
 const BAR: f64 = 14.0;
@@ -24,7 +24,7 @@ impl ColourBar<'_> {
     pub const WIDTH: f64 = 96.0;
 
     /// The bar, as high as its images, or centred on them if that would be too long.
-    pub fn items(&self, [left, top]: Point, span: f64) -> Vec<Item> {
+    pub fn items(&self, [left, top]: PixelPoint, span: f64) -> Vec<Item> {
         let length = span.min(LONGEST);
         let (top, left) = (top + 0.5 * (span - length), left + 4.0);
         let (bottom, right) = (top + length, left + BAR);

@@ -3,7 +3,7 @@
 use super::axis::{nice_at_most, tick_label};
 use super::colour_bar::ColourBar;
 use super::colours::Scale;
-use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Text, WHITE};
+use super::picture::{Anchor, Colour, INK, Item, Picture, PixelPoint, Polyline, Shape, Text, WHITE};
 use super::text::width;
 
 /// Height of a panel's image, and the space around it.
@@ -121,7 +121,7 @@ impl<'a> Group<'a> {
         self.panels.len().div_ceil(self.per_row()) as f64 * self.row()
     }
 
-    fn items(&self, [left, top]: Point) -> Vec<Item> {
+    fn items(&self, [left, top]: PixelPoint) -> Vec<Item> {
         let mut items = Vec::new();
         for (index, (panel, name)) in self.panels.iter().zip(&self.names).enumerate() {
             let (column, row) = ((index % self.per_row()) as f64, (index / self.per_row()) as f64);
@@ -155,7 +155,7 @@ fn wrapped(words: &str, room: f64) -> Vec<String> {
 }
 
 impl Panel {
-    fn items(&self, [left, top]: Point, scale: Scale, is_first: bool) -> Vec<Item> {
+    fn items(&self, [left, top]: PixelPoint, scale: Scale, is_first: bool) -> Vec<Item> {
         let columns = self.columns.max(1);
         let rows = (self.values.len() / columns).max(1);
         let pixel = SIZE / columns.max(rows) as f64;
@@ -241,7 +241,7 @@ impl Panel {
 }
 
 /// A scale bar with a round length, in the lower left corner of an image.
-fn scale_bar([left, bottom]: Point, pixels_per_mm: f64, width_mm: f64) -> Vec<Item> {
+fn scale_bar([left, bottom]: PixelPoint, pixels_per_mm: f64, width_mm: f64) -> Vec<Item> {
     let length_mm = nice_at_most(0.26 * width_mm);
     let (from, level) = (left + 7.0, bottom - 8.0);
     let to = from + length_mm * pixels_per_mm;

@@ -1,6 +1,8 @@
 //! Symbols at points, which distinguish curves without their colours, and dashes.
 
-use super::picture::{Colour, Point, Polyline, Shape, Stroke, WHITE};
+use dermis_tomo::mesh::distance;
+
+use super::picture::{Colour, PixelPoint, Polyline, Shape, Stroke, WHITE};
 
 /// Length of a dash, and of the gap to the next, pixels.
 const DASH: [f64; 2] = [7.0, 5.0];
@@ -21,7 +23,7 @@ impl Marker {
         [Self::Disc, Self::Square, Self::Triangle, Self::Diamond][number % 4]
     }
 
-    fn outline(self, [x, y]: Point) -> Polyline {
+    fn outline(self, [x, y]: PixelPoint) -> Polyline {
         match self {
             Self::Disc => Polyline::disc([x, y], 4.2),
             Self::Square => Polyline::rectangle([x - 3.8, y - 3.8], [x + 3.8, y + 3.8]),
@@ -32,7 +34,7 @@ impl Marker {
     }
 
     /// One symbol at every point; `None` without points.
-    pub fn shape(self, class: &'static str, points: &[Point], colour: Colour) -> Option<Shape> {
+    pub fn shape(self, class: &'static str, points: &[PixelPoint], colour: Colour) -> Option<Shape> {
         let lines: Vec<Polyline> = points.iter().map(|point| self.outline(*point)).collect();
         let (fill, stroke) = match self {
             Self::HollowSquare => (None, Stroke { colour, width: 2.0 }),
@@ -43,13 +45,13 @@ impl Marker {
 }
 
 /// Dashes along a line.
-pub fn dashed(points: &[Point]) -> Vec<Polyline> {
+pub fn dashed(points: &[PixelPoint]) -> Vec<Polyline> {
     let mut dashes = Vec::new();
     // Position of the line within a dash and its gap.
     let mut phase = 0.0;
     for pair in points.windows(2) {
         let [from, to] = [pair[0], pair[1]];
-        let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+        let length = distance(from, to);
         let at = |way: f64| [0, 1].map(|axis| from[axis] + (to[axis] - from[axis]) * way / length);
         let mut way = 0.0;
         while way < length {
@@ -75,10 +77,7 @@ mod tests {
     #[test]
     fn dashes_cover_their_share_of_a_line_and_run_on_round_corners() {
         let lines = dashed(&[[0.0, 0.0], [60.0, 0.0], [60.0, 60.0]]);
-        let length = |line: &Polyline| {
-            let [a, b] = [line.points[0], line.points[1]];
-            (a[0] - b[0]).hypot(a[1] - b[1])
-        };
+        let length = |line: &Polyline| distance(line.points[0], line.points[1]);
         let covered: f64 = lines.iter().map(length).sum();
         assert!((covered - 120.0 * 7.0 / 12.0).abs() < 1e-6, "{covered}");
         assert_eq!(lines[0].points, [[0.0, 0.0], [7.0, 0.0]]);

@@ -3,7 +3,7 @@
 use super::text;
 
 /// A point in pixels: x to the right, y down, origin at the top left corner.
-pub type Point = [f64; 2];
+pub type PixelPoint = [f64; 2];
 
 /// Red, green, blue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,29 +27,29 @@ pub struct Stroke {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polyline {
     /// Corners.
-    pub points: Vec<Point>,
+    pub points: Vec<PixelPoint>,
     /// True if the last point is joined to the first.
     pub closed: bool,
 }
 
 impl Polyline {
     /// A line that ends at its last point.
-    pub fn open(points: impl Into<Vec<Point>>) -> Self {
+    pub fn open(points: impl Into<Vec<PixelPoint>>) -> Self {
         Self { points: points.into(), closed: false }
     }
 
     /// The outline of an area.
-    pub fn closed(points: impl Into<Vec<Point>>) -> Self {
+    pub fn closed(points: impl Into<Vec<PixelPoint>>) -> Self {
         Self { points: points.into(), closed: true }
     }
 
     /// The outline of an upright rectangle.
-    pub fn rectangle([left, top]: Point, [right, bottom]: Point) -> Self {
+    pub fn rectangle([left, top]: PixelPoint, [right, bottom]: PixelPoint) -> Self {
         Self::closed([[left, top], [right, top], [right, bottom], [left, bottom]])
     }
 
     /// The outline of a disc, with 24 corners.
-    pub fn disc(centre: Point, radius: f64) -> Self {
+    pub fn disc(centre: PixelPoint, radius: f64) -> Self {
         let corner = |k: i32| {
             let (sine, cosine) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
             [centre[0] + radius * cosine, centre[1] + radius * sine]
@@ -104,7 +104,7 @@ pub struct Text {
     /// The text.
     pub words: String,
     /// Position of the anchor, half-way up the capitals.
-    pub at: Point,
+    pub at: PixelPoint,
     /// Font size, pixels.
     pub size: f64,
     /// The part of the text that lies on the position.
@@ -119,7 +119,7 @@ pub struct Text {
 
 impl Text {
     /// A text in ink, centred on a point.
-    pub fn new(words: impl Into<String>, size: f64, at: Point) -> Self {
+    pub fn new(words: impl Into<String>, size: f64, at: PixelPoint) -> Self {
         let (class, words) = ("text", words.into());
         let (anchor, upward, colour, halo) = (Anchor::Middle, false, INK, 0.0);
         Self { class, words, at, size, anchor, upward, colour, halo }
@@ -131,7 +131,7 @@ impl Text {
     }
 
     /// Start of the base line, pixels.
-    pub fn origin(&self) -> Point {
+    pub fn origin(&self) -> PixelPoint {
         let back = match self.anchor {
             Anchor::Start => 0.0,
             Anchor::Middle => 0.5 * self.width(),

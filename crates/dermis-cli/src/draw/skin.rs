@@ -1,10 +1,10 @@
 //! A sheet skin drawn to scale as its model sees it: elements, rim, electrodes numbered from 1, axes in millimetres
 //! and a scale bar. x points right and y up, seen from the side that is touched.
 
-use dermis_tomo::mesh::{Contact, ElectrodedMesh};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, Point, distance};
 
 use super::axis::{nice_at_least, nice_at_most, tick_label};
-use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Stroke, Text, WHITE};
+use super::picture::{Anchor, Colour, INK, Item, Picture, PixelPoint, Polyline, Shape, Stroke, Text, WHITE};
 use super::text::{CAPITAL, width};
 
 const MESH: Colour = Colour(186, 198, 210);
@@ -32,7 +32,7 @@ struct Layout {
     frame: [f64; 4],
     /// Centre of the skin, in metres and in pixels.
     centre_m: Point,
-    centre: Point,
+    centre: PixelPoint,
     pixels_per_m: f64,
     /// Width of the skin, metres.
     width_m: f64,
@@ -96,7 +96,7 @@ impl SkinDrawing<'_> {
 
     /// Unit normal of a face in pixels, pointing away from its element (for lines inside the skin, away from the
     /// skin's centre).
-    fn outward(&self, layout: &Layout, face: &[u32]) -> Point {
+    fn outward(&self, layout: &Layout, face: &[u32]) -> PixelPoint {
         let [a, b] = [face[0], face[1]].map(|node| self.node(layout, node));
         let middle = mean(&[a, b]);
         let mut owners = self.body.mesh.elements().filter(|cell| face.iter().all(|node| cell.contains(node)));
@@ -110,7 +110,7 @@ impl SkinDrawing<'_> {
     }
 
     fn numbers(&self, layout: &Layout) -> Vec<Text> {
-        let centres: Vec<Point> = self.body.electrodes.iter().map(|e| self.centre(layout, &e.contact)).collect();
+        let centres: Vec<PixelPoint> = self.body.electrodes.iter().map(|e| self.centre(layout, &e.contact)).collect();
         let height = (0.6 * nearest_distance(&centres)).clamp(7.0 * layout.unit, 18.0 * layout.unit);
         let electrodes = self.body.electrodes.iter().enumerate();
         electrodes.map(|(index, electrode)| self.number(layout, &electrode.contact, index + 1, height)).collect()
@@ -122,8 +122,9 @@ impl SkinDrawing<'_> {
         let centre = self.centre(layout, contact);
         let (words, size) = (number.to_string(), height / CAPITAL);
         let wide = width(&words, size);
-        let reach = |direction: Point, gap: f64| gap + 0.5 * (direction[0].abs() * wide + direction[1].abs() * height);
-        let beside = |direction: Point, gap: f64| {
+        let reach =
+            |direction: PixelPoint, gap: f64| gap + 0.5 * (direction[0].abs() * wide + direction[1].abs() * height);
+        let beside = |direction: PixelPoint, gap: f64| {
             let reach = reach(direction, gap);
             let at = [centre[0] + direction[0] * reach, centre[1] + direction[1] * reach];
             // A white rim keeps digits legible over the mesh.
@@ -138,7 +139,7 @@ impl SkinDrawing<'_> {
         };
         match contact {
             Contact::Faces(faces) => {
-                let normals: Vec<Point> = faces.iter().map(|face| self.outward(layout, face)).collect();
+                let normals: Vec<PixelPoint> = faces.iter().map(|face| self.outward(layout, face)).collect();
                 beside(unit(mean(&normals)), 17.0 * layout.unit)
             }
             Contact::Area(elements) => {
@@ -153,7 +154,7 @@ impl SkinDrawing<'_> {
         }
     }
 
-    fn centre(&self, layout: &Layout, contact: &Contact) -> Point {
+    fn centre(&self, layout: &Layout, contact: &Contact) -> PixelPoint {
         let nodes: Vec<u32> = match contact {
             Contact::Faces(faces) => faces.concat(),
             Contact::Area(elements) => {
@@ -161,19 +162,19 @@ impl SkinDrawing<'_> {
             }
             Contact::Point(node) => vec![*node],
         };
-        let points: Vec<Point> = nodes.iter().map(|&node| self.node(layout, node)).collect();
+        let points: Vec<PixelPoint> = nodes.iter().map(|&node| self.node(layout, node)).collect();
         let (low, high) = bounds(&points);
         // The centre of a curved or bent rim electrode isn't that of its bounds, so use the mean of its nodes.
         if matches!(contact, Contact::Area(_)) { mean(&[low, high]) } else { mean(&points) }
     }
 
-    fn extent(&self, layout: &Layout, elements: &[u32]) -> Point {
+    fn extent(&self, layout: &Layout, elements: &[u32]) -> PixelPoint {
         let nodes = elements.iter().flat_map(|&element| self.body.mesh.element(element as usize));
         let (low, high) = bounds(&nodes.map(|&node| self.node(layout, node)).collect::<Vec<_>>());
         [high[0] - low[0], high[1] - low[1]]
     }
 
-    fn node(&self, layout: &Layout, node: u32) -> Point {
+    fn node(&self, layout: &Layout, node: u32) -> PixelPoint {
         let [x, y, _] = self.body.mesh.nodes()[node as usize];
         layout.place([x, y])
     }
@@ -197,7 +198,7 @@ impl Layout {
         Self { unit, width, height, frame, centre_m, centre, pixels_per_m, width_m }
     }
 
-    fn place(&self, [x, y]: Point) -> Point {
+    fn place(&self, [x, y]: Point) -> PixelPoint {
         let [centre_x, centre_y] = self.centre_m;
         [self.centre[0] + (x - centre_x) * self.pixels_per_m, self.centre[1] - (y - centre_y) * self.pixels_per_m]
     }
@@ -252,7 +253,7 @@ fn scale_bar(layout: &Layout) -> [Item; 2] {
 }
 
 /// An area with its corners in a consistent direction, so that overlapping areas don't cancel.
-fn anticlockwise(mut corners: Vec<Point>) -> Polyline {
+fn anticlockwise(mut corners: Vec<PixelPoint>) -> Polyline {
     let next = corners.iter().cycle().skip(1);
     let area: f64 = corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum();
     if area < 0.0 {
@@ -261,26 +262,26 @@ fn anticlockwise(mut corners: Vec<Point>) -> Polyline {
     Polyline::closed(corners)
 }
 
-fn mean(points: &[Point]) -> Point {
+fn mean(points: &[PixelPoint]) -> PixelPoint {
     let count = points.len().max(1) as f64;
     [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count)
 }
 
 /// The direction of a vector; up for a zero vector.
-fn unit([x, y]: Point) -> Point {
+fn unit([x, y]: PixelPoint) -> PixelPoint {
     let length = x.hypot(y);
     if length > 1e-9 { [x / length, y / length] } else { [0.0, -1.0] }
 }
 
-fn bounds(points: &[Point]) -> (Point, Point) {
+fn bounds(points: &[PixelPoint]) -> (PixelPoint, PixelPoint) {
     let most = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| points.iter().map(|p| p[axis]).fold(start, pick);
     let low = [0, 1].map(|axis| most(axis, f64::INFINITY, f64::min));
     (low, [0, 1].map(|axis| most(axis, f64::NEG_INFINITY, f64::max)))
 }
 
-fn nearest_distance(points: &[Point]) -> f64 {
+fn nearest_distance(points: &[PixelPoint]) -> f64 {
     let pairs = points.iter().enumerate().flat_map(|(index, a)| points[..index].iter().map(move |b| (a, b)));
-    pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(f64::INFINITY, f64::min)
+    pairs.map(|(a, b)| distance(*a, *b)).fold(f64::INFINITY, f64::min)
 }
 
 #[cfg(test)]

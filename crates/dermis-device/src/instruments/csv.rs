@@ -13,7 +13,6 @@
 //! count implies it. A table may also hold one reading per row, with a column that counts the channels.
 
 pub(super) mod cell;
-mod long;
 mod roles;
 mod scan;
 mod separator;
@@ -192,8 +191,8 @@ pub(super) fn frames_of(
         Some(chosen) => chosen.clone(),
         None => (0..roles.len()).filter(|&column| matches!(roles[column], Role::Reading { .. })).collect(),
     };
-    let per_row = if chosen.is_none() { long::channel_column(&table, &readings) } else { None };
-    if let Some(long::ChannelColumn { column, channels }) = per_row {
+    let per_row = if chosen.is_none() { roles::channel_column(&table, &readings) } else { None };
+    if let Some(roles::ChannelColumn { column, channels }) = per_row {
         readings.retain(|reading| *reading != column);
         notes.push(format!("one reading per row, with its channel in {}", called(&table, column)));
         notes.push(format!("{channels} rows make one frame"));
@@ -235,7 +234,7 @@ pub(super) fn frames_of(
     let count = values.len() / rows;
     let has_frame_columns = roles.iter().any(|role| !matches!(role, Role::Reading { .. } | Role::LeftOut));
     let per_frame = match per_row {
-        Some(long::ChannelColumn { channels, .. }) => channels,
+        Some(roles::ChannelColumn { channels, .. }) => channels,
         None => rows_per_frame(&table, rows, count, has_frame_columns, options, &mut notes),
     };
     if per_frame == 1 && options.looks_transposed(rows, count) {

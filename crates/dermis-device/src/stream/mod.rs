@@ -3,8 +3,6 @@
 
 mod inbox;
 mod link;
-mod log_limit;
-mod options;
 #[cfg(unix)]
 mod pty;
 mod session;
@@ -21,11 +19,11 @@ use std::time::{Duration, Instant};
 pub use inbox::Inbox;
 use inbox::Shared;
 pub use link::{Connect, Dialogue, Link};
-pub use options::StreamOptions;
 #[cfg(unix)]
 pub use pty::Pty;
 #[cfg(feature = "serial")]
 pub use serial::{Port, SerialConnect, ports};
+pub use session::StreamOptions;
 pub use tcp::TcpConnect;
 
 use crate::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};

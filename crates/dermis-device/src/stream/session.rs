@@ -3,9 +3,39 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::log_limit::LogLimit;
-use super::{Connect, Dialogue, Inbox, Link, StreamOptions};
+use super::{Connect, Dialogue, Inbox, Link};
 use crate::HostStamp;
+
+/// Time limits and queue size of a stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StreamOptions {
+    /// Longest wait for the device's first answer.
+    pub patience: Duration,
+    /// Time without any byte before reconnecting.
+    pub silence: Duration,
+    /// Time without a complete frame before reconnecting, although bytes or damaged frames arrive.
+    pub frame: Duration,
+    /// Wait before the second attempt to connect. Doubles with each further attempt.
+    pub first_wait: Duration,
+    /// Longest wait between attempts.
+    pub longest_wait: Duration,
+    /// Queue size in frames.
+    pub queue: usize,
+}
+
+impl Default for StreamOptions {
+    /// 5 s, 2 s, 3 s, 0.1 s, 2 s, 256 frames.
+    fn default() -> Self {
+        Self {
+            patience: Duration::from_secs(5),
+            silence: Duration::from_secs(2),
+            frame: Duration::from_secs(3),
+            first_wait: Duration::from_millis(100),
+            longest_wait: Duration::from_secs(2),
+            queue: 256,
+        }
+    }
+}
 
 /// Longest sleep between checks of the stop flag.
 const NAP: Duration = Duration::from_millis(20);
@@ -165,6 +195,26 @@ impl Watchdog {
     }
 }
 
+/// Rate limit for repeated log messages: the 1st, 2nd, 4th, 8th ... occurrence is logged. Counts repetitions of a
+/// message. Messages that differ only in their digits count as the same.
+#[derive(Debug, Default)]
+pub(super) struct LogLimit {
+    said: String,
+    times: u64,
+}
+
+impl LogLimit {
+    /// Number of occurrences, or `None` if this one shouldn't be logged.
+    pub fn count(&mut self, text: &str) -> Option<u64> {
+        let words: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
+        if words != self.said {
+            (self.said, self.times) = (words, 0);
+        }
+        self.times += 1;
+        self.times.is_power_of_two().then_some(self.times)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -230,5 +280,14 @@ mod tests {
         assert_eq!(inbox.shared().problem(), None);
         // Earlier bytes no longer count.
         assert_eq!(watchdog.heard(MOST_BYTES as usize - 1, &mut inbox, false, OVER), Ok(()));
+    }
+
+    #[test]
+    fn repeated_messages_become_rarer_and_new_ones_are_logged_at_once() {
+        let mut limit = LogLimit::default();
+        let told = (0..1000).filter(|k| limit.count(&format!("silent for {k} s")).is_some()).count();
+        assert_eq!(told, 10);
+        assert_eq!(limit.count("connection refused"), Some(1));
+        assert_eq!(limit.count("silent for 2.0 s"), Some(1));
     }
 }

@@ -6,6 +6,7 @@ use dermis_tomo::eit::contacts::PatchSets;
 use dermis_tomo::least_squares::{
     Error, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
 };
+use dermis_tomo::mesh::{Point, distance};
 
 use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed, turned};
@@ -289,8 +290,8 @@ impl PressFit for PlateFit {
             let mut best: Option<(usize, f64)> = None;
             for (k, product) in products.iter().enumerate() {
                 let value = if negative { product.abs() } else { *product };
-                let [x, y] = self.model.proposals[k].0;
-                let is_apart = |other: &Press| (x - other.position_m[0]).hypot(y - other.position_m[1]) >= apart_m;
+                let at_m = self.model.proposals[k].0;
+                let is_apart = |other: &Press| distance(at_m, other.position_m) >= apart_m;
                 if value > best.map_or(0.0, |(_, most)| most) && found.iter().all(is_apart) {
                     best = Some((k, value));
                 }
@@ -344,7 +345,7 @@ impl PressFit for PlateFit {
         let before = sets.operations();
         let places = self.model.next_joint(sets);
         self.work += sets.operations() - before;
-        let press = |position_m: [f64; 2]| Press { position_m, radius_m, load: sign * load, ..Press::default() };
+        let press = |position_m: Point| Press { position_m, radius_m, load: sign * load, ..Press::default() };
         Some(places?.into_iter().map(press).collect())
     }
 
@@ -353,7 +354,7 @@ impl PressFit for PlateFit {
         self.weighing.products(&self.at.residual).into_iter().map(signed).fold(0.0, f64::max).powi(2)
     }
 
-    fn is_inside(&self, position_m: [f64; 2]) -> bool {
+    fn is_inside(&self, position_m: Point) -> bool {
         self.model.is_inside(position_m)
     }
 

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use dermis_tomo::eit::EitError;
 use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PatchSets, PlateContact, PlatedSheet};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point, distance};
 
 use super::law::{Conductance, PlateLaw};
 use super::pressure::{Field, OF_PRESS, Pressed, normal_exactly};
@@ -107,7 +107,7 @@ impl PlateModel {
             }
         }
         if model.sheets[0].has_one_plate() {
-            let places: Vec<[f64; 2]> = model.proposals.iter().map(|(place, _)| *place).collect();
+            let places: Vec<Point> = model.proposals.iter().map(|(place, _)| *place).collect();
             let patch = ContactPatch {
                 position_m: [0.0; 2],
                 radius_m: options.typical_radius_m,
@@ -154,12 +154,12 @@ impl PlateModel {
         self.sheets[1].channels()
     }
 
-    fn typical(&self, position_m: [f64; 2]) -> Pressed {
+    fn typical(&self, position_m: Point) -> Pressed {
         let PlateOptions { typical_radius_m, typical_pa, .. } = self.options;
         Pressed { position_m, log_pressure: typical_pa.ln(), log_radius: typical_radius_m.ln(), has_ended: false }
     }
 
-    pub(super) fn is_inside(&self, position_m: [f64; 2]) -> bool {
+    pub(super) fn is_inside(&self, position_m: Point) -> bool {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
     }
 
@@ -187,10 +187,8 @@ impl PlateModel {
     /// Groups of presses that lie apart.
     fn groups(&self, presses: &[Pressed], all: &[usize]) -> Vec<Vec<usize>> {
         let reach_m = |k: usize| presses[k].log_radius.exp() + self.law().spread_m;
-        let are_near = |a: usize, b: usize| {
-            let [x, y] = [0, 1].map(|axis| presses[a].position_m[axis] - presses[b].position_m[axis]);
-            x.hypot(y) < reach_m(a) + reach_m(b)
-        };
+        let are_near =
+            |a: usize, b: usize| distance(presses[a].position_m, presses[b].position_m) < reach_m(a) + reach_m(b);
         let mut groups: Vec<Vec<usize>> = Vec::new();
         for &k in all {
             let (near, apart): (Vec<_>, Vec<_>) =

@@ -3,13 +3,15 @@
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 use std::sync::LazyLock;
 
+use dermis_tomo::mesh::Point;
+
 /// Parameters of a press: x, y, logarithm of the pressure, logarithm of the radius.
 pub(super) const OF_PRESS: usize = 4;
 
 /// A press in the parameters of the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pressed {
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     pub log_pressure: f64,
     pub log_radius: f64,
     /// It is part of the baseline and has ended.
@@ -56,7 +58,7 @@ fn normal(u: f64) -> [f64; 2] {
 /// The pressure under one press.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Field {
-    centre_m: [f64; 2],
+    centre_m: Point,
     pressure_pa: f64,
     radius_m: f64,
     spread_m: f64,
@@ -77,14 +79,14 @@ impl Field {
     }
 
     /// Offset from the centre, and its square; `None` beyond the reach.
-    fn offset(&self, place_m: [f64; 2]) -> Option<([f64; 2], f64)> {
+    fn offset(&self, place_m: Point) -> Option<([f64; 2], f64)> {
         let off = [place_m[0] - self.centre_m[0], place_m[1] - self.centre_m[1]];
         let square = off[0] * off[0] + off[1] * off[1];
         (square <= self.reach_m().powi(2)).then_some((off, square))
     }
 
     /// Pressure at a position, pascal; `None` beyond its reach.
-    pub fn pressure_at(&self, place_m: [f64; 2]) -> Option<f64> {
+    pub fn pressure_at(&self, place_m: Point) -> Option<f64> {
         let (_, square) = self.offset(place_m)?;
         let full_m = self.radius_m - Self::REACH * self.spread_m;
         if full_m > 0.0 && square < full_m * full_m {
@@ -94,7 +96,7 @@ impl Field {
     }
 
     /// Derivatives of the pressure at a position by the parameters of the press; `None` beyond its reach.
-    pub fn derivatives_at(&self, place_m: [f64; 2]) -> Option<[f64; OF_PRESS]> {
+    pub fn derivatives_at(&self, place_m: Point) -> Option<[f64; OF_PRESS]> {
         let (off, square) = self.offset(place_m)?;
         let distance_m = square.sqrt();
         let u = (self.radius_m - distance_m) / self.spread_m;

@@ -1,7 +1,7 @@
 //! The smallest force that a skin detects, from the mechanics of its twin. Membranes and air gaps are nonlinear, so
 //! the pressure at each place is found by bisection.
 
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point};
 use dermis_twin::Frontend;
 use dermis_twin::mechanics::Indenter;
 
@@ -21,7 +21,7 @@ const LEAST_SHARE: f64 = 1e-4;
 #[derive(Clone, Debug)]
 pub struct ForceMap {
     /// Places, metres.
-    pub places_m: Vec<[f64; 2]>,
+    pub places_m: Vec<Point>,
     /// Grid of the map.
     pub grid: PixelGrid,
     /// Pixel of each place.
@@ -69,7 +69,7 @@ pub fn smallest_force(
     };
     let (grid, map) = places(prepared, along)?;
     let inside: Vec<usize> = map.inside_pixels().iter().map(|&pixel| pixel as usize).collect();
-    let clear = |place: &[f64; 2]| {
+    let clear = |place: &Point| {
         (0..16).all(|k| {
             let angle = std::f64::consts::TAU * f64::from(k) / 16.0;
             let rim = [place[0] + radius_m * angle.cos(), place[1] + radius_m * angle.sin()];

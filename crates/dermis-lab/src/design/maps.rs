@@ -1,6 +1,9 @@
 //! Maps of a skin's sensitivity, its smallest detectable amplitude, and the bounds on position and amplitude.
 
-use dermis_tomo::mesh::{PixelGrid, PixelMap};
+use dermis_live::imager::Imager;
+use dermis_tomo::mesh::distance;
+use dermis_tomo::mesh::{PixelGrid, PixelMap, Point};
+use dermis_tomo::quality::spread_width_m;
 use rayon::prelude::*;
 
 use crate::Error;
@@ -18,7 +21,7 @@ const STEP_SHARE: f64 = 0.05;
 #[derive(Clone, Debug)]
 pub struct Maps {
     /// Places, metres.
-    pub places_m: Vec<[f64; 2]>,
+    pub places_m: Vec<Point>,
     /// Pixel of each place.
     pub pixels: Vec<usize>,
     /// Grid of the maps.
@@ -150,7 +153,7 @@ impl Summary {
 }
 
 /// Sensitivity, smallest amplitude, position bound (worse axis, metres) and relative amplitude bound at one place.
-fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: [f64; 2], step: f64, amplitude: f64) -> [f64; 4] {
+fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: Point, step: f64, amplitude: f64) -> [f64; 4] {
     let places = [[x, y], [x + step, y], [x - step, y], [x, y + step], [x, y - step]];
     let rows = prepared.signatures(&places);
     let channels = deviations.len();
@@ -177,4 +180,31 @@ fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: [f64; 2], step: f6
     let taken = (pyy * cx * cx - 2.0 * pxy * cx * cy + pxx * cy * cy) / determinant;
     let root = |information: f64| if information > 0.0 { information.sqrt().recip() } else { f64::INFINITY };
     [energy.sqrt(), DETECTED_SIGMA * root(energy), root(least_information), root(energy - taken) / amplitude]
+}
+
+/// Width of a point's image at each place of the maps, metres.
+///
+/// This is the diameter of a disc with the area of the region at half the peak or more (the resolution figure of
+/// GREIT, Adler et al., Physiol. Meas. 30, 2009, S35, as a length). The point is one pixel of the skin's image grid;
+/// the operator is the skin file's. NaN if the image has no peak of the right sign.
+///
+/// # Errors
+/// The operator cannot be built from the model alone.
+pub fn spread_width(prepared: &Prepared, maps: &Maps) -> Result<Vec<f64>, Error> {
+    let reference = Reference::from_baseline(prepared, &prepared.voltages, None)?;
+    let mut imager = Imager::new(prepared, &reference, &[prepared.signatures(&[[0.0, 0.0]])])?;
+    let (grid, positions) = (prepared.map.grid(), &prepared.basis.positions);
+    let polarity = prepared.skin.imaging.polarity.sign();
+    let mut image = vec![f32::NAN; grid.len()];
+    let mut widths = Vec::with_capacity(maps.places_m.len());
+    for place_m in &maps.places_m {
+        let away_m = |k: usize| distance([positions[k][0], positions[k][1]], *place_m);
+        let nearest = (0..positions.len()).min_by(|&a, &b| away_m(a).total_cmp(&away_m(b)));
+        let Some(pixel) = nearest else { continue };
+        let point: Vec<f64> = (0..prepared.channels()).map(|c| polarity * prepared.jacobian.row(c)[pixel]).collect();
+        imager.image(&point, &mut image)?;
+        let values: Vec<f64> = image.iter().map(|value| f64::from(*value)).collect();
+        widths.push(spread_width_m(&values, grid, 1.0).unwrap_or(f64::NAN));
+    }
+    Ok(widths)
 }

@@ -1,6 +1,7 @@
 //! `golfball`: balls in a 30 cm saline tank (EIDORS sample data).
 
 use dermis_skin::Skin;
+use dermis_tomo::mesh::Point;
 
 use super::bench::{Bench, Row, Stop};
 use super::finding::{Comparison, Figure};
@@ -20,7 +21,7 @@ pub fn setup(file: &std::path::Path, frame: &str) -> Result<Imaged, Error> {
 }
 
 /// Distance from a place to the nearest touch, millimetres; infinite without touches.
-pub fn error_mm(found: &Imaged, place_mm: [f64; 2]) -> f64 {
+pub fn error_mm(found: &Imaged, place_mm: Point) -> f64 {
     found.touches.iter().map(|touch| touch.distance_mm(place_mm)).fold(f64::INFINITY, f64::min)
 }
 

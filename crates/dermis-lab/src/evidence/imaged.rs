@@ -5,6 +5,7 @@ use dermis_live::calibration::Calibration;
 use dermis_live::skin_frame::SkinFrame;
 use dermis_record::sink::{Sink, Summary};
 use dermis_skin::Skin;
+use dermis_tomo::mesh::{Point, distance};
 
 use crate::Error;
 use crate::reconstruct::{Report, Request, reconstruct_into};
@@ -17,7 +18,7 @@ pub struct TouchRow {
     /// Identity.
     pub id: u64,
     /// Position, millimetres.
-    pub at_mm: [f64; 2],
+    pub at_mm: Point,
     /// Standard deviations of the position, millimetres.
     pub sigma_mm: [f64; 2],
     /// Amplitude, as in the table of touches.
@@ -26,8 +27,8 @@ pub struct TouchRow {
 
 impl TouchRow {
     /// Distance from a position, millimetres.
-    pub fn distance_mm(&self, place_mm: [f64; 2]) -> f64 {
-        (self.at_mm[0] - place_mm[0]).hypot(self.at_mm[1] - place_mm[1])
+    pub fn distance_mm(&self, place_mm: Point) -> f64 {
+        distance(self.at_mm, place_mm)
     }
 }
 

@@ -3,6 +3,7 @@
 //! unit length. The kernel's length scale and the ridge are those with the smallest leave-one-out error, which has a
 //! closed form.
 
+use dermis_tomo::mesh::Point;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
@@ -27,7 +28,7 @@ impl KernelRidge {
     /// Fits places to frames, one frame per poke. Channels are divided by `scales` or, if not given, by their
     /// deviation over the pokes. `None` for fewer than three pokes, frames of different lengths, or values that are
     /// not finite.
-    pub fn fit(frames: &[&[f64]], places: &[[f64; 2]], scales: Option<&[f64]>) -> Option<Self> {
+    pub fn fit(frames: &[&[f64]], places: &[Point], scales: Option<&[f64]>) -> Option<Self> {
         let channels = frames.first()?.len();
         let fits = frames.len() >= 3
             && frames.len() == places.len()
@@ -116,7 +117,7 @@ mod tests {
     use super::*;
 
     /// Eight channels, each a bump over a square of side 1.
-    fn frame([x, y]: [f64; 2]) -> Vec<f64> {
+    fn frame([x, y]: Point) -> Vec<f64> {
         let bump = |k: usize| {
             let angle = k as f64 * std::f64::consts::FRAC_PI_4;
             (-2.0 * ((x - 0.5 - 0.5 * angle.cos()).powi(2) + (y - 0.5 - 0.5 * angle.sin()).powi(2))).exp()
@@ -126,14 +127,13 @@ mod tests {
 
     #[test]
     fn places_of_smooth_frames_are_learnt() {
-        let places: Vec<[f64; 2]> =
-            (0..120).map(|k| [(0.618 * k as f64).fract(), (0.7549 * k as f64).fract()]).collect();
+        let places: Vec<Point> = (0..120).map(|k| [(0.618 * k as f64).fract(), (0.7549 * k as f64).fract()]).collect();
         let frames: Vec<Vec<f64>> = places.iter().map(|place| frame(*place)).collect();
         let views: Vec<&[f64]> = frames.iter().map(Vec::as_slice).collect();
         let fitted = KernelRidge::fit(&views, &places, None).unwrap();
         for place in [[0.3, 0.4], [0.71, 0.62], [0.5, 0.2]] {
             let found = fitted.place(&frame(place));
-            assert!((found[0] - place[0]).hypot(found[1] - place[1]) < 0.02, "{place:?}: {found:?}");
+            assert!(dermis_tomo::mesh::distance(found, place) < 0.02, "{place:?}: {found:?}");
         }
     }
 

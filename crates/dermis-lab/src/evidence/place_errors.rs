@@ -8,6 +8,7 @@ use dermis_live::calibration::{Calibration, CalibrationOptions, PokeFrames, Poke
 use dermis_live::channels::ChannelReader;
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::{Point, distance};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -190,7 +191,7 @@ impl Presses {
     pub fn judge_plain(&self, taught: &[usize], rows: &[usize]) -> PlaceErrors {
         let changes = self.changes();
         let views: Vec<&[f64]> = taught.iter().map(|&row| changes[row].as_slice()).collect();
-        let places: Vec<[f64; 2]> = taught.iter().map(|&row| self.pokes.positions_m[row]).collect();
+        let places: Vec<Point> = taught.iter().map(|&row| self.pokes.positions_m[row]).collect();
         let fitted = KernelRidge::fit(&views, &places, self.noise().as_deref());
         let error_mm = |&row: &usize| {
             let found = fitted.as_ref()?.place(&changes[row]);
@@ -206,12 +207,8 @@ impl Presses {
     pub fn judge_middle(&self) -> PlaceErrors {
         let count = self.count().max(1) as f64;
         let middle = [0, 1].map(|axis| self.pokes.positions_m.iter().map(|place| place[axis]).sum::<f64>() / count);
-        let mut errors_mm: Vec<f64> = self
-            .pokes
-            .positions_m
-            .iter()
-            .map(|place| 1e3 * (place[0] - middle[0]).hypot(place[1] - middle[1]))
-            .collect();
+        let mut errors_mm: Vec<f64> =
+            self.pokes.positions_m.iter().map(|place| 1e3 * distance(*place, middle)).collect();
         errors_mm.sort_by(f64::total_cmp);
         PlaceErrors { presses: self.count(), extra: 0, errors_mm, within: [f64::NAN; 2] }
     }

@@ -5,6 +5,7 @@ mod bench;
 mod noise;
 mod tapping;
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::measure::hysteresis as hysteresis_of;
 use dermis_twin::AnyTwin;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
@@ -35,7 +36,7 @@ const WEIGHT_G: f64 = 6.5;
 /// Radii of the three places in the paper.
 const RADII_MM: [f64; 3] = [0.0, 30.0, 60.0];
 
-fn weights(centre_m: [f64; 2], count: usize) -> Indenter {
+fn weights(centre_m: Point, count: usize) -> Indenter {
     disc(centre_m, DIAMETER_MM, grams_n(WEIGHT_G * count as f64))
 }
 
@@ -56,7 +57,7 @@ fn several_touches() -> Result<Report, Error> {
         let image = rig.image(&frame)?;
         let found = rig.touches(&image)?;
         let nearest =
-            |place: &[f64; 2]| found.iter().map(|c| distance_mm(c.centroid_m, *place)).fold(f64::INFINITY, f64::min);
+            |place: &Point| found.iter().map(|c| distance_mm(c.centroid_m, *place)).fold(f64::INFINITY, f64::min);
         let worst = places.iter().map(nearest).fold(0.0, f64::max);
         let paper = (count <= 4).then_some(count as f64);
         rows.push(row(format!("touches found of {count}"), "", paper, found.len() as f64, Kind::Algorithm));

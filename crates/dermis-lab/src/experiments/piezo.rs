@@ -2,6 +2,7 @@
 //! contact's one free parameter is fitted on P1 of the square; P1 of the disc and both P2 results are predictions.
 
 use dermis_skin::Skin;
+use dermis_tomo::mesh::Point;
 use dermis_twin::from_skin::{instrument_options, patched_options};
 use dermis_twin::piezo::{CorrelationCurve, DetectionCurve, PUBLISHED_DISTANCES_M, PUBLISHED_LIMITS_PA, PaperP};
 
@@ -113,8 +114,7 @@ fn cylinder() -> Result<Report, Error> {
     let frame = rig.mean_frame(&places.map(|place| disc(place, 22.0, 1.0)), 3)?;
     let image = rig.image(&frame)?;
     let found = rig.touches(&image)?;
-    let nearest =
-        |place: [f64; 2]| found.iter().map(|c| distance_mm(c.centroid_m, place)).fold(f64::INFINITY, f64::min);
+    let nearest = |place: Point| found.iter().map(|c| distance_mm(c.centroid_m, place)).fold(f64::INFINITY, f64::min);
     let worst = places.map(nearest).into_iter().fold(0.0, f64::max);
     rows.push(row("two touches: touches found", "", Some(2.0), found.len() as f64, Kind::Algorithm));
     rows.push(row("two touches: worse of the two positions", "mm", None, worst, Kind::Algorithm));

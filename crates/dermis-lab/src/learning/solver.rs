@@ -4,7 +4,7 @@
 
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh, Point, distance};
 use dermis_twin::from_skin::press_range;
 use dermis_twin::mechanics::{ContactLaw, normal_cdf};
 use dermis_twin::physics::{Cut, SheetConductance, Shortcut, SlitPath, SlitPaths, TwoSheets, damaged_conductance};
@@ -134,9 +134,9 @@ fn damaged(
             figure => holes.push((figure, inclusion.factor)),
         }
     }
-    let of_triangle = |corners: &[[f64; 2]; 3]| {
+    let of_triangle = |corners: &[Point; 3]| {
         let middle = [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
-        let reach = corners.iter().map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1])).fold(0.0, f64::max);
+        let reach = corners.iter().map(|p| distance(*p, middle)).fold(0.0, f64::max);
         let lowered = holes.iter().filter(|(figure, _)| figure.contains(middle)).map(|(_, factor)| factor);
         let own_s = rest_s * lowered.product::<f64>();
         let near = |cut: &&Cut| {
@@ -176,7 +176,7 @@ impl Touching {
     }
 
     /// Contact conductance at each node, S/m^2.
-    fn contact_s_per_m2(&self, scene: &Scene, positions_m: &[[f64; 2]]) -> Vec<f64> {
+    fn contact_s_per_m2(&self, scene: &Scene, positions_m: &[Point]) -> Vec<f64> {
         /// Cut-off of the pressure's spread, in standard deviations.
         const REACH: f64 = 4.0;
         let mut pressure_pa = vec![0.0; positions_m.len()];
@@ -223,7 +223,7 @@ impl Elements {
     /// Geometric mean over each element's sample points.
     fn conductivity(&self, scene: &Scene, rest: f64) -> Vec<f64> {
         let lookup = scene.lookup();
-        let of_element = |points: &[[f64; 2]; 4]| {
+        let of_element = |points: &[Point; 4]| {
             let product: f64 = points.iter().map(|p| lookup.at(*p).1).product();
             if product == 1.0 { rest } else { rest * product.sqrt().sqrt() }
         };

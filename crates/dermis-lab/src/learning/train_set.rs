@@ -7,7 +7,7 @@ use std::path::Path;
 
 use dermis_learn::scene::{Scene, SceneKind};
 use dermis_learn::{Manifest, Model, SET_FORMAT, Shard, TrainingSet};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point};
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
@@ -255,7 +255,7 @@ impl SimulatedFrames {
         let seeds: Vec<u64> = (0..samples).map(|_| random.random()).collect();
         let grid = prepared.map.grid();
         let inside = prepared.map.inside_mask();
-        let on_skin = |p: [f64; 2]| grid.pixel_at(p).is_some_and(|pixel| inside[pixel]);
+        let on_skin = |p: Point| grid.pixel_at(p).is_some_and(|pixel| inside[pixel]);
         let finest_m = grid.pixel_m.max(body.mesh.mesh.element_size_m());
         let size_m = prepared.half_width_m();
         let one = |solver: &mut Solver, seed: u64| {

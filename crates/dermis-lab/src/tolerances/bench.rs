@@ -11,6 +11,7 @@ use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
 use dermis_skin::{Dice, Reads, Skin, Tolerances};
+use dermis_tomo::mesh::Point;
 use dermis_touch::Observation;
 use dermis_touch::locator::PokeSight;
 use dermis_twin::from_skin::MeshSizes;
@@ -69,7 +70,7 @@ pub(super) struct Press {
 pub(super) struct Bench {
     pub skin: Skin,
     pub prepared: Prepared,
-    pub places_m: Vec<[f64; 2]>,
+    pub places_m: Vec<Point>,
     press: PressRange,
     frame_s: f64,
     /// Built once, if it doesn't depend on measurements.
@@ -145,7 +146,7 @@ impl Sample<'_> {
 }
 
 /// The skin's usual press.
-fn usual_press(press: &PressRange, place_m: [f64; 2]) -> Indenter {
+fn usual_press(press: &PressRange, place_m: Point) -> Indenter {
     Indenter::disc(place_m, press.initial_radius_m, press.initial_pressure_pa)
 }
 
@@ -158,7 +159,7 @@ fn settled(frontend: &mut dyn Frontend, indenters: &[Indenter]) -> Result<Vec<f6
 }
 
 impl Drawn {
-    fn new(skin: &Skin, places_m: &[[f64; 2]], indenter: impl Fn([f64; 2]) -> Indenter) -> Result<Self, Error> {
+    fn new(skin: &Skin, places_m: &[Point], indenter: impl Fn(Point) -> Indenter) -> Result<Self, Error> {
         let drawn = workshop::as_drawn(skin);
         let (mut frontend, instrument, _) = TwinKit::of(&drawn)?.twin.into_parts();
         let rest_v = settled(&mut *frontend, &[])?;
@@ -446,7 +447,7 @@ impl Bench {
         let stage = &reconstructor.touches;
         let begun = stage.touches().iter().filter(|touch| touch.observation != Observation::Missed).count();
         let touches = &stage.contacts()[..begun.min(stage.contacts().len())];
-        let away = |centroid_m: [f64; 2]| distance_mm(centroid_m, self.places_m[place]);
+        let away = |centroid_m: Point| distance_mm(centroid_m, self.places_m[place]);
         let nearest = touches
             .iter()
             .map(|touch| (away(touch.centroid_m), touch.amplitude))

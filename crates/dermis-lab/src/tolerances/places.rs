@@ -1,6 +1,6 @@
 //! Places to press: spread evenly over the inner 85 % of the outline, in the order of a Halton sequence.
 
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point};
 
 use crate::Error;
 
@@ -20,8 +20,8 @@ pub(super) fn pressed(outline: &Outline, count: usize, from: usize) -> Result<Ve
         [0, 1].map(|axis| low[axis] + share[axis] * (high[axis] - low[axis]))
     };
     let deepest = (0..2000).map(|k| outline.inside_by_m(at(k))).fold(0.0, f64::max);
-    let inside = |place: &[f64; 2]| outline.inside_by_m(*place) >= MARGIN * deepest;
-    let places: Vec<[f64; 2]> = (from..from + LOOKED_AT * count).map(at).filter(inside).take(count).collect();
+    let inside = |place: &Point| outline.inside_by_m(*place) >= MARGIN * deepest;
+    let places: Vec<Point> = (from..from + LOOKED_AT * count).map(at).filter(inside).take(count).collect();
     if places.len() < count {
         return Err(Error::Live(dermis_live::Error::Frames {
             what: "places to press".into(),

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use dermis_skin::{Dice, Skin, Tolerances};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -69,7 +69,7 @@ pub struct ToleranceRow {
     /// Number of presses.
     pub presses: usize,
     /// Position error of detected presses: median and 90th percentile, millimetres; NaN if none was detected.
-    pub position_mm: [f64; 2],
+    pub position_mm: Point,
     /// Amplitude error of detected presses, relative to the nominal twin at the same place read the same way: median
     /// and 90th percentile, per cent.
     pub amplitude_percent: [f64; 2],
@@ -85,7 +85,7 @@ pub struct ToleranceRow {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PlaceError {
     /// Position, metres.
-    pub place_m: [f64; 2],
+    pub place_m: Point,
     /// Number of presses there, over all samples.
     pub presses: usize,
     /// Median position error of these presses, millimetres, counting a miss as a quarter of the shorter side; NaN

@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use rand::Rng;
 use rand::rngs::StdRng;
 
-use super::figure::{Figure, Inclusion, LOWERED, RAISED, ring};
+use super::figure::{Figure, Inclusion, LOWERED, RAISED, distance, ring};
 
 /// Minimum and maximum contrast of objects in a tank.
 pub(super) const OBJECT_CONTRASTS: [f64; 2] = [5.0, 100.0];
@@ -51,7 +51,7 @@ impl Painter<'_> {
             let radius = self.size_m * random.random_range(0.12..0.30);
             let free = (0..50)
                 .map(|_| self.place(0.92, random))
-                .find(|p| taken.iter().all(|(q, r)| (p[0] - q[0]).hypot(p[1] - q[1]) > r + radius));
+                .find(|p| taken.iter().all(|(q, r)| distance(*p, *q) > r + radius));
             if let Some(middle) = free {
                 taken.push((middle, radius));
                 let figure = self.footprint(middle, radius, random);
@@ -116,7 +116,7 @@ impl Painter<'_> {
             let radius = self.size_m * random.random_range(0.13..0.42);
             let free = (0..50).map(|_| self.place(0.97 - 0.9 * radius / self.size_m, random)).find(|p| {
                 let inside = p[0].hypot(p[1]) + 0.9 * radius < 0.99 * self.size_m;
-                inside && taken.iter().all(|(q, r)| (p[0] - q[0]).hypot(p[1] - q[1]) > 0.9 * (r + radius))
+                inside && taken.iter().all(|(q, r)| distance(*p, *q) > 0.9 * (r + radius))
             });
             if let Some(middle) = free {
                 taken.push((middle, radius));

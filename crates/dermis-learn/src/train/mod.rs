@@ -2,16 +2,15 @@
 //! temperature and for the metrics on the model card. Every pass over the samples ends with a checkpoint, and a
 //! resumed training gives the same result as an uninterrupted one.
 
-mod batch;
 mod checkpoint;
 mod finish;
-mod initial;
 mod native;
 mod options;
 mod split;
 mod training;
 
 pub use options::TrainOptions;
+use training::Batch;
 pub use training::Training;
 
 use std::time::Instant;
@@ -27,7 +26,6 @@ use crate::network::{Network, softmax};
 use crate::shape::UNetShape;
 use crate::shards::{Manifest, Shard, TrainingSet};
 use crate::weights::Tensors;
-use batch::Batch;
 use checkpoint::{Checkpoint, State};
 use native::NativeUNet;
 use split::{SHARDS_AT_ONCE, Split, scaled};

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::initial::initial;
+use super::training::initial;
 use super::*;
 use crate::shards::SET_FORMAT;
 

@@ -1,15 +1,15 @@
 //! Inputs and starting point of a training.
 
+use rand::Rng;
 use std::path::Path;
 
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 
 use super::TrainOptions;
-use super::initial::initial;
 use super::split::{Split, input_scale};
 use crate::LearnError;
-use crate::shape::UNetShape;
+use crate::shape::{TensorRole, UNetShape};
 use crate::shards::TrainingSet;
 use crate::weights::Tensors;
 
@@ -56,4 +56,31 @@ impl Training<'_> {
         }
         Ok(tensors)
     }
+}
+
+/// Samples of one step: images are batch x inputs x rows x columns, labels batch x rows x columns.
+pub(super) struct Batch<'a> {
+    pub(super) count: usize,
+    pub(super) rows: usize,
+    pub(super) columns: usize,
+    pub(super) inputs: &'a [f32],
+    pub(super) labels: &'a [u8],
+}
+
+/// Initial weights: kernels uniform within `sqrt(3 / fan-in)` (unit gain), gains 1, offsets 0.
+pub(super) fn initial(shape: &UNetShape, random: &mut impl Rng) -> Result<Tensors, LearnError> {
+    let mut tensors = Tensors::default();
+    for spec in shape.tensors() {
+        let count = spec.len();
+        let values = match spec.role {
+            TensorRole::Kernel => {
+                let bound = (3.0 / spec.dims[1..].iter().product::<usize>() as f32).sqrt();
+                (0..count).map(|_| random.random_range(-bound..bound)).collect()
+            }
+            TensorRole::Gain | TensorRole::RunningVariance => vec![1.0; count],
+            TensorRole::Offset | TensorRole::RunningMean => vec![0.0; count],
+        };
+        tensors.insert(spec.name, spec.dims, values)?;
+    }
+    Ok(tensors)
 }

@@ -1,7 +1,7 @@
 //! Manufacturing errors as parameters, and the skin that results from them.
 
 use dermis_skin::{SkinBody, Tolerances};
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Mesh, MeshError, Outline};
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Mesh, MeshError, Outline, Point, distance};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
@@ -18,7 +18,7 @@ const FIELD_JITTER: f64 = 1e-4;
 #[serde(deny_unknown_fields)]
 pub struct Build {
     /// Displacement of each electrode, metres: along the rim and 0, or along x and y for pads under the sheet.
-    pub moved_m: Vec<[f64; 2]>,
+    pub moved_m: Vec<Point>,
     /// Change of each electrode's width, relative.
     pub wider: Vec<f64>,
     /// Logarithm of the factor on each contact impedance.
@@ -27,14 +27,14 @@ pub struct Build {
     pub field_length_m: f64,
     /// Points that carry the conductivity, metres, and their weights: its logarithm, relative to the file's, is the sum
     /// of the weights times `exp(-d^2 / 2 L^2)`.
-    pub field_places_m: Vec<[f64; 2]>,
+    pub field_places_m: Vec<Point>,
     /// Weights of these points.
     pub field_weights: Vec<f64>,
 }
 
 impl Build {
     /// Conductivity at a position, relative to the file's.
-    pub fn conductivity(&self, place_m: [f64; 2]) -> f64 {
+    pub fn conductivity(&self, place_m: Point) -> f64 {
         let weighted = self.field_places_m.iter().zip(&self.field_weights);
         weighted.map(|(at, weight)| weight * correlation(*at, place_m, self.field_length_m)).sum::<f64>().exp()
     }
@@ -75,7 +75,7 @@ pub(crate) struct BuildPrior {
     contact_log: f64,
     conductivity: f64,
     field_length_m: f64,
-    field_places_m: Vec<[f64; 2]>,
+    field_places_m: Vec<Point>,
     /// Weights of the points by independent numbers.
     field: Mat<f64>,
 }
@@ -141,7 +141,7 @@ enum Handle {
     /// An end of an electrode on the rim, by its position there, its displacement along the rim, and its reach.
     End { position_m: f64, by_m: f64, reach_m: f64 },
     /// A pad: its centre, half its extent, its displacement, its relative growth and its reach beyond the extent.
-    Pad { centre_m: [f64; 2], half_m: [f64; 2], by_m: [f64; 2], wider: f64, reach_m: f64 },
+    Pad { centre_m: Point, half_m: [f64; 2], by_m: [f64; 2], wider: f64, reach_m: f64 },
 }
 
 impl Handle {
@@ -152,7 +152,7 @@ impl Handle {
         }
     }
 
-    fn displacement(&self, outline: &Outline, place_m: [f64; 2]) -> [f64; 2] {
+    fn displacement(&self, outline: &Outline, place_m: Point) -> [f64; 2] {
         match *self {
             Self::End { position_m, by_m, reach_m } => {
                 let (along_m, inward_m) = outline.nearest_rim(place_m);
@@ -214,10 +214,8 @@ fn handles(outline: &Outline, shapes: &[ElectrodeShape], build: &Build) -> Vec<H
         }
         let Some((centre_m, half_m)) = shape.pad_box() else { continue };
         let others = shapes.iter().filter_map(|other| Some(other.pad_box()?.0));
-        let apart_m = others
-            .map(|other| (other[0] - centre_m[0]).hypot(other[1] - centre_m[1]))
-            .filter(|apart| *apart > 0.0)
-            .fold(f64::INFINITY, f64::min);
+        let apart_m =
+            others.map(|other| distance(other, centre_m)).filter(|apart| *apart > 0.0).fold(f64::INFINITY, f64::min);
         let reach_m = (0.5 * apart_m - half_m[0].max(half_m[1])).max(0.25 * apart_m).min(0.5 * apart_m);
         handles.push(Handle::Pad { centre_m, half_m, by_m: *by_m, wider: *wider, reach_m });
     }
@@ -230,7 +228,7 @@ fn correlation(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
 }
 
 /// A lattice of points over the skin and half a step around it.
-fn field_places(outline: &Outline, length_m: f64) -> Vec<[f64; 2]> {
+fn field_places(outline: &Outline, length_m: f64) -> Vec<Point> {
     let (low, high) = outline.bounds_m();
     let size = [high[0] - low[0], high[1] - low[1]];
     let least_m = (size[0] * size[1] / MOST_FIELD_POINTS as f64).sqrt();

@@ -6,6 +6,7 @@
 
 use dermis_skin::Reads;
 use dermis_tomo::inverse::ChangeResponse;
+use dermis_tomo::mesh::Point;
 use faer::linalg::solvers::{DenseSolveCore, Solve};
 use faer::{Mat, Side};
 use rayon::prelude::*;
@@ -90,7 +91,7 @@ pub(crate) struct Built {
 /// A poke with its fit on the skin as drawn.
 struct Poke<'a> {
     difference: &'a [f64],
-    place_m: [f64; 2],
+    place_m: Point,
     drawn: Fitted,
 }
 
@@ -104,7 +105,7 @@ impl<'a> BuildFit<'a> {
         prepared: &'a Prepared,
         reference: &'a Reference,
         differences: &'a [Vec<f64>],
-        places_m: &[[f64; 2]],
+        places_m: &[Point],
     ) -> Result<Self, Error> {
         let prior = BuildPrior::of(&prepared.body, &prepared.skin.tolerances);
         let grid = places(&prepared.body.outline);
@@ -194,7 +195,7 @@ impl<'a> BuildFit<'a> {
             Err(_) => Mat::zeros(covariance.nrows(), covariance.nrows()),
         };
         let typical_m = TYPICAL_RADIUS * skin.half_width_m();
-        let at: Vec<([f64; 2], f64)> = self.grid.0.iter().map(|place| (*place, typical_m)).collect();
+        let at: Vec<(Point, f64)> = self.grid.0.iter().map(|place| (*place, typical_m)).collect();
         let jacobian = skin.jacobian.as_mat();
         let responses = jacobian * Spots::new(skin)?.columns(&at);
         let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
@@ -215,7 +216,7 @@ fn share_left(left: &[f64], frame: &[f64], noise: &[f64]) -> f64 {
 /// A poke to fit: its frame, its position and a first guess of its radius.
 struct Seen<'a> {
     difference: &'a [f64],
-    place_m: [f64; 2],
+    place_m: Point,
     radius_m: f64,
 }
 

@@ -12,6 +12,7 @@ use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, Solution};
 use dermis_tomo::inverse::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, SelfCalibration, TouchEffect, TouchTemplates,
 };
+use dermis_tomo::mesh::Point;
 use faer::Mat;
 
 use super::circuit_fit::{CircuitFit, RunnerUp};
@@ -165,16 +166,16 @@ pub(crate) fn find_circuit_while(
         is_wanted = go_on(judge.tried);
         judged.likelihood
     };
-    let mut begun: Vec<(f64, Point)> = Vec::new();
+    let mut begun: Vec<(f64, Trial)> = Vec::new();
     for reading in READINGS {
-        let tries = LOADS.map(|[load, idle]| Point { load, idle, reading: unit(reading) });
+        let tries = LOADS.map(|[load, idle]| Trial { load, idle, reading: unit(reading) });
         let ranked = tries.map(|point| (likelihood(Some(&point.circuit())), point));
         // Keep only the best of each kind of reading, so that the search starts from different points.
         begun.extend(ranked.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)));
     }
     begun.sort_by(|a, b| b.0.total_cmp(&a.0));
     begun.truncate(IMPROVED);
-    let mut improved: Vec<(f64, Point)> = begun.iter().map(|start| climb(*start, &mut likelihood)).collect();
+    let mut improved: Vec<(f64, Trial)> = begun.iter().map(|start| climb(*start, &mut likelihood)).collect();
     if !is_wanted {
         return Ok(None);
     }
@@ -206,14 +207,14 @@ pub(crate) fn find_circuit_while(
 
 /// A circuit during the search.
 #[derive(Clone, Copy, Debug)]
-struct Point {
+struct Trial {
     load: f64,
     idle: f64,
     /// Normalised to unit length.
     reading: [f64; 3],
 }
 
-impl Point {
+impl Trial {
     /// Rounded to three digits, as in a file; the largest weight is 1.
     fn circuit(self) -> Circuit {
         let round = |v: f64| if v == 0.0 { 0.0 } else { format!("{v:.2e}").parse().unwrap_or(v) };
@@ -243,7 +244,7 @@ impl Point {
 }
 
 /// Moves to better neighbours while there are any, in ever smaller steps.
-fn climb(start: (f64, Point), likelihood: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Point) {
+fn climb(start: (f64, Trial), likelihood: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Trial) {
     let mut best = start;
     for halving in 0..=HALVINGS {
         let share = 0.5_f64.powi(halving as i32);
@@ -331,7 +332,7 @@ struct Products {
     electrodes: usize,
     /// (electrodes - 1)^2 rows, a-major, by positions.
     rows: Mat<f64>,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
 }
 
 impl Products {
@@ -349,7 +350,7 @@ impl Products {
         let size = prepared.skin.touch.relative_size * prepared.half_width_m();
         let places = places_off_the_rim(prepared, RIM_SIZES * size);
         let step = places.len().div_ceil(MOST_PLACES).max(1);
-        let places_m: Vec<[f64; 2]> = places.into_iter().step_by(step).collect();
+        let places_m: Vec<Point> = places.into_iter().step_by(step).collect();
         let pixels = prepared.map.inside_centres_m();
         let templates = TouchTemplates::blurred(jacobian.as_mat(), &pixels, &places_m, size)?;
         Ok(Self { electrodes, rows: templates.matrix().to_owned(), places_m })

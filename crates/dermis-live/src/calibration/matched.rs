@@ -176,6 +176,7 @@ mod tests {
     use crate::prepare::Prepared;
     use dermis_skin::{Skin, builtin_text};
     use dermis_tomo::inverse::{CalibrationOptions, TouchTemplates};
+    use dermis_tomo::mesh::{Point, distance};
 
     /// The gel skin with an ideal voltmeter, all of whose pairs are of opposite electrodes. Half a turn merely swaps
     /// the electrodes of every pair, which flips the sign of both current and voltage. A press then reads like one at
@@ -196,14 +197,14 @@ mod tests {
         ((hash ^ hash >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f64 / f64::from(1 << 23) - 1.0
     }
 
-    fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
-        1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
+    fn distance_mm(a: Point, b: Point) -> f64 {
+        1e3 * distance(a, b)
     }
 
     /// A skin that has calibrated itself by presses all over it.
     struct Desk {
         prepared: Prepared,
-        places: Vec<[f64; 2]>,
+        places: Vec<Point>,
         signatures: Vec<f64>,
         reference: Reference,
         finder: MatchedFinder,
@@ -212,7 +213,7 @@ mod tests {
     impl Desk {
         fn new(prepared: Prepared) -> Self {
             // All angles, from the centre to three quarters of the radius.
-            let places: Vec<[f64; 2]> = (0..60)
+            let places: Vec<Point> = (0..60)
                 .map(|n| {
                     let (r, angle) = (0.064 * ((f64::from(n) + 0.5) / 60.0).sqrt(), 2.399_963 * f64::from(n));
                     [r * angle.cos(), r * angle.sin()]
@@ -256,7 +257,7 @@ mod tests {
     #[test]
     fn an_ambiguous_press_is_reported_at_both_places_and_does_not_jump() {
         let mut desk = Desk::new(ambiguous());
-        let off = |at: [f64; 2], place: [f64; 2]| distance_mm(at, place).min(distance_mm(at, place.map(|v| -v)));
+        let off = |at: Point, place: Point| distance_mm(at, place).min(distance_mm(at, place.map(|v| -v)));
         let mut told = 0;
         for (number, truth) in desk.places.clone().iter().enumerate().filter(|(_, at)| at[0].hypot(at[1]) > 0.035) {
             // A minute apart, so that presses are unrelated.

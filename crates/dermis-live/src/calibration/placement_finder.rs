@@ -1,5 +1,6 @@
 //! Locates the touches of a frame on a calibrated skin.
 
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::locator::{
     FusedLocator, FusedScratch, Located, Part, PlaceCorrection, Superposition, SuperpositionScratch, TypicalAmplitude,
 };
@@ -162,7 +163,7 @@ impl LearntFinder {
         let mut placement = self.placement(&located);
         let part = self.parts[number];
         // What the sum leaves of the other touches may outweigh this one.
-        let distance_m = |place_m: [f64; 2]| (located.x_m - place_m[0]).hypot(located.y_m - place_m[1]);
+        let distance_m = |place_m: Point| distance([located.x_m, located.y_m], place_m);
         let is_elsewhere = self.parts.iter().any(|other| distance_m(other.position_m) < distance_m(part.position_m));
         let is_rather_here = match &mut self.superposition {
             Some((superposition, scratch)) => {

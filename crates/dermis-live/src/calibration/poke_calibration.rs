@@ -20,6 +20,7 @@ use groups::split;
 use std::path::Path;
 
 use dermis_tomo::inverse::MeasuredJacobian;
+use dermis_tomo::mesh::Point;
 use dermis_touch::evenly;
 use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
@@ -84,7 +85,7 @@ pub struct Calibration {
     load: Option<LoadQuantity>,
     /// Difference data of each poke, model volts, not divided by loads. Only a subset if there are very many pokes.
     frames: Vec<Vec<f64>>,
-    positions_m: Vec<[f64; 2]>,
+    positions_m: Vec<Point>,
     loads: Option<Vec<f64>>,
     locator: Box<FusedLocator>,
     /// Corrects the positions of the skin's model, if these are better than the locator's. The model then locates
@@ -422,7 +423,7 @@ impl Calibration {
         let share = load_shares(self.loads.as_deref());
         let frames: Vec<Vec<f64>> =
             chosen.iter().map(|&i| self.frames[i].iter().map(|v| v / share(i)).collect()).collect();
-        let positions: Vec<[f64; 2]> = chosen.iter().map(|&i| self.positions_m[i]).collect();
+        let positions: Vec<Point> = chosen.iter().map(|&i| self.positions_m[i]).collect();
         let lengths = LENGTHS.map(|share| share * prepared.half_width_m());
         Ok(MeasuredJacobian::interpolate(&frames, &positions, &prepared.map.inside_centres_m(), &lengths)?)
     }

@@ -3,6 +3,7 @@
 
 use std::collections::HashSet;
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::locator::MIN_EXAMPLES;
 
 use super::pokes::Pokes;
@@ -37,7 +38,7 @@ pub(super) fn check_pokes(prepared: &Prepared, differences: &[Vec<f64>], pokes: 
     }
     let (low, high) = prepared.body.outline.bounds_m();
     let centre = [0, 1].map(|axis| 0.5 * (low[axis] + high[axis]));
-    let is_on = |p: [f64; 2]| {
+    let is_on = |p: Point| {
         let inward = [0, 1].map(|axis| centre[axis] + RIM * (p[axis] - centre[axis]));
         prepared.body.outline.contains(p) || prepared.body.outline.contains(inward)
     };

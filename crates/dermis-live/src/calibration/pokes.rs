@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use dermis_tomo::mesh::Point;
+
 pub use dermis_touch::LoadQuantity;
 
 use crate::Error;
@@ -11,9 +13,9 @@ use crate::Error;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pokes {
     /// Position of each poke, metres; of its first touch if it has several.
-    pub positions_m: Vec<[f64; 2]>,
+    pub positions_m: Vec<Point>,
     /// Positions of the other touches of each poke, metres. May be empty if every poke is a single touch.
-    pub further_m: Vec<Vec<[f64; 2]>>,
+    pub further_m: Vec<Vec<Point>>,
     /// Loads, if measured.
     pub loads: Option<(LoadQuantity, Vec<f64>)>,
 }

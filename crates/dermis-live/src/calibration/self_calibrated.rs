@@ -5,6 +5,7 @@ use dermis_skin::{HyperparameterChoice, Polarity};
 use dermis_tomo::inverse::{
     CalibrationOptions, Hyperparameter, LinearProblem, SelfCalibration, TouchEffect, TouchTemplates,
 };
+use dermis_tomo::mesh::{Point, distance};
 
 use super::matched::{MatchedFinder, PlaceError, TOUCHES_APART, are_two};
 use crate::Error;
@@ -89,15 +90,15 @@ impl SelfCalibrated {
 }
 
 /// Inside pixels with no outside pixel, and no edge of the grid, within `margin_m`.
-pub(super) fn places_off_the_rim(prepared: &Prepared, margin_m: f64) -> Vec<[f64; 2]> {
+pub(super) fn places_off_the_rim(prepared: &Prepared, margin_m: f64) -> Vec<Point> {
     let grid = prepared.map.grid();
     let mask = prepared.map.inside_mask();
-    let outside: Vec<[f64; 2]> = (0..grid.len()).filter(|&p| !mask[p]).map(|p| grid.centre_m(p)).collect();
+    let outside: Vec<Point> = (0..grid.len()).filter(|&p| !mask[p]).map(|p| grid.centre_m(p)).collect();
     let right = grid.left_m + grid.columns as f64 * grid.pixel_m;
     let bottom = grid.top_m - grid.rows as f64 * grid.pixel_m;
-    let far = |p: &[f64; 2]| {
+    let far = |p: &Point| {
         let edge = (p[0] - grid.left_m).min(right - p[0]).min(grid.top_m - p[1]).min(p[1] - bottom);
-        edge >= margin_m && outside.iter().all(|q| (p[0] - q[0]).hypot(p[1] - q[1]) >= margin_m)
+        edge >= margin_m && outside.iter().all(|q| distance(*p, *q) >= margin_m)
     };
     prepared.map.inside_centres_m().into_iter().filter(far).collect()
 }

@@ -3,6 +3,7 @@
 //! degrees 1 to 3 of an element's response, couples neighbours by dipoles, and assumes equal heights at rest.
 
 use dermis_mit::{CoilTables, Coupling, LiftOff, LiftOffFit, LiftOffOptions, MultipoleArray};
+use dermis_tomo::mesh::{Point, distance};
 
 use crate::Error;
 use crate::magnetic_model::{ELEMENT_WIDTH, MagneticModel};
@@ -147,8 +148,8 @@ impl ElementImager {
 }
 
 /// The nearest of the positions, and a Gaussian of the distance to it.
-fn nearest(places: &[[f64; 2]], [x, y]: [f64; 2], width_m: f64) -> (u32, f32) {
-    let distance = |p: &[f64; 2]| (p[0] - x).hypot(p[1] - y);
-    let found = places.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
-    found.map_or((0, 0.0), |(k, place)| (k as u32, (-0.5 * (distance(place) / width_m).powi(2)).exp() as f32))
+fn nearest(places: &[Point], at: Point, width_m: f64) -> (u32, f32) {
+    let distances = places.iter().map(|place| distance(*place, at));
+    let found = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+    found.map_or((0, 0.0), |(k, distance)| (k as u32, (-0.5 * (distance / width_m).powi(2)).exp() as f32))
 }

@@ -2,6 +2,7 @@
 
 use dermis_skin::{HyperparameterChoice, WeightChoice};
 use dermis_tomo::inverse::{PriorMatrix, Weighting};
+use dermis_tomo::mesh::distance;
 use faer::MatRef;
 
 use crate::Error;
@@ -91,7 +92,7 @@ pub(crate) fn central_touch(prepared: &Prepared) -> Vec<f64> {
     let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
     let radius = 0.05 * (high[0] - low[0]).min(high[1] - low[1]);
     let touched: Vec<bool> =
-        prepared.basis.positions.iter().map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1]) <= radius).collect();
+        prepared.basis.positions.iter().map(|p| distance([p[0], p[1]], middle) <= radius).collect();
     (0..prepared.channels())
         .map(|c| prepared.jacobian.row(c).iter().zip(&touched).map(|(j, t)| if *t { 0.1 * j } else { 0.0 }).sum())
         .collect()

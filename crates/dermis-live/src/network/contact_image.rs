@@ -2,7 +2,7 @@
 //! these for a sandwich skin. There the copper connects touches, so that the linear image of two touches is a single
 //! bar, and cuts are faint next to them.
 
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, distance};
 use dermis_touch::Contact;
 
 use crate::Error;
@@ -89,15 +89,13 @@ pub fn draw_discs(grid: &PixelGrid, inside: &[u32], discs: &[([f64; 2], f64)], i
     let step = |k: usize| (k as f64 + 0.5) / POINTS as f64;
     for &pixel in inside {
         let [x, y] = grid.centre_m(pixel as usize);
-        let reach_m = grid.pixel_m;
-        let near = |at: &[f64; 2], radius_m: f64| (x - at[0]).hypot(y - at[1]) <= radius_m + reach_m;
-        if !discs.iter().any(|(at, radius_m)| near(at, *radius_m)) {
+        if !discs.iter().any(|(at, radius_m)| distance([x, y], *at) <= radius_m + grid.pixel_m) {
             image[pixel as usize] = 0.0;
             continue;
         }
         let covered = |r: usize, c: usize| {
-            let [x, y] = [x + (step(c) - 0.5) * grid.pixel_m, y + (0.5 - step(r)) * grid.pixel_m];
-            discs.iter().any(|(at, radius_m)| (x - at[0]).hypot(y - at[1]) <= *radius_m)
+            let point = [x + (step(c) - 0.5) * grid.pixel_m, y + (0.5 - step(r)) * grid.pixel_m];
+            discs.iter().any(|(at, radius_m)| distance(point, *at) <= *radius_m)
         };
         let hits = (0..POINTS * POINTS).filter(|point| covered(point / POINTS, point % POINTS)).count();
         image[pixel as usize] = hits as f32 / (POINTS * POINTS) as f32;

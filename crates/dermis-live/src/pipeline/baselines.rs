@@ -9,7 +9,7 @@ use crate::Error;
 use crate::channels::ChannelReader;
 use crate::reconstructor::Reconstructor;
 use crate::reference::{MeasuredNoise, Reference};
-use crate::stages::gone::Gone;
+use crate::stages::ended_presses::Gone;
 use crate::stages::health::HealthStage;
 use crate::stages::workshop_ensemble::built_error;
 

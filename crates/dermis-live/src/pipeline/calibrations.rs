@@ -3,10 +3,10 @@
 use dermis_touch::force::ForceCalibration;
 
 use super::Pipeline;
-use super::force_source::ForceSource;
 use super::state::State;
 use crate::Error;
 use crate::calibration::{Calibration, LoadQuantity};
+use crate::forces::ForceSource;
 use crate::stages::refinement::Refinement;
 
 impl Pipeline {

@@ -1,5 +1,7 @@
 //! Contents of the pipeline before and after its first baseline.
 
+use crate::beside::Beside;
+use crate::imager::NewOperator;
 use dermis_touch::DriftCompensation;
 use dermis_touch::force::ForceCalibration;
 
@@ -109,5 +111,28 @@ pub(super) fn drift_compensation(prepared: &Prepared) -> DriftCompensation {
         }
         time_constant_s if time_constant_s > 0.0 => DriftCompensation::Exponential { time_constant_s, settle_s: 2.0 },
         _ => DriftCompensation::Off,
+    }
+}
+
+/// Operators for other hyperparameters, built in the background.
+#[derive(Debug)]
+pub(super) struct Operators {
+    /// The lambda of the operator being built.
+    pub making: Option<f64>,
+    pub coming: Beside<Result<NewOperator, Error>>,
+    /// The last lambda requested while another operator is being built.
+    pub next: Option<f64>,
+    /// Frames that waited for operators of an earlier model.
+    waited: u64,
+}
+
+impl Operators {
+    /// No operator in progress, and this many frames that waited before.
+    pub fn after(waited: u64) -> Self {
+        Self { making: None, coming: Beside::new(), next: None, waited }
+    }
+
+    pub fn waits(&self) -> u64 {
+        self.waited + self.coming.waits()
     }
 }

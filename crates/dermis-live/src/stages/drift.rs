@@ -5,7 +5,7 @@
 //! plus the drift, and presses are fitted under it: a change that drift explains as well as a press does not move the
 //! press.
 
-use dermis_tomo::mesh::{Contact, Electrode, ElectrodedMesh};
+use dermis_tomo::mesh::{Contact, Electrode, ElectrodedMesh, distance};
 
 use crate::prepare::Prepared;
 
@@ -39,7 +39,7 @@ impl Drift {
         let electrodes = places
             .iter()
             .map(|(place, size)| {
-                let near = |at: &[f64; 3]| (at[0] - place[0]).hypot(at[1] - place[1]) <= ELECTRODE_REACH * size;
+                let near = |at: &[f64; 3]| distance([at[0], at[1]], *place) <= ELECTRODE_REACH * size;
                 let pixels: Vec<usize> =
                     (0..prepared.basis.positions.len()).filter(|&k| near(&prepared.basis.positions[k])).collect();
                 (0..prepared.channels())
@@ -117,7 +117,7 @@ fn electrode_places(prepared: &Prepared) -> Vec<([f64; 2], f64)> {
         let count = nodes.len().max(1) as f64;
         let sum = nodes.iter().map(at).fold([0.0; 2], |sum, at| [sum[0] + at[0], sum[1] + at[1]]);
         let middle = sum.map(|value| value / count);
-        let reach = nodes.iter().map(at).map(|at| (at[0] - middle[0]).hypot(at[1] - middle[1])).fold(0.0_f64, f64::max);
+        let reach = nodes.iter().map(|node| distance(at(node), middle)).fold(0.0_f64, f64::max);
         (middle, (2.0 * reach).max(prepared.map.grid().pixel_m))
     };
     electrodes.iter().map(of).collect()

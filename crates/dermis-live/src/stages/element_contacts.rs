@@ -8,6 +8,7 @@
 
 use dermis_mit::LiftOffFit;
 use dermis_skin::{Layer, Solve};
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::{Contact, ContactSign};
 
 use crate::prepare::Prepared;
@@ -36,7 +37,7 @@ const MODEL_ERROR_CELLS: f64 = 0.06;
 /// Merges contacts of elements moved by one press.
 #[derive(Debug)]
 pub(crate) struct ElementContacts {
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     cell_m: [f64; 2],
     /// Indices of the elements adjacent to each.
     beside: Vec<Vec<usize>>,
@@ -258,9 +259,8 @@ impl ElementContacts {
         let mut seeds = [-1.0, 1.0].map(|sign| [0, 1].map(|axis| centre[axis] + sign * along[axis]));
         let mut parts = [Vec::new(), Vec::new()];
         for _ in 0..MOST_ROUNDS {
-            let distance = |k: usize, seed: [f64; 2]| (at(k)[0] - seed[0]).hypot(at(k)[1] - seed[1]);
             let (one, other): (Vec<usize>, Vec<usize>) =
-                about.iter().partition(|&&k| distance(k, seeds[0]) <= distance(k, seeds[1]));
+                about.iter().partition(|&&k| distance(at(k), seeds[0]) <= distance(at(k), seeds[1]));
             let same = parts[0] == one;
             parts = [one, other];
             if same || parts.iter().any(Vec::is_empty) {
@@ -269,7 +269,7 @@ impl ElementContacts {
             seeds = [0, 1].map(|part| middle(&parts[part]).0);
         }
         let least_n = parts.iter().map(|part| middle(part).1).fold(f64::INFINITY, f64::min);
-        let apart = (seeds[0][0] - seeds[1][0]).hypot(seeds[0][1] - seeds[1][1]);
+        let apart = distance(seeds[0], seeds[1]);
         (parts.iter().all(|part| !part.is_empty()) && least_n >= LEAST_PART * all_n && apart >= LEAST_APART_CELLS)
             .then_some(parts)
     }
@@ -296,9 +296,9 @@ impl ElementContacts {
         Some((centroid, covariance))
     }
 
-    fn nearest(&self, at_m: [f64; 2]) -> usize {
-        let distance = |k: &usize| (self.places_m[*k][0] - at_m[0]).hypot(self.places_m[*k][1] - at_m[1]);
-        (0..self.places_m.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
+    fn nearest(&self, at_m: Point) -> usize {
+        let away_m = |k: usize| distance(self.places_m[k], at_m);
+        (0..self.places_m.len()).min_by(|&a, &b| away_m(a).total_cmp(&away_m(b))).unwrap_or(0)
     }
 
     /// Distance of two elements in cells, the larger of both directions.
@@ -309,7 +309,7 @@ impl ElementContacts {
 }
 
 /// For each element, the indices of those one cell away along x or y, to within a tenth of a cell.
-pub(crate) fn beside(places_m: &[[f64; 2]], cell_m: [f64; 2]) -> Vec<Vec<usize>> {
+pub(crate) fn beside(places_m: &[Point], cell_m: [f64; 2]) -> Vec<Vec<usize>> {
     let is_beside = |a: [f64; 2], b: [f64; 2]| {
         let [x, y] = [0, 1].map(|axis| ((a[axis] - b[axis]) / cell_m[axis]).abs());
         (x + y - 1.0).abs() < 0.1 && x.min(y) < 0.1
@@ -325,12 +325,12 @@ mod tests {
 
     /// Elements in 6 x 8 unit cells, with the forces of round faces of given centres and radii, in cells.
     fn pressed(faces: &[([f64; 2], f64)]) -> ElementContacts {
-        let places_m: Vec<[f64; 2]> = (0..48).map(|k| [(k % COLUMNS) as f64, (k / COLUMNS) as f64]).collect();
+        let places_m: Vec<Point> = (0..48).map(|k| [(k % COLUMNS) as f64, (k / COLUMNS) as f64]).collect();
         const FINE: usize = 20;
-        let share = |place: &[f64; 2]| -> f64 {
+        let share = |place: &Point| -> f64 {
             let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
             let points = (0..FINE * FINE).map(|k| [place[0] + at(k % FINE), place[1] + at(k / FINE)]);
-            let covered = |p: [f64; 2]| faces.iter().any(|(c, r)| (p[0] - c[0]).hypot(p[1] - c[1]) < *r);
+            let covered = |p: Point| faces.iter().any(|(c, r)| distance(p, *c) < *r);
             points.filter(|p| covered(*p)).count() as f64 / (FINE * FINE) as f64
         };
         ElementContacts {
@@ -357,7 +357,7 @@ mod tests {
     }
 
     /// Centres between 2 and 3 cells from the left and below.
-    fn middles() -> impl Iterator<Item = [f64; 2]> {
+    fn middles() -> impl Iterator<Item = Point> {
         (0..36).map(|k| [2.0 + (k % 6) as f64 / 6.0, 2.0 + (k / 6) as f64 / 6.0])
     }
 
@@ -380,7 +380,7 @@ mod tests {
                 let found = presses(&[(middle, 0.44), (other, 0.44)]);
                 assert_eq!(found.len(), 2, "{middle:?} {other:?}: {found:?}");
                 for place in [middle, other] {
-                    let off = found.iter().map(|p| (p[0] - place[0]).hypot(p[1] - place[1])).fold(9.0, f64::min);
+                    let off = found.iter().map(|p| distance(*p, place)).fold(9.0, f64::min);
                     assert!(off < 0.5, "{place:?}: {found:?}");
                 }
             }

@@ -9,6 +9,7 @@ mod seek;
 use std::f64::consts::PI;
 
 use dermis_skin::Layer;
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use self::fit::{
@@ -84,7 +85,7 @@ impl ElementPresses {
     /// # Errors
     /// Readings that the model of the coils rejects.
     pub fn place(&mut self, mut frame: ElementFrame<'_>, contacts: &mut Vec<Contact>) -> Result<(), Error> {
-        let centres: Vec<[f64; 2]> = contacts
+        let centres: Vec<Point> = contacts
             .iter()
             .filter(|contact| contact.sign == ContactSign::Positive)
             .map(|contact| contact.centroid_m)
@@ -109,7 +110,7 @@ impl ElementPresses {
         self.last.clear();
     }
 
-    fn start_at(&self, centre_m: [f64; 2]) -> Press {
+    fn start_at(&self, centre_m: Point) -> Press {
         Press { centre_m, log_radius: self.usual.log_radius, log_pressure: self.usual.log_pressure }
     }
 
@@ -124,7 +125,7 @@ impl ElementPresses {
     }
 
     /// Finds the number of presses that explains a frame with contacts at these positions, and their parameters.
-    fn explain(&self, frame: &mut ElementFrame<'_>, centres: &[[f64; 2]]) -> Result<FittedPresses, Error> {
+    fn explain(&self, frame: &mut ElementFrame<'_>, centres: &[Point]) -> Result<FittedPresses, Error> {
         let mut best = self.fit(frame, &self.starts(centres), MOST_TRIALS)?;
         while let Some(fewer) = self.with_fewer(frame, &best)? {
             best = fewer;
@@ -144,8 +145,8 @@ impl ElementPresses {
     }
 
     /// The presses of the last frame, if each contact is one of them; otherwise usual ones at the contacts.
-    fn starts(&self, centres: &[[f64; 2]]) -> Vec<Press> {
-        let is_known = |centre: &[f64; 2]| {
+    fn starts(&self, centres: &[Point]) -> Vec<Press> {
+        let is_known = |centre: &Point| {
             let at = self.start_at(*centre);
             self.last.iter().filter(|press| self.mechanics.cells_between(press, &at) <= SAME_CELLS).count() == 1
         };
@@ -268,7 +269,7 @@ impl ElementPresses {
     }
 
     /// True if a position is close to the edge of the elements, in either sense along a direction.
-    fn is_at_rim(&self, at_m: [f64; 2], along: [f64; 2]) -> bool {
+    fn is_at_rim(&self, at_m: Point, along: [f64; 2]) -> bool {
         let cell_m = self.mechanics.cell_m;
         [-RIM_CELLS, RIM_CELLS].iter().any(|cells| {
             let there = [0, 1].map(|axis| at_m[axis] + cells * along[axis] * cell_m[axis]);
@@ -287,9 +288,7 @@ impl ElementPresses {
         let most_n = found.forces_n.iter().copied().fold(0.0, f64::max);
         let excess = (found.left / found.degrees_of_freedom.max(1) as f64).max(1.0);
         for (number, press) in found.presses.iter().enumerate() {
-            let away = |contact: &Contact| {
-                (contact.centroid_m[0] - press.centre_m[0]).hypot(contact.centroid_m[1] - press.centre_m[1])
-            };
+            let away = |contact: &Contact| distance(contact.centroid_m, press.centre_m);
             let nearest = (0..of_image.len()).min_by(|&a, &b| away(&of_image[a]).total_cmp(&away(&of_image[b])));
             let share = || strongest.map(|contact| contact.share_at(press.centre_m, found.forces_n[number] / most_n));
             let Some(contact) = nearest.map(|k| of_image.swap_remove(k)).or_else(share) else { continue };
@@ -331,7 +330,7 @@ mod tests {
         (presses, coils, noise_h)
     }
 
-    fn contact(centroid_m: [f64; 2]) -> Contact {
+    fn contact(centroid_m: Point) -> Contact {
         Contact {
             covariance_m2: [[1e-6, 0.0], [0.0, 1e-6]],
             significance: 30.0,
@@ -341,12 +340,12 @@ mod tests {
 
     /// The contacts found if the image showed these, under presses with these positions and radii (mm) and pressures
     /// (kPa).
-    fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]]) -> Vec<Contact> {
+    fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[Point]) -> Vec<Contact> {
         found_in_noise(name, pressed, shown_mm, 0.0)
     }
 
     /// As `found`, with `noise` times the stated noise of the readings.
-    fn found_in_noise(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]], noise: f64) -> Vec<Contact> {
+    fn found_in_noise(name: &str, pressed: &[[f64; 4]], shown_mm: &[Point], noise: f64) -> Vec<Contact> {
         let (mut stage, mut coils, noise_h) = bench(name);
         let press = |[x, y, radius, pressure]: &[f64; 4]| Press {
             centre_m: [1e-3 * x, 1e-3 * y],
@@ -369,7 +368,7 @@ mod tests {
     }
 
     fn nearest_mm(contacts: &[Contact], [x, y, ..]: [f64; 4]) -> f64 {
-        let away = |c: &Contact| (1e3 * c.centroid_m[0] - x).hypot(1e3 * c.centroid_m[1] - y);
+        let away = |c: &Contact| distance(c.centroid_m.map(|m| 1e3 * m), [x, y]);
         contacts.iter().map(away).fold(f64::INFINITY, f64::min)
     }
 

@@ -1,5 +1,6 @@
 //! The positions of a frame's touches according to a calibration.
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::locator::MOST_TOUCHES;
 use dermis_touch::{PlaceHypothesis, TouchLoad};
 
@@ -10,7 +11,7 @@ pub const MOST_FURTHER: usize = MOST_TOUCHES - 1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FurtherTouch {
     /// Position, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
     /// Strength relative to the first.
@@ -23,7 +24,7 @@ pub struct FurtherTouch {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Position, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
     /// Strength in typical pokes at that position; `None` leaves it to the image.

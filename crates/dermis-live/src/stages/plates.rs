@@ -7,7 +7,7 @@ use dermis_estimate::{PlateLaw, PlateModel, PlateOptions};
 use dermis_skin::{ContactLaw, Layer, PatchesLayer, SandwichLayer, Skin, SkinBody};
 use dermis_tomo::eit::contacts::PlatedSheet;
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::mesh::{PixelGrid, SlitEdge, SlitMesh};
+use dermis_tomo::mesh::{PixelGrid, Point, SlitEdge, SlitMesh, distance};
 
 use crate::Error;
 use crate::as_built::Build;
@@ -55,7 +55,7 @@ struct Squares {
     pitch_m: f64,
     side_m: f64,
     /// Lower left corner of the grid, metres, and number of columns.
-    corner_m: [f64; 2],
+    corner_m: Point,
     columns: u32,
 }
 
@@ -131,7 +131,7 @@ impl Plates {
     }
 
     /// Number of the plate above a position; `None` between plates.
-    fn above(&self, place_m: [f64; 2]) -> Option<u32> {
+    fn above(&self, place_m: Point) -> Option<u32> {
         let Some(squares) = &self.squares else { return Some(0) };
         let along = [0, 1].map(|axis| (place_m[axis] - squares.corner_m[axis]) / squares.pitch_m);
         let is_on = |at: f64| (at - at.floor() - 0.5).abs() * squares.pitch_m <= 0.5 * squares.side_m;
@@ -221,16 +221,16 @@ impl Plates {
 
 /// A segment shortened by this length at each end, or what is left of it around its middle.
 fn shortened([a, b]: Ends, by_m: f64) -> Ends {
-    let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+    let length = distance(a, b);
     let share = (by_m / length.max(f64::MIN_POSITIVE)).min(0.499);
     let at = |share: f64| [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])];
     [at(share), at(1.0 - share)]
 }
 
 /// True if a segment meets a triangle.
-fn crosses(corners: [[f64; 2]; 3], [a, b]: Ends) -> bool {
-    let side = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-    let meets = |p: [f64; 2], q: [f64; 2]| side(p, q, a) * side(p, q, b) <= 0.0 && side(a, b, p) * side(a, b, q) <= 0.0;
+fn crosses(corners: [Point; 3], [a, b]: Ends) -> bool {
+    let side = |p: Point, q: Point, r: Point| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+    let meets = |p: Point, q: Point| side(p, q, a) * side(p, q, b) <= 0.0 && side(a, b, p) * side(a, b, q) <= 0.0;
     let edges = [(0, 1), (1, 2), (2, 0)];
     let inside = edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) >= 0.0)
         || edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) <= 0.0);

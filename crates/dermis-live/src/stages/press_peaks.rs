@@ -2,6 +2,7 @@
 //! which belongs in the baseline.
 
 use dermis_estimate::Press;
+use dermis_tomo::mesh::{Point, distance};
 
 /// A press below this share of its own peak amplitude is only a remnant: layers creep, and take a set of a few per
 /// cent. The peak is remembered for this long, nanoseconds.
@@ -11,7 +12,7 @@ const REMEMBERED_NS: u64 = 5_000_000_000;
 /// The highest amplitude that a press has reached.
 #[derive(Clone, Copy, Debug)]
 struct Peak {
-    position_m: [f64; 2],
+    position_m: Point,
     radius_m: f64,
     amplitude: f64,
     seen_ns: u64,
@@ -31,8 +32,7 @@ impl Peaks {
     pub fn is_remnant(&mut self, time_ns: u64, press: &Press, amplitude: f64) -> bool {
         let is_there = |peak: &&mut Peak| {
             let reach_m = peak.radius_m.max(press.radius_m) + 2.0 * press.place_sigma_m();
-            let [x, y] = peak.position_m;
-            (x - press.position_m[0]).hypot(y - press.position_m[1]) <= reach_m
+            distance(peak.position_m, press.position_m) <= reach_m
         };
         let Press { position_m, radius_m, .. } = *press;
         if let Some(peak) = self.0.iter_mut().find(is_there) {

@@ -12,7 +12,7 @@ use crate::calibration::Calibration;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
-use crate::stages::gone::Gone;
+use crate::stages::ended_presses::Gone;
 use crate::stages::plates::{Plates, SheetCut};
 use crate::stages::press_model::PressModel;
 use crate::stages::spot_model::assumed_deviations;

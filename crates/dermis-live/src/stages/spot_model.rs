@@ -4,6 +4,7 @@ use dermis_skin::Layer;
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane as ThinMembrane, MembraneSpec};
+use dermis_tomo::mesh::Point;
 use faer::Mat;
 
 use crate::Error;
@@ -45,7 +46,7 @@ pub(crate) fn spot_model_under(
     let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
     let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
     let response = membrane.map(|membrane| &pressed * &membrane.spread);
-    let positions: Vec<[f64; 2]> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
+    let positions: Vec<Point> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
     let (half_width, pixel_m) = (prepared.half_width_m(), prepared.map.grid().pixel_m);
     let options = SpotOptions {
         smallest_radius_m: SMALLEST_RADIUS * half_width,

@@ -2,7 +2,7 @@
 
 use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Memory, Press, PressFit};
 use dermis_skin::Layer;
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point, distance};
 use dermis_touch::force::ForceReading;
 use dermis_touch::{Contact, ContactStrength};
 
@@ -10,9 +10,9 @@ use crate::beside::Beside;
 use crate::imager::{Imager, PartScratch};
 use crate::prepare::Prepared;
 use crate::stages::ended_presses::EndedPresses;
+use crate::stages::ended_presses::Gone;
 use crate::stages::force_law::ForceLaw;
 use crate::stages::gathered::Gathered;
-use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::Peaks;
@@ -473,7 +473,7 @@ impl SpotStage {
     }
 
     /// Peak of the image of one press alone, whose response is in `volts`.
-    fn image_value(&mut self, imager: &Imager, position_m: [f64; 2]) -> f64 {
+    fn image_value(&mut self, imager: &Imager, position_m: Point) -> f64 {
         imager.fill_in_left_out(&mut self.volts);
         let reach = (self.typical_radius_m / self.grid.pixel_m).ceil().max(1.0) as usize;
         let Some(middle) = self.grid.pixel_at(position_m) else { return 0.0 };
@@ -489,8 +489,4 @@ impl SpotStage {
         let values = rows.flat_map(unknowns).map(|unknown| f64::from(image[unknown - first]));
         values.fold(0.0, |most: f64, value| if value.abs() > most.abs() { value } else { most })
     }
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }

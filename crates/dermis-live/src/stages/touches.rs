@@ -1,5 +1,6 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::force::{ForceCalibration, ForceReading};
 use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{
@@ -8,7 +9,6 @@ use dermis_touch::{
 };
 
 use crate::Error;
-use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::model_error::ModelError;
 use crate::stages::placement::Placement;
@@ -50,7 +50,7 @@ impl TouchStage {
     /// Thresholds out of range.
     pub fn new(prepared: &Prepared, noise: Vec<f32>) -> Result<Self, Error> {
         let settings = &prepared.skin.touch;
-        let cells = image_cells(prepared.map.grid());
+        let cells = prepared.image_cells();
         let half_width = prepared.half_width_m();
         let contact = ContactParams {
             k_on: settings.begin_sigma,
@@ -251,7 +251,7 @@ impl TouchStage {
 
     /// A contact for a touch that only the calibration sees because the image is below its threshold: one cell, with
     /// the image's value there.
-    fn contact_at(&self, position_m: [f64; 2], image: &[f32]) -> Option<Contact> {
+    fn contact_at(&self, position_m: Point, image: &[f32]) -> Option<Contact> {
         let cells = self.finder.cells();
         let cell = cells.cell_at(position_m)?;
         let value = image.get(cell).copied().filter(|value| value.is_finite() && *value != 0.0)?;

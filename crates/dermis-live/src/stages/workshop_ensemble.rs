@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use dermis_skin::{Dice, Tolerances, built_electrodes};
 use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::mesh::PixelMap;
+use dermis_tomo::mesh::{PixelMap, Point};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
@@ -81,7 +81,7 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
     let nominal = member(prepared, &Tolerances::none(), 0)?;
     let (places_m, spacing_m) = places(&prepared.skin.outline());
     let radius_m = TYPICAL_RADIUS * prepared.half_width_m();
-    let at: Vec<([f64; 2], f64)> = places_m.iter().map(|place| (*place, radius_m)).collect();
+    let at: Vec<(Point, f64)> = places_m.iter().map(|place| (*place, radius_m)).collect();
     let spots = Spots::new(prepared)?.columns(&at);
     let responses = &nominal.jacobian * &spots;
     let uniform: Vec<f64> = nominal.jacobian.row_iter().map(|row| row.iter().sum()).collect();
@@ -215,7 +215,7 @@ impl Field {
         Self { deviation, waves }
     }
 
-    fn at(&self, place_m: [f64; 2]) -> f64 {
+    fn at(&self, place_m: Point) -> f64 {
         let sum: f64 = self.waves.iter().map(|[x, y, phase]| (x * place_m[0] + y * place_m[1] + phase).cos()).sum();
         (self.deviation * sum * (2.0 / COSINES as f64).sqrt()).exp()
     }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use dermis_tomo::mesh::Point;
 use serde::{Deserialize, Serialize};
 
 /// Largest ratio of a baseline's misfit to the ensemble's. A larger misfit means that the model is of a different
@@ -12,7 +13,7 @@ const MOST_MISFIT: f64 = 5.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorkshopError {
-    pub(crate) places_m: Vec<[f64; 2]>,
+    pub(crate) places_m: Vec<Point>,
     pub(crate) spacing_m: f64,
     /// Means of x^2, x y and y^2 (m^2), of the squared relative load, and of the unexplained share of the energy.
     pub(crate) squares: Vec<[f64; 5]>,
@@ -38,13 +39,13 @@ impl BuiltError {
     }
 
     /// Covariance of a position, square metres.
-    pub fn covariance_m2(&self, place_m: [f64; 2]) -> [[f64; 2]; 2] {
+    pub fn covariance_m2(&self, place_m: Point) -> [[f64; 2]; 2] {
         let [xx, xy, yy, ..] = self.ensemble.at(place_m).map(|value| self.scale * value);
         [[xx, xy], [xy, yy]]
     }
 
     /// Variance of the relative load.
-    pub fn load_variance(&self, place_m: [f64; 2]) -> f64 {
+    pub fn load_variance(&self, place_m: Point) -> f64 {
         self.scale * self.ensemble.at(place_m)[3] + self.ensemble.law
     }
 
@@ -57,7 +58,7 @@ impl BuiltError {
 
 impl WorkshopError {
     /// Variance of a coordinate at a position, averaged over both, m^2.
-    pub(crate) fn variance_m2(&self, place_m: [f64; 2]) -> f64 {
+    pub(crate) fn variance_m2(&self, place_m: Point) -> f64 {
         let [xx, _, yy, ..] = self.at(place_m);
         0.5 * (xx + yy)
     }
@@ -75,7 +76,7 @@ impl WorkshopError {
     }
 
     /// Mean squares at a position, smoothed over its neighbours.
-    fn at(&self, place_m: [f64; 2]) -> [f64; 5] {
+    fn at(&self, place_m: Point) -> [f64; 5] {
         let (mut sums, mut weights) = ([0.0; 5], 0.0);
         for (at, squares) in self.places_m.iter().zip(&self.squares) {
             let distance = ((at[0] - place_m[0]).powi(2) + (at[1] - place_m[1]).powi(2)) / self.spacing_m.powi(2);

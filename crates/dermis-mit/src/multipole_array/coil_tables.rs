@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use dermis_tomo::mesh::Point;
 use rayon::prelude::*;
 
 use crate::array::CoilArray;
@@ -15,7 +16,7 @@ use crate::harmonics::{HARMONICS, MOST_DEGREE, index};
 #[derive(Clone, Debug)]
 pub struct CoilTables {
     pub(super) coils: usize,
-    pub(super) places_m: Vec<[f64; 2]>,
+    pub(super) places_m: Vec<Point>,
     pub(super) low_m: f64,
     pub(super) high_m: f64,
     pub(super) nodes: usize,
@@ -32,12 +33,7 @@ impl CoilTables {
     /// # Errors
     /// No bodies, heights that are not in order, or wire closer to a body's centre than `clearance_m` anywhere in the
     /// range.
-    pub fn new(
-        array: &CoilArray,
-        places_m: &[[f64; 2]],
-        heights_m: [f64; 2],
-        clearance_m: f64,
-    ) -> Result<Self, MitError> {
+    pub fn new(array: &CoilArray, places_m: &[Point], heights_m: [f64; 2], clearance_m: f64) -> Result<Self, MitError> {
         let [low_m, high_m] = heights_m;
         if places_m.is_empty() {
             return Err(MitError::Count { what: "bodies", expected: 1, got: 0 });
@@ -100,7 +96,7 @@ enum Symmetry {
 /// A place mapped to the place of its table, and the way back: mirror y -> -y, then rotate.
 #[derive(Clone, Copy, Debug)]
 struct Fold {
-    place_m: [f64; 2],
+    place_m: Point,
     mirrored: bool,
     angle: f64,
 }
@@ -116,7 +112,7 @@ impl Symmetry {
         }
     }
 
-    fn fold(self, [x, y]: [f64; 2]) -> Fold {
+    fn fold(self, [x, y]: Point) -> Fold {
         match self {
             Self::Round => Fold { place_m: [x.hypot(y), 0.0], mirrored: false, angle: y.atan2(x) },
             Self::Square => {
@@ -151,7 +147,7 @@ impl Fold {
 
 fn check_clearance(
     array: &CoilArray,
-    places_m: &[[f64; 2]],
+    places_m: &[Point],
     [low_m, high_m]: [f64; 2],
     clearance_m: f64,
 ) -> Result<(), MitError> {

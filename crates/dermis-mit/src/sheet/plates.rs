@@ -8,6 +8,7 @@
 
 use std::f64::consts::PI;
 
+use dermis_tomo::mesh::{Point, distance};
 use faer::Mat;
 use faer::prelude::Solve;
 use rayon::prelude::*;
@@ -33,7 +34,7 @@ pub struct Plate {
     size_m: [f64; 2],
     thickness_m: f64,
     /// Points relative to the plate's centre, metres.
-    points_m: Vec<[f64; 2]>,
+    points_m: Vec<Point>,
     /// Areas represented by the points.
     areas: Vec<f64>,
     /// Q, row by row, m^2.A/T.
@@ -119,7 +120,7 @@ impl Plate {
     }
 
     /// Positions of the points relative to the plate's centre, metres.
-    pub fn points_m(&self) -> &[[f64; 2]] {
+    pub fn points_m(&self) -> &[Point] {
         &self.points_m
     }
 
@@ -136,7 +137,7 @@ impl Plate {
 
     /// A coil's flux density at the points of the plate when centred at a place, T/A.
     pub fn sample(&self, coil: &Coil, middle_m: Vector) -> Vec<Vector> {
-        let at = |p: &[f64; 2]| coil.flux_density([middle_m[0] + p[0], middle_m[1] + p[1], middle_m[2]]);
+        let at = |p: &Point| coil.flux_density([middle_m[0] + p[0], middle_m[1] + p[1], middle_m[2]]);
         self.points_m.iter().map(at).collect()
     }
 
@@ -164,7 +165,7 @@ pub struct PlateCoupling {
 #[derive(Clone, Debug)]
 pub struct Plates {
     plate: Plate,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     heights_m: [f64; 2],
     coupling: Option<PlateCoupling>,
     neighbours: Vec<[usize; 2]>,
@@ -193,7 +194,7 @@ impl Plates {
     pub fn new(
         array: &CoilArray,
         plate: Plate,
-        places_m: &[[f64; 2]],
+        places_m: &[Point],
         heights_m: [f64; 2],
         coupling: Option<PlateCoupling>,
     ) -> Result<Self, MitError> {
@@ -368,7 +369,7 @@ impl Plates {
 
 /// Normal field at the coarse points of one plate due to vertical unit dipoles at those of another:
 /// `mu0/(4 pi) (3 z^2/r^2 - 1)/r^3`.
-fn kernel(points_m: &[[f64; 2]], shift_m: [f64; 2], dz_m: f64) -> Vec<f64> {
+fn kernel(points_m: &[Point], shift_m: [f64; 2], dz_m: f64) -> Vec<f64> {
     let of = |to: &[f64; 2], from: &[f64; 2]| {
         let (x, y) = (shift_m[0] + to[0] - from[0], shift_m[1] + to[1] - from[1]);
         let squared = x * x + y * y + dz_m * dz_m;
@@ -378,16 +379,12 @@ fn kernel(points_m: &[[f64; 2]], shift_m: [f64; 2], dz_m: f64) -> Vec<f64> {
 }
 
 /// Ordered pairs of plates within reach, sorted by the excited plate.
-fn neighbours(
-    plate: &Plate,
-    places_m: &[[f64; 2]],
-    coupling: Option<PlateCoupling>,
-) -> Result<Vec<[usize; 2]>, MitError> {
+fn neighbours(plate: &Plate, places_m: &[Point], coupling: Option<PlateCoupling>) -> Result<Vec<[usize; 2]>, MitError> {
     let mut neighbours = Vec::new();
     for (a, p) in places_m.iter().enumerate() {
         for (b, q) in places_m.iter().enumerate().filter(|(b, _)| *b != a) {
             let (dx, dy) = ((p[0] - q[0]).abs(), (p[1] - q[1]).abs());
-            let distance_m = dx.hypot(dy);
+            let distance_m = distance(*p, *q);
             if dx < plate.size_m[0] && dy < plate.size_m[1] {
                 let needed_m = plate.size_m[0].max(plate.size_m[1]);
                 return Err(MitError::BodiesOverlap { first: a + 1, second: b + 1, distance_m, needed_m });
@@ -403,7 +400,7 @@ fn neighbours(
 fn check_clearance(
     array: &CoilArray,
     plate: &Plate,
-    places_m: &[[f64; 2]],
+    places_m: &[Point],
     [low_m, high_m]: [f64; 2],
 ) -> Result<(), MitError> {
     let radius_m = plate.spacing_m().max(0.5 * plate.thickness_m);
@@ -425,7 +422,7 @@ fn check_clearance(
 }
 
 /// Chebyshev coefficients over height of a coil's field at the points of a plate.
-fn chebyshev(coil: &Coil, plate: &Plate, [x, y]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<f64> {
+fn chebyshev(coil: &Coil, plate: &Plate, [x, y]: Point, [low_m, high_m]: [f64; 2]) -> Vec<f64> {
     let angle = |k: usize| PI * (k as f64 + 0.5) / NODES as f64;
     let samples: Vec<Vec<Vector>> = (0..NODES)
         .map(|k| {

@@ -5,7 +5,6 @@ mod each;
 mod extras;
 mod frame;
 mod touch;
-mod verdict;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -16,7 +15,7 @@ use dermis_live::skin_frame::SkinFrame;
 use extras::Plain;
 pub use extras::{LineExtras, NoFields};
 use frame::FrameLine;
-pub(crate) use verdict::Verdict;
+pub(crate) use frame::Verdict;
 
 /// Selects the frames that get a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

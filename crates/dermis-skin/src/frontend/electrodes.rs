@@ -1,6 +1,6 @@
 //! Positions of a skin's electrodes: rims, rings, grids and explicit lists.
 
-use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, square_to_disc};
+use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, Point, square_to_disc};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -48,7 +48,7 @@ pub enum Electrodes {
     /// prints the distance.
     RimPlaces {
         /// Position [x, y] of each electrode.
-        places_mm: Vec<[f64; 2]>,
+        places_mm: Vec<Point>,
         /// Length of each electrode along the rim.
         width_mm: f64,
     },
@@ -115,14 +115,14 @@ pub enum Pad {
     /// Round pad.
     Circle {
         /// Centre.
-        centre_mm: [f64; 2],
+        centre_mm: Point,
         /// Diameter.
         diameter_mm: f64,
     },
     /// Rectangular pad.
     Rectangle {
         /// Centre.
-        centre_mm: [f64; 2],
+        centre_mm: Point,
         /// Along x.
         width_mm: f64,
         /// Along y.
@@ -131,7 +131,7 @@ pub enum Pad {
     /// A single node.
     Point {
         /// Position of the node.
-        at_mm: [f64; 2],
+        at_mm: Point,
     },
 }
 
@@ -192,7 +192,7 @@ impl Electrodes {
             }
             Self::RimPlaces { places_mm, width_mm } => {
                 let width_m = width_mm * MM;
-                let shape = |place: &[f64; 2]| {
+                let shape = |place: &Point| {
                     let (centre_m, _) = outline.nearest_rim(place.map(|x| x * MM));
                     match outline {
                         Outline::Disc { radius_m } => {
@@ -281,7 +281,7 @@ impl Electrodes {
 
 impl Pad {
     fn shape(&self) -> ElectrodeShape {
-        let metres = |p: &[f64; 2]| [p[0] * MM, p[1] * MM];
+        let metres = |p: &Point| [p[0] * MM, p[1] * MM];
         match self {
             Pad::Circle { centre_mm, diameter_mm } => {
                 ElectrodeShape::PadCircle { centre_m: metres(centre_mm), radius_m: 0.5 * diameter_mm * MM }

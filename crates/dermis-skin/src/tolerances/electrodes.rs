@@ -1,7 +1,7 @@
 //! Places electrodes with manufacturing errors. Every electrode stays on the sheet and keeps at least a fifth of the
 //! drawn gap to its neighbours, since the builder would notice anything worse.
 
-use dermis_tomo::mesh::{ElectrodeShape, Outline, to_segment};
+use dermis_tomo::mesh::{ElectrodeShape, Outline, Point, to_segment};
 
 use super::Dice;
 
@@ -107,7 +107,7 @@ fn clearance(outline: &Outline, shape: &ElectrodeShape) -> f64 {
 }
 
 /// Distance to the nearest rim, including holes, metres; negative off the sheet.
-fn to_rim(outline: &Outline, p: [f64; 2]) -> f64 {
+fn to_rim(outline: &Outline, p: Point) -> f64 {
     match outline {
         Outline::Disc { radius_m } => radius_m - p[0].hypot(p[1]),
         Outline::Rectangle { width_m, height_m } => (0.5 * width_m - p[0].abs()).min(0.5 * height_m - p[1].abs()),

@@ -5,7 +5,7 @@
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
-use super::check::positive;
+use super::error::positive;
 use super::nonlinear::{GaussNewton, NonlinearProblem, ReducedChannels, advance, log_jacobian, pivoted_cholesky};
 use super::{InverseError, SmoothCovariance};
 

@@ -4,7 +4,7 @@
 
 use faer::{Mat, Side, linalg::solvers::Solve};
 
-use super::check::positive;
+use super::error::positive;
 use super::{DataPrecision, ImageBasis, InverseError, LinearProblem, Operator};
 
 /// Training targets and permitted noise.

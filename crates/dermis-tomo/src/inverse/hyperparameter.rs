@@ -4,7 +4,7 @@
 
 use faer::Mat;
 
-use super::check::positive;
+use super::error::positive;
 use super::{InverseError, LCurvePoint, LinearProblem, Spectrum};
 
 /// Rule for the hyperparameter.

@@ -7,6 +7,7 @@ use faer::{Mat, Side, linalg::solvers::Solve};
 
 use super::{InverseError, check_finite};
 use crate::eit::Jacobian;
+use crate::mesh::Point;
 
 /// Relative noise variance of the interpolation.
 const NOISE: f64 = 0.05;
@@ -30,8 +31,8 @@ impl MeasuredJacobian {
     /// Fewer than 3 pokes, lists of different length, frames of different length, or non-finite values.
     pub fn interpolate(
         frames: &[Vec<f64>],
-        pokes_m: &[[f64; 2]],
-        targets_m: &[[f64; 2]],
+        pokes_m: &[Point],
+        targets_m: &[Point],
         lengths_m: &[f64],
     ) -> Result<Self, InverseError> {
         let (pokes, channels) = (frames.len(), frames.first().map_or(0, Vec::len));
@@ -72,12 +73,12 @@ impl MeasuredJacobian {
     }
 }
 
-fn kernel(a: [f64; 2], b: [f64; 2], length: f64) -> f64 {
+fn kernel(a: Point, b: Point, length: f64) -> f64 {
     (-0.5 * ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)) / (length * length)).exp()
 }
 
 /// Leave-one-out error from `r_i = alpha_i / (K^-1)_ii`, and the coefficients alpha.
-fn fit(data: &Mat<f64>, pokes_m: &[[f64; 2]], length: f64) -> Result<(f64, Mat<f64>), InverseError> {
+fn fit(data: &Mat<f64>, pokes_m: &[Point], length: f64) -> Result<(f64, Mat<f64>), InverseError> {
     let pokes = pokes_m.len();
     let gram =
         Mat::from_fn(pokes, pokes, |a, b| kernel(pokes_m[a], pokes_m[b], length) + if a == b { NOISE } else { 0.0 });
@@ -103,9 +104,8 @@ mod tests {
 
     #[test]
     fn a_smooth_field_is_recovered_between_pokes() {
-        let field = |p: [f64; 2]| vec![(20.0 * p[0]).sin() + 0.5, (15.0 * p[1]).cos() - 20.0 * p[0] * p[1]];
-        let pokes: Vec<[f64; 2]> =
-            (0..64).map(|k| [(k % 8) as f64 * 0.02 - 0.07, (k / 8) as f64 * 0.02 - 0.07]).collect();
+        let field = |p: Point| vec![(20.0 * p[0]).sin() + 0.5, (15.0 * p[1]).cos() - 20.0 * p[0] * p[1]];
+        let pokes: Vec<Point> = (0..64).map(|k| [(k % 8) as f64 * 0.02 - 0.07, (k / 8) as f64 * 0.02 - 0.07]).collect();
         let frames: Vec<Vec<f64>> = pokes.iter().map(|p| field(*p)).collect();
         let targets = [[0.003, -0.014], [0.031, 0.027], [-0.045, 0.012]];
         let measured = MeasuredJacobian::interpolate(&frames, &pokes, &targets, &[0.02, 0.04, 0.08]).unwrap();

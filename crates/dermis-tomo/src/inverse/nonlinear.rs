@@ -13,7 +13,7 @@
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
-use super::check::positive;
+use super::error::positive;
 use super::{InverseError, PriorMatrix, SmoothCovariance, Weighting};
 use crate::eit::{EitError, ForwardModel, Jacobian, Pattern, Protocol, ProtocolError};
 use crate::mesh::{ElectrodedMesh, PixelMap};

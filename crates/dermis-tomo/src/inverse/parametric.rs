@@ -17,7 +17,6 @@
 mod fit;
 mod large_changes;
 mod model;
-mod options;
 mod products;
 mod responses;
 mod scratch;
@@ -27,6 +26,6 @@ mod table;
 pub use fit::FitOutcome;
 pub use large_changes::ChangeResponse;
 pub use model::SpotModel;
-pub use options::SpotOptions;
 pub use scratch::{FitScratch, Spot};
 pub use seek::{SpotFilter, SpotProposal};
+pub use table::SpotOptions;

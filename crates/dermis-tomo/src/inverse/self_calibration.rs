@@ -21,8 +21,9 @@ use batch::{Batch, Norms, Peak, channel_scale, check_not_infinite, row_rms, scal
 use faer::{Mat, MatRef};
 use templates::square_distance;
 
-use super::check::positive;
+use super::error::positive;
 use super::{InverseError, Weighting, check_finite};
+use crate::mesh::Point;
 
 /// Effect of a touch on the skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,7 +75,7 @@ impl CalibrationOptions {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchedTouch {
     /// Centroid of the best scores, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Index of the best place in [`TouchTemplates::places_m`].
     pub peak: usize,
     /// Weighted correlation of the frame with the template of the best place, -1 to 1.
@@ -87,7 +88,7 @@ pub struct MatchedTouch {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchedPair {
     /// Centroids of the best explanations, metres, stronger touch first.
-    pub positions_m: [[f64; 2]; 2],
+    pub positions_m: [Point; 2],
     /// Strengths relative to a typical calibration frame.
     pub amplitudes: [f64; 2],
     /// Share of the frame's weighted energy left unexplained, 0 to 1; a single touch leaves `1 - score^2`.
@@ -106,7 +107,7 @@ pub struct PairSearch {
 #[derive(Clone, Debug)]
 pub struct SelfCalibration {
     options: CalibrationOptions,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     data_scale: Vec<f64>,
     row_factors: Vec<f64>,
     signs: Vec<f64>,
@@ -338,7 +339,7 @@ impl SelfCalibration {
         }
     }
 
-    fn centroid(&self, scores: &[f64], peak: usize) -> [f64; 2] {
+    fn centroid(&self, scores: &[f64], peak: usize) -> Point {
         let centre = self.places_m[peak];
         let reach = self.options.centroid_radius_m.powi(2);
         let mut sum = [0.0; 3];
@@ -417,7 +418,7 @@ impl SelfCalibration {
     }
 
     /// Positions of the matched filter's columns, metres.
-    pub fn places_m(&self) -> &[[f64; 2]] {
+    pub fn places_m(&self) -> &[Point] {
         &self.places_m
     }
 }

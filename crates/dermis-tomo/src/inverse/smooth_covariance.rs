@@ -6,7 +6,7 @@ use faer::reborrow::Reborrow;
 use faer::{Accum, Mat, MatRef, Par};
 
 use super::InverseError;
-use super::check::positive;
+use super::error::positive;
 use crate::mesh::{dot, subtract};
 
 /// Exponent beyond which (6 lengths) correlations are below 2e-8 and are stored as zero in the explicit form.

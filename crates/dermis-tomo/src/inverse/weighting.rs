@@ -3,7 +3,7 @@
 
 use faer::{Mat, MatMut, MatRef, Side};
 
-use super::check::positive;
+use super::error::positive;
 use super::{InverseError, check_finite};
 
 /// Weight of each channel.

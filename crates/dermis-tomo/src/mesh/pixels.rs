@@ -161,7 +161,7 @@ impl PixelMap {
     }
 
     /// Centres of the inside pixels, metres.
-    pub fn inside_centres_m(&self) -> Vec<[f64; 2]> {
+    pub fn inside_centres_m(&self) -> Vec<Point> {
         self.inside.iter().map(|&pixel| self.grid.centre_m(pixel as usize)).collect()
     }
 

@@ -1,8 +1,8 @@
 //! Plane geometry of polygons: signed areas by the shoelace formula, containment by ray crossing, distances,
 //! crossings of segments, and clipping of convex polygons at axis-aligned lines. Lengths in metres.
 
-/// A point in the plane, metres.
-pub(super) type Point = [f64; 2];
+/// A point in the plane, in metres in the frame of the skin unless the name says otherwise: x right, y up.
+pub type Point = [f64; 2];
 
 pub(super) fn minus(a: Point, b: Point) -> Point {
     [a[0] - b[0], a[1] - b[1]]
@@ -18,7 +18,7 @@ pub(super) fn dot2(a: Point, b: Point) -> f64 {
 }
 
 /// Distance between two points in the plane, in their unit.
-pub fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+pub fn distance(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
@@ -51,7 +51,7 @@ pub(super) fn contains(polygon: &[Point], p: Point) -> bool {
 
 /// Distance from a point in the plane to the segment from `a` to `b`, and the position of the nearest point on it (0
 /// at `a`, 1 at `b`).
-pub fn to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
+pub fn to_segment(p: Point, a: Point, b: Point) -> (f64, f64) {
     let along = minus(b, a);
     let length2 = dot2(along, along);
     let t = if length2 > 0.0 { (dot2(minus(p, a), along) / length2).clamp(0.0, 1.0) } else { 0.0 };

@@ -29,9 +29,9 @@ pub enum Outline {
     /// Any simple polygon, in either orientation, with holes strictly inside it.
     Polygon {
         /// Vertices of the rim, without repeating the first.
-        outer: Vec<[f64; 2]>,
+        outer: Vec<Point>,
         /// Vertices of each hole.
-        holes: Vec<Vec<[f64; 2]>>,
+        holes: Vec<Vec<Point>>,
     },
 }
 
@@ -61,14 +61,14 @@ pub enum ElectrodeShape {
     /// A round pad under the sheet, meshed as a regular polygon with exactly the circle's area.
     PadCircle {
         /// Centre.
-        centre_m: [f64; 2],
+        centre_m: Point,
         /// Radius.
         radius_m: f64,
     },
     /// A rectangular pad under the sheet; may be flush with the rim.
     PadRectangle {
         /// Centre.
-        centre_m: [f64; 2],
+        centre_m: Point,
         /// Along its own x axis.
         width_m: f64,
         /// Along its own y axis.
@@ -79,7 +79,7 @@ pub enum ElectrodeShape {
     /// One node inside the sheet.
     Point {
         /// Position of the node.
-        position_m: [f64; 2],
+        position_m: Point,
     },
 }
 
@@ -148,7 +148,7 @@ impl Outline {
     }
 
     /// Minimum and maximum coordinates (of the true circle, for a disc).
-    pub fn bounds_m(&self) -> ([f64; 2], [f64; 2]) {
+    pub fn bounds_m(&self) -> (Point, Point) {
         match self {
             Outline::Disc { radius_m } => ([-radius_m, -radius_m], [*radius_m, *radius_m]),
             _ => super::plane::bounds(&self.rim_vertices()),
@@ -156,7 +156,7 @@ impl Outline {
     }
 
     /// True for points on the sheet, including its rim and the sides of its holes; false in its holes.
-    pub fn contains(&self, point_m: [f64; 2]) -> bool {
+    pub fn contains(&self, point_m: Point) -> bool {
         let Outline::Polygon { outer, holes } = self else {
             let (low, high) = self.bounds_m();
             return match self {
@@ -172,7 +172,7 @@ impl Outline {
     }
 
     /// Depth of a point inside the sheet: its distance from the rim or from the nearest hole; 0 off the sheet.
-    pub fn inside_by_m(&self, point_m: [f64; 2]) -> f64 {
+    pub fn inside_by_m(&self, point_m: Point) -> f64 {
         let [x, y] = point_m.map(f64::abs);
         match self {
             Outline::Disc { radius_m } => (radius_m - x.hypot(y)).max(0.0),
@@ -186,7 +186,7 @@ impl Outline {
     }
 
     /// Position along the rim of the point nearest to a place, and its distance from the place, metres.
-    pub fn nearest_rim(&self, place_m: [f64; 2]) -> (f64, f64) {
+    pub fn nearest_rim(&self, place_m: Point) -> (f64, f64) {
         if let Outline::Disc { radius_m } = self {
             let angle = place_m[1].atan2(place_m[0]).rem_euclid(TAU);
             return (angle * radius_m, (place_m[0].hypot(place_m[1]) - radius_m).abs());
@@ -207,7 +207,7 @@ impl Outline {
     }
 
     /// The point at a position along the rim; positions go round.
-    pub fn rim_at(&self, position_m: f64) -> [f64; 2] {
+    pub fn rim_at(&self, position_m: f64) -> Point {
         let mut left = position_m.rem_euclid(self.perimeter_m());
         if let Outline::Disc { radius_m } = self {
             let (sine, cosine) = (left / radius_m).sin_cos();

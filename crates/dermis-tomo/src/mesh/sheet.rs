@@ -35,7 +35,7 @@ pub struct SheetSpec {
     /// Straight lines inside the sheet (both ends, metres), clear of electrodes and of each other. Edges follow them,
     /// so that [`ElectrodedMesh::opened_along`] can open them. Edges on a line are at most a tenth of its length, and
     /// 0.3 % of it at its ends, where the field around a slit is singular.
-    pub lines: Vec<[[f64; 2]; 2]>,
+    pub lines: Vec<[Point; 2]>,
 }
 
 /// Quality of a mesh.

@@ -50,9 +50,9 @@ impl SheetSpec {
     pub fn build_slit(
         &self,
         contact_impedance: &[f64],
-        lines: &[[[f64; 2]; 2]],
+        lines: &[[Point; 2]],
     ) -> Result<(SlitMesh, Vec<bool>), MeshError> {
-        let meshed = |lines: &[[[f64; 2]; 2]]| {
+        let meshed = |lines: &[[Point; 2]]| {
             let spec = Self { lines: [&self.lines, lines].concat(), ..self.clone() };
             spec.build(contact_impedance)?.0.opened_along(lines)
         };
@@ -60,7 +60,7 @@ impl SheetSpec {
             return Ok((all, vec![true; lines.len()]));
         }
         let (mut kept, mut best) = (Vec::new(), meshed(&[])?);
-        let mut add = |line: &[[f64; 2]; 2]| {
+        let mut add = |line: &[Point; 2]| {
             kept.push(*line);
             let slit = meshed(&kept).map(|mesh| best = mesh).is_ok();
             if !slit {
@@ -78,7 +78,7 @@ impl ElectrodedMesh {
     ///
     /// # Errors
     /// A mesh that is not a flat sheet, or a line that edges do not follow from end to end.
-    pub fn opened_along(&self, lines: &[[[f64; 2]; 2]]) -> Result<SlitMesh, MeshError> {
+    pub fn opened_along(&self, lines: &[[Point; 2]]) -> Result<SlitMesh, MeshError> {
         let refuse =
             |value: String, expected: &str| Err(MeshError::Shape { field: "lines", value, expected: expected.into() });
         if self.mesh.kind() != CellKind::Triangle || self.mesh.nodes().iter().any(|p| p[2] != self.mesh.nodes()[0][2]) {
@@ -138,7 +138,7 @@ mod tests {
     use crate::eit::{ForwardModel, Pattern, Protocol};
     use crate::mesh::{ElectrodeShape, Outline, SheetSpec};
 
-    const LINE: [[f64; 2]; 2] = [[-0.012, 0.004], [0.009, 0.018]];
+    const LINE: [Point; 2] = [[-0.012, 0.004], [0.009, 0.018]];
 
     fn spec() -> SheetSpec {
         let outline = Outline::Rectangle { width_m: 0.1, height_m: 0.1 };

@@ -2,9 +2,11 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
+use crate::mesh::plane::Point;
+
 /// The equal-area concentric map of Shirley and Chiu (1997) from the square [-1, 1]^2 to the unit disc; it maps
 /// squares around the centre to circles. Lengths are relative to half the square's side and to the disc's radius.
-pub fn square_to_disc([x, y]: [f64; 2]) -> [f64; 2] {
+pub fn square_to_disc([x, y]: Point) -> Point {
     let (radius, angle) = if x.abs() > y.abs() {
         (x, FRAC_PI_4 * y / x)
     } else if y != 0.0 {

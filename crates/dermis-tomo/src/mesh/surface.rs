@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::core::{CellKind, Electrode, ElectrodedMesh, Mesh, MeshError};
+use crate::mesh::plane::Point;
 
 /// Surface of a sheet in space.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -22,7 +23,7 @@ pub enum Surface {
 
 impl Surface {
     /// Position in space of a point of the unrolled sheet (x, y, metres).
-    pub fn point_m(&self, sheet_m: [f64; 2]) -> [f64; 3] {
+    pub fn point_m(&self, sheet_m: Point) -> [f64; 3] {
         match *self {
             Self::Flat => [sheet_m[0], sheet_m[1], 0.0],
             Self::Cylinder { radius_m } => {
@@ -33,7 +34,7 @@ impl Surface {
     }
 
     /// The point of the unrolled sheet nearest to a point in space (for a cylinder, along the radius).
-    pub fn sheet_m(&self, point_m: [f64; 3]) -> [f64; 2] {
+    pub fn sheet_m(&self, point_m: [f64; 3]) -> Point {
         match *self {
             Self::Flat => [point_m[0], point_m[1]],
             Self::Cylinder { radius_m } => [radius_m * point_m[0].atan2(point_m[2] + radius_m), point_m[1]],
@@ -41,7 +42,7 @@ impl Surface {
     }
 
     /// Outward unit normal at a point of the sheet.
-    pub fn normal(&self, sheet_m: [f64; 2]) -> [f64; 3] {
+    pub fn normal(&self, sheet_m: Point) -> [f64; 3] {
         match *self {
             Self::Flat => [0.0, 0.0, 1.0],
             Self::Cylinder { radius_m } => {
@@ -91,7 +92,7 @@ mod tests {
             let radius = point[0].hypot(point[2] + 0.095);
             assert!((radius - 0.095).abs() < 1e-15 && point[1] == sheet[1], "{point:?}");
             let back = surface.sheet_m(point);
-            assert!((back[0] - sheet[0]).hypot(back[1] - sheet[1]) < 1e-15, "{sheet:?} {back:?}");
+            assert!(crate::mesh::distance(back, sheet) < 1e-15, "{sheet:?} {back:?}");
             let normal = surface.normal(sheet);
             assert!((normal[0] * 0.095 - point[0]).abs() < 1e-15 && normal[1] == 0.0);
         }

@@ -3,14 +3,14 @@
 //! position error, resolution, shape deformation and ringing.
 
 use super::error::{QualityError, check_positive};
-use super::peak::{centroid_m, distance_m, peak};
-use crate::mesh::PixelGrid;
+use super::peak::{centroid_m, peak};
+use crate::mesh::{PixelGrid, Point, distance};
 
 /// The target that an image should show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Target {
     /// Centre, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Area, m^2.
     pub area_m2: f64,
     /// Change, in the unit of the image (S/m for conductivity); negative for a drop.
@@ -56,7 +56,7 @@ impl GreitFigures {
         let pixel_m2 = grid.pixel_m * grid.pixel_m;
         let (middle, centre) = (centroid_m(grid, &skin), centroid_m(grid, &quarter));
         let radius_m = (quarter.len() as f64 * pixel_m2 / std::f64::consts::PI).sqrt();
-        let in_disc = |index: usize| distance_m(grid.centre_m(index), centre) <= radius_m;
+        let in_disc = |index: usize| distance(grid.centre_m(index), centre) <= radius_m;
         let total: f64 = skin.iter().map(|&index| image[index]).sum();
         let outside = quarter.iter().filter(|&&index| !in_disc(index)).count();
         let (mut inner, mut opposite) = (0.0, 0.0);
@@ -70,8 +70,8 @@ impl GreitFigures {
         }
         Ok(Self {
             amplitude_response: total * pixel_m2 / (target.change * target.area_m2),
-            radial_position_error_m: distance_m(target.centre_m, middle) - distance_m(centre, middle),
-            position_error_m: distance_m(target.centre_m, centre),
+            radial_position_error_m: distance(target.centre_m, middle) - distance(centre, middle),
+            position_error_m: distance(target.centre_m, centre),
             resolution: (quarter.len() as f64 / skin.len() as f64).sqrt(),
             shape_deformation: outside as f64 / quarter.len() as f64,
             ringing: opposite / inner,

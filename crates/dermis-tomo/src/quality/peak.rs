@@ -2,14 +2,14 @@
 //! for pressed (positive), `-1.0` for damage.
 
 use super::error::{QualityError, check_length};
-use crate::mesh::PixelGrid;
+use crate::mesh::{PixelGrid, Point, distance};
 
 /// Centre of the pixel with the largest value (times the sign of `sign`), metres. Ties go to the first in row-major
 /// order.
 ///
 /// # Errors
 /// A length that does not match the grid, or no pixel with a value of that sign.
-pub fn peak_m(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<[f64; 2], QualityError> {
+pub fn peak_m(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<Point, QualityError> {
     Ok(grid.centre_m(peak(image, grid, sign)?.0))
 }
 
@@ -18,7 +18,7 @@ pub fn peak_m(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<[f64; 2], Qu
 ///
 /// # Errors
 /// As [`peak_m`]; also fails if the fraction is not above 0 and at most 1.
-pub fn centroid_above_m(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Result<[f64; 2], QualityError> {
+pub fn centroid_above_m(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Result<Point, QualityError> {
     let region = region_above(image, grid, sign, fraction)?;
     Ok(centroid_m(grid, &region))
 }
@@ -31,9 +31,9 @@ pub fn position_error_by_peak_m(
     image: &[f64],
     grid: &PixelGrid,
     sign: f64,
-    true_m: [f64; 2],
+    true_m: Point,
 ) -> Result<f64, QualityError> {
-    Ok(distance_m(peak_m(image, grid, sign)?, true_m))
+    Ok(distance(peak_m(image, grid, sign)?, true_m))
 }
 
 /// Distance from [`centroid_above_m`] at half the peak to the true position, metres.
@@ -44,9 +44,9 @@ pub fn position_error_by_centroid_m(
     image: &[f64],
     grid: &PixelGrid,
     sign: f64,
-    true_m: [f64; 2],
+    true_m: Point,
 ) -> Result<f64, QualityError> {
-    Ok(distance_m(centroid_above_m(image, grid, sign, 0.5)?, true_m))
+    Ok(distance(centroid_above_m(image, grid, sign, 0.5)?, true_m))
 }
 
 /// Width of a point-spread function, metres: the diameter of a disc with the area of the region around the peak at
@@ -76,13 +76,9 @@ pub(super) fn peak(image: &[f64], grid: &PixelGrid, sign: f64) -> Result<(usize,
 }
 
 /// Mean of the pixels' centres.
-pub(super) fn centroid_m(grid: &PixelGrid, pixels: &[usize]) -> [f64; 2] {
+pub(super) fn centroid_m(grid: &PixelGrid, pixels: &[usize]) -> Point {
     let sum = pixels.iter().map(|&index| grid.centre_m(index)).fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]);
     sum.map(|value| value / pixels.len() as f64)
-}
-
-pub(super) fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 fn region_above(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Result<Vec<usize>, QualityError> {
@@ -119,12 +115,12 @@ fn region_above(image: &[f64], grid: &PixelGrid, sign: f64, fraction: f64) -> Re
 mod tests {
     use super::*;
 
-    fn gaussian(centre: [f64; 2], sigma: f64) -> (PixelGrid, Vec<f64>) {
+    fn gaussian(centre: Point, sigma: f64) -> (PixelGrid, Vec<f64>) {
         let grid = PixelGrid { columns: 101, rows: 101, left_m: -0.0505, top_m: 0.0505, pixel_m: 1e-3 };
         let image = grid
             .centres_m()
             .iter()
-            .map(|&c| (-0.5 * (distance_m(c, centre) / sigma).powi(2)).exp())
+            .map(|&c| (-0.5 * (distance(c, centre) / sigma).powi(2)).exp())
             .map(|value| if value < 1e-8 { f64::NAN } else { value })
             .collect();
         (grid, image)

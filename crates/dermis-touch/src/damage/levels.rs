@@ -10,7 +10,7 @@
 
 use crate::blob::seconds_between;
 use crate::error::{TouchError, require, require_length};
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Maximum number of frames that initialise levels, slopes and noise.
 const MOST_AT_START: usize = 32;

@@ -3,6 +3,7 @@
 use super::*;
 use crate::cells::GridGeometry;
 use crate::contact::{ContactSign, PixelNoise};
+use crate::plane::distance;
 use crate::touch::{Observation, Touch, TouchPhase};
 
 const GRID: usize = 50;
@@ -109,7 +110,7 @@ fn a_lasting_drop_is_damage_with_place_direction_and_length() {
     assert_eq!(bench.names(), ["begin"]);
     let [damage] = bench.monitor.damages() else { panic!("{:?}", bench.monitor.damages()) };
     let middle = [0.5 * (FROM[0] + TO[0]), 0.5 * (FROM[1] + TO[1])];
-    let off = (damage.shape.centre_m[0] - middle[0]).hypot(damage.shape.centre_m[1] - middle[1]);
+    let off = distance(damage.shape.centre_m, middle);
     // With pixels of 2 mm, the centroid of a symmetric ridge is accurate to a small part of one.
     assert!(off < 0.5e-3, "{off}");
     let direction = (TO[1] - FROM[1]).atan2(TO[0] - FROM[0]);

@@ -3,7 +3,7 @@
 use faer::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{TouchError, require, require_length};
+use crate::error::{TouchError, require, require_finite, require_length};
 
 /// Signal at a position relative to the average position. Always positive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,7 +85,7 @@ impl GainMap {
         match self {
             Self::Quadratic { scale_m, coefficients } => {
                 require(scale_m.is_finite() && *scale_m > 0.0, "gain scale_m", *scale_m, "positive and finite")?;
-                super::super::measure::require_finite("gain coefficients", coefficients)
+                require_finite("gain coefficients", coefficients)
             }
             Self::InverseDistance { positions_m, gains } => normalised(positions_m, gains).map(|_| ()),
         }

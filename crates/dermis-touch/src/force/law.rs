@@ -10,8 +10,7 @@ use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
 
 use super::sample::ForceSample;
-use crate::error::{TouchError, require};
-use crate::measure::require_finite;
+use crate::error::{TouchError, require, require_finite};
 
 /// Number of weights.
 const TERMS: usize = 7;

@@ -6,14 +6,11 @@
 //! software on a general-purpose computer.
 
 mod judge;
-mod lag;
 mod limits;
-mod loads;
 mod report;
 #[cfg(test)]
 mod tests;
 
-pub use judge::{Guard, GuardFrame};
-pub use lag::LagMeter;
+pub use judge::{Guard, GuardFrame, LagMeter};
 pub use limits::GuardLimits;
 pub use report::{GuardReason, GuardReasons, GuardReport, GuardVerdict};

@@ -1,7 +1,7 @@
 //! Channels that are unsteady while nothing touches the skin. Loose contacts of a torn sheet jump, and a channel
 //! whose noise has grown since calibration can no longer be trusted.
 
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Minimum number of resting frames.
 pub const FEWEST_AT_REST: usize = 8;

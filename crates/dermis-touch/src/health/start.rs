@@ -3,7 +3,7 @@
 use super::monitor::{FEWEST_TOGETHER, HealthMonitor};
 use super::{ChannelFaultKind, HealthParams};
 use crate::error::{TouchError, require_length};
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Noise beyond this many times the median channel's and `NOISE_SHARE` of the largest resting value is a fault, not
 /// instrument noise.

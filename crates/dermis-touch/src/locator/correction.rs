@@ -14,7 +14,7 @@ use super::data::{LeaveOneOut, LeftOut, MIN_EXAMPLES};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
 use super::pair_correlations::matern52;
 use super::posterior::quantile;
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Lengths tried, relative to half the shorter side of the skin.
 const LENGTHS: [f64; 4] = [0.3, 0.6, 1.2, 3.0];
@@ -382,6 +382,7 @@ impl From<PlaceCorrection> for StoredCorrection {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plane::distance;
 
     /// Positions on a 7 x 7 grid of 60 mm, and a repeatable scatter of about 0.1 mm.
     fn grid() -> Vec<[f64; 2]> {
@@ -415,9 +416,9 @@ mod tests {
         // Evaluated between the pokes, and against the true map rather than the scattered pokes.
         let between = [0.0137, -0.0214];
         let (found, wanted) = (correction.corrected(between), truth(between));
-        let off = |found: [f64; 2]| (found[0] - wanted[0]).hypot(found[1] - wanted[1]);
         // Uncorrected, it is 1 mm off; the scatter of one poke is 0.08 mm.
-        assert!(off(between) > 0.8e-3 && off(found) < 1e-4, "{} m", off(found));
+        let error_m = distance(found, wanted);
+        assert!(distance(between, wanted) > 0.8e-3 && error_m < 1e-4, "{error_m} m");
         assert!((0.5e-4..2e-4).contains(&correction.sigma_m()), "{}", correction.sigma_m());
         let again: PlaceCorrection = serde_json::from_str(&serde_json::to_string(&correction).unwrap()).unwrap();
         // The text preserves all but the last digit.
@@ -427,11 +428,7 @@ mod tests {
     #[test]
     fn places_that_are_right_already_stay_as_they_are() {
         let correction = PlaceCorrection::fit(&pokes(|p| p), 0.035).unwrap();
-        let moved = |p: [f64; 2]| {
-            let to = correction.corrected(p);
-            (to[0] - p[0]).hypot(to[1] - p[1])
-        };
-        assert!(grid().into_iter().all(|p| moved(p) < 0.5e-4));
+        assert!(grid().into_iter().all(|p| distance(correction.corrected(p), p) < 0.5e-4));
     }
 
     #[test]

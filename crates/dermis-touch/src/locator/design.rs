@@ -6,8 +6,9 @@ use faer::{Mat, Side};
 
 use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
-use super::pair_correlations::{APART, Copies, Sessions, matern52, squared_distance};
-use crate::typical::median;
+use super::pair_correlations::{APART, Copies, Sessions, matern52};
+use crate::plane::squared_distance;
+use crate::statistics::median;
 
 /// Channel noise is raised to at least this share of the median, so that a stuck channel does not dominate.
 const NOISE_FLOOR: f64 = 0.05;

@@ -16,7 +16,7 @@ use super::posterior::{
 use super::regression::{FittedMap, WorkedOut, example_noise, smoothed};
 use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
 use super::turn::Turn;
-use crate::typical::{evenly, median, spacing};
+use crate::statistics::{evenly, median, spacing};
 
 /// Number of passes that fill missing channels of the examples from the regression on the others.
 const FILLING_PASSES: usize = 3;

@@ -1,14 +1,11 @@
 //! Correlations of examples by the distance between their positions, of rotated copies of examples, and of examples of
 //! different sessions.
 
+use crate::plane::squared_distance;
+
 /// Variance of a frame about a map that is built from rotated copies, at any amplitude, relative to the map's prior
 /// variance.
 pub(super) const APART: f64 = 0.17;
-
-/// Squared distance between two positions.
-pub(super) fn squared_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
-}
 
 /// Matern 5/2 correlation of two positions in metres, Rasmussen & Williams eq. 4.17.
 pub(super) fn matern52(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {

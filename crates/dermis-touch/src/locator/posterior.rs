@@ -309,7 +309,7 @@ pub(super) fn weighted_quantile(mut values: Vec<(f64, f64)>, fraction: f64) -> f
 pub(super) fn extent(positions: &[[f64; 2]]) -> f64 {
     let n = positions.len() as f64;
     let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
-    let mean = positions.iter().map(|p| super::pair_correlations::squared_distance(*p, centre)).sum::<f64>() / n;
+    let mean = positions.iter().map(|p| crate::plane::squared_distance(*p, centre)).sum::<f64>() / n;
     (2.0 * mean).sqrt()
 }
 

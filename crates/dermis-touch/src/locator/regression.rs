@@ -15,7 +15,7 @@ use super::data::Hyperparameters;
 use super::design::{Design, Prior};
 use super::error::LocatorError;
 use super::pair_correlations::matern52;
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Noise of the strongest frames relative to the median frame: the part that is independent of amplitude.
 const AMPLITUDE_INDEPENDENT_NOISE: f64 = 0.2;

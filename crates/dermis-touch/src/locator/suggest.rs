@@ -10,7 +10,7 @@ use super::model::Locator;
 use super::posterior::moments;
 use super::regression::{Products, correlations, inverse_covariance, noise_variance};
 use super::rows::dot;
-use crate::typical::evenly;
+use crate::statistics::evenly;
 
 /// Maximum number of map positions considered.
 const CANDIDATES: usize = 600;

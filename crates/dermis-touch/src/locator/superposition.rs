@@ -14,9 +14,9 @@ mod map;
 
 use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
-use super::pair_correlations::squared_distance;
 use super::rows::{dot, products};
-use crate::typical::{evenly, median};
+use crate::plane::squared_distance;
+use crate::statistics::{evenly, median};
 pub use map::LabelledFrame;
 use map::{Learned, Map, Shape, Sums, candidates};
 

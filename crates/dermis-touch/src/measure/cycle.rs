@@ -1,8 +1,8 @@
 //! Measures of repeated and cyclic loading: the area of the hysteresis loop, the scatter of repeats, and drift under
 //! constant conditions.
 
-use super::statistics::{line, mean_std, require_finite};
-use crate::error::{TouchError, require, require_length};
+use crate::error::{TouchError, require, require_finite, require_length};
+use crate::statistics::{line, mean_std};
 
 /// A loading and unloading cycle.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,8 +1,8 @@
 //! Limit of detection as defined in the paper on the frontend/backend skin: the load at which V_rms, the RMS
 //! difference of the frame from the untouched skin, exceeds the noise by 3.3 standard deviations over 30 frames.
 
-use super::statistics::{line, mean_std, require_finite};
-use crate::error::{TouchError, require, require_length};
+use crate::error::{TouchError, require, require_finite, require_length};
+use crate::statistics::{line, mean_std};
 
 /// Number of standard deviations of noise that a signal must exceed.
 pub const DETECTION_FACTOR: f64 = 3.3;

@@ -2,8 +2,7 @@
 //! move before its vector of channel differences correlates with that of the first position by no more than 0.9, or
 //! 0.5.
 
-use super::statistics::require_finite;
-use crate::error::{TouchError, require, require_length};
+use crate::error::{TouchError, require, require_finite, require_length};
 
 /// Pearson's correlation coefficient of two vectors of channels.
 ///

@@ -7,7 +7,6 @@
 mod cycle;
 mod detection;
 mod distance;
-mod statistics;
 
 pub use cycle::{Drift, Hysteresis, Repeatability, drift, hysteresis, repeatability};
 pub use detection::{
@@ -15,5 +14,3 @@ pub use detection::{
     smallest_detected_load,
 };
 pub use distance::{crossing_distance_m, minimum_discernible_distance_m, pearson};
-
-pub(crate) use statistics::require_finite;

@@ -9,8 +9,7 @@ use std::sync::Arc;
 
 use realfft::{RealFftPlanner, RealToComplex};
 
-use crate::error::{TouchError, require, require_length};
-use crate::measure::require_finite;
+use crate::error::{TouchError, require, require_finite, require_length};
 
 /// Minimum length of a series.
 const FEWEST_SAMPLES: usize = 8;

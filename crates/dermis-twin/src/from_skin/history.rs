@@ -2,6 +2,7 @@
 //! units.
 
 use dermis_skin::{NoisyChannel, StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
+use dermis_tomo::mesh::Point;
 
 use crate::healing::{Heating, TimedTreatment, Treatment};
 use crate::instrument::{Fault, TimedFault};
@@ -20,7 +21,7 @@ pub fn timed_treatments(settings: &TwinSettings) -> Vec<TimedTreatment> {
 
 /// Converts one treatment.
 pub fn treatment_of(action: TwinAction) -> Treatment {
-    let metres = |[x, y]: [f64; 2]| [x * 1e-3, y * 1e-3];
+    let metres = |[x, y]: Point| [x * 1e-3, y * 1e-3];
     match action {
         TwinAction::Cut { from_mm, to_mm } => Treatment::Cut(Cut::open(metres(from_mm), metres(to_mm))),
         TwinAction::Heal { at_mm, radius_mm, temperature_c, hours } => Treatment::Heat(Heating {

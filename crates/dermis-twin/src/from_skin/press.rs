@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use dermis_skin::{
     Demonstration, Elements, ElementsLayer, Layer, LiquidLayer, PatchesLayer, PressSettings, SandwichLayer, Skin,
 };
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point};
 
 use crate::scene::{Event, Script};
 
@@ -126,12 +126,12 @@ pub fn demonstration(skin: &Skin, press: &PressRange) -> Script {
 fn largest_circle(outline: &Outline) -> ([f64; 2], f64) {
     const STEPS: usize = 64;
     let (low, high) = outline.bounds_m();
-    let rings: Vec<Vec<[f64; 2]>> = match outline {
+    let rings: Vec<Vec<Point>> = match outline {
         Outline::Disc { radius_m } => return ([0.0; 2], *radius_m),
         Outline::Rectangle { width_m, height_m } => return ([0.0; 2], 0.5 * width_m.min(*height_m)),
         Outline::Polygon { outer, holes } => std::iter::once(outer).chain(holes).cloned().collect(),
     };
-    let clearance = |p: [f64; 2]| {
+    let clearance = |p: Point| {
         let edges = rings.iter().flat_map(|ring| (0..ring.len()).map(move |k| (ring[k], ring[(k + 1) % ring.len()])));
         edges.map(|(a, b)| dermis_tomo::mesh::to_segment(p, a, b).0).fold(f64::INFINITY, f64::min)
     };

@@ -4,6 +4,7 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
+use dermis_tomo::mesh::Point;
 use serde::{Deserialize, Serialize};
 
 use super::mask::Mask;
@@ -95,7 +96,7 @@ pub enum Load {
 #[serde(deny_unknown_fields)]
 pub struct Indenter {
     /// Centre of its face.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Shape of its face.
     pub shape: Shape,
     /// Load on it.
@@ -191,12 +192,12 @@ impl Shape {
 
 impl Indenter {
     /// A round indenter with a mean pressure.
-    pub fn disc(centre_m: [f64; 2], radius_m: f64, pressure_pa: f64) -> Self {
+    pub fn disc(centre_m: Point, radius_m: f64, pressure_pa: f64) -> Self {
         Self { centre_m, shape: Shape::Disc { radius_m }, load: Load::PressurePa(pressure_pa) }
     }
 
     /// A round weight lying on the skin, with its mass in grams.
-    pub fn weight(centre_m: [f64; 2], radius_m: f64, mass_g: f64) -> Self {
+    pub fn weight(centre_m: Point, radius_m: f64, mass_g: f64) -> Self {
         let load = Load::ForceN(1e-3 * mass_g * STANDARD_GRAVITY_M_PER_S2);
         Self { centre_m, shape: Shape::Disc { radius_m }, load }
     }
@@ -220,7 +221,7 @@ impl Indenter {
     }
 
     /// Adds its pressure at each position, pascals.
-    pub fn add_pressure(&self, cover: Cover, positions_m: &[[f64; 2]], pressure_pa: &mut [f64]) {
+    pub fn add_pressure(&self, cover: Cover, positions_m: &[Point], pressure_pa: &mut [f64]) {
         let field = self.field(cover);
         for (position, sum) in positions_m.iter().zip(pressure_pa) {
             if field.reaches(*position, 0.0) {
@@ -260,7 +261,7 @@ impl Indenter {
 
 /// The pressure of one indenter under the cover.
 pub(super) struct PressureField {
-    centre_m: [f64; 2],
+    centre_m: Point,
     shape: Shape,
     smoothing: f64,
     peak_pa: f64,
@@ -269,21 +270,21 @@ pub(super) struct PressureField {
 
 impl PressureField {
     /// False if the pressure is zero everywhere within `margin_m` of a position.
-    pub(super) fn reaches(&self, position_m: [f64; 2], margin_m: f64) -> bool {
+    pub(super) fn reaches(&self, position_m: Point, margin_m: f64) -> bool {
         let reach = self.reach_m + margin_m;
         let [dx, dy] = [position_m[0] - self.centre_m[0], position_m[1] - self.centre_m[1]];
         dx * dx + dy * dy < reach * reach
     }
 
     /// Pressure at a position, pascals.
-    pub(super) fn pressure_pa(&self, position_m: [f64; 2]) -> f64 {
+    pub(super) fn pressure_pa(&self, position_m: Point) -> f64 {
         let offset = [position_m[0] - self.centre_m[0], position_m[1] - self.centre_m[1]];
         self.peak_pa * self.shape.profile(offset, self.smoothing)
     }
 }
 
 /// An offset in the axes of a shape rotated by an angle.
-fn turned([x, y]: [f64; 2], angle_rad: f64) -> [f64; 2] {
+fn turned([x, y]: Point, angle_rad: f64) -> Point {
     let (sine, cosine) = angle_rad.sin_cos();
     [x * cosine + y * sine, y * cosine - x * sine]
 }
@@ -310,8 +311,7 @@ mod tests {
     fn carried_force(indenter: Indenter) -> f64 {
         let step = 2.5e-4;
         let axis = |k: i32| f64::from(k) * step;
-        let positions: Vec<[f64; 2]> =
-            (-200..=200).flat_map(|i| (-200..=200).map(move |j| [axis(i), axis(j)])).collect();
+        let positions: Vec<Point> = (-200..=200).flat_map(|i| (-200..=200).map(move |j| [axis(i), axis(j)])).collect();
         let mut pressure = vec![0.0; positions.len()];
         indenter.add_pressure(COVER, &positions, &mut pressure);
         pressure.iter().sum::<f64>() * step * step
@@ -348,7 +348,7 @@ mod tests {
 
     #[test]
     fn a_mask_of_one_cell_is_a_square_and_rows_run_down() {
-        let at = |shape: Shape, position: [f64; 2]| {
+        let at = |shape: Shape, position: Point| {
             let mut pressure = [0.0];
             let indenter = Indenter { centre_m: [0.01, 0.0], shape, load: Load::PressurePa(1e3) };
             indenter.add_pressure(COVER, &[position], &mut pressure);

@@ -1,5 +1,6 @@
 //! Faces of indenters given as pictures: a handprint, a letter, a gripper pad.
 
+use dermis_tomo::mesh::Point;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check};
@@ -77,7 +78,7 @@ impl Mask {
 
     /// Sum of the smoothed indicator functions of all pressing cells at a position, in cells from the centre (x
     /// right, y up); `below(edge, position)` is the smoothed step at an edge.
-    pub(super) fn profile(&self, [x, y]: [f64; 2], below: impl Fn(f64, f64) -> f64) -> f64 {
+    pub(super) fn profile(&self, [x, y]: Point, below: impl Fn(f64, f64) -> f64) -> f64 {
         let (left, top) = (-0.5 * f64::from(self.columns), 0.5 * f64::from(self.rows));
         let mut across = [0.0; MOST_MASK_CELLS];
         let mut before = below(left, x);

@@ -1,6 +1,7 @@
 //! Indenters on the membrane of a liquid ([`dermis_tomo::membrane`]).
 
 use dermis_tomo::membrane::{Membrane, MembraneSpec};
+use dermis_tomo::mesh::distance;
 
 use super::indenter::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
@@ -20,7 +21,7 @@ impl PressedMembrane for Membrane {
         let positions = self.positions_m();
         for (triangle, area) in self.triangles().iter().zip(self.areas_m2()) {
             let corners = triangle.map(|node| positions[node as usize]);
-            let reach = |k: usize| (corners[k][0] - corners[0][0]).hypot(corners[k][1] - corners[0][1]);
+            let reach = |k: usize| distance(corners[k], corners[0]);
             if !field.reaches(corners[0], reach(1).max(reach(2))) {
                 continue;
             }

@@ -3,6 +3,7 @@
 //! travel saturates. With x the travel of the linear grid, `(k + c L) x = F` (L is the Laplacian of the grid's
 //! graph), the travel is `x / (1 + (x/limit)^n)^(1/n)`.
 
+use dermis_tomo::mesh::Point;
 use serde::{Deserialize, Serialize};
 
 use super::{Cover, Indenter};
@@ -68,11 +69,11 @@ impl Springs {
 #[derive(Clone, Debug)]
 pub struct SpringGrid {
     springs: Springs,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
     /// Neighbours to the left, right, below and above.
     beside: Vec<[Option<u32>; 4]>,
     cover: Cover,
-    samples_m: Vec<[f64; 2]>,
+    samples_m: Vec<Point>,
     pressure_pa: Vec<f64>,
     per_cell: usize,
     sample_area_m2: f64,
@@ -85,7 +86,7 @@ impl SpringGrid {
     /// # Errors
     /// Invalid springs, no elements or more than 1024, non-finite positions, a cell without area, or overlapping
     /// cells.
-    pub fn new(springs: Springs, places_m: Vec<[f64; 2]>, cell_m: [f64; 2]) -> Result<Self, TwinError> {
+    pub fn new(springs: Springs, places_m: Vec<Point>, cell_m: [f64; 2]) -> Result<Self, TwinError> {
         springs.check()?;
         check("number of elements", places_m.len() as f64, 1.0, MOST_ELEMENTS, "1 to 1024")?;
         check_positive("cell_m (width)", cell_m[0])?;
@@ -99,11 +100,11 @@ impl SpringGrid {
         let step = [0, 1].map(|axis| cell_m[axis] / count[axis] as f64);
         let offset = |axis: usize, k: usize| (k as f64 + 0.5) * step[axis] - 0.5 * cell_m[axis];
         let at = |k: usize| [offset(0, k % count[0]), offset(1, k / count[0])];
-        let of_cell = |place: &[f64; 2]| {
+        let of_cell = |place: &Point| {
             let [x, y] = *place;
             (0..count[0] * count[1]).map(move |k| [x + at(k)[0], y + at(k)[1]])
         };
-        let samples_m: Vec<[f64; 2]> = places_m.iter().flat_map(of_cell).collect();
+        let samples_m: Vec<Point> = places_m.iter().flat_map(of_cell).collect();
         Ok(Self {
             springs,
             beside,
@@ -117,7 +118,7 @@ impl SpringGrid {
     }
 
     /// Positions of the elements, metres.
-    pub fn places_m(&self) -> &[[f64; 2]] {
+    pub fn places_m(&self) -> &[Point] {
         &self.places_m
     }
 
@@ -163,7 +164,7 @@ impl SpringGrid {
 }
 
 /// Neighbours of each element to the left, right, below and above.
-fn neighbours(places_m: &[[f64; 2]], cell_m: [f64; 2]) -> Result<Vec<[Option<u32>; 4]>, TwinError> {
+fn neighbours(places_m: &[Point], cell_m: [f64; 2]) -> Result<Vec<[Option<u32>; 4]>, TwinError> {
     let mut beside = vec![[None; 4]; places_m.len()];
     for (element, place) in places_m.iter().enumerate() {
         for (other, there) in places_m.iter().enumerate().filter(|(other, _)| *other != element) {

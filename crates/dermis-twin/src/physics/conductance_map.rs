@@ -1,5 +1,7 @@
 //! Uneven sheets: a position-dependent factor on the conductance.
 
+use dermis_tomo::mesh::Point;
+
 /// A factor on the sheet conductance over the skin.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum ConductanceMap {
@@ -9,7 +11,7 @@ pub enum ConductanceMap {
     /// Bilinear interpolation of values on a grid, with rows from the bottom, metres.
     Grid {
         /// Bottom left corner.
-        low_m: [f64; 2],
+        low_m: Point,
         /// Distance between neighbouring values along x and y.
         step_m: [f64; 2],
         /// Number of values in a row.
@@ -21,7 +23,7 @@ pub enum ConductanceMap {
 
 impl ConductanceMap {
     /// The factor at a place, metres.
-    pub fn at(&self, place_m: [f64; 2]) -> f64 {
+    pub fn at(&self, place_m: Point) -> f64 {
         let Self::Grid { low_m, step_m, columns, factors } = self else { return 1.0 };
         let rows = factors.len() / columns;
         let along = |axis: usize, count: usize| {

@@ -8,7 +8,7 @@
 //! shorten it first ([`Cut::shortened`]). A sheet whose mesh can be slit along the cut needs none of this
 //! ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and conducts by [`Cut::joining_per_m`].
 
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point, distance};
 use serde::{Deserialize, Serialize};
 
 use super::element::SheetConductance;
@@ -19,9 +19,9 @@ use crate::error::{TwinError, check, check_positive};
 #[serde(deny_unknown_fields)]
 pub struct Cut {
     /// One end.
-    pub from_m: [f64; 2],
+    pub from_m: Point,
     /// The other end.
-    pub to_m: [f64; 2],
+    pub to_m: Point,
     /// Width of the cut. A blade's cut in a soft flat sheet is open by a few tenths of a millimetre (assumed).
     pub width_m: f64,
     /// d: conductance inside the cut relative to the intact sheet; small if open, near 1 if healed.
@@ -30,7 +30,7 @@ pub struct Cut {
 
 impl Cut {
     /// An open cut, 0.3 mm wide, whose faces hardly touch (one part in 100,000 conducts).
-    pub fn open(from_m: [f64; 2], to_m: [f64; 2]) -> Self {
+    pub fn open(from_m: Point, to_m: Point) -> Self {
         Self { from_m, to_m, width_m: 3e-4, residual: 1e-5 }
     }
 
@@ -49,7 +49,7 @@ impl Cut {
 
     /// Distance between its ends, metres.
     pub fn length_m(&self) -> f64 {
-        (self.to_m[0] - self.from_m[0]).hypot(self.to_m[1] - self.from_m[1])
+        distance(self.from_m, self.to_m)
     }
 
     /// True if another cut has the same ends, in either order.
@@ -75,7 +75,7 @@ impl Cut {
     }
 
     /// The point at a share of its length, 0 at `from_m` and 1 at `to_m`.
-    pub fn at(&self, share: f64) -> [f64; 2] {
+    pub fn at(&self, share: f64) -> Point {
         let between = |axis: usize| self.from_m[axis] + share * (self.to_m[axis] - self.from_m[axis]);
         [between(0), between(1)]
     }
@@ -99,7 +99,7 @@ impl Cut {
     }
 
     /// Share of a triangle's area inside the strip.
-    fn share_of(&self, corners: [[f64; 2]; 3]) -> f64 {
+    fn share_of(&self, corners: [Point; 3]) -> f64 {
         let [x, y] = self.direction();
         let local = corners.map(|p| {
             let (dx, dy) = (p[0] - self.from_m[0], p[1] - self.from_m[1]);
@@ -127,7 +127,7 @@ impl Cut {
 #[derive(Debug)]
 pub(super) struct NearCuts<'a> {
     cuts: &'a [Cut],
-    low: [f64; 2],
+    low: Point,
     cell_m: f64,
     counts: [usize; 2],
     /// Indices of the cuts that reach into each cell, ascending.
@@ -162,7 +162,7 @@ impl<'a> NearCuts<'a> {
     }
 
     /// Cells that a box overlaps.
-    fn range(&self, low: [f64; 2], high: [f64; 2]) -> Option<[std::ops::RangeInclusive<usize>; 2]> {
+    fn range(&self, low: Point, high: Point) -> Option<[std::ops::RangeInclusive<usize>; 2]> {
         let along = |axis: usize| {
             let place = |value: f64| (value - self.low[axis]) / self.cell_m;
             let (from, to) = (place(low[axis]), place(high[axis]));
@@ -175,12 +175,7 @@ impl<'a> NearCuts<'a> {
 
     /// [`damaged_conductance`] with the cuts near a triangle; more distant ones have no effect. `numbers` is scratch
     /// memory.
-    pub fn damaged_conductance(
-        &self,
-        intact_s: f64,
-        corners: [[f64; 2]; 3],
-        numbers: &mut Vec<u32>,
-    ) -> SheetConductance {
+    pub fn damaged_conductance(&self, intact_s: f64, corners: [Point; 3], numbers: &mut Vec<u32>) -> SheetConductance {
         numbers.clear();
         let corner = |pick: fn(f64, f64) -> f64| {
             [0, 1].map(|axis| pick(pick(corners[0][axis], corners[1][axis]), corners[2][axis]))
@@ -207,20 +202,20 @@ fn bounds(cut: &Cut) -> [[f64; 2]; 2] {
 }
 
 /// Conductance of a triangle after one more cut.
-fn left_by(left: f64, cut: &Cut, corners: [[f64; 2]; 3]) -> f64 {
+fn left_by(left: f64, cut: &Cut, corners: [Point; 3]) -> f64 {
     let share = cut.share_of(corners);
     left / ((1.0 - share) + share / cut.residual)
 }
 
 /// Sheet conductance of a triangle in a sheet of conductance `intact_s` (siemens) with these cuts. Several cuts in
 /// one element act in series.
-pub fn damaged_conductance(intact_s: f64, cuts: &[Cut], corners: [[f64; 2]; 3]) -> SheetConductance {
+pub fn damaged_conductance(intact_s: f64, cuts: &[Cut], corners: [Point; 3]) -> SheetConductance {
     SheetConductance::isotropic(cuts.iter().fold(intact_s, |left, cut| left_by(left, cut, corners)))
 }
 
 /// The part of a convex polygon on one side of `axis = limit` (Sutherland and Hodgman).
-pub(super) fn clip(polygon: &[[f64; 2]], axis: usize, limit: f64, keep_below: bool) -> Vec<[f64; 2]> {
-    let keeps = |p: [f64; 2]| if keep_below { p[axis] <= limit } else { p[axis] >= limit };
+pub(super) fn clip(polygon: &[Point], axis: usize, limit: f64, keep_below: bool) -> Vec<Point> {
+    let keeps = |p: Point| if keep_below { p[axis] <= limit } else { p[axis] >= limit };
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (k, &a) in polygon.iter().enumerate() {
         let b = polygon[(k + 1) % polygon.len()];
@@ -235,7 +230,7 @@ pub(super) fn clip(polygon: &[[f64; 2]], axis: usize, limit: f64, keep_below: bo
     kept
 }
 
-fn area(polygon: &[[f64; 2]]) -> f64 {
+fn area(polygon: &[Point]) -> f64 {
     let cross = |k: usize| {
         let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
         a[0] * b[1] - a[1] * b[0]

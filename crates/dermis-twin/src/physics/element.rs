@@ -1,6 +1,8 @@
 //! Element matrices of linear triangles in the plane: stiffness with an anisotropic sheet conductance, and the mass
 //! matrix weighted by a linear function.
 
+use dermis_tomo::mesh::Point;
+
 /// Symmetric sheet conductance tensor of an element, siemens: thickness times conductivity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SheetConductance {
@@ -23,7 +25,7 @@ impl SheetConductance {
 pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
 
 /// `integral grad phi_a . S grad phi_b` for each of [`PAIRS`].
-pub(super) fn stiffness(corners: [[f64; 2]; 3], conductance: SheetConductance) -> [f64; 6] {
+pub(super) fn stiffness(corners: [Point; 3], conductance: SheetConductance) -> [f64; 6] {
     let edge = |k: usize| {
         let (from, to) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
         // Gradient of phi_k times twice the signed area: the opposite edge rotated by a right angle.

@@ -9,7 +9,7 @@
 //! Woodbury, with the floating potentials as a constraint). G, U and Z0 are computed once; a frame costs one dense
 //! Cholesky factorisation of the touching cells.
 
-use dermis_tomo::mesh::ElectrodedMesh;
+use dermis_tomo::mesh::{ElectrodedMesh, Point};
 use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, MatRef, Par, Side};
@@ -180,7 +180,7 @@ pub fn direct_patched_impedance(
 /// The sheet alone: its geometry and the entries of its system.
 struct BareSheet {
     triangles: Vec<[u32; 3]>,
-    positions: Vec<[f64; 2]>,
+    positions: Vec<Point>,
     electrodes: usize,
     places: Vec<[f64; 3]>,
     entries: Vec<((u32, u32), f64)>,
@@ -191,7 +191,7 @@ impl BareSheet {
         if body.mesh.nodes().iter().any(|node| node[2] != 0.0) {
             return Err(refuse("expected a flat sheet (z = 0 at every node); unroll a bent one first".into()));
         }
-        let positions: Vec<[f64; 2]> = body.mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
+        let positions: Vec<Point> = body.mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
         let triangles = triangles_of(body)?;
         let contacts = contact_entries(body)?;
         let mut entries: Vec<((u32, u32), f64)> = contacts.iter().map(|e| ((e.row, e.column), e.value)).collect();

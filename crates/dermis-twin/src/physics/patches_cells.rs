@@ -2,7 +2,7 @@
 //! pitch with gaps between them, clipped to the sheet. Each is divided into equal square cells with constant contact:
 //! a cell exchanges current with its patch in proportion to the sheet's mean potential under it.
 
-use dermis_tomo::mesh::Outline;
+use dermis_tomo::mesh::{Outline, Point};
 use serde::{Deserialize, Serialize};
 
 use super::cut::clip;
@@ -65,7 +65,7 @@ impl PatchLayout {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactCell {
     /// Centre on the sheet, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Area on the sheet, m^2.
     pub area_m2: f64,
     /// Index of its patch, from 0.
@@ -83,7 +83,7 @@ pub(super) struct ContactCells {
 
 impl ContactCells {
     /// Overlaps the patches with a flat sheet of triangles; exact up to rounding.
-    pub fn new(triangles: &[[u32; 3]], positions: &[[f64; 2]], layout: PatchLayout) -> Self {
+    pub fn new(triangles: &[[u32; 3]], positions: &[Point], layout: PatchLayout) -> Self {
         let lattice = Lattice::over(positions, layout);
         let mut integrals: Vec<Vec<(u32, f64)>> = vec![Vec::new(); lattice.cell_count()];
         for triangle in triangles {
@@ -102,12 +102,12 @@ impl ContactCells {
 /// order.
 struct Lattice {
     layout: PatchLayout,
-    corner: [f64; 2],
+    corner: Point,
     patches: [usize; 2],
 }
 
 impl Lattice {
-    fn over(positions: &[[f64; 2]], layout: PatchLayout) -> Self {
+    fn over(positions: &[Point], layout: PatchLayout) -> Self {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for position in positions {
             for axis in 0..2 {
@@ -143,7 +143,7 @@ impl Lattice {
     }
 
     /// Cells of the patches whose pitch square intersects a triangle's bounding box.
-    fn near(&self, corners: [[f64; 2]; 3]) -> Vec<usize> {
+    fn near(&self, corners: [Point; 3]) -> Vec<usize> {
         let range = |axis: usize| {
             let values = corners.map(|corner| (corner[axis] - self.corner[axis]) / self.layout.pitch_m);
             let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -154,7 +154,7 @@ impl Lattice {
     }
 
     /// Area and centroid of the overlap of a cell and a triangle.
-    fn overlap(&self, cell: usize, corners: [[f64; 2]; 3]) -> Option<(f64, [f64; 2])> {
+    fn overlap(&self, cell: usize, corners: [Point; 3]) -> Option<(f64, [f64; 2])> {
         let (low, side) = (self.low(cell), self.layout.cell_m());
         let misses = |axis: usize| {
             corners.iter().all(|corner| corner[axis] <= low[axis])
@@ -203,7 +203,7 @@ impl Lattice {
 }
 
 /// Area and centroid of a convex polygon; `None` if it has no area.
-fn area_and_middle(polygon: &[[f64; 2]]) -> Option<(f64, [f64; 2])> {
+fn area_and_middle(polygon: &[Point]) -> Option<(f64, [f64; 2])> {
     let origin = *polygon.first()?;
     let (mut twice, mut moment) = (0.0, [0.0; 2]);
     for pair in polygon[1..].windows(2) {
@@ -216,7 +216,7 @@ fn area_and_middle(polygon: &[[f64; 2]]) -> Option<(f64, [f64; 2])> {
 }
 
 /// Values of the three linear shape functions at a point.
-fn barycentric(corners: [[f64; 2]; 3], point: [f64; 2]) -> [f64; 3] {
+fn barycentric(corners: [Point; 3], point: Point) -> [f64; 3] {
     let cross = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
     let [a, b, c] = corners;
     let whole = cross(a, b, c);
@@ -242,7 +242,7 @@ mod tests {
             assert!((cell.area_m2 - 0.16).abs() < 1e-12, "{cell:?}");
             assert!((weights.iter().map(|entry| entry.1).sum::<f64>() - 1.0).abs() < 1e-12);
             // The mean of a linear field is its value at the centre.
-            let field = |p: [f64; 2]| 3.0 * p[0] - p[1];
+            let field = |p: Point| 3.0 * p[0] - p[1];
             let mean: f64 = weights.iter().map(|entry| entry.1 * field(positions[entry.0 as usize])).sum();
             assert!((mean - field(cell.centre_m)).abs() < 1e-12, "{cell:?}: {mean}");
         }

@@ -5,7 +5,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use dermis_tomo::mesh::{Contact, ElectrodedMesh, distance, to_segment};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, Point, distance, to_segment};
 use dermis_tomo::sparse::SparseError;
 
 use super::sheet_body::triangles_of;
@@ -43,7 +43,7 @@ impl SlitPath {
 /// A triangle mesh in the plane, prepared for finding paths.
 #[derive(Debug)]
 pub struct SlitPaths {
-    positions: Vec<[f64; 2]>,
+    positions: Vec<Point>,
     /// Corners counter-clockwise.
     triangles: Vec<[u32; 3]>,
     /// Elements around each node, and the nodes that share an element with it.
@@ -60,7 +60,7 @@ impl SlitPaths {
     /// # Errors
     /// A mesh with elements other than triangles.
     pub fn new(body: &ElectrodedMesh) -> Result<Self, SparseError> {
-        let positions: Vec<[f64; 2]> = body.mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
+        let positions: Vec<Point> = body.mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
         let mut triangles = triangles_of(body)?;
         let at = |node: u32| positions[node as usize];
         let mut around = vec![Vec::new(); positions.len()];
@@ -102,7 +102,7 @@ impl SlitPaths {
     /// The path nearest to a chain of points (metres), clear of existing paths, with this conductance across it per
     /// length (S/m). A chain that leaves the sheet is followed as far as possible. `None` if edges cannot follow it:
     /// at electrodes, at other paths, or if it is shorter than three edges.
-    pub fn along(&self, chain_m: &[[f64; 2]], beside: &[SlitPath], s_per_m: f64) -> Option<SlitPath> {
+    pub fn along(&self, chain_m: &[Point], beside: &[SlitPath], s_per_m: f64) -> Option<SlitPath> {
         let near = self.near(chain_m);
         let may_pass = |node: u32| self.free[node as usize] && !beside.iter().any(|path| path.nodes.contains(&node));
         let passable: Vec<u32> = near.iter().copied().filter(|&node| may_pass(node)).collect();
@@ -123,7 +123,7 @@ impl SlitPaths {
     }
 
     /// The node nearest to a point, within a distance.
-    fn nearest(&self, nodes: &[u32], point: [f64; 2], within_m: f64) -> Option<u32> {
+    fn nearest(&self, nodes: &[u32], point: Point, within_m: f64) -> Option<u32> {
         let off = |node: u32| {
             let [x, y] = self.positions[node as usize];
             (x - point[0]) * (x - point[0]) + (y - point[1]) * (y - point[1])
@@ -137,7 +137,7 @@ impl SlitPaths {
     }
 
     /// The cheapest chain of edges over these nodes, short and close to a chain of points (Dijkstra's algorithm).
-    fn cheapest(&self, from: u32, to: u32, nodes: &[u32], chain_m: &[[f64; 2]]) -> Option<Vec<u32>> {
+    fn cheapest(&self, from: u32, to: u32, nodes: &[u32], chain_m: &[Point]) -> Option<Vec<u32>> {
         let off: HashMap<u32, f64> = nodes
             .iter()
             .map(|&node| {
@@ -177,13 +177,13 @@ impl SlitPaths {
     }
 
     /// Nodes in a box around a chain.
-    fn near(&self, chain_m: &[[f64; 2]]) -> Vec<u32> {
+    fn near(&self, chain_m: &[Point]) -> Vec<u32> {
         let margin = 2.0 * self.edge_m;
         let fold =
             |axis: usize, start: f64, choose: fn(f64, f64) -> f64| chain_m.iter().map(|p| p[axis]).fold(start, choose);
         let low = [0, 1].map(|axis| fold(axis, f64::INFINITY, f64::min) - margin);
         let high = [0, 1].map(|axis| fold(axis, f64::NEG_INFINITY, f64::max) + margin);
-        let within = |p: &[f64; 2]| (0..2).all(|axis| p[axis] >= low[axis] && p[axis] <= high[axis]);
+        let within = |p: &Point| (0..2).all(|axis| p[axis] >= low[axis] && p[axis] <= high[axis]);
         (0..self.positions.len() as u32).filter(|&node| within(&self.positions[node as usize])).collect()
     }
 
@@ -221,8 +221,8 @@ impl SlitPaths {
 }
 
 /// Points along a chain.
-fn samples(chain_m: &[[f64; 2]], step_m: f64) -> Vec<[f64; 2]> {
-    let mut points: Vec<[f64; 2]> = chain_m.first().copied().into_iter().collect();
+fn samples(chain_m: &[Point], step_m: f64) -> Vec<Point> {
+    let mut points: Vec<Point> = chain_m.first().copied().into_iter().collect();
     for ends in chain_m.windows(2) {
         let count = (distance(ends[0], ends[1]) / step_m).ceil().max(1.0) as usize;
         let at =
@@ -241,7 +241,7 @@ mod tests {
     use super::*;
 
     const SHEET_S: f64 = 5e-3;
-    const LINE: [[f64; 2]; 2] = [[-0.012, 0.004], [0.009, 0.018]];
+    const LINE: [Point; 2] = [[-0.012, 0.004], [0.009, 0.018]];
 
     fn spec(lines: Vec<[[f64; 2]; 2]>, edge_m: f64) -> SheetSpec {
         let outline = Outline::Rectangle { width_m: 0.1, height_m: 0.1 };
@@ -254,7 +254,7 @@ mod tests {
     }
 
     /// A press on one side of the cut and over one of its ends.
-    fn press(positions: &[[f64; 2]]) -> Vec<f64> {
+    fn press(positions: &[Point]) -> Vec<f64> {
         positions.iter().map(|p| 800.0 * (1.0 - distance(*p, [0.008, 0.016]) / 0.012).max(0.0)).collect()
     }
 
@@ -273,7 +273,7 @@ mod tests {
             slit.set_joints(|_, _| joined);
             let mut along = sheets(&body);
             along.set_slit_paths(&[SlitPath { s_per_m: joined, ..path.clone() }]).unwrap();
-            let contact = |positions: &[[f64; 2]]| if touched { press(positions) } else { vec![0.0; positions.len()] };
+            let contact = |positions: &[Point]| if touched { press(positions) } else { vec![0.0; positions.len()] };
             let [on_slit, on_path] = [slit.positions_m(), along.positions_m()].map(contact);
             let expected: Mat<f64> = slit.impedance(&on_slit).unwrap().to_owned();
             let intact: Mat<f64> = sheets(&body).impedance(&on_path).unwrap().to_owned();

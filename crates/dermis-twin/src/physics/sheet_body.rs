@@ -1,6 +1,6 @@
 //! Data of a sheet derived from its mesh: triangles, electrode terms, and positions of its unknowns.
 
-use dermis_tomo::mesh::{Contact, ElectrodedMesh};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, Point};
 use dermis_tomo::sparse::SparseError;
 
 /// One entry of the constant part, the electrode contacts. Unknowns from the node count on are electrodes.
@@ -66,7 +66,7 @@ pub(super) fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>
 }
 
 /// Positions of the unknowns, for the elimination order.
-pub(super) fn coordinates(body: &ElectrodedMesh, positions: &[[f64; 2]]) -> Vec<[f64; 3]> {
+pub(super) fn coordinates(body: &ElectrodedMesh, positions: &[Point]) -> Vec<[f64; 3]> {
     let mut places: Vec<[f64; 3]> = positions.iter().map(|p| [p[0], p[1], 0.0]).collect();
     let electrodes = body.electrodes.len() - 1;
     places.extend((0..electrodes).map(|electrode| body.electrode_centre(electrode)));

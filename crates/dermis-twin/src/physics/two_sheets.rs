@@ -11,7 +11,7 @@ mod copper;
 
 use std::collections::HashMap;
 
-use dermis_tomo::mesh::{self, ElectrodedMesh, SlitEdge};
+use dermis_tomo::mesh::{self, ElectrodedMesh, Point, SlitEdge};
 use dermis_tomo::sparse::{LocalMemory, Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, MatRef, Side};
@@ -38,7 +38,7 @@ pub enum Shortcut {
 #[derive(Debug)]
 pub struct TwoSheets {
     pub(super) triangles: Vec<[u32; 3]>,
-    pub(super) positions: Vec<[f64; 2]>,
+    pub(super) positions: Vec<Point>,
     pub(super) areas: Vec<f64>,
     pub(super) electrode_count: usize,
     pub(super) contacts: Vec<ContactEntry>,
@@ -124,7 +124,7 @@ impl TwoSheets {
         shortcut: Shortcut,
     ) -> Result<Self, SparseError> {
         let mesh = &body.mesh;
-        let positions: Vec<[f64; 2]> = mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
+        let positions: Vec<Point> = mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
         let triangles = triangles_of(body)?;
         let contacts = contact_entries(body)?;
         let (nodes, electrodes) = (positions.len(), body.electrodes.len());
@@ -174,7 +174,7 @@ impl TwoSheets {
     }
 
     /// Node positions, metres.
-    pub fn positions_m(&self) -> &[[f64; 2]] {
+    pub fn positions_m(&self) -> &[Point] {
         &self.positions
     }
 
@@ -194,7 +194,7 @@ impl TwoSheets {
     }
 
     /// Sets the sensing sheet to a position-dependent conductance (siemens) with cuts.
-    pub fn set_sensing_by(&mut self, intact_s: impl Fn([f64; 2]) -> f64, cuts: &[Cut]) {
+    pub fn set_sensing_by(&mut self, intact_s: impl Fn(Point) -> f64, cuts: &[Cut]) {
         let (near, mut numbers) = (NearCuts::new(cuts), Vec::new());
         for (element, tensor) in self.sensing.iter_mut().enumerate() {
             let corners = self.triangles[element].map(|node| self.positions[node as usize]);
@@ -456,9 +456,9 @@ impl TwoSheets {
 }
 
 /// Contribution of a joined edge, siemens.
-pub(super) fn joint_entries(&(edge, s_per_m): &(SlitEdge, f64), positions: &[[f64; 2]]) -> Vec<((u32, u32), f64)> {
+pub(super) fn joint_entries(&(edge, s_per_m): &(SlitEdge, f64), positions: &[Point]) -> Vec<((u32, u32), f64)> {
     let [p, q] = edge[0].map(|node| positions[node as usize]);
-    mesh::joint_entries(edge, (p[0] - q[0]).hypot(p[1] - q[1]), s_per_m)
+    mesh::joint_entries(edge, mesh::distance(p, q), s_per_m)
 }
 
 /// A factor to be overwritten, initially of the identity.

@@ -1,5 +1,6 @@
 //! Random touches, for tests and for training sets.
 
+use dermis_tomo::mesh::distance;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -50,9 +51,8 @@ impl RandomTouches {
             }
             let candidate = self.candidate();
             let clear = |other: &Indenter| {
-                let [dx, dy] = [0, 1].map(|axis| other.centre_m[axis] - candidate.centre_m[axis]);
                 let radii = other.shape.equal_area_radius_m() + candidate.shape.equal_area_radius_m();
-                dx.hypot(dy) >= radii + self.gap_m
+                distance(other.centre_m, candidate.centre_m) >= radii + self.gap_m
             };
             if touches.iter().all(clear) {
                 touches.push(candidate);
@@ -122,8 +122,8 @@ mod tests {
         for touches in draw(6) {
             for (k, a) in touches.iter().enumerate() {
                 for b in &touches[..k] {
-                    let distance = (a.centre_m[0] - b.centre_m[0]).hypot(a.centre_m[1] - b.centre_m[1]);
-                    assert!(distance >= 0.01 + a.shape.equal_area_radius_m() + b.shape.equal_area_radius_m() - 1e-12);
+                    let radii = a.shape.equal_area_radius_m() + b.shape.equal_area_radius_m();
+                    assert!(distance(a.centre_m, b.centre_m) >= 0.01 + radii - 1e-12);
                 }
             }
         }

@@ -9,6 +9,7 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
 use dermis_skin::{CircuitChoice, Electronics, Preset, Skin, builtin_text};
+use dermis_tomo::mesh::distance;
 use dermis_touch::Observation;
 use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::AnyTwin;
@@ -140,8 +141,7 @@ fn bits(damage: &Damage) -> [u64; 5] {
 
 /// Errors of the touches found, millimetres: number, median, 90th percentile.
 fn errors_mm(found: &[Option<[f64; 2]>], places: &[[f64; 2]]) -> (usize, f64, f64) {
-    let off =
-        |(found, place): (&Option<[f64; 2]>, &[f64; 2])| found.map(|[x, y]| 1e3 * (x - place[0]).hypot(y - place[1]));
+    let off = |(found, place): (&Option<[f64; 2]>, &[f64; 2])| found.map(|found| 1e3 * distance(found, *place));
     let mut errors: Vec<f64> = found.iter().zip(places).filter_map(off).collect();
     errors.sort_by(f64::total_cmp);
     let at = |share: f64| errors.get((errors.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN);
@@ -246,10 +246,7 @@ fn damage_stays_known_when_a_circuit_is_found() {
     let known = stream.pipeline.damage();
     let [damage] = known.damages[..] else { panic!("{:?}", known.damages) };
     let middle_m = [0, 1].map(|axis| 0.5 * (from_m[axis] + to_m[axis]));
-    let off_mm = |damage: &Damage| {
-        let [x, y] = damage.shape.centre_m;
-        1e3 * (x - middle_m[0]).hypot(y - middle_m[1])
-    };
+    let off_mm = |damage: &Damage| 1e3 * distance(damage.shape.centre_m, middle_m);
     println!("frame {at}: {:.1} mm off, then {:.1} mm; {damage:?}", off_mm(&first), off_mm(&damage));
     assert_eq!((damage.id, known.intact), (first.id, Some(0)));
     assert!(damage.is_open() && damage.share > 0.8 && off_mm(&damage) < 12.0, "{damage:?}");

@@ -3,6 +3,7 @@
 use dermis_lab::design::{Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 
 const PLACE: [f64; 2] = [0.018, -0.011];
 const AMPLITUDE: f64 = 0.1;
@@ -80,8 +81,8 @@ fn estimates_from_500_noisy_frames_attain_the_bound() {
     let maps = Maps::new(&prepared, Noise::Volts(noise_v), AMPLITUDE, 64).unwrap();
     let nearest = (0..maps.places_m.len())
         .min_by(|&a, &b| {
-            let distance = |k: usize| (maps.places_m[k][0] - PLACE[0]).hypot(maps.places_m[k][1] - PLACE[1]);
-            distance(a).total_cmp(&distance(b))
+            let away_m = |k: usize| distance(maps.places_m[k], PLACE);
+            away_m(a).total_cmp(&away_m(b))
         })
         .unwrap();
     // The bound is for the larger axis of the ellipse, which is at least either deviation and at most the root of

@@ -9,6 +9,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_mit::catalogue::{body_cached, body_of, builtin_records, compute};
 use dermis_skin::{Element, ElementShape, Layer, Skin, Solve};
+use dermis_tomo::mesh::distance;
 use dermis_twin::AnyTwin;
 use dermis_twin::from_skin::element_options;
 use dermis_twin::instrument::Instrument;
@@ -107,7 +108,7 @@ fn every_element_is_found_by_the_model_and_by_the_measured_jacobian() {
         for (place, frame) in places.iter().zip(&frames) {
             calibrated.imager.image(&calibrated.reference.difference(frame, None), &mut image).unwrap();
             let peak = peak_m(prepared, &image);
-            worst = worst.max((peak[0] - place[0]).hypot(peak[1] - place[1]));
+            worst = worst.max(distance(peak, *place));
         }
         println!("{name}: worst {:.1} mm", 1e3 * worst);
         assert!(worst < HALF_PITCH_M, "{name}: {:.1} mm", 1e3 * worst);

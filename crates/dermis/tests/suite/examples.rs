@@ -8,6 +8,7 @@ use dermis_device::FileSpec;
 use dermis_lab::reconstruct::{Request, reconstruct};
 use dermis_lab::twin_sample::{SampleRequest, random_presses, sample};
 use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, Reads, Shape};
+use dermis_tomo::mesh::distance;
 use dermis_twin::from_skin::press_range;
 use dermis_twin::mechanics::Indenter;
 
@@ -62,10 +63,6 @@ fn touches_of(skin: Skin, presses: &[Vec<Indenter>], repeats: usize) -> Vec<Vec<
     found
 }
 
-fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
 fn place_mm(indenter: &Indenter) -> [f64; 2] {
     indenter.centre_m.map(|value| 1e3 * value)
 }
@@ -77,7 +74,7 @@ fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
     let found = touches_of(skin, &places, 1);
     let (mut errors, mut missed, mut several) = (Vec::new(), 0, 0);
     for (press, found) in places.iter().zip(&found) {
-        let away = |p: &[f64; 2]| distance_mm(*p, place_mm(&press[0]));
+        let away = |p: &[f64; 2]| distance(*p, place_mm(&press[0]));
         errors.push(found.iter().map(away).fold(f64::INFINITY, f64::min));
         missed += usize::from(found.is_empty());
         several += usize::from(found.len() > 1);
@@ -94,7 +91,7 @@ fn pairs_found(skin: Skin, pairs: usize) -> usize {
     let places = random_presses(&skin.outline(), &press_range(&skin), 40 * pairs, 7).unwrap();
     let partner = |k: usize| {
         let fits = |press: &&Vec<Indenter>| {
-            (distance_mm(place_mm(&press[0]), place_mm(&places[k][0])) / apart_mm - 1.0).abs() < 0.03
+            (distance(place_mm(&press[0]), place_mm(&places[k][0])) / apart_mm - 1.0).abs() < 0.03
         };
         places.iter().skip(pairs).find(fits)
     };
@@ -102,7 +99,7 @@ fn pairs_found(skin: Skin, pairs: usize) -> usize {
     assert!(presses.len() + 1 >= pairs, "{} pairs", presses.len());
     let found = touches_of(skin, &presses, 12);
     let both = |(press, found): &(&Vec<Indenter>, &Vec<[f64; 2]>)| {
-        let near = |k: usize, p: &[f64; 2]| distance_mm(*p, place_mm(&press[k])) < 0.5 * apart_mm;
+        let near = |k: usize, p: &[f64; 2]| distance(*p, place_mm(&press[k])) < 0.5 * apart_mm;
         (0..2).all(|k| found.iter().any(|p| near(k, p))) && found.len() >= 2
     };
     presses.iter().zip(&found).filter(both).count() + pairs - presses.len()

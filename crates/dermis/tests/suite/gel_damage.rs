@@ -7,6 +7,7 @@ use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_live::stages::damage::describe;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 use dermis_touch::ReferenceOrigin;
 use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::physics::Cut;
@@ -181,7 +182,7 @@ fn a_cut_is_distinguished_from_presses_on_a_drifting_gel() {
     assert_eq!((gel.watch.names(), told), (vec!["begin"], gel.watch.frames - 3), "three frames of rest");
     let damage = gel.only_damage();
     let middle_m = [0, 1].map(|axis| 0.5 * (FROM_M[axis] + TO_M[axis]));
-    let off_m = (damage.shape.centre_m[0] - middle_m[0]).hypot(damage.shape.centre_m[1] - middle_m[1]);
+    let off_m = distance(damage.shape.centre_m, middle_m);
     println!("{:.1} mm off", 1e3 * off_m);
     assert!(off_m < 0.012, "{damage:?}");
     // Touches still work elsewhere, and no further damage appears.

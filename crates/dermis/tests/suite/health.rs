@@ -10,6 +10,7 @@ use dermis_live::reconstructor::Reconstructor;
 use dermis_live::stages::health::wiring;
 use dermis_live::stages::refinement::Refinement;
 use dermis_skin::{Skin, builtin_text};
+use dermis_tomo::mesh::distance;
 use dermis_touch::Touch;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFaultKind, HEALTH_WINDOW};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
@@ -333,7 +334,7 @@ impl Presses {
             reconstructor.forget(*time_ns);
             reconstructor.follow_touches(*time_ns, &image, None).unwrap();
             let found = reconstructor.touches.contacts()[0].centroid_m;
-            1e3 * (found[0] - place[0]).hypot(found[1] - place[1])
+            1e3 * distance(found, *place)
         };
         frames.iter().map(error_mm).collect()
     }

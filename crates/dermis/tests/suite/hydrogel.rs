@@ -11,6 +11,7 @@ use dermis_live::channels::ChannelReader;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::{CircuitChoice, Skin};
+use dermis_tomo::mesh::distance;
 
 struct Data {
     before: Vec<Vec<f64>>,
@@ -108,8 +109,8 @@ fn the_circuit_is_found_from_unknown_presses() {
             .filter_map(|&i| {
                 let difference = made.reference.difference(&data.pressed[i], Some(&data.before[i]));
                 finder.forget();
-                let [x, y] = finder.place(0, &difference).unwrap()?.position_m;
-                Some(1e3 * (x - data.pokes.positions_m[i][0]).hypot(y - data.pokes.positions_m[i][1]))
+                let found = finder.place(0, &difference).unwrap()?;
+                Some(1e3 * distance(found.position_m, data.pokes.positions_m[i]))
             })
             .collect();
         errors.sort_by(f64::total_cmp);

@@ -10,6 +10,7 @@ use dermis_lab::twin_sample::{random_presses, sample_tables};
 use dermis_live::prepare::Prepared;
 use dermis_skin::{AgainstWord, Electrodes, Layer, ListedChannel, Shape, SheetLayer, Skin};
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol};
+use dermis_tomo::mesh::distance;
 use dermis_twin::from_skin::press_range;
 
 /// A generator of whole numbers (splitmix64), so that every run has the same lists.
@@ -185,10 +186,7 @@ fn a_twin_of_listed_channels_is_read_through_the_pipeline() {
     assert_eq!(frames.len(), 12);
     let mut near = 0;
     for (frame, press) in frames.iter().skip(1).step_by(2).zip(&presses) {
-        let placed = frame.touches.iter().any(|touch| {
-            let [x, y] = touch.position_m;
-            (x - press[0].centre_m[0]).hypot(y - press[0].centre_m[1]) < 5e-3
-        });
+        let placed = frame.touches.iter().any(|touch| distance(touch.position_m, press[0].centre_m) < 5e-3);
         near += u32::from(placed);
     }
     assert!(near >= 4, "{near} of 6 presses found");

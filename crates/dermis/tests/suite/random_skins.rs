@@ -3,6 +3,7 @@
 
 use dermis_lab::twin_sample::random_presses;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 use dermis_twin::from_skin::press_range;
 use dermis_twin::mechanics::Indenter;
 use rand::rngs::StdRng;
@@ -66,10 +67,6 @@ pub fn written(shape: &str, layer: &str, electrodes: (u32, f64), skip: u32, imag
     Skin::parse(&text, "drawn.toml").unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
 #[test]
 fn presses_on_random_skins_are_found_counted_and_within_their_sigmas() {
     let (mut shares, mut inside, mut missed, mut split, mut singles) = (Vec::new(), [0, 0], 0, 0, 0);
@@ -87,7 +84,7 @@ fn presses_on_random_skins_are_found_counted_and_within_their_sigmas() {
         let flat: Vec<Indenter> = places.into_iter().flatten().collect();
         let of_pairs = (0..flat.len())
             .flat_map(|b| (0..b).map(move |a| (a, b)))
-            .filter(|&(a, b)| (distance_m(flat[a].centre_m, flat[b].centre_m) / apart - 1.0).abs() < SLACK);
+            .filter(|&(a, b)| (distance(flat[a].centre_m, flat[b].centre_m) / apart - 1.0).abs() < SLACK);
         groups.extend(of_pairs.step_by(41).take(PAIRS).map(|(a, b)| vec![flat[a], flat[b]]));
         let found = pressed_and_read(skin.clone(), groups.clone(), seed);
         let (mut of_skin, before) = (Vec::new(), (missed, split, right));
@@ -100,7 +97,7 @@ fn presses_on_random_skins_are_found_counted_and_within_their_sigmas() {
             singles += 1;
             missed += usize::from(touches.is_empty());
             split += usize::from(touches.len() > 1);
-            let at = |touch: &&Vec<f64>| distance_m([1e-3 * touch[2], 1e-3 * touch[3]], group[0].centre_m);
+            let at = |touch: &&Vec<f64>| distance([1e-3 * touch[2], 1e-3 * touch[3]], group[0].centre_m);
             let Some(touch) = touches.iter().min_by(|a, b| at(a).total_cmp(&at(b))) else { continue };
             of_skin.push(at(&touch) / sides[0].min(sides[1]));
             for axis in 0..2 {
@@ -141,7 +138,7 @@ fn three_presses_are_counted_with_eight_electrodes() {
         let skin = written(&shape, layer, (8, 10.0), 0, gain);
         let places = random_presses(&skin.outline(), &press_range(&skin), 300, 7).unwrap();
         let are_apart = |group: &&[Vec<Indenter>]| {
-            let apart = |a: usize, b: usize| distance_m(group[a][0].centre_m, group[b][0].centre_m);
+            let apart = |a: usize, b: usize| distance(group[a][0].centre_m, group[b][0].centre_m);
             apart(0, 1).min(apart(0, 2)).min(apart(1, 2)) >= 0.25e-3 * side_mm
         };
         let groups: Vec<Vec<Indenter>> = places.chunks_exact(3).filter(are_apart).take(20).map(<[_]>::concat).collect();
@@ -159,7 +156,7 @@ fn pairs_on_patches_that_follow_each_other_at_once_are_two_touches_each() {
         "{ kind = \"patches\", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = 10.0, gap_mm = 1.0 }";
     let skin = written("{ square = { side_mm = 120.0 } }", patches, (16, 10.0), 0, "");
     let places = random_presses(&skin.outline(), &press_range(&skin), 60, 5).unwrap();
-    let are_apart = |group: &&[Vec<Indenter>]| distance_m(group[0][0].centre_m, group[1][0].centre_m) >= 0.03;
+    let are_apart = |group: &&[Vec<Indenter>]| distance(group[0][0].centre_m, group[1][0].centre_m) >= 0.03;
     let mut bench = Bench::of(skin);
     let mut told = Vec::new();
     for group in places.chunks_exact(2).filter(are_apart).take(12) {

@@ -14,6 +14,7 @@ use dermis_device::{Frame, HostStamp, Layout, Source, SourceEvent, Status};
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 use dermis_touch::TouchPhase;
 use dermis_twin::TwinKit;
 
@@ -180,7 +181,7 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
                     assert!(open.insert(touch.id, connection).is_none(), "touch {} begins twice", touch.id);
                     begun.push((connection, touch.id));
                     let place = PLACES_M[state(connection) - 1];
-                    let error_m = (touch.position_m[0] - place[0]).hypot(touch.position_m[1] - place[1]);
+                    let error_m = distance(touch.position_m, place);
                     assert!(error_m < 5e-3, "touch {} is {:.1} mm off", touch.id, error_m * 1e3);
                 }
                 TouchPhase::Move => assert_eq!(open.get(&touch.id), Some(&connection), "of this connection"),

@@ -8,6 +8,7 @@ use dermis_live::stages::refinement::Refinement;
 use dermis_live::stages::spot_model::spot_model;
 use dermis_live::stages::touches::TouchStage;
 use dermis_skin::Skin;
+use dermis_tomo::mesh::distance;
 use dermis_twin::TwinKit;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
@@ -18,7 +19,7 @@ fn figures(errors_mm: &[f64]) -> (f64, f64) {
 }
 
 fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
-    1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
+    1e3 * distance(a, b)
 }
 
 fn press(centre_m: [f64; 2], radius_m: f64, force_n: f64) -> Indenter {

@@ -10,8 +10,7 @@ use dermis_lab::experiments::{Figure, METHODS, Method, PAPERS, Report};
 use dermis_skin::Skin;
 use dermis_twin::from_skin::seed_of;
 
-use super::cells::cells;
-use super::figures::{caption, comparison, drawing, skins};
+use super::figures::{caption, cells, comparison, drawing, skins};
 use super::report::put;
 use crate::commands::escaped;
 use crate::draw::{self, Picture};

@@ -9,8 +9,7 @@ use dermis_device::instruments::npy;
 use dermis_device::write_atomic;
 use dermis_lab::experiments::{Figure, Report};
 
-use super::cells::cells;
-use super::figures::drawing;
+use super::figures::{cells, drawing};
 use crate::draw;
 
 /// Prints the table on the terminal.

@@ -16,7 +16,7 @@ use dermis_record::{
     LiveCommand, LiveFeed, LiveRecording, Publisher, RecorderStatus, RecordingEnd, RecordingHead, SkinView,
 };
 
-use super::super::calendar::date_of;
+use super::super::printing::date_of;
 use super::twin_requests;
 use super::viewers::Viewers;
 use crate::exit::{Outcome, UsageError};

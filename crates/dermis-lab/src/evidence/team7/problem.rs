@@ -3,6 +3,7 @@
 
 use dermis_mit::edge::{Dipole, EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
 use dermis_mit::{MitError, Segment};
+use dermis_tomo::mesh::Point;
 
 /// Places along the measured lines, mm.
 pub const X_MM: [f64; 17] =
@@ -55,7 +56,7 @@ pub fn coil(across: usize, along: usize, bend: usize) -> Wires {
 }
 
 /// A counter-clockwise racetrack. Its corners are arcs about points 50 mm from the centre in x and y.
-fn racetrack(radius_m: f64, bend: usize) -> Vec<[f64; 2]> {
+fn racetrack(radius_m: f64, bend: usize) -> Vec<Point> {
     let quarter = std::f64::consts::FRAC_PI_2;
     let step = quarter / bend as f64;
     // Inner points lie outside the arc by as much as the chords would cut off.

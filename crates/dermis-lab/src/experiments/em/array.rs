@@ -1,5 +1,6 @@
 //! The skins to compare, and their twins on the bench.
 
+use dermis_tomo::mesh::Point;
 use dermis_twin::mechanics::Indenter;
 
 use crate::Error;
@@ -32,7 +33,7 @@ pub(super) struct Array {
 /// A twin on the bench, with the places of its elements.
 pub(super) struct Bench {
     pub(super) rig: Rig,
-    pub(super) places: Vec<[f64; 2]>,
+    pub(super) places: Vec<Point>,
     pub(super) per_side: usize,
     pub(super) press_n: f64,
     element_mm: f64,
@@ -77,7 +78,7 @@ impl Bench {
     }
 
     /// The element nearest to a position.
-    pub(super) fn nearest(&self, at: [f64; 2]) -> usize {
+    pub(super) fn nearest(&self, at: Point) -> usize {
         let distance = |k: &usize| distance_mm(self.places[*k], at);
         (0..self.places.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
     }
@@ -93,7 +94,7 @@ impl Bench {
         Ok((image, found == wanted))
     }
 
-    pub(super) fn at(&self, elements: &[usize]) -> Vec<[f64; 2]> {
+    pub(super) fn at(&self, elements: &[usize]) -> Vec<Point> {
         elements.iter().map(|k| self.places[*k]).collect()
     }
 }

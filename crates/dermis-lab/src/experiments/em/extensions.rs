@@ -2,6 +2,7 @@
 
 use dermis_mit::Sphere;
 use dermis_mit::sheet::SheetMaterial;
+use dermis_tomo::mesh::Point;
 use dermis_touch::measure::pearson;
 use dermis_twin::from_skin::{element_options, instrument_options, resting_voltage_v};
 use dermis_twin::instrument::Instrument;
@@ -160,7 +161,7 @@ fn foil() -> Result<Report, Error> {
 /// Relative changes of the readings under 2 N at each place in turn; `look` gets the skin during each press.
 fn responses<F: Frontend>(
     skin: &mut F,
-    places: &[[f64; 2]],
+    places: &[Point],
     mut look: impl FnMut(&F, usize),
 ) -> Result<Vec<Vec<f64>>, Error> {
     let mut rest = vec![0.0; skin.channel_count()];

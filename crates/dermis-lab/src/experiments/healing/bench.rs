@@ -1,7 +1,7 @@
 //! The sandwich's twin on the bench, and the images of its frames.
 
 use dermis_learn::scene::{LOWERED, RAISED};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point};
 use dermis_tomo::quality::{SsimOptions, icc, rie, ssim};
 use dermis_touch::Contact;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
@@ -19,7 +19,7 @@ pub(super) fn row(quantity: impl Into<String>, unit: &'static str, paper: Option
     Row { quantity: quantity.into(), unit, paper, here, kind }
 }
 
-pub(super) fn indenter(centre_mm: [f64; 2], diameter_mm: f64) -> Indenter {
+pub(super) fn indenter(centre_mm: Point, diameter_mm: f64) -> Indenter {
     Indenter {
         centre_m: centre_mm.map(|v| 1e-3 * v),
         shape: Shape::Disc { radius_m: 0.5e-3 * diameter_mm },

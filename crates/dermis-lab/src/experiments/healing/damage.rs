@@ -1,5 +1,6 @@
 //! H4 to H6: the skin is cut, pressed next to and on the cut, and healed, followed by the live pipeline.
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::Touch;
 use dermis_touch::damage::{DamageEvent, DamageState};
 
@@ -12,9 +13,9 @@ use crate::twin_bench::{distance_mm, panel_of};
 use dermis_skin::TwinAction;
 
 /// A 20 mm cut in the first quadrant.
-const FROM_MM: [f64; 2] = [15.0, 18.0];
-const TO_MM: [f64; 2] = [31.0, 30.0];
-const MIDDLE_MM: [f64; 2] = [23.0, 24.0];
+const FROM_MM: Point = [15.0, 18.0];
+const TO_MM: Point = [31.0, 30.0];
+const MIDDLE_MM: Point = [23.0, 24.0];
 /// Places next to the cut.
 const BESIDE_MM: [[f64; 2]; 6] = [[-25.0, 0.0], [0.0, -25.0], [-20.0, -20.0], [25.0, -15.0], [-12.0, 28.0], [0.0, 0.0]];
 /// How long a press is held before it is read, and how long the skin then rests, seconds.
@@ -32,13 +33,13 @@ fn cut(line: &mut Line) -> Result<(), Error> {
 }
 
 /// Distance to the nearest touch, millimetres; infinite without touches.
-fn error_mm(touches: &[Touch], place_mm: [f64; 2]) -> f64 {
+fn error_mm(touches: &[Touch], place_mm: Point) -> f64 {
     let place = place_mm.map(|v| 1e-3 * v);
     touches.iter().map(|touch| distance_mm(touch.position_m, place)).fold(f64::INFINITY, f64::min)
 }
 
-fn panel(line: &Line, name: &str, values: &[f32], places_mm: &[[f64; 2]]) -> ImagePanel {
-    let places: Vec<[f64; 2]> = places_mm.iter().map(|place| place.map(|v| 1e-3 * v)).collect();
+fn panel(line: &Line, name: &str, values: &[f32], places_mm: &[Point]) -> ImagePanel {
+    let places: Vec<Point> = places_mm.iter().map(|place| place.map(|v| 1e-3 * v)).collect();
     panel_of(line.pipeline.prepared(), name, values, &places)
 }
 

@@ -2,6 +2,7 @@
 //! heat and baselines.
 
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_tomo::mesh::Point;
 use dermis_touch::Touch;
 use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::{Frontend, Treatment, Wound};
@@ -86,7 +87,7 @@ impl Line {
     }
 
     /// Presses at a place for the given time and releases for as long; returns the touches at the end of the press.
-    pub(super) fn touched(&mut self, place_mm: [f64; 2], seconds: f64) -> Result<Vec<Touch>, Error> {
+    pub(super) fn touched(&mut self, place_mm: Point, seconds: f64) -> Result<Vec<Touch>, Error> {
         self.press(place_mm)?;
         self.run(seconds)?;
         let touches = self.touches.clone();

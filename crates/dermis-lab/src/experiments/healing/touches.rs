@@ -1,5 +1,6 @@
 //! H1 to H3: the intact skin under one to three round indenters.
 
+use dermis_tomo::mesh::Point;
 use dermis_tomo::quality::centroid_above_m;
 use dermis_twin::mechanics::Indenter;
 
@@ -11,7 +12,7 @@ use crate::twin_bench::distance_mm;
 /// Diameters of the two indenters, millimetres.
 const DIAMETERS_MM: [f64; 2] = [20.0, 25.0];
 /// Places pressed in the paper.
-const PLACES_MM: [[f64; 2]; 3] = [[0.0, 0.0], [0.0, 25.0], [25.0, 25.0]];
+const PLACES_MM: [Point; 3] = [[0.0, 0.0], [0.0, 25.0], [25.0, 25.0]];
 /// ICC, RIE and SSIM of the paper's U-Net with one, two and three touches.
 const PUBLISHED: [[f64; 3]; 3] = [[0.80, 0.59, 0.92], [0.85, 0.54, 0.86], [0.70, 0.78, 0.70]];
 
@@ -35,7 +36,7 @@ impl Scores {
 
     fn add(&mut self, bench: &Bench, name: &str, indenters: &[Indenter], seen: &Seen) -> Result<(), Error> {
         let truth = bench.truth(indenters);
-        let places: Vec<[f64; 2]> = indenters.iter().map(|indenter| indenter.centre_m).collect();
+        let places: Vec<Point> = indenters.iter().map(|indenter| indenter.centre_m).collect();
         let mut show = |what: &str, image: &[f64]| {
             let values: Vec<f32> = image.iter().map(|value| *value as f32).collect();
             let panel = bench.rig.panel(format!("{name}, {what}"), &values, &places);

@@ -9,7 +9,7 @@ use crate::LearnError;
 use crate::kernels::{Finish, Layout, Taps, add_kernel_slopes, convolve};
 use crate::network::NORM_EPSILON;
 use crate::shape::TensorSpec;
-use crate::train::batch::Batch;
+use crate::train::training::Batch;
 
 /// Momentum of the running mean and variance; PyTorch's default.
 const MOMENTUM: f32 = 0.1;

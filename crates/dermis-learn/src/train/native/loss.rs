@@ -9,7 +9,7 @@ use super::sample::{Sample, layout_of};
 use crate::LearnError;
 use crate::kernels::Layout;
 use crate::shape::TensorSpec;
-use crate::train::batch::Batch;
+use crate::train::training::Batch;
 
 /// Computes the loss from the last image.
 pub(super) struct Head {

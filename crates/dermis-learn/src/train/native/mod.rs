@@ -10,7 +10,7 @@ mod sample;
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::batch::Batch;
+use super::training::Batch;
 use crate::LearnError;
 use crate::kernels::{pool, pool_back, repeat, repeat_back};
 use crate::shape::{TensorSpec, UNetShape};

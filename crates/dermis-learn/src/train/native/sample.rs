@@ -2,7 +2,7 @@
 
 use crate::kernels::Layout;
 use crate::shape::UNetShape;
-use crate::train::batch::Batch;
+use crate::train::training::Batch;
 
 /// Images per level.
 const PLANES: usize = 5;

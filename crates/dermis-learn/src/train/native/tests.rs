@@ -5,7 +5,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
 use super::*;
-use crate::train::initial::initial;
+use crate::train::training::initial;
 
 const CLASS_WEIGHTS: [f32; 3] = [1.0, 2.0, 0.5];
 

@@ -1,5 +1,6 @@
 //! Pokes with several touches at once. They teach how touches add up, and nothing else.
 
+use dermis_tomo::mesh::Point;
 use serde::{Deserialize, Serialize};
 
 use super::frames::{PokeFrames, differences_of, frame_with_gaps};
@@ -16,7 +17,7 @@ pub struct PokeGroup {
     #[serde(deserialize_with = "frame_with_gaps")]
     pub frame: Vec<f64>,
     /// Positions of all touches, metres.
-    pub touches_m: Vec<[f64; 2]>,
+    pub touches_m: Vec<Point>,
 }
 
 /// Pokes divided into those of one touch and those of several.
@@ -25,7 +26,7 @@ pub(super) struct Parts<'a> {
     pub pokes: Pokes,
     singles: Selection<'a>,
     several: Selection<'a>,
-    touches_m: Vec<Vec<[f64; 2]>>,
+    touches_m: Vec<Vec<Point>>,
 }
 
 /// Some of the measured frames.

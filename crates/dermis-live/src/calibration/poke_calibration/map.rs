@@ -1,6 +1,7 @@
 //! Positions at which the locator searches for touches: a lattice over the skin, with the signatures of physics
 //! there.
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::locator::SignatureMap;
 
 use crate::Error;
@@ -25,7 +26,7 @@ pub(super) fn signature_map(prepared: &Prepared, physics: bool) -> Result<Signat
 }
 
 /// Positions for the locator's map: a square lattice within the outline.
-fn map_positions(prepared: &Prepared) -> Vec<[f64; 2]> {
+fn map_positions(prepared: &Prepared) -> Vec<Point> {
     let outline = &prepared.body.outline;
     let (low, high) = outline.bounds_m();
     let half_width_m = prepared.half_width_m();

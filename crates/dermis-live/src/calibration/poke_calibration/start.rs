@@ -7,6 +7,7 @@
 //! where they were used, by the mean of ln(e^2 + m^2), with e a poke's error and m the locator's median error. Few
 //! pokes can't judge what was fitted to them alone.
 
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, Located, SignatureMap};
 use serde::{Deserialize, Serialize};
 
@@ -69,7 +70,7 @@ pub(super) struct Earlier<'a> {
     pub locator: &'a FusedLocator,
     /// Difference data of each poke, model volts.
     pub frames: &'a [Vec<f64>],
-    pub positions_m: &'a [[f64; 2]],
+    pub positions_m: &'a [Point],
     pub loads: Option<&'a [f64]>,
 }
 
@@ -253,7 +254,7 @@ fn on(locator: &FusedLocator, examples: &Examples) -> Vec<Miss> {
 fn guess_m(examples: &Examples) -> f64 {
     let places_m = examples.positions_m();
     let centre_m = [0, 1].map(|axis| places_m.iter().map(|p| p[axis]).sum::<f64>() / places_m.len() as f64);
-    quantile(places_m.iter().map(|p| (p[0] - centre_m[0]).hypot(p[1] - centre_m[1])).collect(), 0.5)
+    quantile(places_m.iter().map(|p| distance(*p, centre_m)).collect(), 0.5)
 }
 
 fn median_m(errors: &[Miss]) -> f64 {

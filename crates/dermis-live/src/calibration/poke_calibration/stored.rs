@@ -1,5 +1,6 @@
 //! The calibration file: its contents and how it is read back.
 
+use dermis_tomo::mesh::Point;
 use dermis_touch::locator::{FusedLocator, PlaceCorrection};
 use serde::{Deserialize, Serialize};
 
@@ -24,7 +25,7 @@ pub(super) struct StoredCalibration {
     load: Option<LoadQuantity>,
     #[serde(deserialize_with = "frames_with_gaps")]
     frames: Vec<Vec<f64>>,
-    positions_m: Vec<[f64; 2]>,
+    positions_m: Vec<Point>,
     loads: Option<Vec<f64>>,
     fused: Box<FusedLocator>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -56,7 +57,7 @@ impl TryFrom<StoredCalibration> for Calibration {
         if stored.fused.channels() != stored.channels {
             return Err(format!("fused: {} channels, expected {}", stored.fused.channels(), stored.channels));
         }
-        let is_place = |place: &[f64; 2]| place.iter().all(|v| v.is_finite());
+        let is_place = |place: &Point| place.iter().all(|v| v.is_finite());
         if stored.groups.iter().any(|group| group.touches_m.is_empty() || !group.touches_m.iter().all(is_place)) {
             return Err("groups: a group without finite positions".into());
         }

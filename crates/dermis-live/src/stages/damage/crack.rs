@@ -11,7 +11,7 @@
 
 use dermis_skin::Modality;
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol};
-use dermis_tomo::mesh::PixelGrid;
+use dermis_tomo::mesh::{PixelGrid, Point};
 
 use crate::Error;
 use crate::prepare::Prepared;
@@ -25,7 +25,7 @@ const POINTS: usize = 10;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crack {
     /// Centre, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Length, metres.
     pub length_m: f64,
     /// Direction, counter-clockwise from +x.
@@ -139,7 +139,7 @@ impl CrackModel {
     }
 
     /// The pixels around a point with their weights in bilinear interpolation, without those outside the skin.
-    fn corners(&self, [x, y]: [f64; 2]) -> Option<[(usize, f64); 4]> {
+    fn corners(&self, [x, y]: Point) -> Option<[(usize, f64); 4]> {
         let count = self.drives + self.patterns;
         let column = (x - self.grid.left_m) / self.grid.pixel_m - 0.5;
         let row = (self.grid.top_m - y) / self.grid.pixel_m - 0.5;

@@ -6,6 +6,7 @@ use dermis_tomo::least_squares::{
     Acceptance, Control, Damping, Error as StepError, NormalEquations, Params, Problem, Scratch, Tolerances, Trial,
     minimise,
 };
+use dermis_tomo::mesh::Point;
 
 use dermis_touch::damage::DamageShape;
 
@@ -237,7 +238,7 @@ impl Problem for FitUnderWay<'_, '_> {
 
 /// Fits a cut with the given joining (0: open) to the data, near a position given by the image, metres, and initially
 /// within `reach_m` of it. `None` if no cut fits at all.
-fn fit(data: &CutData<'_>, near_m: [f64; 2], reach_m: f64, joined_per_m: f64) -> Option<CutEstimate> {
+fn fit(data: &CutData<'_>, near_m: Point, reach_m: f64, joined_per_m: f64) -> Option<CutEstimate> {
     let present = |v: &&f64| v.is_finite();
     let energy: f64 = data.difference.iter().filter(present).map(|v| v * v).sum();
     let count = data.difference.iter().filter(present).count();

@@ -13,7 +13,6 @@ use dermis_touch::{Baseline, PixelNoise, ReferenceOrigin};
 use super::frame::Adoption;
 use super::view::DamageView;
 use crate::Error;
-use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 
 /// A change that stays this long without a release is no longer treated as a touch, seconds.
@@ -65,7 +64,7 @@ impl LevelStage {
         let (channels, grid) = (prepared.channels(), prepared.map.grid());
         Ok(Self {
             watch: LevelWatch::new(channels, params)?,
-            monitor: DamageMonitor::new(image_cells(grid), super::stage::damage_params(prepared))?,
+            monitor: DamageMonitor::new(prepared.image_cells(), super::stage::damage_params(prepared))?,
             noise: Vec::new(),
             found: None,
             change: vec![f64::NAN; channels],

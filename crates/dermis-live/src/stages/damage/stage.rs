@@ -17,7 +17,6 @@ use super::unexplained::Unexplained;
 use super::view::DamageView;
 use super::warmth::{Look, Warmth};
 use crate::Error;
-use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::plates::SheetCut;
 
@@ -77,7 +76,7 @@ impl DamageStage {
     pub fn new(prepared: &Prepared) -> Result<Self, Error> {
         let (channels, grid) = (prepared.channels(), prepared.map.grid());
         Ok(Self {
-            monitor: DamageMonitor::new(image_cells(grid), damage_params(prepared))?,
+            monitor: DamageMonitor::new(prepared.image_cells(), damage_params(prepared))?,
             intact: IntactReference::new(channels, grid.len()),
             cuts: KnownCuts::new(prepared)?,
             unexplained: Unexplained::new(),

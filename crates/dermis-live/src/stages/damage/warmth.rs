@@ -1,6 +1,7 @@
 //! Warmth around damage: heat heals, and makes the sheet more conductive, which looks like a touch. A change there
 //! that has developed steadily, or that stays low for long, is warmth and belongs in the baseline.
 
+use dermis_tomo::mesh::{Point, distance};
 use dermis_touch::Touch;
 use dermis_touch::damage::Damage;
 
@@ -35,7 +36,7 @@ pub(super) enum Look {
 /// A contact that rests on damage.
 #[derive(Debug)]
 struct Resting {
-    at_m: [f64; 2],
+    at_m: Point,
     since_ns: u64,
     readings: Readings,
 }
@@ -103,7 +104,7 @@ impl Warmth {
             self.resting = None;
             return Some(adoption);
         }
-        let near = |at_m: [f64; 2]| lies_on_damage(damages, at_m);
+        let near = |at_m: Point| lies_on_damage(damages, at_m);
         let low = |touch: &Touch| touch.amplitude <= WARM_HEIGHT && near(touch.position_m);
         let here = match (frame.touches, frame.contacts) {
             // Something was there a moment ago; wait for the next frames.
@@ -118,7 +119,7 @@ impl Warmth {
             self.resting = None;
             return None;
         };
-        let stays = |warm: &Resting| (warm.at_m[0] - here[0]).hypot(warm.at_m[1] - here[1]) <= WARM_TRAVEL_M;
+        let stays = |warm: &Resting| distance(warm.at_m, here) <= WARM_TRAVEL_M;
         if !self.resting.as_ref().is_some_and(stays) {
             self.resting = Some(Resting { at_m: here, since_ns: frame.time_ns, readings: Readings::default() });
         }
@@ -163,6 +164,6 @@ impl Warmth {
 }
 
 /// True if a position lies on damage, open or healed: a scar stays warm for longer than the cut is open.
-fn lies_on_damage(damages: &[Damage], at_m: [f64; 2]) -> bool {
+fn lies_on_damage(damages: &[Damage], at_m: Point) -> bool {
     damages.iter().any(|damage| damage.shape.distance_m(at_m) <= WARM_REACH_M)
 }

@@ -5,6 +5,7 @@ use dermis_mit::MitError;
 use dermis_tomo::least_squares::{
     Acceptance, Control, Damping, NormalEquations, Params, Problem, Scratch, Tolerances, Trial, minimise,
 };
+use dermis_tomo::mesh::Point;
 use faer::linalg::solvers::{DenseSolveCore, Llt};
 use faer::{MatRef, Side};
 
@@ -52,8 +53,8 @@ pub(super) struct Usual {
     pub log_radius: f64,
     pub log_pressure: f64,
     /// Range of positions, metres.
-    pub low_m: [f64; 2],
-    pub high_m: [f64; 2],
+    pub low_m: Point,
+    pub high_m: Point,
 }
 
 /// Covariance of x and y, square metres.

@@ -5,6 +5,7 @@
 
 use dermis_mit::MitError;
 use dermis_skin::{Elements, ElementsLayer};
+use dermis_tomo::mesh::Point;
 use faer::linalg::solvers::{DenseSolveCore, Llt};
 use faer::{Mat, Side};
 
@@ -31,7 +32,7 @@ const RADIUS_STEP: f64 = 1e-3;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Press {
     /// Centre, metres.
-    pub centre_m: [f64; 2],
+    pub centre_m: Point,
     /// Logarithm of the radius in metres.
     pub log_radius: f64,
     /// Logarithm of the pressure in pascals.
@@ -47,7 +48,7 @@ impl Press {
 /// Elements, their cells and their springs.
 #[derive(Clone, Debug)]
 pub(super) struct Mechanics {
-    pub places_m: Vec<[f64; 2]>,
+    pub places_m: Vec<Point>,
     pub cell_m: [f64; 2],
     /// Inverse of `k + c L`, metres per newton: travel of each element per force on another, row by row.
     compliance_m_per_n: Vec<f64>,
@@ -102,7 +103,7 @@ impl Mechanics {
     }
 
     /// True if a position is on the cell of an element.
-    pub(super) fn is_felt(&self, at_m: [f64; 2]) -> bool {
+    pub(super) fn is_felt(&self, at_m: Point) -> bool {
         self.places_m.iter().any(|place| (0..2).all(|k| (at_m[k] - place[k]).abs() <= 0.5 * self.cell_m[k]))
     }
 

@@ -3,6 +3,7 @@
 use dermis_device::HostStamp;
 use dermis_live::clock::FrameAnomalies;
 use dermis_live::skin_frame::SkinFrame;
+use dermis_touch::guard::{GuardReasons, GuardReport};
 use dermis_touch::health::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health};
 use serde::{Serialize, Serializer};
 
@@ -10,7 +11,6 @@ use super::damage::DamageObject;
 use super::each::{Each, seconds};
 use super::extras::LineExtras;
 use super::touch::TouchObject;
-use super::verdict::Verdict;
 
 /// A frame.
 #[derive(Serialize)]
@@ -175,6 +175,33 @@ impl Marks {
         let FrameAnomalies { lost_before, renumbered, clock_jump_ns } = *anomalies;
         let marks = Self { lost_before, renumbered, clock_jump_s: clock_jump_ns as f64 / 1e9 };
         (!anomalies.is_none()).then_some(marks)
+    }
+}
+
+/// The verdict of a guard on a frame.
+#[derive(Serialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+pub(crate) struct Verdict {
+    /// `ok`, `stale` or `stop`.
+    verdict: &'static str,
+    /// Its reasons; none if it is `ok`.
+    #[cfg_attr(test, schemars(with = "Vec<String>"))]
+    reasons: Reasons,
+    /// Always false.
+    safety_rated: bool,
+}
+
+impl Verdict {
+    pub(crate) fn of(report: &GuardReport) -> Self {
+        Self { verdict: report.verdict.name(), reasons: Reasons(report.reasons), safety_rated: false }
+    }
+}
+
+struct Reasons(GuardReasons);
+
+impl Serialize for Reasons {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(|reason| reason.name()))
     }
 }
 

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 
 use super::sheet::{ContactSheet, OF_PRESS, Touched};
 use crate::eit::{EitError, ForwardModel};
+use crate::mesh::Point;
 
 /// Each triangle is divided into the square of this many equal parts to find the plates above it.
 const DIVISIONS: usize = 6;
@@ -18,7 +19,7 @@ const LEAST_CONTACT: f64 = 1e-9;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlatePoint {
     /// Centroid, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Area, m^2.
     pub area_m2: f64,
     /// The cell that it belongs to.
@@ -27,7 +28,7 @@ pub struct PlatePoint {
 
 /// A point before the cells are known: with its plate, and the shares of the corners around it.
 struct Part {
-    position_m: [f64; 2],
+    position_m: Point,
     area_m2: f64,
     plate: u32,
     corners: [(u32, f64); 3],
@@ -87,7 +88,7 @@ impl PlatedSheet {
     pub fn new(
         model: &ForwardModel,
         sheet_s: &[f64],
-        plate_at: impl Fn([f64; 2]) -> Option<u32>,
+        plate_at: impl Fn(Point) -> Option<u32>,
     ) -> Result<Self, EitError> {
         let (sheet, order) = ContactSheet::with_order(model, sheet_s, 0.0)?;
         let mut parts = parts_under_plates(model, &order, plate_at);
@@ -133,7 +134,7 @@ impl PlatedSheet {
     }
 
     /// Indices of points, ascending: all those within a distance of a centre (metres), and few others.
-    pub fn points_near(&self, centre_m: [f64; 2], reach_m: f64) -> impl Iterator<Item = usize> + '_ {
+    pub fn points_near(&self, centre_m: Point, reach_m: f64) -> impl Iterator<Item = usize> + '_ {
         let Columns { left_m, width_m, firsts } = &self.columns;
         let last = firsts.len() - 2;
         let column = |x_m: f64| (((x_m - left_m) / width_m).max(0.0) as usize).min(last);
@@ -197,7 +198,7 @@ impl PlatedSheet {
 }
 
 /// The parts of the mesh's triangles under the plates. `order` has the index in the mesh of each of the sheet's nodes.
-fn parts_under_plates(model: &ForwardModel, order: &[usize], plate_at: impl Fn([f64; 2]) -> Option<u32>) -> Vec<Part> {
+fn parts_under_plates(model: &ForwardModel, order: &[usize], plate_at: impl Fn(Point) -> Option<u32>) -> Vec<Part> {
     let mesh = &model.body.mesh;
     let mut place = vec![0; order.len()];
     order.iter().enumerate().for_each(|(at, &node)| place[node] = at as u32);

@@ -8,6 +8,7 @@ use pulp::{Arch, NullaryFnOnce};
 use super::{ContactPatch, ContactSheet};
 use crate::eit::EitError;
 use crate::eit::protocol::Measurement;
+use crate::mesh::{Point, distance};
 
 /// Number of sets that are extended by one more port.
 const EXTENDED: usize = 60;
@@ -105,7 +106,7 @@ impl PatchSearch {
     ///
     /// # Errors
     /// As [`ContactSheet::change_v`].
-    pub fn new(sheet: &ContactSheet, typical: ContactPatch, places_m: &[[f64; 2]]) -> Result<Self, EitError> {
+    pub fn new(sheet: &ContactSheet, typical: ContactPatch, places_m: &[Point]) -> Result<Self, EitError> {
         let patches: Vec<ContactPatch> =
             places_m.iter().map(|&position_m| ContactPatch { position_m, ..typical }).collect();
         let mut shapes = Vec::with_capacity(patches.len());
@@ -209,8 +210,7 @@ impl PatchSearch {
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
-        let (p, q) = (self.patches[a].position_m, self.patches[b].position_m);
-        (p[0] - q[0]).hypot(p[1] - q[1])
+        distance(self.patches[a].position_m, self.patches[b].position_m)
     }
 
     /// Whitened energy that a set leaves unexplained at its best scale. The currents of all ports but the last are

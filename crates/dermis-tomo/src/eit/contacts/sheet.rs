@@ -8,6 +8,7 @@ use faer::{Mat, MatRef, Side};
 
 use crate::eit::forward::balanced;
 use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
+use crate::mesh::Point;
 use crate::sparse::SparseError;
 
 /// Number of parameters by which the channels are differentiated at once.
@@ -17,7 +18,7 @@ pub(super) const OF_PRESS: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactPatch {
     /// Centre, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Radius, metres.
     pub radius_m: f64,
     /// Contact conductance per area, S/m^2.
@@ -61,7 +62,7 @@ impl Green {
 /// The bare sheet, prepared for any contacts. Nodes are in elimination order.
 #[derive(Debug)]
 pub struct ContactSheet {
-    pub(super) positions_m: Vec<[f64; 2]>,
+    pub(super) positions_m: Vec<Point>,
     /// Area of the sheet represented by each node, m^2.
     pub(super) areas_m2: Vec<f64>,
     /// Width over which the edge of a patch is blurred, metres.

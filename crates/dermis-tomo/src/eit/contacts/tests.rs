@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::eit::{Drive, Driven, EitError, ForwardModel, Measure, Order, Pattern, Protocol, ProtocolSpec};
-use crate::mesh::{Contact, Direction, Electrode, ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+use crate::mesh::{Contact, Direction, Electrode, ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec, distance};
 
 const SHEET_S: f64 = 5e-3;
 
@@ -57,9 +57,7 @@ fn by_floating_electrodes(groups: &[&[ContactPatch]], size_m: f64) -> Vec<f64> {
         [0, 1].map(|axis| cell.iter().map(|&n| body.mesh.nodes()[n as usize][axis]).sum::<f64>() / 3.0)
     };
     let triangles_under = |patches: &[ContactPatch]| -> Vec<u32> {
-        let inside = |at: [f64; 2]| {
-            patches.iter().any(|p| (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]) <= p.radius_m)
-        };
+        let inside = |at: Point| patches.iter().any(|p| distance(at, p.position_m) <= p.radius_m);
         body.mesh.elements().enumerate().filter(|(_, cell)| inside(centre(cell))).map(|(k, _)| k as u32).collect()
     };
     let floating: Vec<Electrode> = groups
@@ -125,7 +123,7 @@ fn next(search: &PatchSearch, sets: &mut PatchSets) -> Vec<ContactPatch> {
 #[test]
 fn known_patches_are_found() {
     let sheet = sheet();
-    let places: Vec<[f64; 2]> =
+    let places: Vec<Point> =
         (0..81).map(|k| [f64::from(k % 9) - 4.0, f64::from(k / 9) - 4.0].map(|v| 10e-3 * v)).collect();
     let typical = ContactPatch { position_m: [0.0; 2], radius_m: 10e-3, conductance_s_per_m2: 500.0 };
     let search = PatchSearch::new(&sheet, typical, &places).unwrap();
@@ -140,11 +138,8 @@ fn known_patches_are_found() {
         let mut sets = search.begin(&sheet, &change, &deviation).unwrap();
         let starts: Vec<_> = (0..3).map(|_| next(&search, &mut sets)).collect();
         for truth in &patches {
-            let distance = |patch: &ContactPatch| {
-                let at = patch.position_m;
-                (at[0] - truth.position_m[0]).hypot(at[1] - truth.position_m[1])
-            };
-            let near = starts[patches.len() - 1].iter().map(distance).fold(f64::INFINITY, f64::min);
+            let distances = starts[patches.len() - 1].iter().map(|patch| distance(patch.position_m, truth.position_m));
+            let near = distances.fold(f64::INFINITY, f64::min);
             // Near enough for a fit: no other patch is nearer.
             assert!(near < 20e-3, "{near} m off");
         }
@@ -163,11 +158,11 @@ fn nonsense_is_refused() {
 fn plates_are_separate_floating_electrodes() {
     let model = ForwardModel::new(body(2e-3), protocol()).unwrap();
     let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
-    let plated = |plate_at: &dyn Fn([f64; 2]) -> Option<u32>| PlatedSheet::new(&model, &sheet_s, plate_at).unwrap();
+    let plated = |plate_at: &dyn Fn(Point) -> Option<u32>| PlatedSheet::new(&model, &sheet_s, plate_at).unwrap();
     let patches = [patch(-18.0, 5.0, 9.0), patch(16.0, -4.0, 9.0)];
     let conductance = |sheet: &PlatedSheet| -> Vec<(usize, f64)> {
-        let covers = |p: &ContactPatch, at: [f64; 2]| {
-            let off_m = (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]);
+        let covers = |p: &ContactPatch, at: Point| {
+            let off_m = distance(at, p.position_m);
             // Blurred over a node's size, as the patches of a sandwich are.
             ((p.radius_m - off_m) / 2e-3 + 0.5).clamp(0.0, 1.0)
         };
@@ -189,7 +184,7 @@ fn derivatives_of_plates_agree_with_differences() {
     let model = ForwardModel::new(body(4e-3), protocol()).unwrap();
     let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
     // Stripes of 8 mm with gaps of 2 mm between them.
-    let stripe = |at: [f64; 2]| {
+    let stripe = |at: Point| {
         let along = (at[0] + 0.05) / 0.01;
         ((along - along.floor() - 0.5).abs() < 0.4).then_some(along.floor() as u32)
     };
@@ -224,13 +219,13 @@ fn the_points_near_a_place_are_those_within_its_reach_and_few_others() {
     // In the middle, at the rim, and outside.
     for (centre, reach_m) in [([3e-3, -7e-3], 0.018), ([0.049, 0.01], 0.012), ([-0.07, 0.0], 0.03), ([0.2, 0.2], 0.01)]
     {
-        let away = |point: &PlatePoint| (point.position_m[0] - centre[0]).hypot(point.position_m[1] - centre[1]);
         let near: Vec<usize> = sheet.points_near(centre, reach_m).collect();
         assert!(near.is_sorted());
-        let within: Vec<usize> = (0..sheet.points().len()).filter(|&k| away(&sheet.points()[k]) <= reach_m).collect();
+        let within: Vec<usize> =
+            (0..sheet.points().len()).filter(|&k| distance(sheet.points()[k].position_m, centre) <= reach_m).collect();
         assert!(within.iter().all(|point| near.binary_search(point).is_ok()), "{centre:?}");
         // Columns are as wide as an element: they stand out from the disc by at most that.
-        let beyond = near.iter().map(|&point| away(&sheet.points()[point])).fold(0.0, f64::max);
+        let beyond = near.iter().map(|&k| distance(sheet.points()[k].position_m, centre)).fold(0.0, f64::max);
         assert!(beyond <= reach_m.max(0.0) + 8e-3, "{beyond}");
     }
 }

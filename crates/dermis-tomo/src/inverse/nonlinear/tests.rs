@@ -1,7 +1,7 @@
 use super::*;
 use crate::eit::{Drive, Driven, Measure, Order, ProtocolSpec};
 use crate::inverse::{Guess, GuessCorrelations, ImageBasis, LinearProblem, Prior};
-use crate::mesh::{Direction, Outline, PixelGrid, SheetSpec};
+use crate::mesh::{Direction, Outline, PixelGrid, Point, SheetSpec};
 
 const REST: f64 = 0.4;
 
@@ -36,7 +36,7 @@ impl Tank {
 
     /// Difference data for a blob with this log conductivity.
     fn blob(&self, log_conductivity: f64) -> (Vec<f64>, Vec<f64>) {
-        let inside = |p: &[f64; 2]| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.03;
+        let inside = |p: &Point| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.03;
         let image: Vec<f64> =
             self.map.inside_centres_m().iter().map(|p| if inside(p) { log_conductivity } else { 0.0 }).collect();
         let sigma: Vec<f64> = self.map.to_elements(&image).unwrap().iter().map(|y| REST * y.exp()).collect();
@@ -140,7 +140,7 @@ fn an_image_about_a_guess_improves_it_for_any_common_factor() {
     // Half of the blob, with large uncertainty around it.
     let centres = tank.map.inside_centres_m();
     let guess: Vec<f64> = centres.iter().zip(&truth).map(|(p, y)| if p[0] < 0.03 { *y } else { 0.0 }).collect();
-    let near = |p: &[f64; 2]| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.045;
+    let near = |p: &Point| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.045;
     let deviation: Vec<f64> = centres.iter().map(|p| if near(p) { 1.0 } else { 0.05 }).collect();
     let positions: Vec<[f64; 3]> = centres.iter().map(|p| [p[0], p[1], 0.0]).collect();
     let covariance = SmoothCovariance::new(&positions, 0.04, None).unwrap();

@@ -7,6 +7,7 @@ use crate::inverse::InverseError;
 use crate::least_squares::{
     NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise, minimise, solve_factored,
 };
+use crate::mesh::Point;
 
 /// Summary of a fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -57,7 +58,7 @@ impl SpotModel {
     pub fn fit(
         &self,
         difference: &[f64],
-        starts_m: &[[f64; 2]],
+        starts_m: &[Point],
         scratch: &mut FitScratch,
     ) -> Result<FitOutcome, InverseError> {
         let outcome = self.fit_in_proportion(difference, starts_m, scratch)?;
@@ -91,7 +92,7 @@ impl SpotModel {
     pub fn fit_in_proportion(
         &self,
         difference: &[f64],
-        starts_m: &[[f64; 2]],
+        starts_m: &[Point],
         scratch: &mut FitScratch,
     ) -> Result<FitOutcome, InverseError> {
         self.check_fit(difference, starts_m)?;
@@ -145,7 +146,7 @@ impl SpotModel {
     ///
     /// # Errors
     /// A position or radius outside the table; channels that cannot distinguish the parameters.
-    pub fn bound(&self, position_m: [f64; 2], amplitude: f64, radius_m: f64) -> Result<[[f64; 4]; 4], InverseError> {
+    pub fn bound(&self, position_m: Point, amplitude: f64, radius_m: f64) -> Result<[[f64; 4]; 4], InverseError> {
         let (mut scratch, log_radius) = (self.scratch(), radius_m.ln());
         let rows = &mut scratch.rows[..OF_SPOT * self.combinations()];
         self.responses.evaluate(position_m, log_radius, &mut scratch.tabulated, rows).ok_or(InverseError::Value {
@@ -167,7 +168,7 @@ impl SpotModel {
         }
     }
 
-    fn check_fit(&self, difference: &[f64], starts_m: &[[f64; 2]]) -> Result<(), InverseError> {
+    fn check_fit(&self, difference: &[f64], starts_m: &[Point]) -> Result<(), InverseError> {
         if difference.len() != self.channels() {
             let (expected, got) = (self.channels(), difference.len());
             return Err(InverseError::Size { what: "channels of the frame", expected, got });
@@ -189,7 +190,7 @@ impl SpotModel {
     }
 
     /// Starts all spots at one radius: the one at which amplitudes alone explain most of the frame.
-    fn begin(&self, starts_m: &[[f64; 2]], scratch: &mut FitScratch) -> Result<f64, InverseError> {
+    fn begin(&self, starts_m: &[Point], scratch: &mut FitScratch) -> Result<f64, InverseError> {
         let [least, most] = self.responses.log_radii();
         let typical = self.options().typical_radius_m.ln().clamp(least, most);
         let mut best = (f64::INFINITY, typical);
@@ -203,7 +204,7 @@ impl SpotModel {
     }
 
     /// Fits amplitudes at fixed positions and one radius. Returns the cost and the uniform change.
-    fn linear(&self, starts_m: &[[f64; 2]], log_radius: f64, scratch: &mut FitScratch) -> (f64, f64) {
+    fn linear(&self, starts_m: &[Point], log_radius: f64, scratch: &mut FitScratch) -> (f64, f64) {
         let length = self.combinations();
         scratch.state.clear();
         for (k, start) in starts_m.iter().enumerate() {

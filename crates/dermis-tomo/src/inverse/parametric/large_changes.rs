@@ -11,6 +11,7 @@ use std::sync::Arc;
 use faer::{Mat, MatRef};
 
 use super::responses::Responses;
+use crate::mesh::Point;
 
 /// Lowest change used. A perfect insulator responds like -2.
 const LOWEST: f64 = -0.95;
@@ -64,7 +65,7 @@ pub(super) struct LargeChanges {
     jacobian: Mat<f32>,
     /// Change of all pixels (rows) by a load on one (columns). Without it, a load changes only its own pixel.
     spread: Option<Mat<f32>>,
-    positions_m: Vec<[f64; 2]>,
+    positions_m: Vec<Point>,
     /// 1 if positive spots raise conductivity, -1 if they lower it.
     sign: f64,
 }
@@ -98,7 +99,7 @@ impl LargeChanges {
         projection: &[f32],
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
-        positions_m: &[[f64; 2]],
+        positions_m: &[Point],
         sign: f64,
     ) -> Self {
         let single = |m: MatRef<'_, f64>| Mat::from_fn(m.nrows(), m.ncols(), |row, column| m[(row, column)] as f32);
@@ -129,7 +130,7 @@ impl LargeChanges {
     /// True if any of these spots (as in [`LargeChanges::take_out`]) changes a pixel by more than `SMALL`.
     pub(super) fn are_large(
         &self,
-        mut spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
+        mut spots: impl Iterator<Item = (Point, f64, f64)>,
         scratch: &mut LargeScratch,
     ) -> bool {
         spots.any(|(position_m, radius_m, amplitude)| {
@@ -145,7 +146,7 @@ impl LargeChanges {
     /// work is allowed.
     pub(super) fn take_out(
         &self,
-        spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
+        spots: impl Iterator<Item = (Point, f64, f64)>,
         responses: &Responses,
         scratch: &mut LargeScratch,
         residual: &mut [f32],
@@ -186,7 +187,7 @@ impl LargeChanges {
     }
 
     /// Largest change by a load of amplitude 1, which is 1 without a spread.
-    pub(super) fn largest(&self, position_m: [f64; 2], radius_m: f64, scratch: &mut LargeScratch) -> f64 {
+    pub(super) fn largest(&self, position_m: Point, radius_m: f64, scratch: &mut LargeScratch) -> f64 {
         if self.spread.is_none() {
             return 1.0;
         }
@@ -196,7 +197,7 @@ impl LargeChanges {
     }
 
     /// Changes of all pixels by a load of amplitude 1.
-    fn one(&self, [x, y]: [f64; 2], radius_m: f64, one: &mut [f32]) {
+    fn one(&self, [x, y]: Point, radius_m: f64, one: &mut [f32]) {
         one.fill(0.0);
         let per = 0.5 / (radius_m * radius_m);
         for (pixel, at) in self.positions_m.iter().enumerate() {

@@ -10,7 +10,8 @@ use super::large_changes::{ChangeResponse, LargeChanges};
 use super::responses::Responses;
 use super::table::Table;
 use crate::inverse::InverseError;
-use crate::inverse::check::positive;
+use crate::inverse::error::positive;
+use crate::mesh::Point;
 
 /// Largest number of combinations of channels kept.
 const MOST_COMBINATIONS: usize = 128;
@@ -49,7 +50,7 @@ impl SpotModel {
         response: MatRef<'_, f64>,
         uniform: &[f64],
         deviations: &[f64],
-        positions_m: &[[f64; 2]],
+        positions_m: &[Point],
         pixel_m: f64,
         options: SpotOptions,
     ) -> Result<Self, InverseError> {
@@ -91,7 +92,7 @@ impl SpotModel {
         response: ChangeResponse,
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
-        positions_m: &[[f64; 2]],
+        positions_m: &[Point],
         sign: f64,
     ) -> Result<Self, InverseError> {
         let (channels, count, pixels) = (self.channels, self.combinations(), positions_m.len());
@@ -233,7 +234,7 @@ impl SpotModel {
     ///
     /// # Errors
     /// A position or radius outside the table.
-    pub fn response(&self, position_m: [f64; 2], radius_m: f64) -> Result<Vec<f64>, InverseError> {
+    pub fn response(&self, position_m: Point, radius_m: f64) -> Result<Vec<f64>, InverseError> {
         let mut rows = vec![0.0; 4 * self.combinations()];
         let mut tabulated = self.responses.scratch();
         self.responses.evaluate(position_m, radius_m.ln(), &mut tabulated, &mut rows).ok_or(InverseError::Value {
@@ -258,7 +259,7 @@ impl SpotModel {
 fn check(
     response: MatRef<'_, f64>,
     deviations: &[f64],
-    positions_m: &[[f64; 2]],
+    positions_m: &[Point],
     pixel_m: f64,
     options: &SpotOptions,
 ) -> Result<(), InverseError> {

@@ -8,6 +8,7 @@ use faer::{Mat, MatRef};
 
 use super::products::{KINDS, WeightedColumns, sum_up};
 use super::table::Table;
+use crate::mesh::Point;
 
 #[derive(Clone, Debug)]
 pub(super) struct Responses {
@@ -38,7 +39,7 @@ impl Responses {
     /// As [`Table::evaluate`], in the model's combinations.
     pub(super) fn evaluate(
         &self,
-        position_m: [f64; 2],
+        position_m: Point,
         log_radius: f64,
         scratch: &mut [f32],
         out: &mut [f32],
@@ -50,13 +51,7 @@ impl Responses {
     }
 
     /// As [`Table::value`], in the model's combinations.
-    pub(super) fn value(
-        &self,
-        position_m: [f64; 2],
-        log_radius: f64,
-        scratch: &mut [f32],
-        out: &mut [f32],
-    ) -> Option<()> {
+    pub(super) fn value(&self, position_m: Point, log_radius: f64, scratch: &mut [f32], out: &mut [f32]) -> Option<()> {
         if self.combination.is_none() {
             return self.table.value(position_m, log_radius, out);
         }
@@ -80,12 +75,12 @@ impl Responses {
     }
 
     /// Positions of the table, every `stride`-th along each side, metres.
-    pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
+    pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = Point> + '_ {
         self.table.places(stride)
     }
 
     /// True if spots are tabulated at a position.
-    pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
+    pub(super) fn holds(&self, position_m: Point) -> bool {
         self.table.holds(position_m)
     }
 

@@ -3,6 +3,7 @@
 use super::SpotModel;
 use super::large_changes::LargeScratch;
 use crate::least_squares::Scratch;
+use crate::mesh::Point;
 
 /// Number of parameters of a spot.
 pub(super) const OF_SPOT: usize = 4;
@@ -11,7 +12,7 @@ pub(super) const OF_SPOT: usize = 4;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spot {
     /// Centre, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Height: relative change of conductivity.
     pub amplitude: f64,
     /// Radius r of `exp(-d^2 / (2 r^2))`, metres.
@@ -44,7 +45,7 @@ pub struct FitScratch {
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct State {
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     pub amplitude: f64,
     pub log_radius: f64,
 }

@@ -12,6 +12,7 @@ use super::scratch::{FitScratch, OF_SPOT, State};
 use super::{Spot, SpotModel};
 use crate::inverse::InverseError;
 use crate::least_squares::{factorise, solve_factored};
+use crate::mesh::{Point, distance};
 
 /// Radii of the filter, as shares of the logarithmic range from the typical radius to the largest of the table.
 const RADII: [f64; 3] = [0.0, 0.35, 0.7];
@@ -36,7 +37,7 @@ const RIDGE: f64 = 1e-6;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpotProposal {
     /// Centre, metres.
-    pub position_m: [f64; 2],
+    pub position_m: Point,
     /// Radius, metres.
     pub radius_m: f64,
     /// Least-squares amplitude with the other spots held fixed.
@@ -48,7 +49,7 @@ pub struct SpotProposal {
 /// The matched filter of one model: whitened responses at the candidate positions.
 #[derive(Clone, Debug)]
 pub struct SpotFilter {
-    places: Vec<([f64; 2], f64)>,
+    places: Vec<(Point, f64)>,
     /// Responses one after the other, each of unit length and orthogonal to the uniform change.
     unit: Vec<f32>,
     norms: Vec<f32>,
@@ -57,7 +58,7 @@ pub struct SpotFilter {
 
 impl SpotModel {
     /// The matched filter of this model over the positions of the table for which `is_inside` holds.
-    pub fn filter(&self, is_inside: impl Fn([f64; 2]) -> bool) -> SpotFilter {
+    pub fn filter(&self, is_inside: impl Fn(Point) -> bool) -> SpotFilter {
         let length = self.combinations();
         let [_, most] = self.responses.log_radii();
         let typical = self.options().typical_radius_m.ln();
@@ -158,7 +159,7 @@ impl SpotModel {
 
     /// Largest change caused by a spot of amplitude 1. A membrane makes it larger under a wide spot than under a narrow
     /// one; on a sheet, and in models without large changes, it is 1.
-    pub fn largest_change(&self, position_m: [f64; 2], radius_m: f64, scratch: &mut FitScratch) -> f64 {
+    pub fn largest_change(&self, position_m: Point, radius_m: f64, scratch: &mut FitScratch) -> f64 {
         self.loads.as_ref().map_or(1.0, |loads| loads.largest(position_m, radius_m, &mut scratch.large))
     }
 
@@ -191,10 +192,7 @@ impl SpotModel {
             let mut best: Option<(usize, f32)> = None;
             for (k, product) in values.iter().enumerate() {
                 let value = if negative { product.abs() } else { *product };
-                let is_apart = |other: &SpotProposal| {
-                    let [x, y] = filter.places[k].0;
-                    (x - other.position_m[0]).hypot(y - other.position_m[1]) >= apart
-                };
+                let is_apart = |other: &SpotProposal| distance(filter.places[k].0, other.position_m) >= apart;
                 if value > best.map_or(0.0, |(_, most)| most) && found.iter().all(is_apart) {
                     best = Some((k, value));
                 }

@@ -3,8 +3,8 @@
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
-use super::SpotOptions;
 use super::products::{KINDS, WeightedColumns, sum_up};
+use crate::mesh::Point;
 
 /// Largest ratio of neighbouring radii: the response changes little enough between them for cubics.
 const RADIUS_FACTOR: f64 = 1.4;
@@ -15,10 +15,23 @@ const MOST_ALONG: f64 = 44.0;
 /// Exponent beyond which a spot counts as zero: 6e-6.
 const NOTHING: f64 = 12.0;
 
+/// The range of spots that the table covers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpotOptions {
+    /// Smallest radius, metres: about a pixel. Below that, the pixels become visible.
+    pub smallest_radius_m: f64,
+    /// Largest radius, metres.
+    pub largest_radius_m: f64,
+    /// Expected radius (the mean of the prior), metres.
+    pub typical_radius_m: f64,
+    /// Largest number of spots fitted together.
+    pub most_spots: usize,
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct Table {
     /// Lowest position.
-    low_m: [f64; 2],
+    low_m: Point,
     step_m: f64,
     columns: usize,
     rows: usize,
@@ -33,7 +46,7 @@ pub(super) struct Table {
 
 impl Table {
     /// Tabulates the responses. `reduced` is combinations x pixels.
-    pub(super) fn new(reduced: MatRef<'_, f64>, positions_m: &[[f64; 2]], pixel_m: f64, options: &SpotOptions) -> Self {
+    pub(super) fn new(reduced: MatRef<'_, f64>, positions_m: &[Point], pixel_m: f64, options: &SpotOptions) -> Self {
         let extreme =
             |axis: usize, of: fn(f64, f64) -> f64, start: f64| positions_m.iter().map(|p| p[axis]).fold(start, of);
         let low = [0, 1].map(|axis| extreme(axis, f64::min, f64::INFINITY));
@@ -61,7 +74,7 @@ impl Table {
             let of_row = |row: usize| -> Vec<f32> {
                 let y = low_m[1] + row as f64 * step_m;
                 let reach = r * (2.0 * NOTHING).sqrt();
-                let near = |p: &[f64; 2]| (p[1] - y).abs() <= reach;
+                let near = |p: &Point| (p[1] - y).abs() <= reach;
                 let first = positions_m.iter().position(near).unwrap_or(0);
                 let end = positions_m.iter().rposition(near).map_or(first, |last| last + 1);
                 let of_y: Vec<f64> = positions_m[first..end].iter().map(|p| along(p[1] - y, r)).collect();
@@ -81,7 +94,7 @@ impl Table {
 
     /// The response at a position and log radius, then its derivatives by x, y (per metre) and log r, one after the
     /// other in `out` (four times the length). `None` outside the table.
-    pub(super) fn evaluate(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
+    pub(super) fn evaluate(&self, position_m: Point, log_radius: f64, out: &mut [f32]) -> Option<()> {
         let Around { first, x: [wx, dx], y: [wy, dy], r: [wr, dr] } = self.around(position_m, log_radius)?;
         let (per_m, per_log) = (1.0 / self.step_m, 1.0 / self.log_step);
         let mut terms = [([0.0_f32; KINDS], 0); 64];
@@ -100,7 +113,7 @@ impl Table {
         Some(())
     }
 
-    fn around(&self, position_m: [f64; 2], log_radius: f64) -> Option<Around> {
+    fn around(&self, position_m: Point, log_radius: f64) -> Option<Around> {
         let (column, x) = cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns)?;
         let (row, y) = cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows)?;
         let (radius, r) = cell((log_radius - self.log_first) / self.log_step, self.radii)?;
@@ -109,7 +122,7 @@ impl Table {
     }
 
     /// The response alone, without its derivatives; see [`Table::evaluate`].
-    pub(super) fn value(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
+    pub(super) fn value(&self, position_m: Point, log_radius: f64, out: &mut [f32]) -> Option<()> {
         let Around { first, x: [wx, _], y: [wy, _], r: [wr, _] } = self.around(position_m, log_radius)?;
         out.fill(0.0);
         for k in 0..4 {
@@ -126,7 +139,7 @@ impl Table {
     }
 
     /// Positions between the margins, every `stride`-th along each side, metres.
-    pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
+    pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = Point> + '_ {
         let along = move |count: usize| (MARGIN - 1..count.saturating_sub(MARGIN - 1)).step_by(stride);
         let at = |axis: usize, k: usize| self.low_m[axis] + k as f64 * self.step_m;
         along(self.rows).flat_map(move |row| along(self.columns).map(move |column| [at(0, column), at(1, row)]))
@@ -138,7 +151,7 @@ impl Table {
     }
 
     /// True if spots are tabulated at a position.
-    pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
+    pub(super) fn holds(&self, position_m: Point) -> bool {
         cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns).is_some()
             && cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows).is_some()
     }

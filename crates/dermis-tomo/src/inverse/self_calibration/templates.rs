@@ -3,15 +3,16 @@
 
 use faer::{Mat, MatRef};
 
-use super::super::check::positive;
+use super::super::error::positive;
 use super::super::{InverseError, check_finite};
+use crate::mesh::Point;
 
 /// Voltage changes due to a touch of unit conductivity change at each of a list of places.
 #[derive(Clone, Debug)]
 pub struct TouchTemplates {
     /// Channels x places.
     matrix: Mat<f64>,
-    places_m: Vec<[f64; 2]>,
+    places_m: Vec<Point>,
 }
 
 impl TouchTemplates {
@@ -20,7 +21,7 @@ impl TouchTemplates {
     ///
     /// # Errors
     /// No channel or place, mismatched sizes, or non-finite values.
-    pub fn new(matrix: Mat<f64>, places_m: Vec<[f64; 2]>) -> Result<Self, InverseError> {
+    pub fn new(matrix: Mat<f64>, places_m: Vec<Point>) -> Result<Self, InverseError> {
         if places_m.is_empty() || places_m.len() != matrix.ncols() {
             let expected = matrix.ncols().max(1);
             return Err(InverseError::Size { what: "places of the templates", expected, got: places_m.len() });
@@ -43,8 +44,8 @@ impl TouchTemplates {
     /// As [`TouchTemplates::new`]; also fails if the touch size is not positive and finite.
     pub fn blurred(
         jacobian: MatRef<'_, f64>,
-        pixels_m: &[[f64; 2]],
-        places_m: &[[f64; 2]],
+        pixels_m: &[Point],
+        places_m: &[Point],
         touch_sigma_m: f64,
     ) -> Result<Self, InverseError> {
         if pixels_m.len() != jacobian.ncols() {
@@ -64,11 +65,11 @@ impl TouchTemplates {
     }
 
     /// Positions of the columns, metres.
-    pub fn places_m(&self) -> &[[f64; 2]] {
+    pub fn places_m(&self) -> &[Point] {
         &self.places_m
     }
 }
 
-pub(super) fn square_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+pub(super) fn square_distance(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
 }

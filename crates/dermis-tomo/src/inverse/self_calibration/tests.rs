@@ -2,7 +2,7 @@ use std::sync::OnceLock;
 
 use super::*;
 use crate::eit::{ForwardModel, Pattern, Protocol, ReadoutCircuit};
-use crate::mesh::{Direction, ElectrodedMesh, Outline, PixelGrid, PixelMap, SheetSpec};
+use crate::mesh::{Direction, ElectrodedMesh, Outline, PixelGrid, PixelMap, Point, SheetSpec};
 
 const RADIUS_M: f64 = 0.05;
 const ELECTRODES: usize = 16;
@@ -34,7 +34,7 @@ struct Skin {
     templates: TouchTemplates,
     voltages: Vec<f64>,
     frames: Vec<Vec<f64>>,
-    touches_m: Vec<[f64; 2]>,
+    touches_m: Vec<Point>,
 }
 
 fn skin() -> &'static Skin {
@@ -55,7 +55,7 @@ fn model() -> (TouchTemplates, Vec<f64>) {
     let effective = ForwardModel::new(body, response.effective).unwrap();
     let jacobian = effective.solve(&uniform).unwrap().jacobian_to_pixels(&map);
     let pixels = map.inside_centres_m();
-    let places: Vec<[f64; 2]> = pixels.iter().copied().filter(|p| p[0].hypot(p[1]) < 0.043).collect();
+    let places: Vec<Point> = pixels.iter().copied().filter(|p| p[0].hypot(p[1]) < 0.043).collect();
     (TouchTemplates::blurred(jacobian.as_mat(), &pixels, &places, 0.005).unwrap(), response.voltages)
 }
 
@@ -78,7 +78,7 @@ fn simulate() -> (Vec<Vec<f64>>, Vec<[f64; 2]>) {
         let (radius, angle) = (0.04 * ((k as f64 + 0.5) / FRAMES as f64).sqrt(), 2.399_963 * k as f64);
         [radius * angle.cos(), radius * angle.sin()]
     };
-    let touches_m: Vec<[f64; 2]> = (0..FRAMES).map(touch).collect();
+    let touches_m: Vec<Point> = (0..FRAMES).map(touch).collect();
     let change = |v: f64, v0: f64| (v - v0) / v0;
     let frames =
         touches_m.iter().map(|&t| read(Some(t)).iter().zip(&baseline).map(|(&v, &v0)| change(v, v0)).collect());

@@ -1,6 +1,7 @@
 //! The pixel grid of images.
 
 use crate::mesh::core::{Mesh, MeshError};
+use crate::mesh::plane::Point;
 use crate::mesh::shapes;
 
 /// Maximum number of pixels along a side.
@@ -28,7 +29,7 @@ impl PixelGrid {
     ///
     /// # Errors
     /// Bounds that are not finite or in the wrong order, and pixel counts of 0 or above 8192.
-    pub fn covering(low_m: [f64; 2], high_m: [f64; 2], pixels: usize) -> Result<Self, MeshError> {
+    pub fn covering(low_m: Point, high_m: Point, pixels: usize) -> Result<Self, MeshError> {
         let (width, height) = (high_m[0] - low_m[0], high_m[1] - low_m[1]);
         shapes::check_length("grid width", width)?;
         shapes::check_length("grid height", height)?;
@@ -62,18 +63,18 @@ impl PixelGrid {
     }
 
     /// Centre of a pixel given by its row-major index, metres.
-    pub fn centre_m(&self, index: usize) -> [f64; 2] {
+    pub fn centre_m(&self, index: usize) -> Point {
         let (row, column) = (index / self.columns, index % self.columns);
         [self.left_m + (column as f64 + 0.5) * self.pixel_m, self.top_m - (row as f64 + 0.5) * self.pixel_m]
     }
 
     /// Centres of all pixels, row-major, metres.
-    pub fn centres_m(&self) -> Vec<[f64; 2]> {
+    pub fn centres_m(&self) -> Vec<Point> {
         (0..self.len()).map(|index| self.centre_m(index)).collect()
     }
 
     /// Row-major index of the pixel that contains a point, if any.
-    pub fn pixel_at(&self, point_m: [f64; 2]) -> Option<usize> {
+    pub fn pixel_at(&self, point_m: Point) -> Option<usize> {
         let column = ((point_m[0] - self.left_m) / self.pixel_m).floor();
         let row = ((self.top_m - point_m[1]) / self.pixel_m).floor();
         let inside = column >= 0.0 && row >= 0.0 && column < self.columns as f64 && row < self.rows as f64;

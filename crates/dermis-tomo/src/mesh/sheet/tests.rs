@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::mesh::Direction;
+use crate::mesh::plane::Point;
 
 const DISC: Outline = Outline::Disc { radius_m: 0.1 };
 const SQUARE: Outline = Outline::Rectangle { width_m: 0.1, height_m: 0.1 };
@@ -20,7 +21,7 @@ fn area(mesh: &ElectrodedMesh) -> f64 {
 }
 
 /// Mean position of an electrode's nodes.
-fn middle(mesh: &ElectrodedMesh, electrode: usize) -> [f64; 2] {
+fn middle(mesh: &ElectrodedMesh, electrode: usize) -> Point {
     let nodes: Vec<u32> = match &mesh.electrodes[electrode].contact {
         Contact::Faces(faces) => faces.concat(),
         Contact::Area(elements) => elements.iter().flat_map(|&e| mesh.mesh.element(e as usize).to_vec()).collect(),
@@ -108,8 +109,8 @@ fn square_with_electrodes_per_side_begins_bottom_left() {
         assert_relative(length, 0.01, 1e-12);
     }
     let close = |electrode: usize, wanted: [f64; 2]| {
-        let [x, y] = middle(&mesh, electrode);
-        assert!((x - wanted[0]).hypot(y - wanted[1]) < 1e-9, "electrode {electrode} at {x}, {y}");
+        let found = middle(&mesh, electrode);
+        assert!(distance(found, wanted) < 1e-9, "electrode {electrode} at {found:?}");
     };
     close(0, [-0.0375, -0.05]);
     close(4, [0.05, -0.0375]);
@@ -288,7 +289,7 @@ fn mistakes_are_named() {
         let message = refused(outline, electrodes);
         assert!(message.contains(expected), "{message:?} should say {expected:?}");
     }
-    let polygon = |outer: &[[f64; 2]], hole: &[[f64; 2]]| {
+    let polygon = |outer: &[Point], hole: &[Point]| {
         refused(&Outline::Polygon { outer: outer.to_vec(), holes: vec![hole.to_vec()] }, vec![])
     };
     let unit = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
@@ -322,7 +323,7 @@ proptest! {
             let angle = turn + TAU * k as f64 / count;
             [r * angle.cos(), r * angle.sin()]
         };
-        let outer: Vec<[f64; 2]> = radii.iter().enumerate().map(corner).collect();
+        let outer: Vec<Point> = radii.iter().enumerate().map(corner).collect();
         let sharpest = (0..outer.len()).map(|k| {
             let (a, b, c) = (outer[(k + outer.len() - 1) % outer.len()], outer[k], outer[(k + 1) % outer.len()]);
             let (u, v) = ([a[0] - b[0], a[1] - b[1]], [c[0] - b[0], c[1] - b[1]]);

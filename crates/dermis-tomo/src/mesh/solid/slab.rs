@@ -53,14 +53,14 @@ pub enum PatchShape {
     /// [`PrismSpec`](super::PrismSpec).
     Circle {
         /// Centre.
-        centre_m: [f64; 2],
+        centre_m: Point,
         /// Radius.
         radius_m: f64,
     },
     /// Grid lines run along its edges, so its area is exact.
     Rectangle {
         /// Centre.
-        centre_m: [f64; 2],
+        centre_m: Point,
         /// Along the face's first axis.
         width_m: f64,
         /// Along the face's second axis.
@@ -69,7 +69,7 @@ pub enum PatchShape {
     /// One node, with grid lines through it.
     Point {
         /// Position of the node.
-        position_m: [f64; 2],
+        position_m: Point,
     },
 }
 

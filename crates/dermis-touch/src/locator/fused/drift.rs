@@ -6,7 +6,8 @@ use super::inverse::{Memory, Regression};
 use super::report::Accuracy;
 use crate::locator::data::{Examples, MIN_EXAMPLES};
 use crate::locator::error::LocatorError;
-use crate::typical::evenly;
+use crate::plane::distance;
+use crate::statistics::evenly;
 
 /// Maximum number of pokes used. The statistic needs no more, and its time grows with their cube.
 const MOST: usize = 2000;
@@ -81,8 +82,7 @@ fn errors(
         found.push(regression.guess(&row, &mut memory, None).mean_m);
     }
     let truth: Vec<[f64; 2]> = tested.iter().map(|&i| places[i]).collect();
-    let distance = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]).max(1e-12).ln();
-    let logarithms = found.iter().zip(&truth).map(distance).collect();
+    let logarithms = found.iter().zip(&truth).map(|(a, b)| distance(*a, *b).max(1e-12).ln()).collect();
     Ok((Accuracy::of(found.iter().copied(), &truth), logarithms))
 }
 

@@ -8,7 +8,7 @@
 //! frame.
 
 use crate::locator::posterior::{ONE_SIGMA, SELECTION_MARGIN, Trial, log_student, weighted_quantile};
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Powers tried of the misfit and of the distance, the defaults first.
 const MISFIT_POWERS: [f64; 4] = [0.0, 0.5, 1.0, 1.5];

@@ -8,7 +8,7 @@
 use crate::locator::data::{Examples, MIN_CHANNELS};
 use crate::locator::design::channel_weights;
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::typical::median;
+use crate::statistics::median;
 
 /// Lower bound on a channel's median, as a share of the median channel's.
 const SMALLEST_MEDIAN: f64 = 0.2;
@@ -157,7 +157,7 @@ pub(super) fn fill_from_neighbours(units: &mut [Vec<f64>], present: &[Vec<bool>]
             continue;
         }
         let mut order: Vec<usize> = (0..units.len()).filter(|j| *j != i).collect();
-        let distance = |j: usize| crate::locator::pair_correlations::squared_distance(positions[i], positions[j]);
+        let distance = |j: usize| crate::plane::squared_distance(positions[i], positions[j]);
         order.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)));
         for k in 0..present[i].len() {
             if present[i][k] {

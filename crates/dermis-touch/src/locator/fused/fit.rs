@@ -20,7 +20,7 @@ use crate::locator::model::Locator;
 use crate::locator::posterior::{CHOSEN_QUANTITIES, ONE_SIGMA, Spread, Trial, quantile};
 use crate::locator::regression::{WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
-use crate::typical::{evenly, spacing};
+use crate::statistics::{evenly, spacing};
 
 /// Number of principal components of the inverse expert's features.
 pub(super) const PLAIN_RANK: usize = 64;
@@ -213,7 +213,7 @@ fn best_mix(first: &LeftOutPlaces, second: &LeftOutPlaces, truth: &[[f64; 2]]) -
     let score = |places: &[[f64; 2]]| {
         let squares: Vec<f64> =
             places.iter().zip(truth).map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).collect();
-        let middle = crate::typical::median(&squares).max(f64::MIN_POSITIVE);
+        let middle = crate::statistics::median(&squares).max(f64::MIN_POSITIVE);
         squares.iter().map(|s| (s + middle).ln()).sum::<f64>()
     };
     let mut best = (f64::INFINITY, 1.0, Vec::new());

@@ -14,7 +14,7 @@ use crate::locator::fit::{Fitting, Grid, default_hyperparameters, prepare};
 use crate::locator::posterior::{SELECTION_MARGIN, extent};
 use crate::locator::regression::WorkedOut;
 use crate::locator::turn::{Turn, log_density};
-use crate::typical::{evenly, spacing};
+use crate::statistics::{evenly, spacing};
 
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
 pub(super) const GRID: Grid =

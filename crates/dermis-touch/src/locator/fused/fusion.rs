@@ -12,9 +12,9 @@
 use std::collections::HashMap;
 
 use super::inverse::Guess;
-use crate::locator::pair_correlations::squared_distance;
 use crate::locator::posterior::{ONE_SIGMA, log_student, weighted_quantile};
 use crate::locator::rows::exponentials;
+use crate::plane::squared_distance;
 
 /// Temperatures b tried.
 const TEMPERATURES: [f64; 8] = [0.0, 0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0];

@@ -13,10 +13,11 @@ use faer::{Mat, Side};
 
 use super::landmarks;
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::locator::pair_correlations::{Sessions, squared_distance};
+use crate::locator::pair_correlations::Sessions;
 use crate::locator::posterior::quantile;
 use crate::locator::rows::{dot, matern52, matern52_of, products};
-use crate::typical::{evenly, median};
+use crate::plane::squared_distance;
+use crate::statistics::{evenly, median};
 
 /// Lengths tried, relative to the median distance between examples.
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];

@@ -7,8 +7,8 @@ use super::model::FusedLocator;
 use crate::locator::data::{LoadEstimate, Located};
 use crate::locator::error::{LocatorError, check_length};
 use crate::locator::live::LocatorScratch;
-use crate::locator::pair_correlations::squared_distance;
 use crate::locator::posterior::Spread;
+use crate::plane::squared_distance;
 
 /// Number of nearest pokes that stand in for a missing channel.
 const STAND_INS: usize = 8;

@@ -3,7 +3,8 @@
 use super::fusion::Fusion;
 use crate::locator::data::LeaveOneOut;
 use crate::locator::posterior::quantile;
-use crate::typical::median;
+use crate::plane::distance;
+use crate::statistics::median;
 
 /// Distances between true and located positions of left-out examples.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -18,7 +19,7 @@ pub struct Accuracy {
 impl Accuracy {
     /// Accuracy of located positions against the true ones.
     pub(super) fn of(found_m: impl Iterator<Item = [f64; 2]>, truth_m: &[[f64; 2]]) -> Self {
-        let errors: Vec<f64> = found_m.zip(truth_m).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).collect();
+        let errors: Vec<f64> = found_m.zip(truth_m).map(|(a, b)| distance(a, *b)).collect();
         Self { median_m: median(&errors), p90_m: quantile(&errors, 0.9) }
     }
 }

@@ -7,7 +7,7 @@ use crate::locator::design::{Design, Prior};
 use crate::locator::error::LocatorError;
 use crate::locator::pair_correlations::Sessions;
 use crate::locator::turn::log_density;
-use crate::typical::evenly;
+use crate::statistics::evenly;
 
 /// Resemblances tried.
 const RESEMBLANCES: [f64; 10] = [1.0, 0.99, 0.97, 0.94, 0.9, 0.8, 0.65, 0.5, 0.25, 0.0];

@@ -4,10 +4,11 @@ use faer::linalg::solvers::{DenseSolveCore, Solve};
 use faer::{Mat, MatRef, Side};
 
 use crate::locator::error::{LocatorError, check_length, check_positions};
-use crate::locator::pair_correlations::{matern52, squared_distance};
+use crate::locator::pair_correlations::matern52;
 use crate::locator::posterior::extent;
 use crate::locator::rows::dot;
-use crate::typical::{evenly, median};
+use crate::plane::squared_distance;
+use crate::statistics::{evenly, median};
 
 /// Maximum rank of the projection, and maximum number of frames that define it.
 const MOST_RANK: usize = 64;

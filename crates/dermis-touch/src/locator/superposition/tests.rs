@@ -1,5 +1,5 @@
 use super::*;
-use crate::locator::pair_correlations::squared_distance;
+use crate::plane::squared_distance;
 
 const CHANNELS: usize = 40;
 const SIDE_M: f64 = 0.1;

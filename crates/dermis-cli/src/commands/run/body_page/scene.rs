@@ -8,7 +8,7 @@ use dermis_page::{
     BodyScene, GeometryView, JointView, LinkView, PatchView, Pose, RimView, RunningPatchView, Scene, ShapeView,
     SurfaceView, rings,
 };
-use dermis_tomo::mesh::{Outline, SheetSpec, Surface};
+use dermis_tomo::mesh::{Outline, Point, SheetSpec, Surface};
 
 /// Millimetres per metre.
 const MM: f64 = 1e3;
@@ -96,7 +96,7 @@ fn patch_view(patch: &Patch, scene: Option<&Scene>) -> PatchView {
 /// A sheet on its surface. A sheet that cannot be meshed has rims only.
 fn surface_view(outline: &Outline, surface: &Surface) -> SurfaceView {
     let in_mm = |point: [f64; 3]| point.map(|m| (MM * m) as f32);
-    let along = |ring: Vec<[f64; 2]>| {
+    let along = |ring: Vec<Point>| {
         let edges = (0..ring.len()).map(|k| (ring[k], ring[(k + 1) % ring.len()]));
         let points = edges.flat_map(|(a, b)| {
             (0..RIM_STEPS).map(move |step| {

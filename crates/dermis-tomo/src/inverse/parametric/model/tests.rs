@@ -2,10 +2,11 @@ use faer::Mat;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 use super::*;
+use crate::mesh::{Point, distance};
 
 /// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
 fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
-    let positions: Vec<[f64; 2]> =
+    let positions: Vec<Point> =
         (0..400).map(|k| [0.005 * ((k % 20) as f64 - 9.5), 0.005 * ((k / 20) as f64 - 9.5)]).collect();
     let jacobian = Mat::from_fn(60, 400, |c, p| {
         let ([x, y], c) = (positions[p], c as f64);
@@ -29,7 +30,7 @@ fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
     (model, jacobian, positions)
 }
 
-fn frame(jacobian: &Mat<f64>, positions: &[[f64; 2]], spots: &[([f64; 2], f64, f64)]) -> Vec<f64> {
+fn frame(jacobian: &Mat<f64>, positions: &[Point], spots: &[([f64; 2], f64, f64)]) -> Vec<f64> {
     let sigma: Vec<f64> = positions
         .iter()
         .map(|q| {
@@ -56,7 +57,7 @@ fn spots_without_noise_are_recovered_together() {
     for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
         // Interpolation error of the cubics between tabulated positions (5 mm steps, spots of 11 mm and more) and
         // radii (a factor of up to 1.4 apart).
-        assert!((spot.position_m[0] - place[0]).hypot(spot.position_m[1] - place[1]) < 1e-4, "{spot:?} {outcome:?}");
+        assert!(distance(spot.position_m, *place) < 1e-4, "{spot:?} {outcome:?}");
         assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
     }
     // 1.2 % of the frame, from the same cubics.
@@ -72,7 +73,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
         let answered: Vec<f64> = changes.iter().map(|u| -u / (1.0 + 0.5 * u)).collect();
         Some((&lowered * faer::ColRef::from_slice(&answered)).iter().copied().collect())
     });
-    let large = |positions: &[[f64; 2]]| {
+    let large = |positions: &[Point]| {
         linear.clone().with_large_changes(response.clone(), jacobian.as_ref(), None, positions, -1.0)
     };
     let truth = ([0.012, -0.02], 0.013, 0.5);
@@ -95,7 +96,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     assert!(as_linear.radius_m < 0.95 * truth.1, "{as_linear:?}");
     // Amplitudes are defined by the channels' response.
     assert!((spot.amplitude / (truth.2 / (1.0 - 0.5 * truth.2)) - 1.0).abs() < 0.05, "{spot:?}");
-    assert!((spot.position_m[0] - truth.0[0]).hypot(spot.position_m[1] - truth.0[1]) < 1e-4, "{spot:?}");
+    assert!(distance(spot.position_m, truth.0) < 1e-4, "{spot:?}");
     assert!(large(&positions[1..]).is_err());
 }
 
@@ -157,7 +158,7 @@ fn a_model_with_changed_noise_equals_one_built_for_it() {
 fn derivatives_agree_with_differences_of_the_values() {
     let (model, ..) = model(1e-4);
     let length = model.combinations();
-    let at = |p: [f64; 2], log_r: f64| {
+    let at = |p: Point, log_r: f64| {
         let mut out = vec![0.0; 4 * length];
         model.responses.evaluate(p, log_r, &mut [], &mut out).unwrap();
         out
@@ -228,7 +229,7 @@ fn a_model_without_channels_is_the_one_made_without_them() {
         made.fit(&data, &starts, &mut other).unwrap();
         for (a, b) in one.spots().iter().zip(other.spots()) {
             // The combinations kept differ only by weak ones, and sums are in single precision.
-            assert!((a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]) < 2e-5, "{a:?} {b:?}");
+            assert!(distance(a.position_m, b.position_m) < 2e-5, "{a:?} {b:?}");
             assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.02, "{a:?} {b:?}");
         }
     }
