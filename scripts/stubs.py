@@ -11,6 +11,7 @@ since the library has them, and long lines are wrapped.
 
 import ast
 import difflib
+import importlib.util
 import os
 import re
 import subprocess
@@ -33,6 +34,8 @@ build-system = {{ requires = ["maturin>=1.9,<2"], build-backend = "maturin" }}
 
 def built():
     """The stubs as maturin writes them."""
+    if importlib.util.find_spec("maturin") is None:
+        sys.exit(f"{sys.executable} has no maturin: pip install 'maturin>=1.9,<2'")
     target = os.path.abspath(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     os.makedirs(target, exist_ok=True)
     # Within the repository, so that its settings of cargo and its toolchain are used.

@@ -3,9 +3,9 @@
 //! verdicts.
 //!
 //! `cargo run --release -p dermis-cli --example soak -- [--skin NAME] [--seconds 3600] [--rate 1000] [--cut SECONDS]`
-//! after `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if a frame was
-//! lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut` the skin
-//! is cut after that many seconds, then left alone for six while the cut is recognised.
+//! after `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end. It fails if
+//! a frame was lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut`
+//! the skin is cut after that many seconds, then left alone for six while the cut is recognised.
 
 use std::collections::BTreeMap;
 use std::error::Error;

@@ -1,6 +1,7 @@
 //! Background work that takes longer than a frame. The frame from which its result counts is fixed, in the frames'
 //! own time, when the work starts. A replay at any speed on any machine therefore gives the same results as the live
-//! run. If a frame is due before the work is done, it waits, and the wait is counted.
+//! run. If a frame is due before the work is done, it waits, and the wait is counted. Only patient work on frames of an
+//! instrument takes effect later instead, and says so: the frames of the seconds that it may take would be lost.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,6 +11,8 @@ use std::{cell::Cell, sync::LazyLock, thread::JoinHandle};
 /// Niceness of threads for patient work: they get a quarter of a core that others want.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 5;
+/// Patient work that is late for an instrument's frames is asked for again after this time, nanoseconds.
+const AGAIN_NS: u64 = 1_000_000_000;
 
 #[cfg(not(target_family = "wasm"))]
 thread_local! {
@@ -58,6 +61,7 @@ pub(crate) struct Beside<T> {
     under_way: Option<UnderWay<T>>,
     waits: u64,
     is_patient: bool,
+    is_live: bool,
 }
 
 #[derive(Debug)]
@@ -110,12 +114,17 @@ impl<T> Outcome<T> {
 impl<T: Send + 'static> Beside<T> {
     /// Without any work.
     pub fn new() -> Self {
-        Self { under_way: None, waits: 0, is_patient: false }
+        Self { under_way: None, waits: 0, is_patient: false, is_live: false }
     }
 
     /// Without any work, for work that is due seconds later: frames, and work that is due sooner, go first.
     pub fn patient() -> Self {
-        Self { under_way: None, waits: 0, is_patient: true }
+        Self { under_way: None, waits: 0, is_patient: true, is_live: false }
+    }
+
+    /// States whether frames come from an instrument, which doesn't wait.
+    pub fn set_live(&mut self, is_live: bool) {
+        self.is_live = is_live;
     }
 
     /// Number of frames that had to wait for a result.
@@ -140,6 +149,12 @@ impl<T: Send + 'static> Beside<T> {
 
     /// The result, in the first frame at or after its due time.
     pub fn take(&mut self, time_ns: u64) -> Option<T> {
+        let may_be_late = self.is_patient && self.is_live;
+        let late = |work: &&mut UnderWay<T>| may_be_late && time_ns >= work.due_ns && !work.outcome.is_there();
+        if let Some(work) = self.under_way.as_mut().filter(late) {
+            tracing::info!("work in the background is late, and takes effect later than in a replay");
+            work.due_ns = time_ns.saturating_add(AGAIN_NS);
+        }
         let UnderWay { outcome, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
         if !outcome.is_there() {
             self.waits += 1;
@@ -189,6 +204,20 @@ mod tests {
         assert_eq!(slow.take(100), Some(2));
         assert_eq!(slow.waits(), 1);
         done.join().unwrap().unwrap();
+    }
+
+    #[test]
+    fn frames_of_an_instrument_do_not_wait_for_patient_work() {
+        let (send, receive) = channel::<()>();
+        let mut late = Beside::patient();
+        late.set_live(true);
+        late.begin(100, move |_| receive.recv().ok().map(|()| 1));
+        assert_eq!((late.take(100), late.waits()), (None, 0));
+        send.send(()).unwrap();
+        while !late.under_way.as_ref().unwrap().outcome.is_there() {
+            std::thread::yield_now();
+        }
+        assert_eq!((late.take(99 + AGAIN_NS), late.take(100 + AGAIN_NS)), (None, Some(1)));
     }
 
     #[test]

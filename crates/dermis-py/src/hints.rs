@@ -98,13 +98,13 @@ python_types! {
     Patterns = type_hint_union!(name!("builtins", "str"), ARRAY_LIKE);
     /// A tuple of electrodes.
     Electrodes = subscript!(PyTuple::TYPE_HINT, PyElectrode::TYPE_HINT, ELLIPSIS);
-    /// What restores a pickled object from the arguments beside it.
+    /// The callable that restores a pickled object from its arguments.
     Restorer = subscript!(name!("collections.abc", "Callable"), ELLIPSIS, name!("builtins", "object"));
     /// Class of an exception.
     ExceptionClass = subscript!(name!("builtins", "type"), name!("builtins", "BaseException"));
     /// An exception.
     Exception = name!("builtins", "BaseException");
-    /// Where an exception was raised.
+    /// The traceback of an exception.
     Traceback = name!("types", "TracebackType");
     /// Axes to draw on.
     Axes = name!("matplotlib.axes", "Axes");
@@ -120,7 +120,7 @@ python_types! {
     Health = own!("Health");
     /// The guard's verdict.
     Guard = own!("Guard");
-    /// What watching for damage has found.
+    /// Damage found on a monitored skin.
     DamageWatch = own!("DamageWatch");
     /// A baseline of a recording.
     Baseline = own!("Baseline");

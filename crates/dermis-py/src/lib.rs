@@ -1,6 +1,6 @@
 //! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. Parts that needn't be
-//! fast are written in Python, in `python/dermis`; `__init__.py` there lists every public name, and `_dermis.pyi` has the
-//! types of this crate as `scripts/stubs.py` writes them.
+//! fast are written in Python, in `python/dermis`; `__init__.py` there lists every public name, and `_dermis.pyi` has
+//! the types of this crate as `scripts/stubs.py` writes them.
 
 mod arrays;
 mod calibration;

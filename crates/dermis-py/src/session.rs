@@ -24,7 +24,7 @@ use crate::twin::radius_and_load;
 use crate::work::{lock, run, run_interruptibly};
 
 /// Frames that may queue between source and pipeline, as in `dermis run`.
-const QUEUE: usize = 64;
+const QUEUE: usize = 128;
 /// The same for a twin that can wait for its frames to be taken. As small as possible, so that a press shows within a
 /// few frames.
 const TWIN_QUEUE: usize = 2;
@@ -141,7 +141,7 @@ pub fn open(
         (None, None) => String::new(),
     };
     let named = selector.clone();
-    let (opened, pipeline, head) = run_interruptibly(py, "open", move || {
+    let (opened, mut pipeline, head) = run_interruptibly(py, "open", move || {
         if let Some((skin, own)) = own {
             let mut opened = Opened::of(skin, Box::new(own));
             let (pipeline, head) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
@@ -160,6 +160,7 @@ pub fn open(
         Ok((opened, pipeline, head))
     })?;
     let Opened { skin, source, twin, wait, .. } = opened;
+    pipeline.set_live(!wait);
     let extent_mm = extent_mm(pipeline.prepared());
     let queue = if (twin.is_some() || path.is_none()) && wait { TWIN_QUEUE } else { QUEUE };
     let acquisition = Acquisition::spawn(source, queue, wait);

@@ -1,5 +1,5 @@
-//! Destinations for the results of the pipeline. A [`Sink`] takes one [`SkinFrame`](dermis_live::skin_frame::SkinFrame) per
-//! frame and knows nothing of the stages before it; files appear under their names only when complete.
+//! Destinations for the results of the pipeline. A [`Sink`] takes one [`SkinFrame`](dermis_live::skin_frame::SkinFrame)
+//! per frame and knows nothing of the stages before it; files appear under their names only when complete.
 
 mod image_stack;
 mod interface;

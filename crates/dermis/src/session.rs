@@ -111,8 +111,7 @@ impl Session {
         };
         let forces = options.forces.as_deref().map(|path| load_forces(path, &skin)).transpose()?;
         let mut pipeline = Pipeline::new(Prepared::new(skin)?, source.layout(), calibration)?;
-        // Lag means nothing for files and twins, which run at their own speed.
-        pipeline.watch_lag(twin.is_none() && !is_file);
+        pipeline.set_live(twin.is_none() && !is_file);
         forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
         baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
         Ok(Self { twin, patience: options.patience, ..Self::of(source, pipeline) })

@@ -57,8 +57,9 @@ lines with touches in the frames of patch, link and root, net wrenches, and once
 Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is \
 printed as `page: http://...`. If other machines can reach the page, the address includes a token that they need.";
 
-/// Frames that may queue between source and pipeline.
-const QUEUE: usize = 64;
+/// Frames that may queue between source and pipeline: a search for presses may take the time of a hundred frames at
+/// 1,000 frames/s.
+const QUEUE: usize = 128;
 
 /// Arguments of `dermis run`.
 #[derive(clap::Args)]
@@ -130,8 +131,7 @@ impl Arguments {
         self.classify_by_network(&mut pipeline)?;
         let is_twin = opened.twin.is_some();
         let guard = self.open_guard(&mut pipeline)?;
-        // The clocks of files and twins may run at any speed.
-        pipeline.watch_lag(!is_twin && !opened.is_file);
+        pipeline.set_live(!is_twin && !opened.is_file);
         let limits = pipeline.prepared().skin.guard.or(guard.as_ref().map(|_| GuardSettings::default()));
         let viewers = Viewers::open(&self.viewers, &pipeline, limits)?;
         let mut run = Running::new(opened.twin, head, &pipeline).with_viewers(viewers);

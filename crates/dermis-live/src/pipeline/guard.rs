@@ -34,12 +34,17 @@ impl Pipeline {
         self.guard.as_ref().map(|guard| guard.before_frames(now_ns))
     }
 
-    /// Tells the guard that the device's clock keeps the host's pace, so that it can see frames that queued up on the
-    /// way. True for instruments; files and twins may run at any speed.
-    pub fn watch_lag(&mut self, watch: bool) {
+    /// States whether frames come from an instrument, in real time, rather than from a file or a twin, which may run at
+    /// any speed. The guard then sees frames that queued up on the way, by the device's clock. Work in the background
+    /// that takes seconds and is late takes effect later, instead of keeping frames waiting.
+    pub fn set_live(&mut self, is_live: bool) {
         if let Some(guard) = &mut self.guard {
-            guard.watch_lag(watch);
+            guard.watch_lag(is_live);
         }
+        if let Some(building) = &mut self.building {
+            building.set_live(is_live);
+        }
+        self.errors.set_live(is_live);
     }
 
     pub(super) fn judge(&mut self, frame: &Frame, anomalies: FrameAnomalies, now_ns: u64) -> Option<GuardReport> {

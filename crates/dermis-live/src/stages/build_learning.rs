@@ -41,6 +41,11 @@ impl BuildLearning {
         learns_from_rest(drawn).then(learning)
     }
 
+    /// States whether frames come from an instrument, which doesn't wait.
+    pub fn set_live(&mut self, is_live: bool) {
+        self.coming.set_live(is_live);
+    }
+
     /// Number of frames that waited for the result.
     pub fn waits(&self) -> u64 {
         self.coming.waits()

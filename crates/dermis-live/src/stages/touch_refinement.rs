@@ -12,8 +12,8 @@ use crate::prepare::Prepared;
 use crate::stages::ended_presses::EndedPresses;
 use crate::stages::ended_presses::Gone;
 use crate::stages::force_law::ForceLaw;
-use crate::stages::gathered::Gathered;
 use crate::stages::model_error::SpotError;
+use crate::stages::pace::Pace;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::Peaks;
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
@@ -61,7 +61,7 @@ pub(crate) struct SpotStage {
     is_search_of_contacts: bool,
     is_search_stale: bool,
     pause: Pause,
-    gathered: Gathered,
+    pace: Pace,
     explained: f64,
     far_m: f64,
     hints: Vec<Press>,
@@ -106,7 +106,7 @@ impl SpotStage {
             is_search_of_contacts: false,
             is_search_stale: false,
             pause: Pause::default(),
-            gathered: Gathered::default(),
+            pace: Pace::default(),
             estimator,
             error: SpotError::of(prepared),
             most_unexplained: touch.most_unexplained.min(if is_joint { MOST_UNEXPLAINED } else { 1.0 }),
@@ -175,7 +175,7 @@ impl SpotStage {
         self.estimator.forget();
         self.search.cancel();
         self.pause = Pause::default();
-        self.gathered.forget();
+        self.pace.forget();
         self.ended.forget();
         self.peaks = Peaks::default();
         self.anchors.clear();
@@ -302,9 +302,8 @@ impl SpotStage {
         lowest: f64,
         contacts: &mut Vec<Contact>,
     ) {
-        if !self.is_joint {
-            self.refine_now(time_ns, difference, imager, lowest, contacts);
-            return;
+        if self.is_unhurried && !self.is_joint {
+            return self.refine_now(time_ns, difference, imager, lowest, contacts);
         }
         self.is_search_stale |= contacts.is_empty() && self.is_search_of_contacts;
         match self.searched(time_ns) {
@@ -313,17 +312,17 @@ impl SpotStage {
             Some(Explained::By(estimate, false)) if self.is_accepted(&estimate) => {}
             Some(explained) => {
                 self.show(time_ns, explained, imager, lowest, contacts);
-                self.gathered.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
+                self.pace.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
                 return;
             }
         }
-        if let Some(mean) = self.gathered.add(time_ns, difference, contacts) {
-            self.refine_now(time_ns, &mean, imager, lowest, contacts);
+        if self.pace.is_due(time_ns, contacts) {
+            self.refine_now(time_ns, difference, imager, lowest, contacts);
             let spent_ns = self.estimator.spent_ns();
             // Searches in vain have a pause of their own.
             let is_in_vain = self.pause.is_on(time_ns);
             let busy_ns = if is_in_vain || self.is_unhurried { 0 } else { spent_ns };
-            self.gathered.keep(time_ns, busy_ns, if self.shown.is_empty() { &[] } else { contacts });
+            self.pace.keep(time_ns, busy_ns, if self.shown.is_empty() { &[] } else { contacts });
         }
     }
 
@@ -332,7 +331,7 @@ impl SpotStage {
         !estimate.presses.is_empty() && estimate.unexplained <= self.most_unexplained
     }
 
-    /// As [`SpotStage::refine`], for one frame or the mean of several.
+    /// As [`SpotStage::refine`], whenever the last fit was.
     fn refine_now(
         &mut self,
         time_ns: u64,
@@ -386,7 +385,7 @@ impl SpotStage {
                 self.hold(&mut estimate.presses);
                 self.show(time_ns, Explained::By(estimate, false), imager, lowest, contacts);
             }
-            None if is_lost && !self.shown.is_empty() => self.gathered.repeat(contacts),
+            None if is_lost && !self.shown.is_empty() => self.pace.repeat(contacts),
             None => {
                 self.shown.clear();
                 doubt(contacts, lowest);

@@ -56,7 +56,7 @@ class Damage(TypedDict):
 
 
 class DamageWatch(TypedDict):
-    """What watching for damage has found."""
+    """Damage found on a monitored skin."""
 
     watched: bool
     damages: list[Damage]

@@ -32,8 +32,8 @@ use super::watch::{BodyWatch, OpenPublisher, StartingPatch};
 use crate::error::Error;
 use crate::source::{SourceOptions, TwinControl, open_source};
 
-/// Frames that may queue between a source and its pipeline.
-const QUEUE: usize = 64;
+/// Frames that may queue between a source and its pipeline, as for a single skin.
+const QUEUE: usize = 128;
 /// Reports that may queue for their reader.
 const REPORTS: usize = 1024;
 
@@ -386,8 +386,7 @@ fn open_patch(
     head.skin_toml = Skin { mount: None, guard, ..patch.skin.clone() }.to_toml();
     let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration.map(|(calibration, _)| calibration))?;
     pipeline.set_guard(guard)?;
-    // Lag means nothing for files and twins, which run at their own speed.
-    pipeline.watch_lag(opened.twin.is_none() && !opened.is_file);
+    pipeline.set_live(opened.twin.is_none() && !opened.is_file);
     forces.map_or(Ok(()), |(forces, _)| pipeline.set_forces(forces))?;
     baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
     let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, guard, head };
