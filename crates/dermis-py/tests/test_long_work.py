@@ -230,7 +230,7 @@ def test_progress_of_work_without_steps(skin, tmp_path, bars):
 
 
 def test_short_work_shows_nothing(disc, bars):
-    disc.voltages_many(np.stack([disc.sigma] * 4))
+    disc.voltages_many(np.stack([disc.sigma]))
     assert not bars
 
 
