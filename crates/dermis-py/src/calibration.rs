@@ -7,13 +7,20 @@ use dermis_live::calibrate::calibrate as fit_calibration;
 use dermis_live::calibration::{Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes};
 use dermis_live::prepare::Prepared;
 use pyo3::prelude::*;
+use pyo3::type_hint_union;
+use pyo3::type_object::PyTypeInfo;
 
 use crate::arrays::{Array1, Array2, Doubles, array1, array2};
 use crate::errors::Fault;
-use crate::hints::{ArrayLike, SkinOrModel};
-use crate::model::PyModel;
+use crate::hints::{ArrayLike, PATH, python_types};
+use crate::model::{PyModel, SkinOrModel};
 use crate::skin::skin_of;
 use crate::work::{run, run_interruptibly};
+
+python_types! {
+    /// A calibration or its file.
+    CalibrationLike = type_hint_union!(PyCalibration::TYPE_HINT, PATH);
+}
 
 /// A calibration by pokes.
 #[pyclass(frozen, module = "dermis", name = "Calibration")]

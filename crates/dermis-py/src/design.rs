@@ -10,8 +10,10 @@ use pyo3::prelude::*;
 use crate::arrays::{Array2, array2};
 use crate::calibration::prepared_of;
 use crate::errors::Fault;
-use crate::hints::{Axes, SkinLike, SkinOrModel};
+use crate::hints::Axes;
+use crate::model::SkinOrModel;
 use crate::skin::{PySkin, skin_of};
+use crate::skin_argument::SkinLike;
 use crate::work::run_interruptibly;
 
 /// Maps over a skin.

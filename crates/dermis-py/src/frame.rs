@@ -2,10 +2,17 @@
 
 use dermis_device::{Frame, HostStamp};
 use pyo3::prelude::*;
+use pyo3::type_hint_union;
+use pyo3::type_object::PyTypeInfo;
 
 use crate::arrays::{Array1, Doubles, array1};
 use crate::errors::Fault;
-use crate::hints::{AnyArray, ArrayLike, DTypeLike};
+use crate::hints::{ARRAY_LIKE, AnyArray, ArrayLike, DTypeLike, python_types};
+
+python_types! {
+    /// A frame or its readings.
+    FrameLike = type_hint_union!(PyFrame::TYPE_HINT, ARRAY_LIKE);
+}
 
 /// One frame, as delivered by a twin or an instrument.
 ///

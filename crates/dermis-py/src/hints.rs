@@ -3,26 +3,15 @@
 
 use std::convert::Infallible;
 use std::marker::PhantomData;
-use std::ops::Deref;
 use std::path::PathBuf;
 
 use pyo3::inspect::{PyStaticConstant, PyStaticExpr};
 use pyo3::prelude::*;
 use pyo3::type_object::PyTypeInfo;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyDict;
 use pyo3::{type_hint_identifier as name, type_hint_subscript as subscript, type_hint_union};
 
 use crate::arrays::{Array1, Array2, Array3};
-use crate::calibration::PyCalibration;
-use crate::eit::mesh::PyElectrode;
-use crate::frame::PyFrame;
-use crate::model::PyModel;
-use crate::skin_argument::PySkin;
-
-const ARRAY_LIKE: PyStaticExpr = name!("numpy.typing", "ArrayLike");
-const PATH: PyStaticExpr = <PathBuf as FromPyObject>::INPUT_TYPE;
-const SKIN: PyStaticExpr = type_hint_union!(PySkin::TYPE_HINT, PATH);
-const ELLIPSIS: PyStaticExpr = PyStaticExpr::Constant { value: PyStaticConstant::Ellipsis };
 
 /// A name in `python/dermis/_types.py`.
 macro_rules! own {
@@ -31,34 +20,41 @@ macro_rules! own {
     };
 }
 
+/// The type of arrays and what NumPy can convert to them.
+pub const ARRAY_LIKE: PyStaticExpr = name!("numpy.typing", "ArrayLike");
+/// The type of paths and texts.
+pub const PATH: PyStaticExpr = <PathBuf as FromPyObject>::INPUT_TYPE;
+/// `...` in types.
+pub const ELLIPSIS: PyStaticExpr = PyStaticExpr::Constant { value: PyStaticConstant::Ellipsis };
+
 /// Defines a wrapper of any Python object for each type.
 macro_rules! python_types {
     ($($(#[$doc:meta])* $of:ident = $hint:expr;)*) => {$(
         $(#[$doc])*
-        pub struct $of<'py>(pub Bound<'py, PyAny>);
+        pub struct $of<'py>(pub pyo3::Bound<'py, pyo3::PyAny>);
 
-        impl<'py> FromPyObject<'_, 'py> for $of<'py> {
-            type Error = Infallible;
-            const INPUT_TYPE: PyStaticExpr = $hint;
+        impl<'py> pyo3::FromPyObject<'_, 'py> for $of<'py> {
+            type Error = std::convert::Infallible;
+            const INPUT_TYPE: pyo3::inspect::PyStaticExpr = $hint;
 
-            fn extract(object: Borrowed<'_, 'py, PyAny>) -> Result<Self, Infallible> {
+            fn extract(object: pyo3::Borrowed<'_, 'py, pyo3::PyAny>) -> Result<Self, Self::Error> {
                 Ok(Self(object.to_owned()))
             }
         }
 
-        impl<'py> IntoPyObject<'py> for $of<'py> {
-            type Target = PyAny;
-            type Output = Bound<'py, PyAny>;
-            type Error = Infallible;
-            const OUTPUT_TYPE: PyStaticExpr = $hint;
+        impl<'py> pyo3::IntoPyObject<'py> for $of<'py> {
+            type Target = pyo3::PyAny;
+            type Output = pyo3::Bound<'py, pyo3::PyAny>;
+            type Error = std::convert::Infallible;
+            const OUTPUT_TYPE: pyo3::inspect::PyStaticExpr = $hint;
 
-            fn into_pyobject(self, _: Python<'py>) -> Result<Self::Output, Infallible> {
+            fn into_pyobject(self, _: pyo3::Python<'py>) -> Result<Self::Output, Self::Error> {
                 Ok(self.0)
             }
         }
 
-        impl<'py> Deref for $of<'py> {
-            type Target = Bound<'py, PyAny>;
+        impl<'py> std::ops::Deref for $of<'py> {
+            type Target = pyo3::Bound<'py, pyo3::PyAny>;
 
             fn deref(&self) -> &Self::Target {
                 &self.0
@@ -66,6 +62,7 @@ macro_rules! python_types {
         }
     )*};
 }
+pub(crate) use python_types;
 
 python_types! {
     /// Anything that NumPy can convert to an array.
@@ -78,14 +75,6 @@ python_types! {
     Touches = own!("Touches");
     /// Times, readings and images of a session.
     SessionArrays = <(Array1<'static, f64>, Array2<'static, f64>, Array3<'static, f32>) as IntoPyObject>::OUTPUT_TYPE;
-    /// A skin, the name of one, its file, or its text.
-    SkinLike = SKIN;
-    /// The same, or its model.
-    SkinOrModel = type_hint_union!(PyModel::TYPE_HINT, SKIN);
-    /// A calibration or its file.
-    CalibrationLike = type_hint_union!(PyCalibration::TYPE_HINT, PATH);
-    /// A frame or its readings.
-    FrameLike = type_hint_union!(PyFrame::TYPE_HINT, ARRAY_LIKE);
     /// A source of frames.
     Source = own!("Source");
     /// A prior as in a skin file.
@@ -96,8 +85,6 @@ python_types! {
     Rule = own!("Rule");
     /// Name of a pattern, or pairs of electrodes.
     Patterns = type_hint_union!(name!("builtins", "str"), ARRAY_LIKE);
-    /// A tuple of electrodes.
-    Electrodes = subscript!(PyTuple::TYPE_HINT, PyElectrode::TYPE_HINT, ELLIPSIS);
     /// The callable that restores a pickled object from its arguments.
     Restorer = subscript!(name!("collections.abc", "Callable"), ELLIPSIS, name!("builtins", "object"));
     /// Class of an exception.

@@ -9,8 +9,9 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Array1, Array3, Doubles, array1, array3, shape_text};
 use crate::errors::Fault;
-use crate::hints::{ArrayLike, SkinLike};
+use crate::hints::ArrayLike;
 use crate::skin::skin_of;
+use crate::skin_argument::SkinLike;
 use crate::work::{run, run_interruptibly};
 
 /// Maximum number of samples in a shard, since shards are made in memory.

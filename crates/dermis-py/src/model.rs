@@ -10,17 +10,24 @@ use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::PixelMap;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
+use pyo3::type_hint_union;
+use pyo3::type_object::PyTypeInfo;
 use pyo3::types::{PyDict, PyTuple};
 
 use crate::arrays::{Array1, Array2, ArrayDyn, Doubles, array1, array2, array3, read_only, type_name};
 use crate::eit::forward::{electrodes_of, voltages_of_rows};
-use crate::eit::mesh::{elements_of, nodes_of};
+use crate::eit::mesh::{Electrodes, elements_of, nodes_of};
 use crate::eit::protocol::{channels_of, dense_patterns};
 use crate::errors::Fault;
 use crate::grid::PyGrid;
-use crate::hints::{ArrayLike, Electrodes, HyperparameterChoice, PriorChoice, Restorer};
-use crate::skin_argument::PySkin;
+use crate::hints::{ArrayLike, HyperparameterChoice, PriorChoice, Restorer, python_types};
+use crate::skin_argument::{PySkin, SKIN};
 use crate::work::{run, run_interruptibly};
+
+python_types! {
+    /// A skin, the name of one, its file, its text, or its model.
+    SkinOrModel = type_hint_union!(PyModel::TYPE_HINT, SKIN);
+}
 
 /// A skin's forward model at rest.
 #[pyclass(frozen, module = "dermis", name = "Model")]

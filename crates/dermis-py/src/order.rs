@@ -8,8 +8,9 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{Array2, Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
-use crate::hints::{ArrayLike, FoundConductance, FoundOrder, SkinLike};
+use crate::hints::{ArrayLike, FoundConductance, FoundOrder};
 use crate::skin::skin_of;
+use crate::skin_argument::SkinLike;
 use crate::work::run_interruptibly;
 
 /// Frames, shape (k,) or (n, k), as a table.

@@ -13,11 +13,14 @@ use dermis_skin::Skin;
 use pyo3::prelude::*;
 
 use crate::arrays::{Array1, Doubles, array1};
+use crate::calibration::CalibrationLike;
 use crate::calibration::PyCalibration;
 use crate::errors::Fault;
+use crate::frame::FrameLike;
 use crate::frame::PyFrame;
-use crate::hints::{ArrayLike, CalibrationLike, FrameLike, SkinOrModel};
+use crate::hints::ArrayLike;
 use crate::model::PyModel;
+use crate::model::SkinOrModel;
 use crate::result::PyFrameResult;
 use crate::skin::{PySkin, same_skin, skin_of};
 use crate::work::{lock, run, run_briefly, run_interruptibly};

@@ -11,9 +11,10 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{Array1, Array2, array1, array2};
 use crate::errors::Fault;
-use crate::hints::{self, Baseline, DataArray, DataFrame, Event, SkinLike, Table, Touches};
+use crate::hints::{self, Baseline, DataArray, DataFrame, Event, Table, Touches};
 use crate::result::{TouchRow, row_of, table_of};
 use crate::skin::PySkin;
+use crate::skin_argument::SkinLike;
 use crate::work::{run, run_interruptibly};
 
 /// A recording made by dermis, finished or not.

@@ -15,11 +15,12 @@ use dermis_twin::mechanics::{Indenter, Shape};
 use pyo3::prelude::*;
 
 use crate::errors::{Fault, Kind};
-use crate::hints::{Exception, ExceptionClass, Named, SessionArrays, SkinLike, Source, Traceback};
+use crate::hints::{Exception, ExceptionClass, Named, SessionArrays, Source, Traceback};
 use crate::pipeline::extent_mm;
 use crate::python_source::PythonSource;
 use crate::result::PyFrameResult;
 use crate::skin::{PySkin, skin_of};
+use crate::skin_argument::SkinLike;
 use crate::twin::radius_and_load;
 use crate::work::{lock, run, run_interruptibly};
 

@@ -9,8 +9,9 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Array1, Array2, Doubles, array1, array2, read_only};
 use crate::errors::{Fault, Kind};
-use crate::hints::{self, ArrayLike, Axes, Restorer, SkinLike};
+use crate::hints::{self, ArrayLike, Axes, Restorer};
 use crate::model::PyModel;
+use crate::skin_argument::SkinLike;
 pub use crate::skin_argument::{PySkin, skin_of};
 use crate::work::run_interruptibly;
 

@@ -3,9 +3,21 @@
 use std::path::PathBuf;
 
 use dermis_skin::Skin;
+use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
+use pyo3::type_hint_union;
+use pyo3::type_object::PyTypeInfo;
 
 use crate::errors::Fault;
+use crate::hints::{PATH, python_types};
+
+/// The type of a skin, its name, its file or its text.
+pub const SKIN: PyStaticExpr = type_hint_union!(PySkin::TYPE_HINT, PATH);
+
+python_types! {
+    /// A skin, the name of one, its file, or its text.
+    SkinLike = SKIN;
+}
 
 /// A skin as described by its file.
 ///

@@ -11,8 +11,9 @@ use pyo3::prelude::*;
 
 use crate::errors::{Fault, Kind};
 use crate::frame::PyFrame;
-use crate::hints::{Named, SkinLike};
+use crate::hints::Named;
 use crate::skin::{PySkin, skin_of};
+use crate::skin_argument::SkinLike;
 use crate::work::{lock, run, run_interruptibly};
 
 /// Longest fade, seconds.

@@ -11,8 +11,9 @@ use rayon::prelude::*;
 use super::mesh::{Numbering, PyElectrode, PyMesh};
 use super::protocol::PyProtocol;
 use crate::arrays::{Array1, Array2, Doubles, array1, array2, shape_text};
+use crate::eit::mesh::Electrodes;
 use crate::errors::Fault;
-use crate::hints::{ArrayLike, Electrodes};
+use crate::hints::ArrayLike;
 use crate::work::{run, run_sized, run_steps};
 
 /// Operations for preparing and factoring a model, per element, and for each electrode's field.

@@ -4,12 +4,19 @@ use std::sync::Arc;
 
 use dermis_tomo::mesh::{CellKind, Contact, Electrode, Mesh, PixelGrid, PixelMap};
 use pyo3::prelude::*;
+use pyo3::type_hint_subscript;
+use pyo3::type_object::PyTypeInfo;
 
 use crate::arrays::{Array1, Array2, ArrayDyn, Doubles, array1, array2, indices, read_only, shape_text};
 use crate::errors::{Fault, Kind};
 use crate::grid::PyGrid;
-use crate::hints::{ArrayLike, ElectrodeKind, Restorer};
+use crate::hints::{ArrayLike, ELLIPSIS, ElectrodeKind, Restorer, python_types};
 use crate::work::run_sized;
+
+python_types! {
+    /// A tuple of electrodes.
+    Electrodes = type_hint_subscript!(pyo3::types::PyTuple::TYPE_HINT, PyElectrode::TYPE_HINT, ELLIPSIS);
+}
 
 /// Nodes as an array, with two columns if all lie in the plane z = 0.
 pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Array2<'py, f64>> {
