@@ -30,9 +30,7 @@ fn heights() -> Result<(), TwinError> {
             let options = LiquidOptions {
                 memory: None,
                 solver: LiquidSolver::Solid { layers: 8 },
-                element_size_m: 3.5e-3,
-                electrode_element_size_m: 0.8e-3,
-                ..ionic_disc_with_bolts(3e-3, share)
+                ..ionic_disc_with_bolts(3e-3, share).meshed(3.5e-3, 0.8e-3)
             };
             let mut skin = LiquidSkin::new(options)?;
             let rest = read(&mut skin, &[])?;
@@ -97,7 +95,7 @@ fn cost() -> Result<(), TwinError> {
 
 /// Voltages at rest and touch signals, in the plane and in three dimensions.
 fn compare() -> Result<(), TwinError> {
-    let fine = LiquidOptions { memory: None, element_size_m: 2.5e-3, electrode_element_size_m: 1.0e-3, ..ionic_disc() };
+    let fine = LiquidOptions { memory: None, ..ionic_disc().meshed(2.5e-3, 1.0e-3) };
     let mut flat = LiquidSkin::new(fine.clone())?;
     let start = Instant::now();
     let mut solid = LiquidSkin::new(LiquidOptions { solver: LiquidSolver::Solid { layers: 6 }, ..fine })?;

@@ -10,10 +10,10 @@ mod press;
 use dermis_mit::{CoilArray, Coupling};
 use dermis_skin::budget::Budget;
 use dermis_skin::{CircuitChoice, Layer, LiquidLayer, PatchesLayer, SandwichLayer, SheetLayer, Skin};
-use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{ElectrodeShape, Outline};
+use dermis_tomo::mesh::ElectrodeShape;
 
 use crate::circuit::{BehindCircuit, impedance_protocol};
+use crate::electroded_layer::ElectrodedLayer;
 use crate::elements::{Conductor, ElementOptions, ElementSkin};
 use crate::error::TwinError;
 use crate::healing::HealingLaw;
@@ -190,33 +190,22 @@ impl MeshSizes {
     }
 }
 
-/// Properties common to all layers with electrodes.
-struct Sheetlike {
-    outline: Outline,
-    electrodes: Vec<ElectrodeShape>,
-    contact_impedances_ohm_m2: Vec<f64>,
-    protocol: Protocol,
-    sheet_s: f64,
-    sizes: MeshSizes,
-    conductance: ConductanceMap,
-}
-
-impl Sheetlike {
-    fn of(skin: &Skin, built: &AsBuilt) -> Result<Self, TwinError> {
-        let impedances = skin.sheet_contact_impedances(&built.electrodes);
-        Ok(Self {
-            outline: skin.outline(),
-            contact_impedances_ohm_m2: impedances.zip(&built.contact_factors).map(|(z, factor)| z * factor).collect(),
-            electrodes: built.electrodes.clone(),
-            protocol: match skin.backend.circuit {
-                Some(_) => impedance_protocol(built.electrodes.len())?,
-                None => skin.protocol()?,
-            },
-            sheet_s: skin.sheet_conductance_s(),
-            sizes: MeshSizes::of(skin),
-            conductance: built.conductance.clone(),
-        })
-    }
+/// The layer of a skin that has electrodes, as built.
+fn electroded_layer(skin: &Skin, built: &AsBuilt) -> Result<ElectrodedLayer, TwinError> {
+    let impedances = skin.sheet_contact_impedances(&built.electrodes);
+    let MeshSizes { element_m, electrode_m } = MeshSizes::of(skin);
+    Ok(ElectrodedLayer {
+        outline: skin.outline(),
+        contact_impedances_ohm_m2: impedances.zip(&built.contact_factors).map(|(z, factor)| z * factor).collect(),
+        electrodes: built.electrodes.clone(),
+        protocol: match skin.backend.circuit {
+            Some(_) => impedance_protocol(built.electrodes.len())?,
+            None => skin.protocol()?,
+        },
+        conductance: built.conductance.clone(),
+        element_size_m: element_m,
+        electrode_element_size_m: electrode_m,
+    })
 }
 
 /// Options of a skin of patches, from its file.
@@ -227,7 +216,7 @@ pub fn patched_options(skin: &Skin) -> Result<PatchedOptions, TwinError> {
     let Layer::Patches(layer) = &skin.frontend.layer else {
         return Err(TwinError::Missing { field: "frontend.layer of kind \"patches\"", of: "a skin of patches" });
     };
-    Ok(patches(layer, Sheetlike::of(skin, &AsBuilt::nominal(skin))?))
+    Ok(patches(skin, layer, electroded_layer(skin, &AsBuilt::nominal(skin))?))
 }
 
 fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
@@ -244,11 +233,12 @@ fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinEr
 
 /// The skin as its protocol reads it; or, behind a circuit, its transfer impedances.
 fn read_frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
+    let electroded = || electroded_layer(skin, built);
     Ok(match &skin.frontend.layer {
-        Layer::Sheet(layer) => Box::new(SheetSkin::new(sheet_options(layer, Sheetlike::of(skin, built)?))?),
-        Layer::Sandwich(layer) => Box::new(Sandwich::new(sandwich_options(skin, layer, Sheetlike::of(skin, built)?))?),
-        Layer::Patches(layer) => Box::new(PatchedSkin::new(patches(layer, Sheetlike::of(skin, built)?))?),
-        Layer::Liquid(layer) => Box::new(LiquidSkin::new(liquid_options(skin, layer, Sheetlike::of(skin, built)?))?),
+        Layer::Sheet(layer) => Box::new(SheetSkin::new(sheet_options(skin, layer, electroded()?))?),
+        Layer::Sandwich(layer) => Box::new(Sandwich::new(sandwich_options(skin, layer, electroded()?))?),
+        Layer::Patches(layer) => Box::new(PatchedSkin::new(patches(skin, layer, electroded()?))?),
+        Layer::Liquid(layer) => Box::new(LiquidSkin::new(liquid_options(skin, layer, electroded()?))?),
         Layer::Elements(_) => Box::new(ElementSkin::new(element_options(skin)?)?),
     })
 }
@@ -272,25 +262,19 @@ fn cover(smoothing_mm: f64) -> Cover {
     Cover { smoothing_m: smoothing_mm * MM }
 }
 
-fn sheet_options(layer: &SheetLayer, sheet: Sheetlike) -> SheetOptions {
+fn sheet_options(skin: &Skin, layer: &SheetLayer, electroded: ElectrodedLayer) -> SheetOptions {
     SheetOptions {
-        outline: sheet.outline,
-        electrodes: sheet.electrodes,
-        contact_impedances_ohm_m2: sheet.contact_impedances_ohm_m2,
-        protocol: sheet.protocol,
-        sheet_s: sheet.sheet_s,
-        conductance: sheet.conductance,
+        layer: electroded,
+        sheet_s: skin.sheet_conductance_s(),
         pressure_coefficient_per_pa: layer.pressure_percent_per_kpa * 1e-5,
         gauge_factor: layer.gauge_factor,
         modulus_pa: layer.modulus_kpa * 1e3,
         cover: cover(layer.smoothing_mm.unwrap_or((0.5 * layer.thickness_mm).max(0.5))),
         memory: memory(layer.memory),
-        element_size_m: sheet.sizes.element_m,
-        electrode_element_size_m: sheet.sizes.electrode_m,
     }
 }
 
-fn sandwich_options(skin: &Skin, layer: &SandwichLayer, sheet: Sheetlike) -> SandwichOptions {
+fn sandwich_options(skin: &Skin, layer: &SandwichLayer, electroded: ElectrodedLayer) -> SandwichOptions {
     let healing = skin.twin.healing.map(|law| HealingLaw {
         temperature_c: law.temperature_c,
         duration_s: law.hours * 3600.0,
@@ -303,15 +287,9 @@ fn sandwich_options(skin: &Skin, layer: &SandwichLayer, sheet: Sheetlike) -> San
         pad_rim_m: law.pad_rim_mm * MM,
     });
     SandwichOptions {
-        outline: sheet.outline,
-        electrodes: sheet.electrodes,
-        contact_impedances_ohm_m2: sheet.contact_impedances_ohm_m2,
-        protocol: sheet.protocol,
-        sheet_s: sheet.sheet_s,
-        conductance: sheet.conductance,
+        layer: electroded,
+        sheet_s: skin.sheet_conductance_s(),
         shortcut_s: layer.shortcut_s,
-        element_size_m: sheet.sizes.element_m,
-        electrode_element_size_m: sheet.sizes.electrode_m,
         cover: cover(layer.smoothing_mm),
         contact: ContactLaw::from(&layer.contact),
         memory: memory(layer.memory),
@@ -319,19 +297,13 @@ fn sandwich_options(skin: &Skin, layer: &SandwichLayer, sheet: Sheetlike) -> San
     }
 }
 
-fn patches(layer: &PatchesLayer, sheet: Sheetlike) -> PatchedOptions {
+fn patches(skin: &Skin, layer: &PatchesLayer, electroded: ElectrodedLayer) -> PatchedOptions {
     let (pitch_m, gap_m) = (layer.pitch_mm * MM, layer.gap_mm * MM);
-    let natural = || PatchLayout::natural_cells(pitch_m, gap_m, &sheet.outline);
+    let natural = || PatchLayout::natural_cells(pitch_m, gap_m, &electroded.outline);
     let cells_per_side = layer.cells_per_side.unwrap_or_else(natural);
     PatchedOptions {
-        outline: sheet.outline,
-        electrodes: sheet.electrodes,
-        contact_impedances_ohm_m2: sheet.contact_impedances_ohm_m2,
-        protocol: sheet.protocol,
-        sheet_s: sheet.sheet_s,
-        conductance: sheet.conductance,
-        element_size_m: sheet.sizes.element_m,
-        electrode_element_size_m: sheet.sizes.electrode_m,
+        layer: electroded,
+        sheet_s: skin.sheet_conductance_s(),
         patches: PatchLayout { pitch_m, gap_m, cells_per_side },
         cover: cover(layer.smoothing_mm),
         contact: ContactLaw::from(&layer.contact),
@@ -339,7 +311,7 @@ fn patches(layer: &PatchesLayer, sheet: Sheetlike) -> PatchedOptions {
     }
 }
 
-fn liquid_options(skin: &Skin, layer: &LiquidLayer, sheet: Sheetlike) -> LiquidOptions {
+fn liquid_options(skin: &Skin, layer: &LiquidLayer, mut electroded: ElectrodedLayer) -> LiquidOptions {
     let depth_m = layer.depth_mm * MM;
     let specific = skin.frontend.contact_impedance_ohm_m2;
     let rim = |shape: &ElectrodeShape| {
@@ -351,30 +323,24 @@ fn liquid_options(skin: &Skin, layer: &LiquidLayer, sheet: Sheetlike) -> LiquidO
     let height_m = layer.electrode_height_mm.map_or(depth_m, |mm| mm * MM);
     // The file gives specific impedances; on the rim the sheet divides them by the height.
     let back = |(shape, z): (&ElectrodeShape, &f64)| if rim(shape) { z * height_m } else { *z };
-    let factors = sheet.electrodes.iter().zip(&sheet.contact_impedances_ohm_m2).map(back);
-    let impedances: Vec<f64> = if factors.clone().all(|z| (z / specific - 1.0).abs() < 1e-12) {
-        vec![specific; sheet.electrodes.len()]
+    let factors = electroded.electrodes.iter().zip(&electroded.contact_impedances_ohm_m2).map(back);
+    electroded.contact_impedances_ohm_m2 = if factors.clone().all(|z| (z / specific - 1.0).abs() < 1e-12) {
+        vec![specific; electroded.electrodes.len()]
     } else {
         factors.collect()
     };
     LiquidOptions {
-        outline: sheet.outline,
-        electrodes: sheet.electrodes,
+        layer: electroded,
         electrode_height_m: height_m,
         electrode_middle_m: 0.5 * depth_m,
-        contact_impedances_ohm_m2: impedances,
-        protocol: sheet.protocol,
         depth_m,
         conductivity_s_per_m: layer.conductivity_s_per_m,
-        conductance: sheet.conductance,
         density_kg_per_m3: layer.density_kg_per_m3,
         tension_n_per_m: layer.tension_n_per_m,
         gravity_m_per_s2: layer.gravity_m_per_s2,
         cover: cover(layer.smoothing_mm),
         memory: memory(layer.memory),
         solver: LiquidSolver::DepthAveraged,
-        element_size_m: sheet.sizes.element_m,
-        electrode_element_size_m: sheet.sizes.electrode_m,
     }
 }
 

@@ -14,7 +14,7 @@
 //! use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
 //! use dermis_tomo::mesh::{Direction, Outline};
 //! use dermis_twin::mechanics::Cover;
-//! use dermis_twin::{SheetOptions, SheetSkin, Twin, TwinOptions};
+//! use dermis_twin::{ElectrodedLayer, SheetOptions, SheetSkin, Twin, TwinOptions};
 //!
 //! // A strip of conductive gel with 12 electrodes of 8 mm round its rim.
 //! let outline = Outline::Rectangle { width_m: 0.12, height_m: 0.06 };
@@ -27,19 +27,21 @@
 //!     amplitude_a: 1e-3,
 //! })?;
 //! let skin = SheetSkin::new(SheetOptions {
-//!     electrodes: outline.rim_segments(12, 8e-3, 0.015, Direction::CounterClockwise),
-//!     outline,
-//!     contact_impedances_ohm_m2: vec![1e-3],
-//!     protocol,
+//!     layer: ElectrodedLayer {
+//!         electrodes: outline.rim_segments(12, 8e-3, 0.015, Direction::CounterClockwise),
+//!         outline,
+//!         contact_impedances_ohm_m2: vec![1e-3],
+//!         protocol,
+//!         conductance: Default::default(),
+//!         element_size_m: 6e-3,
+//!         electrode_element_size_m: 3e-3,
+//!     },
 //!     sheet_s: 1e-3,
-//!     conductance: Default::default(),
 //!     pressure_coefficient_per_pa: 0.0,
 //!     gauge_factor: 1.0,
 //!     modulus_pa: 100e3,
 //!     cover: Cover { smoothing_m: 2e-3 },
 //!     memory: None,
-//!     element_size_m: 6e-3,
-//!     electrode_element_size_m: 3e-3,
 //! })?;
 //! let mut twin = Twin::of(skin, &TwinOptions::default())?;
 //! twin.scene_mut().press(1, 0.01, -0.02, 0.01, 20e3)?;
@@ -52,6 +54,7 @@
 //! ```
 
 mod circuit;
+mod electroded_layer;
 mod elements;
 mod error;
 mod foil;
@@ -70,6 +73,7 @@ mod sheet;
 mod twin;
 mod wiring;
 
+pub use electroded_layer::ElectrodedLayer;
 pub use elements::{Conductor, ElementOptions, ElementSkin, NearbyMetal};
 pub use error::TwinError;
 pub use foil::{FoilOptions, FoilSkin};

@@ -2,18 +2,17 @@
 //! Pressing dents the surface, so the liquid gets shallower there and deeper elsewhere. The voltages depend on the
 //! depth alone.
 
-use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{ElectrodeShape, Outline};
+use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
 
+use crate::electroded_layer::ElectrodedLayer;
 use crate::error::TwinError;
 use crate::instrument::Instrument;
 use crate::mechanics::{
     Cover, Indenter, Membrane, MembraneSpec, Memory, PressedMembrane, PressureState, check_membrane,
 };
-use crate::physics::{ConductanceMap, LiquidElectrodes, LiquidFields, LiquidSpec};
+use crate::physics::{LiquidElectrodes, LiquidFields, LiquidSpec};
 use crate::twin::Frontend;
-use crate::wiring::check_electrodes;
 
 /// Minimum depth, as a share of the depth at rest: a membrane that touches the bottom is clipped to this film.
 const LEAST_FILM: f64 = 0.02;
@@ -37,24 +36,17 @@ pub enum LiquidSolver {
 /// Description of a liquid skin. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiquidOptions {
-    /// Outline of the liquid.
-    pub outline: Outline,
-    /// Electrodes, in order: stretches of the rim on the wall, or pads on the bottom if fields are depth-averaged.
-    pub electrodes: Vec<ElectrodeShape>,
+    /// The liquid with its electrodes: stretches of the rim on the wall, or pads on the bottom if fields are
+    /// depth-averaged. The contact impedance of both is in ohm.m^2.
+    pub layer: ElectrodedLayer,
     /// Height of the electrodes on the wall, metres, at most the depth.
     pub electrode_height_m: f64,
     /// Height of their centres above the bottom, metres. Makes no difference in depth-averaged fields.
     pub electrode_middle_m: f64,
-    /// Specific contact impedance of each electrode, or one value for all, ohm.m^2.
-    pub contact_impedances_ohm_m2: Vec<f64>,
-    /// Currents and measurements, amperes.
-    pub protocol: Protocol,
     /// Depth of the liquid at rest, metres.
     pub depth_m: f64,
     /// Conductivity of the liquid, S/m.
     pub conductivity_s_per_m: f64,
-    /// A factor on the sheet conductance over the skin, for an uneven layer.
-    pub conductance: ConductanceMap,
     /// Density of the liquid, kg/m^3.
     pub density_kg_per_m3: f64,
     /// Tension of the membrane, newtons per metre. 0 is an open tank, which needs gravity pointing into the skin.
@@ -67,27 +59,31 @@ pub struct LiquidOptions {
     pub memory: Option<Memory>,
     /// Method for solving the fields.
     pub solver: LiquidSolver,
-    /// Edge length of the triangles, metres. It should differ from a reconstruction's.
-    pub element_size_m: f64,
-    /// Edge length at electrodes, metres.
-    pub electrode_element_size_m: f64,
 }
 
 impl LiquidOptions {
+    /// The same skin with triangles of other edge lengths: in general, and at electrodes.
+    #[must_use]
+    pub fn meshed(mut self, element_size_m: f64, electrode_element_size_m: f64) -> Self {
+        self.layer = self.layer.meshed(element_size_m, electrode_element_size_m);
+        self
+    }
+
     fn liquid(&self) -> LiquidSpec {
+        let layer = &self.layer;
         LiquidSpec {
-            outline: self.outline.clone(),
+            outline: layer.outline.clone(),
             depth_m: self.depth_m,
             conductivity_s_per_m: self.conductivity_s_per_m,
-            conductance: self.conductance.clone(),
+            conductance: layer.conductance.clone(),
             electrodes: LiquidElectrodes {
-                shapes: self.electrodes.clone(),
+                shapes: layer.electrodes.clone(),
                 height_m: self.electrode_height_m,
                 middle_m: self.electrode_middle_m,
-                contact_impedances_ohm_m2: self.contact_impedances_ohm_m2.clone(),
+                contact_impedances_ohm_m2: layer.contact_impedances_ohm_m2.clone(),
             },
-            element_size_m: self.element_size_m,
-            electrode_element_size_m: self.electrode_element_size_m,
+            element_size_m: layer.element_size_m,
+            electrode_element_size_m: layer.electrode_element_size_m,
         }
     }
 }
@@ -120,16 +116,11 @@ impl LiquidSkin {
     pub fn new(options: LiquidOptions) -> Result<Self, TwinError> {
         options.cover.check()?;
         options.memory.as_ref().map_or(Ok(()), Memory::check)?;
-        check_electrodes(
-            options.electrodes.len(),
-            "contact_impedances_ohm_m2",
-            &options.contact_impedances_ohm_m2,
-            &options.protocol,
-        )?;
+        options.layer.check()?;
         let liquid = options.liquid();
         let fields = match options.solver {
-            LiquidSolver::DepthAveraged => LiquidFields::averaged(liquid, options.protocol)?,
-            LiquidSolver::Solid { layers } => LiquidFields::solid(liquid, layers, options.protocol)?,
+            LiquidSolver::DepthAveraged => LiquidFields::averaged(liquid, options.layer.protocol)?,
+            LiquidSolver::Solid { layers } => LiquidFields::solid(liquid, layers, options.layer.protocol)?,
         };
         let spec = MembraneSpec {
             tension_n_per_m: options.tension_n_per_m,
@@ -140,7 +131,7 @@ impl LiquidSkin {
         let membrane = Membrane::new(fields.plan(), spec)?;
         let nodes = membrane.positions_m().len();
         Ok(Self {
-            outline: options.outline,
+            outline: options.layer.outline,
             depth_m: options.depth_m,
             cover: options.cover,
             memory: PressureState::new(options.memory, nodes),

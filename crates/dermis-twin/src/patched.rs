@@ -6,15 +6,16 @@
 //! sheet.
 
 use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec};
+use dermis_tomo::mesh::{ElectrodedMesh, Outline, Point};
 
+use crate::electroded_layer::ElectrodedLayer;
 use crate::error::{TwinError, check, check_positive};
 use crate::gap::Gap;
 use crate::instrument::Instrument;
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory};
-use crate::physics::{ConductanceMap, ContactCell, PatchLayout, PatchedSheet};
+use crate::physics::{ContactCell, PatchLayout, PatchedSheet};
 use crate::twin::Frontend;
-use crate::wiring::{check_electrodes, superpose};
+use crate::wiring::superpose;
 
 /// Maximum number of contact cells. Each interacts with each: 8000 cells make a matrix of 512 MB, and twice that
 /// while all are in contact.
@@ -23,22 +24,10 @@ const MOST_CELLS: f64 = 8000.0;
 /// Description of a skin of sheet and patches. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatchedOptions {
-    /// Outline of the sheet, laid flat.
-    pub outline: Outline,
-    /// Electrodes of the sheet, in order: pads or stretches of the rim.
-    pub electrodes: Vec<ElectrodeShape>,
-    /// Specific contact impedance of each electrode, or one value for all: ohm.m^2 under pads, ohm.m on the rim.
-    pub contact_impedances_ohm_m2: Vec<f64>,
-    /// Currents and measurements, amperes.
-    pub protocol: Protocol,
+    /// The sheet with its electrodes.
+    pub layer: ElectrodedLayer,
     /// Sheet conductance of the sheet, siemens: conductivity times thickness.
     pub sheet_s: f64,
-    /// A factor on the sheet conductance over the skin, for an uneven layer.
-    pub conductance: ConductanceMap,
-    /// Edge length of the triangles, metres. It should differ from a reconstruction's.
-    pub element_size_m: f64,
-    /// Edge length at electrodes, metres.
-    pub electrode_element_size_m: f64,
     /// The patches, with at most 8000 contact cells on the sheet; the cells need `8 cells^2` bytes, 512 MB.
     pub patches: PatchLayout,
     /// Spreading of pressure on its way to the gap.
@@ -50,16 +39,18 @@ pub struct PatchedOptions {
 }
 
 impl PatchedOptions {
+    /// The same skin with triangles of other edge lengths: in general, and at electrodes.
+    #[must_use]
+    pub fn meshed(mut self, element_size_m: f64, electrode_element_size_m: f64) -> Self {
+        self.layer = self.layer.meshed(element_size_m, electrode_element_size_m);
+        self
+    }
+
     fn check(&self) -> Result<(), TwinError> {
         check_positive("sheet_s", self.sheet_s)?;
         self.patches.check()?;
-        check_electrodes(
-            self.electrodes.len(),
-            "contact_impedances_ohm_m2",
-            &self.contact_impedances_ohm_m2,
-            &self.protocol,
-        )?;
-        let cells = self.patches.cells_on(&self.outline);
+        self.layer.check()?;
+        let cells = self.patches.cells_on(&self.layer.outline);
         let expected = "at most 8000 (512 MB of memory): a larger patches pitch_m or fewer cells_per_side";
         check("contact cells on the sheet", cells, 0.0, MOST_CELLS, expected)
     }
@@ -85,16 +76,15 @@ impl PatchedSkin {
     pub fn new(options: PatchedOptions) -> Result<Self, TwinError> {
         options.check()?;
         let mut gap = Gap::new(options.cover, options.contact, options.memory, 0)?;
-        let mut spec = SheetSpec::new(options.outline, options.electrodes, options.element_size_m);
-        spec.electrode_element_size_m = options.electrode_element_size_m;
-        let (body, _) = spec.build(&options.contact_impedances_ohm_m2)?;
-        let sheet = PatchedSheet::new(&body, options.sheet_s, options.patches, &options.conductance)?;
+        let layer = options.layer;
+        let (body, _) = layer.sheet_spec().build(&layer.contact_impedances_ohm_m2)?;
+        let sheet = PatchedSheet::new(&body, options.sheet_s, options.patches, &layer.conductance)?;
         let places_m: Vec<Point> = sheet.cells().iter().map(|cell| cell.centre_m).collect();
         gap.reset(places_m.len());
         Ok(Self {
-            voltages_v: vec![0.0; options.protocol.channel_count()],
-            outline: spec.outline,
-            protocol: options.protocol,
+            voltages_v: vec![0.0; layer.protocol.channel_count()],
+            outline: layer.outline,
+            protocol: layer.protocol,
             body,
             sheet,
             places_m,

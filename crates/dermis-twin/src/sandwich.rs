@@ -6,8 +6,9 @@ use std::any::Any;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec};
+use dermis_tomo::mesh::{ElectrodedMesh, Outline, Point, SheetSpec};
 
+use crate::electroded_layer::ElectrodedLayer;
 use crate::error::{TwinError, check, check_positive};
 use crate::gap::Gap;
 use crate::healing::{HealingLaw, Treatment, Wear, Wound};
@@ -15,29 +16,17 @@ use crate::instrument::Instrument;
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory};
 use crate::physics::{ConductanceMap, Cut, Shortcut, TwoSheets};
 use crate::twin::{Frontend, Preparation};
-use crate::wiring::{check_electrodes, superpose};
+use crate::wiring::superpose;
 
 /// Description of a sandwich. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SandwichOptions {
-    /// Outline of the skin.
-    pub outline: Outline,
-    /// Electrodes of the sensing sheet, in order: pads or stretches of the rim.
-    pub electrodes: Vec<ElectrodeShape>,
-    /// Specific contact impedance of each electrode, or one value for all: ohm.m^2 under pads, ohm.m on the rim.
-    pub contact_impedances_ohm_m2: Vec<f64>,
-    /// Currents and measurements, amperes.
-    pub protocol: Protocol,
+    /// The sensing sheet with its electrodes.
+    pub layer: ElectrodedLayer,
     /// Sheet conductance of the sensing sheet, siemens: conductivity times thickness.
     pub sheet_s: f64,
-    /// A factor on the sheet conductance over the skin, for an uneven layer.
-    pub conductance: ConductanceMap,
     /// Sheet conductance of the shortcut layer, siemens; at least 100 times `sheet_s`.
     pub shortcut_s: f64,
-    /// Edge length of the triangles, metres. It should differ from a reconstruction's.
-    pub element_size_m: f64,
-    /// Edge length at electrodes, metres.
-    pub electrode_element_size_m: f64,
     /// Spreading of pressure on its way to the gap.
     pub cover: Cover,
     /// Contact between sheet and shortcut layer.
@@ -49,17 +38,19 @@ pub struct SandwichOptions {
 }
 
 impl SandwichOptions {
+    /// The same skin with triangles of other edge lengths: in general, and at electrodes.
+    #[must_use]
+    pub fn meshed(mut self, element_size_m: f64, electrode_element_size_m: f64) -> Self {
+        self.layer = self.layer.meshed(element_size_m, electrode_element_size_m);
+        self
+    }
+
     fn check(&self) -> Result<(), TwinError> {
         check_positive("sheet_s", self.sheet_s)?;
         let expected = "at least 100 times sheet_s, finite";
         check("shortcut_s", self.shortcut_s, 100.0 * self.sheet_s, f64::MAX, expected)?;
         self.healing.as_ref().map_or(Ok(()), HealingLaw::check)?;
-        check_electrodes(
-            self.electrodes.len(),
-            "contact_impedances_ohm_m2",
-            &self.contact_impedances_ohm_m2,
-            &self.protocol,
-        )
+        self.layer.check()
     }
 }
 
@@ -109,28 +100,27 @@ impl Sandwich {
     pub fn new(options: SandwichOptions) -> Result<Self, TwinError> {
         options.check()?;
         let mut gap = Gap::new(options.cover, options.contact, options.memory, 0)?;
-        let mut spec = SheetSpec::new(options.outline, options.electrodes, options.element_size_m);
-        spec.electrode_element_size_m = options.electrode_element_size_m;
-        let contact_impedances = options.contact_impedances_ohm_m2;
-        let (body, _) = spec.build(&contact_impedances)?;
+        let layer = options.layer;
+        let spec = layer.sheet_spec();
+        let (body, _) = spec.build(&layer.contact_impedances_ohm_m2)?;
         let shortcut = Shortcut::Sheet { conductance_s: options.shortcut_s };
         let mut sheets = TwoSheets::new(&body, options.sheet_s, shortcut)?;
-        if !options.conductance.is_even() {
-            sheets.set_sensing_by(|point| options.sheet_s * options.conductance.at(point), &[]);
+        if !layer.conductance.is_even() {
+            sheets.set_sensing_by(|point| options.sheet_s * layer.conductance.at(point), &[]);
         }
         gap.reset(sheets.positions_m().len());
         Ok(Self {
-            voltages_v: vec![0.0; options.protocol.channel_count()],
-            protocol: options.protocol,
+            voltages_v: vec![0.0; layer.protocol.channel_count()],
+            protocol: layer.protocol,
             sheet_s: options.sheet_s,
-            conductance: options.conductance,
+            conductance: layer.conductance,
             cuts: Vec::new(),
             wear: Wear::new(options.healing),
             waiting_s: 0.0,
             has_healed: false,
             slits: Slits::default(),
             spec,
-            contact_impedances,
+            contact_impedances: layer.contact_impedances_ohm_m2,
             body,
             sheets,
             gap,

@@ -15,15 +15,15 @@
 //! the cover and including its memory.
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, Point, SheetSpec};
+use dermis_tomo::mesh::{ElectrodedMesh, Outline, Point};
 
+use crate::electroded_layer::ElectrodedLayer;
 use crate::error::{TwinError, check, check_positive};
 use crate::healing::{Treatment, Wear, Wound};
 use crate::instrument::Instrument;
 use crate::mechanics::{Cover, Indenter, Memory, PressureState};
 use crate::physics::{ConductanceMap, Cut, damaged_conductance};
 use crate::twin::Frontend;
-use crate::wiring::check_electrodes;
 
 /// Limits of the conductance factor under any pressure.
 const FACTORS: [f64; 2] = [0.02, 50.0];
@@ -31,18 +31,10 @@ const FACTORS: [f64; 2] = [0.02, 50.0];
 /// Description of a bare sheet. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SheetOptions {
-    /// Outline of the skin.
-    pub outline: Outline,
-    /// Electrodes, in order.
-    pub electrodes: Vec<ElectrodeShape>,
-    /// Specific contact impedance of each electrode, or one value for all: ohm.m^2 under pads, ohm.m on the rim.
-    pub contact_impedances_ohm_m2: Vec<f64>,
-    /// Currents and measurements, amperes.
-    pub protocol: Protocol,
+    /// The sheet with its electrodes.
+    pub layer: ElectrodedLayer,
     /// Sheet conductance at rest, siemens: conductivity times thickness.
     pub sheet_s: f64,
-    /// A factor on the sheet conductance over the skin, for an uneven layer.
-    pub conductance: ConductanceMap,
     /// a: relative rise of the conductance per pascal, 1/Pa; see the module.
     pub pressure_coefficient_per_pa: f64,
     /// k: relative loss of conductance per compressive strain; see the module.
@@ -53,13 +45,16 @@ pub struct SheetOptions {
     pub cover: Cover,
     /// Viscoelastic memory of sheet and cover, if any.
     pub memory: Option<Memory>,
-    /// Edge length of the triangles, metres. It should differ from a reconstruction's.
-    pub element_size_m: f64,
-    /// Edge length at electrodes, metres.
-    pub electrode_element_size_m: f64,
 }
 
 impl SheetOptions {
+    /// The same skin with triangles of other edge lengths: in general, and at electrodes.
+    #[must_use]
+    pub fn meshed(mut self, element_size_m: f64, electrode_element_size_m: f64) -> Self {
+        self.layer = self.layer.meshed(element_size_m, electrode_element_size_m);
+        self
+    }
+
     fn check(&self) -> Result<(), TwinError> {
         check_positive("sheet_s", self.sheet_s)?;
         check("pressure_coefficient_per_pa", self.pressure_coefficient_per_pa, f64::MIN, f64::MAX, "finite")?;
@@ -67,12 +62,7 @@ impl SheetOptions {
         check_positive("modulus_pa", self.modulus_pa)?;
         self.cover.check()?;
         self.memory.as_ref().map_or(Ok(()), Memory::check)?;
-        check_electrodes(
-            self.electrodes.len(),
-            "contact_impedances_ohm_m2",
-            &self.contact_impedances_ohm_m2,
-            &self.protocol,
-        )
+        self.layer.check()
     }
 }
 
@@ -109,30 +99,28 @@ impl SheetSkin {
     /// Invalid parameters, electrodes that do not fit the protocol, or a mesh that cannot be built.
     pub fn new(options: SheetOptions) -> Result<Self, TwinError> {
         options.check()?;
-        let mut spec = SheetSpec::new(options.outline, options.electrodes, options.element_size_m);
-        spec.electrode_element_size_m = options.electrode_element_size_m;
-        let (body, _) = spec.build(&options.contact_impedances_ohm_m2)?;
+        let layer = options.layer;
+        let (body, _) = layer.sheet_spec().build(&layer.contact_impedances_ohm_m2)?;
         let at = |node: u32| [body.mesh.nodes()[node as usize][0], body.mesh.nodes()[node as usize][1]];
         let triangles_m: Vec<[Point; 3]> = body.mesh.elements().map(|cell| [0, 1, 2].map(|k| at(cell[k]))).collect();
         let middle = |corners: &[Point; 3]| [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
         let centroids_m: Vec<Point> = triangles_m.iter().map(middle).collect();
         let elements = centroids_m.len();
-        let rest_s: Vec<f64> =
-            centroids_m.iter().map(|place| options.sheet_s * options.conductance.at(*place)).collect();
+        let rest_s: Vec<f64> = centroids_m.iter().map(|place| options.sheet_s * layer.conductance.at(*place)).collect();
         Ok(Self {
-            voltages_v: vec![0.0; options.protocol.channel_count()],
-            outline: spec.outline,
-            model: ForwardModel::new(body, options.protocol)?,
+            voltages_v: vec![0.0; layer.protocol.channel_count()],
+            outline: layer.outline,
+            model: ForwardModel::new(body, layer.protocol)?,
             cover: options.cover,
             state: PressureState::new(options.memory, elements),
             per_pa: options.pressure_coefficient_per_pa - options.gauge_factor / options.modulus_pa,
             sheet_s: options.sheet_s,
-            inset_m: 0.5 * options.element_size_m,
+            inset_m: 0.5 * layer.element_size_m,
             wear: Wear::new(None),
             pressure_pa: vec![0.0; elements],
             conductance_s: rest_s.clone(),
             rest_s,
-            conductance: options.conductance,
+            conductance: layer.conductance,
             solved_s: Vec::new(),
             triangles_m,
             centroids_m,

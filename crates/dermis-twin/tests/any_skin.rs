@@ -8,8 +8,9 @@ use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline};
 use dermis_twin::mechanics::{ContactLaw, Cover, Indenter, Load, Memory, Shape, Springs};
 use dermis_twin::physics::{Cut, PatchLayout};
 use dermis_twin::{
-    Conductor, ElementOptions, ElementSkin, Frontend, LiquidOptions, LiquidSkin, LiquidSolver, PatchedOptions,
-    PatchedSkin, Sandwich, SandwichOptions, SheetOptions, SheetSkin, Treatment, Twin, TwinError, TwinOptions,
+    Conductor, ElectrodedLayer, ElementOptions, ElementSkin, Frontend, LiquidOptions, LiquidSkin, LiquidSolver,
+    PatchedOptions, PatchedSkin, Sandwich, SandwichOptions, SheetOptions, SheetSkin, Treatment, Twin, TwinError,
+    TwinOptions,
 };
 
 const CONTACT: ContactLaw =
@@ -82,19 +83,21 @@ fn refusal(skin: impl Frontend + 'static, x_m: f64, y_m: f64) -> String {
 fn strip() -> SheetOptions {
     let outline = Outline::Rectangle { width_m: 0.15, height_m: 0.06 };
     SheetOptions {
-        electrodes: outline.rim_segments(20, 6e-3, 0.01, Direction::CounterClockwise),
-        outline,
-        contact_impedances_ohm_m2: (0..20).map(|k| 1e-3 * (1.0 + 0.1 * f64::from(k))).collect(),
-        protocol: protocol(20),
+        layer: ElectrodedLayer {
+            electrodes: outline.rim_segments(20, 6e-3, 0.01, Direction::CounterClockwise),
+            outline,
+            contact_impedances_ohm_m2: (0..20).map(|k| 1e-3 * (1.0 + 0.1 * f64::from(k))).collect(),
+            protocol: protocol(20),
+            conductance: Default::default(),
+            element_size_m: 5e-3,
+            electrode_element_size_m: 2e-3,
+        },
         sheet_s: 1e-3,
-        conductance: Default::default(),
         pressure_coefficient_per_pa: 0.0,
         gauge_factor: 2.0,
         modulus_pa: 100e3,
         cover: Cover { smoothing_m: 2e-3 },
         memory: None,
-        element_size_m: 5e-3,
-        electrode_element_size_m: 2e-3,
     }
 }
 
@@ -146,7 +149,9 @@ fn a_strip_of_gel_is_cut_remembers_and_refuses() {
         refused(SheetOptions { modulus_pa: 0.0, ..strip() }),
         "modulus_pa: 0 refused; expected positive and finite"
     );
-    let error = refused(SheetOptions { protocol: protocol(16), ..strip() });
+    let mut many = strip();
+    many.layer.protocol = protocol(16);
+    let error = refused(many);
     assert_eq!(error, "electrodes: 20 refused; expected 16, as the protocol has");
 }
 
@@ -156,15 +161,17 @@ fn a_sandwich_may_be_an_l() {
     let outer = [[0.0, 0.0], [120.0, 0.0], [120.0, 50.0], [50.0, 50.0], [50.0, 120.0], [0.0, 120.0]];
     let outline = Outline::Polygon { outer: outer.map(|[x, y]| corner(x, y)).to_vec(), holes: Vec::new() };
     let mut skin = Sandwich::new(SandwichOptions {
-        electrodes: outline.rim_segments(24, 6e-3, 0.01, Direction::CounterClockwise),
-        outline,
-        contact_impedances_ohm_m2: vec![0.05],
-        protocol: protocol(24),
+        layer: ElectrodedLayer {
+            electrodes: outline.rim_segments(24, 6e-3, 0.01, Direction::CounterClockwise),
+            outline,
+            contact_impedances_ohm_m2: vec![0.05],
+            protocol: protocol(24),
+            conductance: Default::default(),
+            element_size_m: 5e-3,
+            electrode_element_size_m: 2e-3,
+        },
         sheet_s: 2e-3,
-        conductance: Default::default(),
         shortcut_s: 1e3,
-        element_size_m: 5e-3,
-        electrode_element_size_m: 2e-3,
         cover: Cover { smoothing_m: 2e-3 },
         contact: CONTACT,
         memory: None,
@@ -191,14 +198,16 @@ fn ring() -> PatchedOptions {
     let pad = |place: &[f64; 2]| ElectrodeShape::PadCircle { centre_m: *place, radius_m: 1.5e-3 };
     let (inner, outer) = (loop_of(16, [0.042; 2]), loop_of(16, [0.064; 2]));
     PatchedOptions {
-        outline: Outline::Polygon { outer: loop_of(48, [0.075; 2]), holes: vec![loop_of(32, [0.03; 2])] },
-        electrodes: inner.iter().chain(&outer).map(pad).collect(),
-        contact_impedances_ohm_m2: vec![1e-3],
-        protocol: protocol(32),
+        layer: ElectrodedLayer {
+            outline: Outline::Polygon { outer: loop_of(48, [0.075; 2]), holes: vec![loop_of(32, [0.03; 2])] },
+            electrodes: inner.iter().chain(&outer).map(pad).collect(),
+            contact_impedances_ohm_m2: vec![1e-3],
+            protocol: protocol(32),
+            conductance: Default::default(),
+            element_size_m: 5e-3,
+            electrode_element_size_m: 2e-3,
+        },
         sheet_s: 5e-4,
-        conductance: Default::default(),
-        element_size_m: 5e-3,
-        electrode_element_size_m: 2e-3,
         patches: PatchLayout { pitch_m: 12e-3, gap_m: 1.5e-3, cells_per_side: 2 },
         cover: Cover { smoothing_m: 2e-3 },
         contact: CONTACT,
@@ -231,23 +240,25 @@ fn a_patched_skin_may_be_a_ring() {
 fn ellipse() -> LiquidOptions {
     let outline = Outline::Polygon { outer: loop_of(64, [0.09, 0.06]), holes: Vec::new() };
     LiquidOptions {
-        electrodes: outline.rim_segments(12, 6e-3, 0.0, Direction::CounterClockwise),
-        outline,
+        layer: ElectrodedLayer {
+            electrodes: outline.rim_segments(12, 6e-3, 0.0, Direction::CounterClockwise),
+            outline,
+            contact_impedances_ohm_m2: vec![1e-4; 12],
+            protocol: protocol(12),
+            conductance: Default::default(),
+            element_size_m: 6e-3,
+            electrode_element_size_m: 2e-3,
+        },
         electrode_height_m: 5e-3,
         electrode_middle_m: 4e-3,
-        contact_impedances_ohm_m2: vec![1e-4; 12],
-        protocol: protocol(12),
         depth_m: 8e-3,
         conductivity_s_per_m: 0.7,
-        conductance: Default::default(),
         density_kg_per_m3: 1100.0,
         tension_n_per_m: 40.0,
         gravity_m_per_s2: [0.0, 0.0, -9.81],
         cover: Cover { smoothing_m: 1e-3 },
         memory: None,
         solver: LiquidSolver::DepthAveraged,
-        element_size_m: 6e-3,
-        electrode_element_size_m: 2e-3,
     }
 }
 
@@ -269,7 +280,8 @@ fn a_liquid_may_be_an_ellipse_open_or_closed_with_pads_on_its_bottom() {
     read(&mut tank, &[disc(30.0, 10.0, 20.0)]);
     let deepest = tank.membrane().deflection_m().iter().copied().fold(0.0, f64::max);
     assert!((deepest / (20.0 / (1100.0 * 9.81)) - 1.0).abs() < 0.1, "{deepest}");
-    let few = LiquidOptions { contact_impedances_ohm_m2: vec![1e-4; 5], ..ellipse() };
+    let mut few = ellipse();
+    few.layer.contact_impedances_ohm_m2 = vec![1e-4; 5];
     let error = LiquidSkin::new(few).unwrap_err().to_string();
     assert_eq!(error, "contact_impedances_ohm_m2: 5 refused; expected 1 for all electrodes, or 12: one for each");
     let hanging = LiquidOptions { gravity_m_per_s2: [0.0, -9.81, 0.0], ..open };
@@ -278,7 +290,8 @@ fn a_liquid_may_be_an_ellipse_open_or_closed_with_pads_on_its_bottom() {
     // Pads on the bottom do not depend on the wall.
     let pads = loop_of(12, [0.07, 0.045]);
     let pad = |place: &[f64; 2]| ElectrodeShape::PadCircle { centre_m: *place, radius_m: 2e-3 };
-    let bottom = LiquidOptions { electrodes: pads.iter().map(pad).collect(), electrode_height_m: 0.0, ..ellipse() };
+    let mut bottom = LiquidOptions { electrode_height_m: 0.0, ..ellipse() };
+    bottom.layer.electrodes = pads.iter().map(pad).collect();
     let mut skin = LiquidSkin::new(bottom.clone()).unwrap();
     assert!(change(&mut skin, &press) > 1e-4);
     let solid = LiquidOptions { solver: LiquidSolver::Solid { layers: 2 }, ..bottom };

@@ -4,10 +4,7 @@ mod published;
 
 use dermis_tomo::eit::Protocol;
 use dermis_twin::instrument::{Fault, FrameFate, InstrumentOptions, Reading, TimedFault};
-use dermis_twin::{
-    ElementSkin, Frontend, LiquidOptions, LiquidSkin, PatchedOptions, PatchedSkin, Sandwich, SandwichOptions, Twin,
-    TwinOptions,
-};
+use dermis_twin::{ElementSkin, Frontend, LiquidSkin, PatchedSkin, Sandwich, Twin, TwinOptions};
 use published::{em_8, healing_square, healing_twin_options, ionic_disc, piezo_square};
 
 type Any = Twin<Box<dyn Frontend>>;
@@ -15,11 +12,11 @@ type Any = Twin<Box<dyn Frontend>>;
 /// The three kinds of skin with an ideal instrument, on small meshes, with their protocols.
 fn skins() -> Vec<(&'static str, Any, Protocol)> {
     let ideal = TwinOptions::default();
-    let square = SandwichOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..healing_square() };
+    let square = healing_square().meshed(4e-3, 2e-3);
     let square = Twin::of(Sandwich::new(square).unwrap(), &ideal).unwrap();
-    let ionic = LiquidOptions { element_size_m: 9e-3, ..ionic_disc() };
+    let ionic = ionic_disc().meshed(9e-3, 1.2e-3);
     let ionic = Twin::of(LiquidSkin::new(ionic).unwrap(), &ideal).unwrap();
-    let piezo = PatchedOptions { element_size_m: 6e-3, electrode_element_size_m: 2.5e-3, ..piezo_square() };
+    let piezo = piezo_square().meshed(6e-3, 2.5e-3);
     let piezo = Twin::of(PatchedSkin::new(piezo).unwrap(), &TwinOptions { seed: 2, ..ideal }).unwrap();
     let protocols = [
         square.frontend().stimulation().clone(),
@@ -87,7 +84,7 @@ fn a_stuck_channel_and_a_short_show_in_every_twin() {
 
 #[test]
 fn dropped_frames_leave_gaps_and_copies_repeat_numbers() {
-    let options = SandwichOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..healing_square() };
+    let options = healing_square().meshed(6e-3, 3e-3);
     let mut twin = Twin::of(Sandwich::new(options).unwrap(), &healing_twin_options()).unwrap();
     let faults = [Fault::DroppedFrames { probability: 0.1 }, Fault::DuplicatedFrames { probability: 0.1 }];
     twin.set_faults(faults.map(TimedFault::from).to_vec()).unwrap();

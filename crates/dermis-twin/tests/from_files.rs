@@ -9,7 +9,7 @@ use dermis_twin::from_skin::{element_options, instrument_options, patched_option
 use dermis_twin::instrument::{Converter, InstrumentOptions};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::physics::PatchLayout;
-use dermis_twin::{AnyTwin, ElementOptions, Frontend, LiquidSkin, PatchedOptions, Sandwich};
+use dermis_twin::{AnyTwin, ElectrodedLayer, ElementOptions, Frontend, LiquidSkin, Sandwich};
 use published::*;
 
 fn open(name: &str) -> Skin {
@@ -95,18 +95,19 @@ fn patches() {
         let skin = open(name);
         let made = patched_options(&skin).unwrap();
         assert!(same(made.sheet_s, options.sheet_s) && same(made.cover.smoothing_m, options.cover.smoothing_m));
-        assert_eq!(made.contact_impedances_ohm_m2, [options.contact_impedances_ohm_m2[0]; 64]);
-        assert_eq!((&made.outline, &made.protocol), (&options.outline, &options.protocol), "{name}");
+        assert_eq!(made.layer.contact_impedances_ohm_m2, [options.layer.contact_impedances_ohm_m2[0]; 64]);
+        assert_eq!(made.layer.outline, options.layer.outline, "{name}");
+        assert_eq!(made.layer.protocol, options.layer.protocol, "{name}");
         // The file leaves the number of cells to the twin.
         let layout = PatchLayout { cells_per_side: made.patches.cells_per_side, ..options.patches };
         assert_eq!((made.patches, made.contact, made.memory), (layout, options.contact, options.memory));
-        let sizes = |options: &PatchedOptions| [options.element_size_m, options.electrode_element_size_m];
-        assert!(sizes(&made).iter().zip(sizes(&options)).all(|(a, b)| same(*a, b)));
+        let sizes = |layer: &ElectrodedLayer| [layer.element_size_m, layer.electrode_element_size_m];
+        assert!(sizes(&made.layer).iter().zip(sizes(&options.layer)).all(|(a, b)| same(*a, b)));
         let pad = |shape: &ElectrodeShape| match *shape {
             ElectrodeShape::PadCircle { centre_m, radius_m } => (centre_m, radius_m),
             _ => panic!("{shape:?} is not round"),
         };
-        for (a, b) in made.electrodes.iter().zip(&options.electrodes) {
+        for (a, b) in made.layer.electrodes.iter().zip(&options.layer.electrodes) {
             let ((centre, radius), (wanted, expected)) = (pad(a), pad(b));
             assert!(distance(centre, wanted) < 1e-15 && radius == expected, "{a:?} {b:?}");
         }

@@ -13,7 +13,7 @@ use published::{healing_instrument, healing_square, healing_twin};
 
 /// A mesh of about 1,600 triangles: enough for the behaviour, and fast.
 fn coarse() -> SandwichOptions {
-    SandwichOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..healing_square() }
+    healing_square().meshed(4e-3, 2e-3)
 }
 
 fn voltages(skin: &mut Sandwich, indenters: &[Indenter]) -> Vec<f64> {
@@ -178,14 +178,14 @@ fn two_touches_interact_through_the_copper() {
 #[test]
 fn finer_meshes_change_little() {
     let at = |element_size_m: f64, electrode_element_size_m: f64| {
-        let options = SandwichOptions { element_size_m, electrode_element_size_m, ..coarse() };
+        let options = healing_square().meshed(element_size_m, electrode_element_size_m);
         let mut skin = Sandwich::new(options).unwrap();
         let rest = voltages(&mut skin, &[]);
         let change: Vec<f64> =
             voltages(&mut skin, &[press(12.0, -7.0)]).iter().zip(&rest).map(|(v, v0)| v - v0).collect();
         (rest, change)
     };
-    let default = healing_square();
+    let default = healing_square().layer;
     let (rest, change) = at(default.element_size_m, default.electrode_element_size_m);
     let (fine_rest, fine_change) = at(default.element_size_m / 1.6, default.electrode_element_size_m / 1.6);
     // The default mesh is within 0.5 % at rest and 2.5 % of a press's change of a mesh with 2.6 times the triangles.
@@ -241,9 +241,11 @@ fn bad_parameters_and_times_are_refused() {
     assert_eq!(error, "sheet_s: 0 refused; expected positive and finite");
     assert!(refused(SandwichOptions { shortcut_s: 0.01, ..coarse() }).starts_with("shortcut_s: 0.01"));
     let mut few = coarse();
-    few.electrodes.pop();
+    few.layer.electrodes.pop();
     assert_eq!(refused(few), "electrodes: 15 refused; expected 16, as the protocol has");
-    let error = refused(SandwichOptions { contact_impedances_ohm_m2: vec![1e-4; 3], ..coarse() });
+    let mut few = coarse();
+    few.layer.contact_impedances_ohm_m2 = vec![1e-4; 3];
+    let error = refused(few);
     assert_eq!(error, "contact_impedances_ohm_m2: 3 refused; expected 1 for all electrodes, or 16: one for each");
     let mut law = published::healing_law();
     law.pad_rim_m = f64::NAN;

@@ -94,12 +94,12 @@ fn a_turned_press_gives_the_turned_frame() {
 #[test]
 fn finer_meshes_change_little() {
     let at = |element_size_m: f64, electrode_element_size_m: f64| {
-        let options = LiquidOptions { element_size_m, electrode_element_size_m, ..prompt() };
+        let options = prompt().meshed(element_size_m, electrode_element_size_m);
         let mut skin = LiquidSkin::new(options).unwrap();
         let touch = change(&mut skin, &[weights(30.0, -12.0, 4)]);
         (read(&mut skin, &[]), touch)
     };
-    let default = prompt();
+    let default = prompt().layer;
     let (rest, touch) = at(default.element_size_m, default.electrode_element_size_m);
     let (fine_rest, fine_touch) = at(default.element_size_m / 2.0, default.electrode_element_size_m / 2.0);
     let (at_rest, of_touch) = (relative_difference(&rest, &fine_rest), relative_difference(&touch, &fine_touch));
@@ -109,7 +109,7 @@ fn finer_meshes_change_little() {
 
 #[test]
 fn fields_in_three_dimensions_agree_where_the_paper_presses() {
-    let coarse = LiquidOptions { element_size_m: 6e-3, electrode_element_size_m: 1.5e-3, ..prompt() };
+    let coarse = prompt().meshed(6e-3, 1.5e-3);
     let mut flat = LiquidSkin::new(coarse.clone()).unwrap();
     let mut solid = LiquidSkin::new(LiquidOptions { solver: LiquidSolver::Solid { layers: 4 }, ..coarse }).unwrap();
     assert!(solid.fields().element_count() > 10 * flat.fields().element_count());
@@ -127,10 +127,8 @@ fn small_electrodes_near_the_surface_see_a_touch_better() {
     let signal_at = |electrode_height_share: f64| {
         let options = LiquidOptions {
             solver: LiquidSolver::Solid { layers: 6 },
-            element_size_m: 6e-3,
-            electrode_element_size_m: 1.5e-3,
             memory: None,
-            ..ionic_disc_with_bolts(3e-3, electrode_height_share)
+            ..ionic_disc_with_bolts(3e-3, electrode_height_share).meshed(6e-3, 1.5e-3)
         };
         let mut skin = LiquidSkin::new(options).unwrap();
         let rest = read(&mut skin, &[]);

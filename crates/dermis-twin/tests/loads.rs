@@ -4,10 +4,7 @@ mod published;
 
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::{Place, RandomTouches, SceneOptions, Script};
-use dermis_twin::{
-    Frontend, LiquidOptions, LiquidSkin, PatchedOptions, PatchedSkin, Sandwich, SandwichOptions, Twin, TwinError,
-    TwinOptions,
-};
+use dermis_twin::{Frontend, LiquidOptions, LiquidSkin, PatchedSkin, Sandwich, Twin, TwinError, TwinOptions};
 use published::{healing_square, ionic_disc, piezo_disc};
 
 type Any = Twin<Box<dyn Frontend>>;
@@ -17,17 +14,17 @@ type Make = fn(Option<Script>) -> Result<Any, TwinError>;
 
 fn healing(script: Option<Script>) -> Result<Any, TwinError> {
     let scene = SceneOptions { script_waits_s: 0.0, ..Default::default() };
-    let options = SandwichOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..healing_square() };
+    let options = healing_square().meshed(6e-3, 3e-3);
     Ok(Twin::of(Sandwich::new(options)?, &TwinOptions { scene, script, ..TwinOptions::default() })?.boxed())
 }
 
 fn ionic(script: Option<Script>) -> Result<Any, TwinError> {
-    let options = LiquidOptions { element_size_m: 9e-3, memory: None, ..ionic_disc() };
+    let options = LiquidOptions { memory: None, ..ionic_disc().meshed(9e-3, 1.2e-3) };
     Ok(Twin::of(LiquidSkin::new(options)?, &TwinOptions { script, ..TwinOptions::default() })?.boxed())
 }
 
 fn piezo(script: Option<Script>) -> Result<Any, TwinError> {
-    let options = PatchedOptions { element_size_m: 7e-3, electrode_element_size_m: 3e-3, ..piezo_disc() };
+    let options = piezo_disc().meshed(7e-3, 3e-3);
     Ok(Twin::of(PatchedSkin::new(options)?, &TwinOptions { script, ..TwinOptions::default() })?.boxed())
 }
 

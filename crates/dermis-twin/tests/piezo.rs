@@ -15,7 +15,7 @@ use published::{piezo_disc, piezo_instrument, piezo_square};
 
 /// A coarser mesh and 500 cells: enough for the behaviour, and fast.
 fn coarse(options: PatchedOptions) -> PatchedOptions {
-    let mut options = PatchedOptions { element_size_m: 6e-3, electrode_element_size_m: 2e-3, ..options };
+    let mut options = options.meshed(6e-3, 2e-3);
     options.patches.pitch_m = 15e-3;
     options.patches.cells_per_side = 2;
     options

@@ -5,7 +5,7 @@ use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline};
 use dermis_twin::instrument::{Converter, InstrumentOptions, Noise};
 use dermis_twin::mechanics::{ContactLaw, Cover};
-use dermis_twin::{HealingLaw, Heating, Sandwich, SandwichOptions, Twin, TwinError, TwinOptions};
+use dermis_twin::{ElectrodedLayer, HealingLaw, Heating, Sandwich, SandwichOptions, Twin, TwinError, TwinOptions};
 
 /// Frames per second (not in the paper).
 pub const HEALING_RATE_HZ: f64 = 25.0;
@@ -31,15 +31,17 @@ pub fn healing_protocol() -> Protocol {
 pub fn healing_square() -> SandwichOptions {
     let pad = ElectrodeShape::PadRectangle { centre_m: [0.0; 2], width_m: 6e-3, height_m: 6e-3, angle_rad: 0.0 };
     SandwichOptions {
-        outline: Outline::Rectangle { width_m: 0.1, height_m: 0.1 },
-        electrodes: pad.ring(5, 5, [23.5e-3; 2], Direction::CounterClockwise),
-        contact_impedances_ohm_m2: vec![5e-4],
-        protocol: healing_protocol(),
+        layer: ElectrodedLayer {
+            outline: Outline::Rectangle { width_m: 0.1, height_m: 0.1 },
+            electrodes: pad.ring(5, 5, [23.5e-3; 2], Direction::CounterClockwise),
+            contact_impedances_ohm_m2: vec![5e-4],
+            protocol: healing_protocol(),
+            conductance: Default::default(),
+            element_size_m: 1.7e-3,
+            electrode_element_size_m: 1.0e-3,
+        },
         sheet_s: 0.1 / (2010.0 * 0.01 * 0.001) * 1e-3,
-        conductance: Default::default(),
         shortcut_s: 35e-6 * 5.8e7,
-        element_size_m: 1.7e-3,
-        electrode_element_size_m: 1.0e-3,
         cover: Cover { smoothing_m: 1.5e-3 },
         contact: ContactLaw { threshold_pa: 3e3, reference_pa: 60e3, exponent: 1.5, saturation_s_per_m2: 1500.0 },
         memory: None,

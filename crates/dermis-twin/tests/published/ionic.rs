@@ -7,7 +7,7 @@ use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, Outline};
 use dermis_twin::instrument::{InstrumentOptions, Noise, Timing};
 use dermis_twin::mechanics::{Cover, Memory, STANDARD_GRAVITY_M_PER_S2};
-use dermis_twin::{LiquidOptions, LiquidSkin, LiquidSolver, Twin, TwinError, TwinOptions};
+use dermis_twin::{ElectrodedLayer, LiquidOptions, LiquidSkin, LiquidSolver, Twin, TwinError, TwinOptions};
 
 /// Frames per second.
 pub const IONIC_RATE_HZ: f64 = 16.0;
@@ -36,41 +36,41 @@ pub fn ionic_protocol() -> Protocol {
 /// tension and memory fitted.
 pub fn ionic_disc() -> LiquidOptions {
     LiquidOptions {
-        outline: Outline::Disc { radius_m: 0.5 * 0.174 },
-        electrodes: Outline::rim_arcs(16, BOLT_M, FRAC_PI_2, Direction::Clockwise),
+        layer: ElectrodedLayer {
+            outline: Outline::Disc { radius_m: 0.5 * 0.174 },
+            electrodes: Outline::rim_arcs(16, BOLT_M, FRAC_PI_2, Direction::Clockwise),
+            contact_impedances_ohm_m2: vec![1e-4],
+            protocol: ionic_protocol(),
+            conductance: Default::default(),
+            element_size_m: 4.5e-3,
+            electrode_element_size_m: 1.2e-3,
+        },
         electrode_height_m: BOLT_M,
         electrode_middle_m: 0.5 * IONIC_DEPTH_M,
-        contact_impedances_ohm_m2: vec![1e-4],
-        protocol: ionic_protocol(),
         depth_m: IONIC_DEPTH_M,
         conductivity_s_per_m: 0.5,
-        conductance: Default::default(),
         density_kg_per_m3: 1000.0,
         tension_n_per_m: 60.0,
         gravity_m_per_s2: [0.0, 0.0, -STANDARD_GRAVITY_M_PER_S2],
         cover: Cover { smoothing_m: 0.5e-3 },
         memory: Some(Memory { share: 0.05, time_constant_s: 20.0 }),
         solver: LiquidSolver::DepthAveraged,
-        element_size_m: 4.5e-3,
-        electrode_element_size_m: 1.2e-3,
     }
 }
 
 /// The square skin of 212 mm; electrode 1 at the left end of the bottom side, numbered counter-clockwise.
 pub fn ionic_square() -> LiquidOptions {
-    let outline = Outline::Rectangle { width_m: 0.212, height_m: 0.212 };
-    let electrodes = outline.rim_per_side(4, BOLT_M, Direction::CounterClockwise);
-    LiquidOptions { outline, electrodes, ..ionic_disc() }
+    let mut square = ionic_disc();
+    square.layer.outline = Outline::Rectangle { width_m: 0.212, height_m: 0.212 };
+    square.layer.electrodes = square.layer.outline.rim_per_side(4, BOLT_M, Direction::CounterClockwise);
+    square
 }
 
 /// The round skin with bolts of another size, centred at a share of the depth.
 pub fn ionic_disc_with_bolts(side_m: f64, height_share: f64) -> LiquidOptions {
-    LiquidOptions {
-        electrodes: Outline::rim_arcs(16, side_m, FRAC_PI_2, Direction::Clockwise),
-        electrode_height_m: side_m,
-        electrode_middle_m: height_share * IONIC_DEPTH_M,
-        ..ionic_disc()
-    }
+    let mut disc = ionic_disc();
+    disc.layer.electrodes = Outline::rim_arcs(16, side_m, FRAC_PI_2, Direction::Clockwise);
+    LiquidOptions { electrode_height_m: side_m, electrode_middle_m: height_share * IONIC_DEPTH_M, ..disc }
 }
 
 /// 16 frames per second with 208 channels each, and noise proportional to each voltage. It gives the paper's 59.7 dB

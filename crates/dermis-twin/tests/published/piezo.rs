@@ -10,7 +10,7 @@ use dermis_tomo::mesh::{ElectrodeShape, Outline};
 use dermis_twin::instrument::{Converter, DriveSteps, GainRanges, InstrumentOptions, Multiplexer, Noise, Timing};
 use dermis_twin::mechanics::{ContactLaw, Cover};
 use dermis_twin::physics::PatchLayout;
-use dermis_twin::{PatchedOptions, PatchedSkin, Twin, TwinError, TwinOptions};
+use dermis_twin::{ElectrodedLayer, PatchedOptions, PatchedSkin, Twin, TwinError, TwinOptions};
 
 /// Frames per second; the paper's converter takes 4.8 s per frame.
 pub const PIEZO_RATE_HZ: f64 = 30.0;
@@ -45,14 +45,16 @@ fn pads(place: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<ElectrodeShape> {
 /// the rest of the contact law is assumed. The backing of 5.5 mm spreads pressure uniformly.
 pub fn piezo_square() -> PatchedOptions {
     PatchedOptions {
-        outline: Outline::Rectangle { width_m: 0.15, height_m: 0.15 },
-        electrodes: pads(|[x, y]| [0.5 * 0.15 * x, 0.5 * 0.15 * y]),
-        contact_impedances_ohm_m2: vec![1e-3],
-        protocol: piezo_protocol(),
+        layer: ElectrodedLayer {
+            outline: Outline::Rectangle { width_m: 0.15, height_m: 0.15 },
+            electrodes: pads(|[x, y]| [0.5 * 0.15 * x, 0.5 * 0.15 * y]),
+            contact_impedances_ohm_m2: vec![1e-3],
+            protocol: piezo_protocol(),
+            conductance: Default::default(),
+            element_size_m: 3.2e-3,
+            electrode_element_size_m: 1.2e-3,
+        },
         sheet_s: 1.0 / 2e3,
-        conductance: Default::default(),
-        element_size_m: 3.2e-3,
-        electrode_element_size_m: 1.2e-3,
         patches: PatchLayout { pitch_m: 10e-3, gap_m: 1e-3, cells_per_side: 3 },
         cover: Cover { smoothing_m: 5.5e-3 / 3_f64.sqrt() },
         contact: ContactLaw { threshold_pa: 50.0, reference_pa: 888.0, exponent: 1.5, saturation_s_per_m2: 200.0 },
@@ -62,11 +64,10 @@ pub fn piezo_square() -> PatchedOptions {
 
 /// The disc of 120 mm; otherwise as the square.
 pub fn piezo_disc() -> PatchedOptions {
-    PatchedOptions {
-        outline: Outline::Disc { radius_m: 0.5 * 0.12 },
-        electrodes: pads(|place| square_to_disc(place).map(|value| 0.5 * 0.12 * value)),
-        ..piezo_square()
-    }
+    let mut disc = piezo_square();
+    disc.layer.outline = Outline::Disc { radius_m: 0.5 * 0.12 };
+    disc.layer.electrodes = pads(|place| square_to_disc(place).map(|value| 0.5 * 0.12 * value));
+    disc
 }
 
 /// Current in steps of 2.6 uA up to 40 uA, a multiplexer of 400 ohm, and a 16-bit converter with 860 samples per

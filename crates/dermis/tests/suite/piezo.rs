@@ -48,13 +48,13 @@ fn one_backend_serves_three_frontends() {
     assert_eq!(square.surface(), Surface::Flat);
     for skin in [square, disc, cylinder] {
         let options = patched_options(&skin).unwrap();
-        assert_eq!(skin.protocol().unwrap(), options.protocol, "{}", skin.name);
+        assert_eq!(skin.protocol().unwrap(), options.layer.protocol, "{}", skin.name);
         assert_eq!(skin.protocol().unwrap().channel_count(), 4096);
         assert!((skin.sheet_conductance_s() / options.sheet_s - 1.0).abs() < 1e-12);
         assert!((skin.sheet_conductance_s() * 2e3 - 1.0).abs() < 1e-12, "2 kohm");
         let pads = skin.electrode_shapes();
-        assert_eq!(pads, options.electrodes);
-        assert_eq!(options.contact_impedances_ohm_m2, [skin.frontend.contact_impedance_ohm_m2; 64]);
+        assert_eq!(pads, options.layer.electrodes);
+        assert_eq!(options.layer.contact_impedances_ohm_m2, [skin.frontend.contact_impedance_ohm_m2; 64]);
         for pad in &pads {
             let ElectrodeShape::PadCircle { radius_m, .. } = pad else { panic!("{pad:?} is not round") };
             assert_eq!(*radius_m, 1.5e-3);
