@@ -1,8 +1,7 @@
 //! Maps of a skin's sensitivity, its smallest detectable amplitude, and the bounds on position and amplitude.
 
 use dermis_live::imager::Imager;
-use dermis_tomo::mesh::distance;
-use dermis_tomo::mesh::{PixelGrid, PixelMap, Point};
+use dermis_tomo::mesh::{PixelGrid, PixelMap, Point, distance};
 use dermis_tomo::quality::spread_width_m;
 use rayon::prelude::*;
 

@@ -1,11 +1,12 @@
 //! Limits of a guard, and the comparison of a touch's force and pressure with them. A force counts only if it is known
 //! to be below its limit.
 
+use std::f64::consts::PI;
+
 use super::report::{GuardReason, GuardReasons};
 use crate::contact::LoadQuantity;
 use crate::force::ForceReading;
 use crate::touch::Touch;
-use std::f64::consts::PI;
 
 /// Limits of a guard. Times are nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,8 +58,8 @@ fn compare(value: Option<f64>, limit: f64, [above, unknown]: [GuardReason; 2], r
     }
 }
 
-/// An upper estimate of a touch's force, newtons; `None` if there is none. Below its calibrated range a force is at
-/// most the range's lower end; above it, or where the skin saturates, it has no bound.
+/// Upper bound of a touch's force, newtons; `None` without one. A force below the calibrated range is at most the
+/// range's lower end; one above it, or of a saturated skin, has no bound.
 fn largest_force_n(touch: &Touch) -> Option<f64> {
     match touch.force {
         Some(ForceReading::Valid { force_n, .. } | ForceReading::FromLaw { force_n, .. }) => Some(force_n),
