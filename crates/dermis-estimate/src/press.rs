@@ -168,6 +168,11 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         None
     }
 
+    /// These presses with the common radius from which a fit to the last frame taken should start.
+    fn resized(&mut self, presses: Vec<Press>) -> Vec<Press> {
+        presses
+    }
+
     /// Gain of the best of these proposals, without listing them.
     fn most_gain(&self, negative: bool) -> f64;
 

@@ -40,10 +40,25 @@ impl Whitening {
         whitened.clear();
         whitened.extend(change.iter().zip(&self.inverse).map(|(value, inverse)| value * inverse));
         for (direction, share) in &self.directions {
-            let along: f64 = direction.iter().zip(&*whitened).map(|(d, v)| d * v).sum();
+            let along = dot(direction, whitened);
             whitened.iter_mut().zip(direction).for_each(|(value, d)| *value -= share * along * d);
         }
     }
+}
+
+/// Number of partial sums of a product, so that the additions need not wait for each other.
+const LANES: usize = 8;
+
+/// The scalar product.
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (a, a_rest) = a.as_chunks::<LANES>();
+    let (b, b_rest) = b.as_chunks::<LANES>();
+    let mut sums = [0.0; LANES];
+    for (a, b) in a.iter().zip(b) {
+        (0..LANES).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f64>() + rest
 }
 
 #[cfg(test)]

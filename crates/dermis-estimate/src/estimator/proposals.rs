@@ -18,48 +18,32 @@ const SPLIT_RADII: f64 = 1.2;
 const PROPOSED: f64 = 0.25;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
-/// A joint set that leaves more than this share of a streamed frame is not fitted from a second radius.
+/// A joint set that leaves more than this share of a streamed frame doesn't explain it.
 const HOPELESS: f64 = 0.5;
 /// The search for joint sets ends at such a set of this many presses or more, if it also leaves more than this share of
 /// what smaller sets leave. The change is then damage. Two of three presses at once may explain no more than one.
 const MANY: usize = 3;
 const NO_BETTER: f64 = 0.9;
-/// If no joint set explains the frame, they are fitted again from this radius, relative to the typical one.
-const OTHER_RADIUS: f64 = 1.4;
 
 impl Estimator {
     /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else
     /// those that have ended. Both in one set would explain a cut as well.
     pub(super) fn propose_sets(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
-        let (mut sets, mut is_first, mut least_left) = (Vec::new(), true, f64::INFINITY);
+        let (mut is_first, mut least_left) = (true, f64::INFINITY);
         while let Some(set) = self.fit.next_joint_set(is_first, self.negative) {
             is_first = false;
             if set.len() <= best.presses.len() {
                 continue;
             }
+            let set = self.fit.resized(set);
             let Some(more) = self.fitted(&set, Effort::Quick) else { break };
             let (left, is_enough, is_hopeless) =
                 (more.cost.unexplained(), more.cost.is_explained(), self.is_hopeless(&more));
             found.push(more);
-            if is_enough {
+            if is_enough || set.len() >= MANY && is_hopeless && left > NO_BETTER * least_left {
                 return;
-            }
-            if set.len() >= MANY && is_hopeless && left > NO_BETTER * least_left {
-                break;
             }
             least_left = least_left.min(left);
-            if !is_hopeless {
-                sets.push(set);
-            }
-        }
-        // Pressure and radius trade off, and the fits may have ended in local optima.
-        for set in sets {
-            let Some(more) = self.fitted(&scaled(&set, OTHER_RADIUS), Effort::Quick) else { return };
-            let is_enough = more.cost.is_explained();
-            found.push(more);
-            if is_enough {
-                return;
-            }
         }
     }
 
@@ -214,9 +198,4 @@ impl Estimator {
         starts.push(half(halves[1]));
         Some(starts)
     }
-}
-
-/// Presses with their radii scaled.
-fn scaled(presses: &[Press], share: f64) -> Vec<Press> {
-    presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect()
 }

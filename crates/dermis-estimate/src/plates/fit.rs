@@ -1,18 +1,19 @@
 //! The fit of presses on plates to a frame.
 
+mod steps;
+
 use std::sync::Arc;
 
 use dermis_tomo::eit::contacts::PatchSets;
-use dermis_tomo::least_squares::{
-    Error, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
-};
+use dermis_tomo::least_squares::{NormalEquations, Scratch};
 use dermis_tomo::mesh::{Point, distance};
 
-use super::model::{LONGEST_LOG, Made, PlateModel, SizePrior};
+use super::model::{Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed, turned};
 use super::weighing::Weighing;
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
+use crate::whitening::dot;
 
 /// Places of the logarithms of pressure and radius among the parameters of a press.
 const LOG_PRESSURE: usize = 2;
@@ -21,18 +22,11 @@ const LOG_RADIUS: usize = 3;
 const STEPS: usize = 15;
 /// Largest number of steps of a fit that only compares explanations.
 const QUICK_STEPS: usize = 8;
-/// Initial damping.
-const DAMPING: f64 = 1e-3;
-/// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
-/// than ten times this.
-const CONVERGED: f64 = 2e-3;
-/// A fit has also converged when a step lowers the residual by less than this share of it. If it is noise, in some 200
-/// readings, that is 0.2 of a squared standard deviation.
-const NO_BETTER: f64 = 1e-3;
-/// Largest move in one step, in radii.
-const LONGEST: f64 = 0.5;
 /// Error of the force as a share of it, from the meshes, on twins of three skins with patches.
 const FORCE_SHARE: f64 = 0.09;
+/// Radii from which joint sets are fitted, relative to the typical one: the second if it leaves less of the frame than
+/// the first, otherwise the third if that does.
+const STARTING_RADII: [f64; 3] = [1.2, 1.7, 0.8];
 /// Number of proposals for one more press.
 const PROPOSALS: usize = 3;
 /// Distance of these proposals from each other, in typical radii.
@@ -204,14 +198,7 @@ impl PressFit for PlateFit {
             None => self.state(presses, effort)?,
         };
         let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
-        let mut solver = Scratch::new(OF_PRESS * starts.len());
-        let params = Params::until_settled(DAMPING, steps);
-        let mut way = FitUnderWay { fit: &mut *self, tried: None };
-        minimise(&mut way, &params, &mut solver).ok()?;
-        way.linearise(&mut solver.equations).ok()?;
-        let cost = self.cost();
-        self.find_covariances(&mut solver, &cost);
-        Some(cost)
+        self.improve(steps)
     }
 
     fn left_by(&mut self, presses: &[Press]) -> Option<Cost> {
@@ -349,6 +336,26 @@ impl PressFit for PlateFit {
         Some(places?.into_iter().map(press).collect())
     }
 
+    fn resized(&mut self, presses: Vec<Press>) -> Vec<Press> {
+        let mut best: Option<(f64, Vec<Press>, State)> = None;
+        for share in STARTING_RADII {
+            let scaled: Vec<Press> =
+                presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect();
+            let pressed = scaled.iter().map(|press| self.model.pressed(press)).collect();
+            let Some(state) = self.state(pressed, Effort::Quick) else { break };
+            let (left, is_second) = (dot(&state.residual, &state.residual), best.is_some());
+            if best.as_ref().is_none_or(|(least, ..)| left < *least) {
+                best = Some((left, scaled, state));
+                if is_second {
+                    break;
+                }
+            }
+        }
+        let Some((_, scaled, state)) = best else { return presses };
+        self.evaluated = Some(state);
+        scaled
+    }
+
     fn most_gain(&self, negative: bool) -> f64 {
         let signed = |product: f64| if negative { product.abs() } else { product };
         self.weighing.products(&self.at.residual).into_iter().map(signed).fold(0.0, f64::max).powi(2)
@@ -392,100 +399,5 @@ impl PressFit for PlateFit {
         let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
         let contacts = self.model.contacts(&presses, Effort::Full).unwrap_or_default();
         self.model.change(&contacts, volts);
-    }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// A fit in progress.
-struct FitUnderWay<'a> {
-    fit: &'a mut PlateFit,
-    tried: Option<State>,
-}
-
-impl FitUnderWay<'_> {
-    fn cost_of(&self, state: &State) -> f64 {
-        state.residual.iter().map(|v| v * v).sum::<f64>() + self.fit.prior.penalty(&state.presses)
-    }
-}
-
-impl Problem for FitUnderWay<'_> {
-    type Error = Error;
-
-    fn unknowns(&self) -> usize {
-        OF_PRESS * self.fit.at.presses.len()
-    }
-
-    fn cost(&mut self) -> Result<f64, Error> {
-        Ok(self.cost_of(&self.fit.at))
-    }
-
-    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Error> {
-        let PlateFit { model, weighing, prior, at, .. } = &*self.fit;
-        let columns: Vec<Vec<f64>> = model
-            .derivatives(&at.presses, &at.contacts)
-            .iter()
-            .map(|column| {
-                let mut whitened = Vec::new();
-                weighing.whitening.apply(column, &mut whitened);
-                whitened
-            })
-            .collect();
-        let n = columns.len();
-        let NormalEquations { normal, right } = equations;
-        for a in 0..n {
-            right[a] = dot(&columns[a], &at.residual);
-            for b in 0..=a {
-                let value = dot(&columns[a], &columns[b]);
-                (normal[a * n + b], normal[b * n + a]) = (value, value);
-            }
-        }
-        for (k, press) in at.presses.iter().enumerate() {
-            let priors = [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.off(press)).zip(prior.deviations);
-            for ((parameter, off), deviation) in priors {
-                let at = OF_PRESS * k + parameter;
-                normal[at * n + at] += deviation.powi(-2);
-                right[at] -= off / deviation;
-            }
-        }
-        Ok(true)
-    }
-
-    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, Error> {
-        let mut moved: f64 = 0.0;
-        let model = &self.fit.model;
-        let presses = self.fit.at.presses.iter().zip(step.chunks_exact(OF_PRESS)).map(|(press, step)| {
-            let radius_m = press.log_radius.exp();
-            let distance_m = step[0].hypot(step[1]);
-            let longest_m = LONGEST * radius_m.max(model.law().spread_m);
-            let share = if distance_m > longest_m { longest_m / distance_m } else { 1.0 };
-            let log = |change: f64| change.clamp(-LONGEST_LOG, LONGEST_LOG);
-            let next = model.limited(Pressed {
-                position_m: [press.position_m[0] + share * step[0], press.position_m[1] + share * step[1]],
-                log_pressure: press.log_pressure + log(step[LOG_PRESSURE]),
-                log_radius: press.log_radius + log(step[LOG_RADIUS]),
-                has_ended: press.has_ended,
-            });
-            let logs = (next.log_pressure - press.log_pressure).abs().max((next.log_radius - press.log_radius).abs());
-            moved = moved.max(share * distance_m / radius_m).max(0.1 * logs);
-            next
-        });
-        let presses: Vec<Pressed> = presses.collect();
-        let Some(next) = self.fit.state(presses, self.fit.at.effort) else { return Ok(None) };
-        let cost = self.cost_of(&next);
-        self.tried = Some(next);
-        Ok(cost.is_finite().then_some(Trial { cost, moved }))
-    }
-
-    fn accept(&mut self) {
-        if let Some(next) = self.tried.take() {
-            self.fit.at = next;
-        }
-    }
-
-    fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
-        progress.moved < CONVERGED || progress.before - progress.after < NO_BETTER * progress.after
     }
 }

@@ -7,7 +7,7 @@ use dermis_tomo::eit::contacts::{ContactPatch, Looked, PatchSearch, PatchSets, P
 use dermis_tomo::mesh::{PixelGrid, Point, distance};
 
 use super::law::{Conductance, PlateLaw};
-use super::pressure::{Field, OF_PRESS, Pressed, normal_exactly};
+use super::pressure::{Field, OF_PRESS, Pressed, normal, normal_exactly};
 use crate::press::{Effort, Press};
 
 /// Largest change of a logarithm in one step.
@@ -238,8 +238,11 @@ impl PlateModel {
         let mut found: Vec<(usize, f64)> = Vec::new();
         for press in presses {
             let field = Field::new(press, self.law().spread_m);
-            let near = sheet.points_near(press.position_m, field.reach_m());
-            found.extend(near.filter_map(|point| Some((point, field.pressure_at(sheet.points()[point].position_m)?))));
+            for range in sheet.points_near(press.position_m, field.reach_m()) {
+                let places_m = sheet.points()[range.clone()].iter().map(|point| point.position_m);
+                let pressures = range.zip(field.pressures_at(places_m));
+                found.extend(pressures.filter_map(|(point, pressure)| Some((point, pressure?))));
+            }
         }
         // Pressures add up where presses overlap. The stable sort is quick, since the points of each press are in
         // order.
@@ -252,9 +255,10 @@ impl PlateModel {
         found
     }
 
-    /// Operations that solving for these contacts takes, by the factorisation of their cells.
+    /// Operations that solving for these contacts takes: half of those of factorising the matrix of their cells, which
+    /// is done in single precision.
     pub(super) fn work(made: &[Made]) -> f64 {
-        made.iter().map(|made| (made.contact.cell_count() as f64).powi(3) / 3.0).sum::<f64>() + LEAST_WORK
+        made.iter().map(|made| (made.contact.cell_count() as f64).powi(3) / 6.0).sum::<f64>() + LEAST_WORK
     }
 
     /// Change of the channels, volts.
@@ -299,7 +303,7 @@ impl PlateModel {
         for k in 0..RINGS {
             let share_of_reach = (k as f64 + 0.5) / RINGS as f64;
             let at_m = reach_m * share_of_reach;
-            let [share, density] = normal_exactly((disc_m - at_m) / spread_m);
+            let [share, density] = normal((disc_m - at_m) / spread_m);
             let [g, slope] = self.conductance.at(pressure_pa * share);
             if g == 0.0 {
                 continue;

@@ -37,22 +37,27 @@ pub(super) fn turned(
 const STEPS: usize = 1024;
 
 /// The normal distribution and its density from minus to plus [`Field::REACH`], in [`STEPS`] steps.
-static NORMAL: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
-    let at = |k: usize| normal_exactly(Field::REACH * (2.0 * k as f64 / STEPS as f64 - 1.0));
-    (0..=STEPS).map(at).collect()
-});
+static NORMAL: LazyLock<[[f64; 2]; STEPS + 1]> =
+    LazyLock::new(|| std::array::from_fn(|k| normal_exactly(Field::REACH * (2.0 * k as f64 / STEPS as f64 - 1.0))));
 
 /// The normal distribution and its density.
 pub(super) fn normal_exactly(u: f64) -> [f64; 2] {
     [0.5 * libm::erfc(-u * FRAC_1_SQRT_2), (-0.5 * u * u).exp() / TAU.sqrt()]
 }
 
-/// The normal distribution and its density, from the table, at a value within [`Field::REACH`].
-fn normal(u: f64) -> [f64; 2] {
-    let at = (0.5 * (u / Field::REACH + 1.0) * STEPS as f64).clamp(0.0, STEPS as f64);
+/// The normal distribution and its density, from the table. Beyond [`Field::REACH`], their values there.
+pub(super) fn normal(u: f64) -> [f64; 2] {
+    from_table(&NORMAL, u)
+}
+
+#[inline]
+fn from_table(table: &[[f64; 2]; STEPS + 1], u: f64) -> [f64; 2] {
+    const SCALE: f64 = 0.5 * STEPS as f64 / Field::REACH;
+    let at = (SCALE * (u + Field::REACH)).clamp(0.0, STEPS as f64);
     let k = (at as usize).min(STEPS - 1);
     let share = at - k as f64;
-    [0, 1].map(|j| NORMAL[k][j] + share * (NORMAL[k + 1][j] - NORMAL[k][j]))
+    let ([below, density], [next_below, next_density]) = (table[k], table[k + 1]);
+    [below + share * (next_below - below), density + share * (next_density - density)]
 }
 
 /// The pressure under one press.
@@ -85,14 +90,22 @@ impl Field {
         (square <= self.reach_m().powi(2)).then_some((off, square))
     }
 
+    /// Pressures at some positions in order, pascal; `None` beyond its reach.
+    pub fn pressures_at(&self, places_m: impl Iterator<Item = Point>) -> impl Iterator<Item = Option<f64>> {
+        let Self { centre_m: [x_m, y_m], pressure_pa, radius_m, spread_m } = *self;
+        let (table, reach_m) = (&*NORMAL, self.reach_m());
+        let (square_reach, per_spread) = (reach_m * reach_m, spread_m.recip());
+        places_m.map(move |place_m| {
+            let (x, y) = (place_m[0] - x_m, place_m[1] - y_m);
+            let square = x * x + y * y;
+            let share = || from_table(table, per_spread * (radius_m - square.sqrt()))[0];
+            (square <= square_reach).then(|| pressure_pa * share())
+        })
+    }
+
     /// Pressure at a position, pascal; `None` beyond its reach.
     pub fn pressure_at(&self, place_m: Point) -> Option<f64> {
-        let (_, square) = self.offset(place_m)?;
-        let full_m = self.radius_m - Self::REACH * self.spread_m;
-        if full_m > 0.0 && square < full_m * full_m {
-            return Some(self.pressure_pa);
-        }
-        Some(self.pressure_pa * normal((self.radius_m - square.sqrt()) / self.spread_m)[0])
+        self.pressures_at(std::iter::once(place_m)).next().flatten()
     }
 
     /// Derivatives of the pressure at a position by the parameters of the press; `None` beyond its reach.

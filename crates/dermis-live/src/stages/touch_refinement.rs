@@ -80,6 +80,8 @@ pub(crate) struct SpotStage {
     ended: EndedPresses,
     is_unhurried: bool,
     volts: Vec<f64>,
+    /// Presses and their channels, model volts.
+    explained_part: (Vec<Press>, Vec<f64>),
     part: PartScratch,
 }
 
@@ -131,6 +133,7 @@ impl SpotStage {
             ended: EndedPresses::new(touch.both_signs, is_joint),
             is_unhurried: false,
             volts: Vec::new(),
+            explained_part: Default::default(),
             part: PartScratch::default(),
         }
     }
@@ -152,6 +155,7 @@ impl SpotStage {
     pub(crate) fn set_fit(&mut self, fit: Box<dyn PressFit>, is_aged: bool) {
         self.is_aged = is_aged;
         self.estimator.set_fit(fit);
+        self.explained_part.0.clear();
         self.ended.presses.clear();
         self.estimator.fit_mut().set_error_beyond(self.built_share);
     }
@@ -161,8 +165,12 @@ impl SpotStage {
         if self.shown.is_empty() {
             return None;
         }
-        self.estimator.fit_mut().channels_of(&self.shown, &mut self.volts);
-        Some(&self.volts)
+        let (of, volts) = &mut self.explained_part;
+        if *of != self.shown {
+            self.estimator.fit_mut().channels_of(&self.shown, volts);
+            of.clone_from(&self.shown);
+        }
+        Some(volts)
     }
 
     /// True if presses are being followed.

@@ -3,6 +3,7 @@
 //! plates in place of `1`, `P = M^-1 - M^-1 B (B' M^-1 B)^-1 B' M^-1`.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use super::sheet::{ContactSheet, OF_PRESS, Touched};
 use crate::eit::{EitError, ForwardModel};
@@ -133,12 +134,12 @@ impl PlatedSheet {
         &self.points
     }
 
-    /// Indices of points, ascending: all those within a distance of a centre (metres), and few others.
-    pub fn points_near(&self, centre_m: Point, reach_m: f64) -> impl Iterator<Item = usize> + '_ {
+    /// Ranges of points, ascending: all points within a distance of a centre (metres), and few others.
+    pub fn points_near(&self, centre_m: Point, reach_m: f64) -> impl Iterator<Item = Range<usize>> + '_ {
         let Columns { left_m, width_m, firsts } = &self.columns;
         let last = firsts.len() - 2;
         let column = |x_m: f64| (((x_m - left_m) / width_m).max(0.0) as usize).min(last);
-        (column(centre_m[0] - reach_m)..=column(centre_m[0] + reach_m)).flat_map(move |column| {
+        (column(centre_m[0] - reach_m)..=column(centre_m[0] + reach_m)).map(move |column| {
             let from_m = left_m + width_m * column as f64;
             let nearest_m = centre_m[0].clamp(from_m, from_m + width_m);
             let half_m = (reach_m * reach_m - (nearest_m - centre_m[0]).powi(2)).max(0.0).sqrt();
@@ -176,15 +177,18 @@ impl PlatedSheet {
     /// Derivatives of the channels with respect to four parameters, channels x parameters, row-major. `moves` are
     /// points with the derivatives of their conductance per area, S/m^2 per unit of each parameter.
     pub fn derivatives(&self, contact: &PlateContact, moves: &[(usize, [f64; OF_PRESS])]) -> Vec<f64> {
-        let mut of_cells = vec![[0.0; OF_PRESS]; self.plates.len()];
+        let cells = &contact.cells;
+        let mut of_cells = vec![[0.0; OF_PRESS]; cells.len()];
         for (point, by) in moves {
             let PlatePoint { area_m2, cell, .. } = self.points[*point];
-            of_cells[cell as usize].iter_mut().zip(by).for_each(|(sum, value)| *sum += area_m2 * value);
+            // Cells whose contact is too faint to carry a current have no row.
+            if let Ok(row) = cells.binary_search(&cell) {
+                of_cells[row].iter_mut().zip(by).for_each(|(sum, value)| *sum += area_m2 * value);
+            }
         }
         let mut jacobian = vec![0.0; self.channels() * OF_PRESS];
-        let (mut rows, mut relative) = (Vec::new(), Vec::new());
-        for (row, (&cell, conductance)) in contact.cells.iter().zip(&contact.touched.conductance_s).enumerate() {
-            let moves = of_cells[cell as usize];
+        let (mut rows, mut relative) = (Vec::with_capacity(cells.len()), Vec::with_capacity(cells.len()));
+        for (row, (moves, conductance)) in of_cells.iter().zip(&contact.touched.conductance_s).enumerate() {
             if moves.iter().any(|value| *value != 0.0) {
                 rows.push(row);
                 relative.push(moves.map(|value| value / conductance));

@@ -3,8 +3,11 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
+use faer::linalg::cholesky::llt::solve::{solve_in_place, solve_in_place_scratch};
 use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, MatRef, Side};
+use faer::{Mat, MatRef, Par, Side};
 
 use crate::eit::forward::balanced;
 use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
@@ -298,41 +301,65 @@ impl ContactSheet {
         if count == 0 {
             return Ok(Touched { nodes, conductance_s, currents: Mat::zeros(0, fields), common: Vec::new() });
         }
+        let mut touched_plates = plates.to_vec();
+        touched_plates.sort_unstable();
+        touched_plates.dedup();
+        let plates: Vec<usize> =
+            plates.iter().map(|plate| touched_plates.partition_point(|other| other < plate)).collect();
+        let sums = |columns: MatRef<'_, f64>| {
+            let mut sums = Mat::<f64>::zeros(touched_plates.len(), columns.ncols());
+            for (column, values) in columns.col_iter().enumerate() {
+                plates.iter().zip(values.iter()).for_each(|(&plate, value)| sums[(plate, column)] += value);
+            }
+            sums
+        };
+        // A plate's potential adjusts, so only differences from the mean under it matter. Without the mean, rounding
+        // errors are a share of these differences.
+        let mut driving = Mat::from_fn(count, fields, |row, field| self.fields[(field, nodes[row] as usize)]);
+        let mut under = vec![0.0; touched_plates.len()];
+        plates.iter().for_each(|&plate| under[plate] += 1.0);
+        let means = sums(driving.as_ref());
+        for (field, values) in driving.col_iter_mut().enumerate() {
+            let of_rows = plates.iter().zip(values.iter_mut());
+            of_rows.for_each(|(&plate, value)| *value -= means[(plate, field)] / under[plate]);
+        }
+        let right =
+            Mat::<f32>::from_fn(count, fields + touched_plates.len(), |row, column| match column.checked_sub(fields) {
+                None => driving[(row, column)] as f32,
+                Some(plate) => f32::from(u8::from(plates[row] == plate)),
+            });
+        let singular = || EitError::System(SparseError::NotPositiveDefinite { pivot: 0, size: count });
+        let solved = self.solve_contacts(&nodes, &conductance_s, right).ok_or_else(singular)?;
+        let (driven, alone) = (solved.subcols(0, fields), solved.subcols(fields, touched_plates.len()));
+        let common: Vec<f64> = alone.col(0).iter().copied().collect();
+        // No net current enters a plate.
+        let level = Llt::new(sums(alone).as_ref(), Side::Lower).map_err(|_| singular())?;
+        let currents = driven - alone * level.solve(sums(driven));
+        Ok(Touched { nodes, conductance_s, currents, common })
+    }
+
+    /// `M^-1` times some columns, in single precision: it takes half the time, and currents are exact to 1e-5. `None`
+    /// if M is not positive definite.
+    fn solve_contacts(&self, nodes: &[u32], conductance_s: &[f64], mut columns: Mat<f32>) -> Option<Mat<f64>> {
+        let count = nodes.len();
         // Only the lower triangle is read.
-        let mut matrix = Mat::zeros(count, count);
+        let mut matrix = Mat::<f32>::zeros(count, count);
         for (b, &node) in nodes.iter().enumerate() {
             // Nodes are in ascending order.
             let green = self.green.column(node as usize);
             for (a, &other) in nodes.iter().enumerate().skip(b) {
-                matrix[(a, b)] = f64::from(green[(other - node) as usize]);
+                matrix[(a, b)] = green[(other - node) as usize];
             }
-            matrix[(b, b)] += 1.0 / conductance_s[b];
+            matrix[(b, b)] += (1.0 / conductance_s[b]) as f32;
         }
-        let singular = |_| EitError::System(SparseError::NotPositiveDefinite { pivot: 0, size: count });
-        let factor = Llt::new(matrix.as_ref(), Side::Lower).map_err(singular)?;
-        let mut touched_plates = plates.to_vec();
-        touched_plates.sort_unstable();
-        touched_plates.dedup();
-        let mut right =
-            Mat::from_fn(count, fields + touched_plates.len(), |row, column| match column.checked_sub(fields) {
-                None => self.fields[(column, nodes[row] as usize)],
-                Some(plate) => f64::from(u8::from(plates[row] == touched_plates[plate])),
-            });
-        factor.solve_in_place(&mut right);
-        let common: Vec<f64> = right.col(fields).iter().copied().collect();
-        // No net current enters a plate: its potential adjusts.
-        let sums = |columns: MatRef<'_, f64>| {
-            let mut sums = Mat::<f64>::zeros(touched_plates.len(), columns.ncols());
-            for (row, plate) in plates.iter().enumerate() {
-                let plate = touched_plates.partition_point(|other| other < plate);
-                (0..columns.ncols()).for_each(|column| sums[(plate, column)] += columns[(row, column)]);
-            }
-            sums
-        };
-        let (driven, alone) = (right.subcols(0, fields), right.subcols(fields, touched_plates.len()));
-        let level = Llt::new(sums(alone).as_ref(), Side::Lower).map_err(singular)?;
-        let currents = driven - alone * level.solve(sums(driven));
-        Ok(Touched { nodes, conductance_s, currents, common })
+        let mut memory = MemBuffer::new(StackReq::any_of(&[
+            cholesky_in_place_scratch::<f32>(count, Par::Seq, Default::default()),
+            solve_in_place_scratch::<f32>(count, columns.ncols(), Par::Seq),
+        ]));
+        let stack = MemStack::new(&mut memory);
+        cholesky_in_place(matrix.as_mut(), Default::default(), Par::Seq, stack, Default::default()).ok()?;
+        solve_in_place(matrix.as_ref(), columns.as_mut(), Par::Seq, stack);
+        Some(Mat::from_fn(count, columns.ncols(), |row, column| f64::from(columns[(row, column)])))
     }
 
     /// Derivatives of the channels with respect to [`OF_PRESS`] parameters. `rows` are the touched nodes that

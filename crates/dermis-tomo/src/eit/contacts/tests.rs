@@ -202,12 +202,13 @@ fn derivatives_of_plates_agree_with_differences() {
     let by_x = |point: usize| (sheet.points()[point].position_m[0] - 3e-3) / 1e-4;
     let moves: Vec<_> = contacts.iter().map(|&(point, g)| (point, [g * by_x(point), 0.0, g, 0.0])).collect();
     let jacobian = sheet.derivatives(&at, &moves);
-    for (parameter, [x, log]) in [(0, [1e-6, 0.0]), (2, [0.0, 1e-4])] {
+    // Steps over which rounding errors of single precision are small.
+    for (parameter, [x, log]) in [(0, [1e-4, 0.0]), (2, [0.0, 1e-2])] {
         let change = |sign: f64| sheet.contact(&conductance(3e-3 + sign * x, sign * log)).unwrap().change_v;
         let step = 2.0 * (x + log);
         let differences: Vec<f64> = change(1.0).iter().zip(change(-1.0)).map(|(a, b)| (a - b) / step).collect();
         let derivatives: Vec<f64> = jacobian.iter().skip(parameter).step_by(4).copied().collect();
-        assert!(difference(&derivatives, &differences) < 1e-4, "parameter {parameter}");
+        assert!(difference(&derivatives, &differences) < 2e-3, "parameter {parameter}");
     }
 }
 
@@ -219,7 +220,7 @@ fn the_points_near_a_place_are_those_within_its_reach_and_few_others() {
     // In the middle, at the rim, and outside.
     for (centre, reach_m) in [([3e-3, -7e-3], 0.018), ([0.049, 0.01], 0.012), ([-0.07, 0.0], 0.03), ([0.2, 0.2], 0.01)]
     {
-        let near: Vec<usize> = sheet.points_near(centre, reach_m).collect();
+        let near: Vec<usize> = sheet.points_near(centre, reach_m).flatten().collect();
         assert!(near.is_sorted());
         let within: Vec<usize> =
             (0..sheet.points().len()).filter(|&k| distance(sheet.points()[k].position_m, centre) <= reach_m).collect();
