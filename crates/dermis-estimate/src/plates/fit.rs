@@ -24,9 +24,8 @@ const STEPS: usize = 15;
 const QUICK_STEPS: usize = 8;
 /// Error of the force as a share of it, from the meshes, on twins of three skins with patches.
 const FORCE_SHARE: f64 = 0.09;
-/// Radii from which joint sets are fitted, relative to the typical one: the second if it leaves less of the frame than
-/// the first, otherwise the third if that does.
-const STARTING_RADII: [f64; 3] = [1.2, 1.7, 0.8];
+/// Radii from which joint sets may be fitted, relative to the typical one. Wider presses would explain much of a cut.
+const STARTING_RADII: [f64; 2] = [1.0, 1.4];
 /// Number of proposals for one more press.
 const PROPOSALS: usize = 3;
 /// Distance of these proposals from each other, in typical radii.
@@ -343,12 +342,9 @@ impl PressFit for PlateFit {
                 presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect();
             let pressed = scaled.iter().map(|press| self.model.pressed(press)).collect();
             let Some(state) = self.state(pressed, Effort::Quick) else { break };
-            let (left, is_second) = (dot(&state.residual, &state.residual), best.is_some());
+            let left = dot(&state.residual, &state.residual);
             if best.as_ref().is_none_or(|(least, ..)| left < *least) {
                 best = Some((left, scaled, state));
-                if is_second {
-                    break;
-                }
             }
         }
         let Some((_, scaled, state)) = best else { return presses };
