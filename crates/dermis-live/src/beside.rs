@@ -1,8 +1,8 @@
 //! Background work that takes longer than a frame. The frame from which its result counts is fixed, in the frames'
 //! own time, when the work starts. A replay at any speed on any machine therefore gives the same results as the live
-//! run. If a frame is due before the work is done, it waits, and the wait is counted. The
-//! exception is patient work on frames of an instrument: it takes effect later, and a log message says so. Otherwise
-//! the instrument's frames would be lost for as long as the work takes.
+//! run. If a frame is due before the work is done, it waits, and the wait is counted. The exception is patient work on
+//! frames of an instrument: it takes effect later, and a log message says so. Otherwise the instrument's frames would
+//! be lost for as long as the work takes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
