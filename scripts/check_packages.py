@@ -40,10 +40,18 @@ def members(data):
 
 
 def list_features(data):
-    for package in members(data):
+    crates = members(data)
+    for package in crates:
         features = sorted(set(package["features"]) - {"default"})
-        # An optional dependency is a feature by itself only if no feature names it with `dep:`.
-        if not features:
+        # An optional dependency is a feature by itself only if no feature names it with `dep:`. Checking a crate that
+        # passes each of its features on to another checks the other one as well.
+        forwarded = {
+            feature
+            for other in crates
+            for feature, means in other["features"].items()
+            if f"{package['name']}/{feature}" in means
+        }
+        if forwarded.issuperset(features):
             continue
         print(package["name"])
         for feature in features:

@@ -1,8 +1,10 @@
 //! Decides how many presses explain a frame.
 
+mod pause;
 mod proposals;
 mod superfluous;
 
+use self::pause::Pause;
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press, PressFit};
 
@@ -28,9 +30,7 @@ const FOLLOWED: f64 = 0.5;
 const OPERATION_NS: f64 = 0.15;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
-/// After a failed search for further presses, wait this many frames before the next, and twice as many after each
-/// further failure up to the second value, unless the residual grows by this factor.
-const WAIT_FRAMES: [u32; 2] = [8, 32];
+/// A fit is clearly worse than that of the last frame if it leaves more by this factor.
 const GROWN: f64 = 1.5;
 
 /// The explanation of a frame.
@@ -71,14 +71,15 @@ pub struct Memory {
     last: Vec<Press>,
     /// Residual of the last frame.
     left: f64,
-    wait: u32,
-    next_wait: u32,
-    in_vain_at: f64,
+    /// Pauses of the searches for first presses, for presses that have ended, and for further ones.
+    first: Pause,
+    gone: Pause,
+    further: Pause,
 }
 
 impl Memory {
     fn nothing() -> Self {
-        Self { last: Vec::new(), left: 0.0, next_wait: 0, wait: 0, in_vain_at: f64::INFINITY }
+        Self { last: Vec::new(), left: 0.0, first: Pause::over(), gone: Pause::over(), further: Pause::over() }
     }
 }
 
@@ -236,7 +237,8 @@ impl Estimator {
         }
         let has_moved = self.fit.left_by(last).is_some_and(|cost| self.is_worse(&cost));
         let moved = if has_moved { Some(self.fitted(last, Effort::Quick)?) } else { None };
-        if moved.as_ref().is_some_and(|moved| self.is_worse(&moved.cost)) {
+        // What a quick fit leaves of spots that are large changes is mostly what is not linear.
+        if self.fit.is_joint() && moved.as_ref().is_some_and(|moved| self.is_worse(&moved.cost)) {
             return None;
         }
         let warm = self.fitted(moved.as_ref().map_or(last, |moved| &moved.presses), Effort::Full)?;
@@ -285,7 +287,10 @@ impl Estimator {
     fn explain_from_nothing(&mut self) -> Option<Estimate> {
         let null = self.fit.fit_nothing()?;
         let best = Explanation { presses: Vec::new(), cost: null };
+        // Presses that have ended have a pause of their own.
+        std::mem::swap(&mut self.memory.first, &mut self.memory.gone);
         let best = self.grown(best, &null, &[]);
+        std::mem::swap(&mut self.memory.first, &mut self.memory.gone);
         Some(self.estimate(best, &null))
     }
 
@@ -325,35 +330,53 @@ impl Estimator {
     /// An explanation with more presses, if the frame supports them.
     fn with_more(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
         let is_first = best.presses.is_empty();
-        if !is_first && best.cost.residual >= GROWN * self.memory.in_vain_at {
-            self.memory.next_wait = 0;
-        } else if !is_first && self.memory.wait > 0 {
-            self.memory.wait -= 1;
+        let most_added = self.most_supported(&best.cost, is_first);
+        let residual = best.cost.residual;
+        if is_first {
+            let is_promising = self.fit.most_gain(self.negative) >= PROMISING * self.evidence.begin.powi(2);
+            if most_added == 0 || !is_promising {
+                return None;
+            }
+            // Several presses may explain what one of them does not, but that takes a long search.
+            if most_added > 1 && self.memory.first.is_on(residual) && self.search(best, null, hints, 1).is_none() {
+                return None;
+            }
+            let found = self.search(best, null, hints, most_added);
+            if found.is_some() {
+                (self.memory.first, self.memory.further) = (Pause::over(), Pause::over());
+            } else if most_added > 1 && !self.is_unhurried && !self.fit.is_joint() {
+                self.memory.first.begin(residual);
+            }
+            return found;
+        }
+        if self.memory.further.is_on(residual) {
             return None;
         }
-        // If even a perfect fit with more presses would be within chance, don't search.
-        let perfect = Cost { residual: best.cost.freedom, ..best.cost };
-        let is_chance = Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin
-            || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
-        let found = if is_chance { None } else { self.search(best, null, hints) };
-        if found.is_some() {
-            self.memory.next_wait = 0;
-        } else if !is_first && !self.is_unhurried {
-            self.memory.next_wait = (2 * self.memory.next_wait).clamp(WAIT_FRAMES[0], WAIT_FRAMES[1]);
-            (self.memory.wait, self.memory.in_vain_at) = (self.memory.next_wait, best.cost.residual);
+        let found = if most_added == 0 { None } else { self.search(best, null, hints, most_added) };
+        match found {
+            Some(_) => self.memory.further = Pause::over(),
+            None if !self.is_unhurried => self.memory.further.begin(residual),
+            None => {}
         }
         found
     }
 
-    /// The best-supported explanation that extends this one. It has a press where the residual suggests it; or a few in
-    /// a row, since two may be needed where one explains nothing; or as many that are all placed before the first fit;
-    /// or one press split in two; or the hints.
-    fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
+    /// Largest number of further presses whose evidence would exceed their threshold if they explained the frame
+    /// perfectly.
+    fn most_supported(&self, cost: &Cost, is_first: bool) -> usize {
+        let perfect = Cost { residual: cost.freedom, ..*cost };
+        (Evidence::of(cost, &perfect, is_first) / self.evidence.begin).powi(2) as usize
+    }
+
+    /// The best-supported explanation that extends this one by at most so many presses. It has a press where the
+    /// residual suggests it; or a few in a row, since two may be needed where one explains nothing; or as many that are
+    /// all placed before the first fit; or one press split in two; or the hints.
+    fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press], most_added: usize) -> Option<Explanation> {
         let mut found: Vec<Explanation> = Vec::new();
         if self.fit.is_joint() {
-            self.propose_sets(best, &mut found);
+            self.propose_sets(best, most_added, &mut found);
         } else {
-            self.propose_singly(best, hints, &mut found);
+            self.propose_singly(best, hints, most_added, &mut found);
         }
         found.retain(|more| self.is_promising(more));
         found.sort_by(|a, b| self.score(a).total_cmp(&self.score(b)));

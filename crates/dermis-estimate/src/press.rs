@@ -118,7 +118,7 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost>;
 
     /// Residual of the last frame taken under the full model with these presses, which stay as they are. Not bounded by
-    /// the number of operations. `None` if such a residual costs about as much as a fit.
+    /// the number of operations. `None` if a fit costs no more, or if the model is linear.
     fn left_by(&mut self, _presses: &[Press]) -> Option<Cost> {
         None
     }

@@ -72,11 +72,18 @@ impl PressFit for SpotFit {
         }
         self.starts.clear();
         self.starts.extend(starts.iter().map(spot));
-        let mut outcome = self.model.fit_from(&self.starts, self.uniform, &mut self.scratch)?;
-        if effort == Effort::Full {
-            outcome = self.model.go_beyond_proportion(outcome, &mut self.scratch).ok()?;
-        }
+        let outcome = match effort {
+            Effort::Quick => self.model.fit_from(&self.starts, self.uniform, &mut self.scratch)?,
+            Effort::Full => self.model.fit_in_full(&self.starts, self.uniform, &mut self.scratch)?,
+        };
         Some(self.cost(&outcome, starts.len()))
+    }
+
+    fn left_by(&mut self, presses: &[Press]) -> Option<Cost> {
+        self.starts.clear();
+        self.starts.extend(presses.iter().map(spot));
+        let outcome = self.model.left_by(&self.starts, &mut self.scratch)?;
+        Some(self.cost(&outcome, presses.len()))
     }
 
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {

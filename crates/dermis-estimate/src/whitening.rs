@@ -1,5 +1,7 @@
 //! Weights of the channels under independent noise and a few causes of common change.
 
+use dermis_tomo::inner_product;
+
 /// Scales channels so that noise and nuisances together have unit covariance: the symmetric square root of
 /// `(D^2 + N N')^-1` up to a rotation, with the deviations D and the nuisances N.
 #[derive(Clone, Debug)]
@@ -40,25 +42,10 @@ impl Whitening {
         whitened.clear();
         whitened.extend(change.iter().zip(&self.inverse).map(|(value, inverse)| value * inverse));
         for (direction, share) in &self.directions {
-            let along = dot(direction, whitened);
+            let along = inner_product(direction, whitened);
             whitened.iter_mut().zip(direction).for_each(|(value, d)| *value -= share * along * d);
         }
     }
-}
-
-/// Number of partial sums of a product, so that the additions need not wait for each other.
-const LANES: usize = 8;
-
-/// The scalar product.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let (a, a_rest) = a.as_chunks::<LANES>();
-    let (b, b_rest) = b.as_chunks::<LANES>();
-    let mut sums = [0.0; LANES];
-    for (a, b) in a.iter().zip(b) {
-        (0..LANES).for_each(|k| sums[k] += a[k] * b[k]);
-    }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    sums.iter().sum::<f64>() + rest
 }
 
 #[cfg(test)]

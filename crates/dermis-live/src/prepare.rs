@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
+use dermis_tomo::inner_product;
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
 use dermis_tomo::mesh::{ElectrodedMesh, PixelGrid, PixelMap, Point, distance};
 use dermis_touch::{GridGeometry, ImageCells};
@@ -227,7 +228,8 @@ impl Prepared {
             weigh_near(&self.basis.positions, *p, sigma, &mut runs, &mut weights);
             rows.extend((0..self.channels()).map(|channel| {
                 let row = self.jacobian.row(channel);
-                polarity * runs.iter().map(|(first, run)| dot(&weights[run.clone()], &row[*first..])).sum::<f64>()
+                polarity
+                    * runs.iter().map(|(first, run)| inner_product(&weights[run.clone()], &row[*first..])).sum::<f64>()
             }));
         }
         rows
@@ -369,19 +371,6 @@ fn weigh_near(
         }
         weights.push((-0.5 * distance).exp());
     }
-}
-
-/// Inner product of weights and values, in four running sums.
-fn dot(weights: &[f64], values: &[f64]) -> f64 {
-    let (whole, rest) = weights.as_chunks::<4>();
-    let mut sums = [0.0; 4];
-    for (w, v) in whole.iter().zip(values.chunks_exact(4)) {
-        for lane in 0..4 {
-            sums[lane] += w[lane] * v[lane];
-        }
-    }
-    let rest: f64 = rest.iter().zip(&values[4 * whole.len()..]).map(|(w, v)| w * v).sum();
-    sums.iter().sum::<f64>() + rest
 }
 
 fn prior_of(choice: &PriorChoice, half_width_m: f64) -> Prior {

@@ -47,6 +47,7 @@
 //! signs as in EIDORS (`J = dv/dsigma`, stimulation in amperes into the body).
 
 pub mod eit;
+mod inner_product;
 pub mod inverse;
 pub mod least_squares;
 pub mod membrane;
@@ -54,3 +55,5 @@ pub mod memory;
 pub mod mesh;
 pub mod quality;
 pub mod sparse;
+
+pub use inner_product::inner_product;

@@ -14,7 +14,7 @@
 //! let mut touched = 0;
 //! for frame in session.take(100) {
 //!     let frame = frame?;
-//!     for touch in &frame.touches {
+//!     for touch in frame.touches.iter() {
 //!         let [x, y] = touch.position_m.map(|m| 1e3 * m);
 //!         println!("{:.2} s: touch {} at ({x:.1}, {y:.1}) mm", frame.time_s, touch.id);
 //!     }

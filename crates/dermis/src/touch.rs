@@ -7,7 +7,7 @@
 ///
 /// let frames = Session::open("twin", Skin::open("healing-square")?)?.take(80);
 /// let frames = frames.collect::<Result<Vec<_>, _>>()?;
-/// for touch in frames.iter().flat_map(|frame| &frame.touches) {
+/// for touch in frames.iter().flat_map(|frame| frame.touches.iter()) {
 ///     assert!(matches!(touch.observation, Observation::Measured | Observation::Merged | Observation::Missed));
 ///     // Without a calibration nobody knows a force, or how deep a poke went.
 ///     assert!(touch.force.and_then(ForceReading::valid_n).is_none() && touch.load.is_none());

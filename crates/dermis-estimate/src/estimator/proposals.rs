@@ -28,11 +28,11 @@ const NO_BETTER: f64 = 0.9;
 impl Estimator {
     /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else
     /// those that have ended. Both in one set would explain a cut as well.
-    pub(super) fn propose_sets(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+    pub(super) fn propose_sets(&mut self, best: &Explanation, most_added: usize, found: &mut Vec<Explanation>) {
         let (mut is_first, mut least_left) = (true, f64::INFINITY);
         while let Some(set) = self.fit.next_joint_set(is_first, self.negative) {
             is_first = false;
-            if set.len() <= best.presses.len() {
+            if set.len() <= best.presses.len() || set.len() > best.presses.len() + most_added {
                 continue;
             }
             let set = self.fit.resized(set);
@@ -54,8 +54,14 @@ impl Estimator {
 
     /// Proposes presses that are added to an explanation one by one: where the image or the residual suggests them, or
     /// by splitting one.
-    pub(super) fn propose_singly(&mut self, best: &Explanation, hints: &[Press], found: &mut Vec<Explanation>) {
-        let room = self.fit.most_presses() - best.presses.len();
+    pub(super) fn propose_singly(
+        &mut self,
+        best: &Explanation,
+        hints: &[Press],
+        most_added: usize,
+        found: &mut Vec<Explanation>,
+    ) {
+        let room = (self.fit.most_presses() - best.presses.len()).min(most_added);
         if best.presses.is_empty() && !hints.is_empty() {
             found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
         }
@@ -78,12 +84,16 @@ impl Estimator {
                 }
             }
         }
-        self.pursue(best, found);
+        // The other proposals of one press alone are the same.
+        if best.presses.is_empty() && room == 1 {
+            return;
+        }
+        self.pursue(best, room, found);
         if self.is_enough(found) {
             return;
         }
         if !self.is_one_explained(found) {
-            self.propose_together(best, found);
+            self.propose_together(best, room, found);
         }
         for k in 0..best.presses.len().min(MOST_SPLIT) {
             for direction in 0..DIRECTIONS {
@@ -106,13 +116,13 @@ impl Estimator {
     /// Adds one press after the other to an explanation, and moves all of them after each addition. They are fitted
     /// only then: one press fitted to the frame of two becomes wide and ends up between them, and no second press
     /// added to it gets it away from there.
-    fn pursue(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+    fn pursue(&mut self, best: &Explanation, room: usize, found: &mut Vec<Explanation>) {
         let mut starts = best.presses.clone();
         let begun = if starts.is_empty() { self.fit.fit_nothing() } else { self.fit.fit_loads(&starts) };
         if begun.is_none() {
             return;
         }
-        for _ in 0..LOOKAHEAD.min(self.fit.most_presses() - starts.len()) {
+        for _ in 0..LOOKAHEAD.min(room) {
             let Some(next) = self.fit.seek(self.negative).first().copied() else { return };
             starts.push(next);
             self.rearrange(&mut starts);
@@ -127,13 +137,13 @@ impl Estimator {
 
     /// Proposes the strongest of the presses that explain the whole frame together. With few electrodes, the presses
     /// that explain most one by one may be far from any of those that do together.
-    fn propose_together(&mut self, best: &Explanation, found: &mut Vec<Explanation>) {
+    fn propose_together(&mut self, best: &Explanation, room: usize, found: &mut Vec<Explanation>) {
         if self.fit.fit_nothing().is_none() {
             return;
         }
         let set = self.fit.seek_together();
         let least = best.presses.len() + 1;
-        let most = set.len().min(best.presses.len() + LOOKAHEAD).min(self.fit.most_presses());
+        let most = set.len().min(best.presses.len() + LOOKAHEAD.min(room));
         for count in least..=most {
             let more = self.fitted(&set[..count], Effort::Quick);
             let is_enough = more.as_ref().is_some_and(|more| more.cost.is_noise());

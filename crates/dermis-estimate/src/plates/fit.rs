@@ -5,6 +5,7 @@ mod steps;
 use std::sync::Arc;
 
 use dermis_tomo::eit::contacts::PatchSets;
+use dermis_tomo::inner_product;
 use dermis_tomo::least_squares::{NormalEquations, Scratch};
 use dermis_tomo::mesh::{Point, distance};
 
@@ -13,7 +14,6 @@ use super::pressure::{OF_PRESS, Pressed, turned};
 use super::weighing::Weighing;
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Footprint, Press, PressFit};
-use crate::whitening::dot;
 
 /// Places of the logarithms of pressure and radius among the parameters of a press.
 const LOG_PRESSURE: usize = 2;
@@ -223,8 +223,8 @@ impl PressFit for PlateFit {
         }
         let mut equations = NormalEquations::new(n);
         for a in 0..n {
-            equations.right[a] = dot(&columns[a], &self.frame);
-            (0..n).for_each(|b| equations.normal[a * n + b] = dot(&columns[a], &columns[b]));
+            equations.right[a] = inner_product(&columns[a], &self.frame);
+            (0..n).for_each(|b| equations.normal[a * n + b] = inner_product(&columns[a], &columns[b]));
         }
         let (mut factor, mut shares) = (vec![0.0; n * n], vec![0.0; n]);
         if !equations.solve_damped(1e-9, &mut factor, &mut shares) {
@@ -342,7 +342,7 @@ impl PressFit for PlateFit {
                 presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect();
             let pressed = scaled.iter().map(|press| self.model.pressed(press)).collect();
             let Some(state) = self.state(pressed, Effort::Quick) else { break };
-            let left = dot(&state.residual, &state.residual);
+            let left = inner_product(&state.residual, &state.residual);
             if best.as_ref().is_none_or(|(least, ..)| left < *least) {
                 best = Some((left, scaled, state));
             }

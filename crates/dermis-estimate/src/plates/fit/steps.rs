@@ -1,5 +1,6 @@
 //! The steps of a fit of presses on plates.
 
+use dermis_tomo::inner_product;
 use dermis_tomo::least_squares::{
     Error, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
 };
@@ -8,7 +9,6 @@ use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
 use crate::plates::model::LONGEST_LOG;
 use crate::plates::pressure::{OF_PRESS, Pressed};
 use crate::press::Cost;
-use crate::whitening::dot;
 
 /// Initial damping.
 const DAMPING: f64 = 1e-3;
@@ -72,9 +72,9 @@ impl Problem for FitUnderWay<'_> {
         let n = columns.len();
         let NormalEquations { normal, right } = equations;
         for a in 0..n {
-            right[a] = dot(&columns[a], &at.residual);
+            right[a] = inner_product(&columns[a], &at.residual);
             for b in 0..=a {
-                let value = dot(&columns[a], &columns[b]);
+                let value = inner_product(&columns[a], &columns[b]);
                 (normal[a * n + b], normal[b * n + a]) = (value, value);
             }
         }
@@ -123,7 +123,7 @@ impl Problem for FitUnderWay<'_> {
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
         let PlateFit { error_share, frame, .. } = &*self.fit;
-        let left = progress.after.max(error_share * dot(frame, frame));
+        let left = progress.after.max(error_share * inner_product(frame, frame));
         progress.moved < CONVERGED || progress.before - progress.after < NO_BETTER * left
     }
 }

@@ -2,6 +2,7 @@
 //! least squares ([`dermis_tomo::least_squares`]), from several starting points, together with a change of the whole
 //! sheet.
 
+use dermis_tomo::inner_product;
 use dermis_tomo::least_squares::{
     Acceptance, Control, Damping, Error as StepError, NormalEquations, Params, Problem, Scratch, Tolerances, Trial,
     minimise,
@@ -220,7 +221,7 @@ impl Problem for FitUnderWay<'_, '_> {
             std::array::from_fn(|row| std::array::from_fn(|column| equations.normal[row * UNKNOWNS + column]));
         (0..UNKNOWNS).for_each(|k| damped[k][k] *= 1.0 + damping);
         let Some(inverse) = inverse(damped) else { return false };
-        step.iter_mut().zip(&inverse).for_each(|(step, row)| *step = dot(row, &equations.right));
+        step.iter_mut().zip(&inverse).for_each(|(step, row)| *step = inner_product(row, &equations.right));
         true
     }
 
@@ -294,12 +295,8 @@ fn normal_equations(
     columns: &[Vec<f64>; UNKNOWNS],
     residual: &[f64],
 ) -> ([[f64; UNKNOWNS]; UNKNOWNS], [f64; UNKNOWNS]) {
-    let normal = std::array::from_fn(|a| std::array::from_fn(|b| dot(&columns[a], &columns[b])));
-    (normal, std::array::from_fn(|k| dot(&columns[k], residual)))
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let normal = std::array::from_fn(|a| std::array::from_fn(|b| inner_product(&columns[a], &columns[b])));
+    (normal, std::array::from_fn(|k| inner_product(&columns[k], residual)))
 }
 
 /// The inverse of a small positive matrix, by Gauss-Jordan elimination; `None` if it is singular.

@@ -4,6 +4,8 @@
 //! not an intact sheet, so the length of sheet that it is equivalent to sets the scale. Once the rise has settled, a
 //! new baseline is due.
 
+use dermis_tomo::inner_product;
+
 use super::crack::{Crack, CrackModel, CrackScratch};
 use crate::prepare::Prepared;
 
@@ -69,7 +71,7 @@ impl HealingMonitor {
 
     /// The largest sum of squares of an open cut's response, among those being followed.
     pub fn open_square(&self) -> f64 {
-        self.watched.iter().map(|watched| dot(&watched.open, &watched.open)).fold(0.0, f64::max)
+        self.watched.iter().map(|watched| inner_product(&watched.open, &watched.open)).fold(0.0, f64::max)
     }
 
     /// Starts following a cut, replacing any with the same identity.
@@ -80,12 +82,12 @@ impl HealingMonitor {
         if !model.respond(&Crack { joined_per_m: 0.0, ..*crack }, &mut scratch, &mut open) {
             return;
         }
-        let square = dot(&open, &open);
+        let square = inner_product(&open, &open);
         let mut response = open.clone();
         let left_at = (0..JOININGS).map(|step| {
             let joined_per_m = joining(step as f64);
             model.respond(&Crack { joined_per_m, ..*crack }, &mut scratch, &mut response);
-            dot(&response, &open) / square
+            inner_product(&response, &open) / square
         });
         let left_at = left_at.collect();
         let about = ABOUT_M.iter().map(|radius_m| rise_response(prepared, crack, *radius_m));
@@ -239,9 +241,5 @@ fn least_squares(columns: [&[f64]; 3], data: &[f64], weights: &[f64], second: bo
         system[pivot] = scaled;
     }
     let found = system.map(|row| row[3]);
-    Some((found, energy - dot(&found, &right)))
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    Some((found, energy - inner_product(&found, &right)))
 }

@@ -3,6 +3,7 @@
 //! it away. And the change is that of touches with the opposite sign, unlike a cut.
 
 use dermis_skin::GainMatch;
+use dermis_tomo::inner_product;
 
 use super::frame::DamageFrame;
 use crate::prepare::Prepared;
@@ -34,15 +35,14 @@ fn nearer(change: &[f64], offset: &[f64], model: &[f64]) -> Option<f64> {
         let both = values.iter().zip(change).zip(offset);
         both.map(|((value, c), o)| if (c + o).is_finite() { *value } else { 0.0 }).collect()
     };
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let model = present(model);
     let aside = |values: Vec<f64>| -> Vec<f64> {
-        let gain = dot(&values, &model) / dot(&model, &model);
+        let gain = inner_product(&values, &model) / inner_product(&model, &model);
         values.iter().zip(&model).map(|(value, m)| value - gain * m).collect()
     };
     let (change, offset) = (aside(present(change)), aside(present(offset)));
-    let square = dot(&change, &change);
-    (square > 0.0).then(|| -dot(&offset, &change) / square)
+    let square = inner_product(&change, &change);
+    (square > 0.0).then(|| -inner_product(&offset, &change) / square)
 }
 
 #[cfg(test)]

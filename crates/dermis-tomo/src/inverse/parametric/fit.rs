@@ -128,7 +128,7 @@ impl SpotModel {
 
     /// Starts to account for large changes. `None` if the model has no correction for them, the changes are small, or
     /// the forward model fails; the spots then stay as they are.
-    fn look_beyond(&self, scratch: &mut FitScratch) -> Option<()> {
+    pub(super) fn look_beyond(&self, scratch: &mut FitScratch) -> Option<()> {
         let model = self.large.as_ref()?;
         let FitScratch { state, residual, trial_residual, large, looks_beyond, .. } = scratch;
         if !model.are_large(state.iter().map(State::spot), large) {

@@ -81,6 +81,9 @@ pub(super) struct LargeScratch {
     /// The nonlinear part of the response, in the combinations of the table and in those of the model.
     tabulated: Vec<f32>,
     combined: Vec<f32>,
+    /// The spots whose response is asked for, and those of which `combined` is the nonlinear part.
+    asked: Vec<(Point, f64, f64)>,
+    known: Vec<(Point, f64, f64)>,
     /// Operations spent on responses.
     pub(super) work: f64,
     /// Once more than this has been spent, no response is computed.
@@ -117,6 +120,8 @@ impl LargeChanges {
             linear: vec![0.0; pixels],
             tabulated: vec![0.0; self.jacobian.nrows()],
             combined: vec![0.0; combinations],
+            asked: Vec::new(),
+            known: Vec::new(),
             work: 0.0,
             most_work: f64::INFINITY,
         }
@@ -142,8 +147,8 @@ impl LargeChanges {
 
     /// Subtracts the nonlinear part of the response to these spots from a model's residual: the difference between
     /// their full response and `amplitude` times the response of a spot of amplitude 1. Spots are position, radius
-    /// (metres) and amplitude, the latter as defined by the response. `None` if the forward model fails, or if no more
-    /// work is allowed.
+    /// (metres) and amplitude, the latter as defined by the response. Asked for the same spots again, it computes
+    /// nothing. `None` if the forward model fails, or if no more work is allowed.
     pub(super) fn take_out(
         &self,
         spots: impl Iterator<Item = (Point, f64, f64)>,
@@ -151,14 +156,27 @@ impl LargeChanges {
         scratch: &mut LargeScratch,
         residual: &mut [f32],
     ) -> Option<()> {
+        scratch.asked.clear();
+        scratch.asked.extend(spots);
+        if !are_same(&scratch.asked, &scratch.known) {
+            scratch.known.clear();
+            self.compute(responses, scratch)?;
+            scratch.known.clone_from(&scratch.asked);
+        }
+        residual.iter_mut().zip(&scratch.combined).for_each(|(left, beyond)| *left -= beyond);
+        Some(())
+    }
+
+    /// Computes the nonlinear part of the response to the spots asked for.
+    fn compute(&self, responses: &Responses, scratch: &mut LargeScratch) -> Option<()> {
         if scratch.is_out_of_work() {
             return None;
         }
         scratch.work += self.response.operations;
-        let LargeScratch { one, changes, linear, tabulated, combined, .. } = scratch;
+        let LargeScratch { one, changes, linear, tabulated, combined, asked, .. } = scratch;
         changes.fill(0.0);
         linear.fill(0.0);
-        for (position_m, radius_m, amplitude) in spots {
+        for &(position_m, radius_m, amplitude) in asked.iter() {
             self.one(position_m, radius_m, one);
             let largest = f64::from(one.iter().fold(0.0_f32, |most, v| most.max(v.abs())));
             if largest == 0.0 || amplitude == 0.0 {
@@ -182,7 +200,6 @@ impl LargeChanges {
             tabulated.iter_mut().zip(column).for_each(|(sum, entry)| *sum -= linear * entry);
         }
         responses.combine_one(tabulated, combined);
-        residual.iter_mut().zip(combined.iter()).for_each(|(left, beyond)| *left -= beyond);
         Some(())
     }
 
@@ -214,6 +231,13 @@ impl LargeChanges {
             }
         }
     }
+}
+
+/// True if spots differ by rounding at most: a radius may have been converted to its logarithm and back.
+fn are_same(a: &[(Point, f64, f64)], b: &[(Point, f64, f64)]) -> bool {
+    let is_same =
+        |(a, b): (&(Point, f64, f64), &(Point, f64, f64))| a.0 == b.0 && a.2 == b.2 && (a.1 - b.1).abs() <= 1e-12 * b.1;
+    !a.is_empty() && a.len() == b.len() && a.iter().zip(b).all(is_same)
 }
 
 impl fmt::Debug for LargeChanges {

@@ -10,6 +10,7 @@ use pulp::Arch;
 use super::fit::{FitOutcome, UNIFORM_DEVIATION};
 use super::scratch::{FitScratch, OF_SPOT, State};
 use super::{Spot, SpotModel};
+use crate::inner_product;
 use crate::inverse::InverseError;
 use crate::least_squares::{factorise, solve_factored};
 use crate::mesh::{Point, distance};
@@ -64,7 +65,6 @@ impl SpotModel {
         let typical = self.options().typical_radius_m.ln();
         let mut filter = SpotFilter { places: Vec::new(), unit: Vec::new(), norms: Vec::new(), length };
         let (mut tabulated, mut rows) = (self.responses.scratch(), vec![0.0_f32; OF_SPOT * length]);
-        let square = |v: &[f32]| v.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
         // The uniform change has a prior, so only the part that it can take up is removed.
         let of_uniform = 1.0 / (square(&self.uniform) + UNIFORM_DEVIATION.powi(-2));
         for share in RADII {
@@ -109,7 +109,7 @@ impl SpotModel {
         scratch.state.clear();
         scratch.spots.clear();
         scratch.looks_beyond = false;
-        let product = |a: &[f32], b: &[f32]| f64::from(dot(a, b));
+        let product = |a: &[f32], b: &[f32]| f64::from(inner_product(a, b));
         let own = product(&self.uniform, &self.uniform) + UNIFORM_DEVIATION.powi(-2);
         let uniform = product(&scratch.data, &self.uniform) / own;
         self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
@@ -124,15 +124,42 @@ impl SpotModel {
     /// Allocates nothing.
     pub fn fit_from(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
         self.begin_from(starts, scratch)?;
-        let length = self.combinations();
         let FitScratch { state, rows, data, residual, .. } = &mut *scratch;
         self.residual(state, rows, data, uniform, residual);
-        let energy = data.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / length as f64;
+        let energy = square(data) / self.combinations() as f64;
         let mut uniform = uniform;
         let steps = self.improve(&mut uniform, scratch).ok()?;
         let residual = self.mean_square(scratch);
         self.finish(residual, uniform, scratch);
         Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps })
+    }
+
+    /// The frame of the last [`SpotModel::take_frame`] under these spots, of which only the uniform change is fitted.
+    /// `None` if they are outside the table, small, or the model does not correct for large changes.
+    pub fn left_by(&self, spots: &[Spot], scratch: &mut FitScratch) -> Option<FitOutcome> {
+        self.begin_from(spots, scratch)?;
+        let FitScratch { state, rows, data, residual, .. } = &mut *scratch;
+        self.residual(state, rows, data, 0.0, residual);
+        self.look_beyond(scratch)?;
+        let own = square(&self.uniform) + UNIFORM_DEVIATION.powi(-2);
+        let uniform = f64::from(inner_product(&scratch.residual, &self.uniform)) / own;
+        scratch.residual.iter_mut().zip(&self.uniform).for_each(|(r, v)| *r -= uniform as f32 * v);
+        let energy = square(&scratch.data) / self.combinations() as f64;
+        let residual = self.mean_square(scratch);
+        Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 })
+    }
+
+    /// Like [`SpotModel::fit_from`], to the end of [`SpotModel::go_beyond_proportion`]. Starts that are large changes are
+    /// taken for the result of such a fit, such as that of the last frame: they are not fitted linearly first.
+    pub fn fit_in_full(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
+        let Some(mut outcome) = self.left_by(starts, scratch) else {
+            let outcome = self.fit_from(starts, uniform, scratch)?;
+            return self.go_beyond_proportion(outcome, scratch).ok();
+        };
+        outcome.steps = self.improve(&mut outcome.uniform, scratch).ok()?;
+        outcome.residual = self.mean_square(scratch);
+        self.finish(outcome.residual, outcome.uniform, scratch);
+        Some(outcome)
     }
 
     /// Fits only the amplitudes of spots, at fixed positions and radii, to the frame of the last
@@ -146,7 +173,7 @@ impl SpotModel {
             scratch.columns[k * length..(k + 1) * length].copy_from_slice(&scratch.rows[from..from + length]);
         }
         let uniform = self.solve_amplitudes(count, scratch)?;
-        let energy = f64::from(dot(&scratch.data, &scratch.data)) / length as f64;
+        let energy = f64::from(inner_product(&scratch.data, &scratch.data)) / length as f64;
         let residual = self.mean_square(scratch);
         self.finish(residual, uniform, scratch);
         Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 })
@@ -185,7 +212,7 @@ impl SpotModel {
     /// the others. The spot must be positive, unless `negative` allows either sign.
     pub fn seek(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> Vec<SpotProposal> {
         let values: Vec<f32> =
-            filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual)).collect();
+            filter.unit.chunks_exact(filter.length).map(|unit| inner_product(unit, &scratch.residual)).collect();
         let apart = APART * self.options().typical_radius_m;
         let mut found: Vec<SpotProposal> = Vec::with_capacity(PROPOSALS);
         while found.len() < PROPOSALS {
@@ -216,7 +243,7 @@ impl SpotModel {
         for (candidate, share) in parts {
             let (position_m, radius_m) = filter.places[candidate];
             let amplitude = share / f64::from(filter.norms[candidate]);
-            let is_alike = |other: usize| dot(filter.unit(other), filter.unit(candidate)) > ALIKE;
+            let is_alike = |other: usize| inner_product(filter.unit(other), filter.unit(candidate)) > ALIKE;
             let Some((_, spot)) = found.iter_mut().find(|(other, _)| is_alike(*other)) else {
                 found.push((candidate, SpotProposal { position_m, radius_m, amplitude, gain: share.powi(2) }));
                 continue;
@@ -234,7 +261,7 @@ impl SpotModel {
 
     /// The gain of the best position of [`SpotModel::seek`]. Allocates nothing.
     pub fn most_gain(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> f64 {
-        let products = filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual));
+        let products = filter.unit.chunks_exact(filter.length).map(|unit| inner_product(unit, &scratch.residual));
         let most = products.map(|product| if negative { product.abs() } else { product }).fold(0.0, f32::max);
         f64::from(most).powi(2)
     }
@@ -271,7 +298,7 @@ impl SpotFilter {
         let mut parts: Vec<(usize, f64)> = Vec::new();
         let mut left = residual.to_vec();
         for _ in 0..MOST_ROUNDS {
-            let products = self.unit.chunks_exact(self.length).map(|unit| dot(unit, &left));
+            let products = self.unit.chunks_exact(self.length).map(|unit| inner_product(unit, &left));
             let Some((best, gain)) = products.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
             let is_new = parts.iter().all(|(candidate, _)| *candidate != best);
             if gain.is_nan() || f64::from(gain) < LEAST_PRODUCT || !is_new {
@@ -305,25 +332,18 @@ impl SpotFilter {
         let mut normal = vec![0.0; count * count];
         for (row, (a, _)) in parts.iter().enumerate() {
             for (column, (b, _)) in parts.iter().enumerate() {
-                normal[row * count + column] = f64::from(dot(self.unit(*a), self.unit(*b)));
+                normal[row * count + column] = f64::from(inner_product(self.unit(*a), self.unit(*b)));
             }
             normal[row * count + row] += RIDGE;
         }
-        let mut shares: Vec<f64> = parts.iter().map(|(k, _)| f64::from(dot(self.unit(*k), residual))).collect();
+        let mut shares: Vec<f64> =
+            parts.iter().map(|(k, _)| f64::from(inner_product(self.unit(*k), residual))).collect();
         (count > 0 && factorise(&mut normal, count)).then(|| solve_factored(&normal, &mut shares, count))?;
         Some(shares)
     }
 }
 
-/// Inner product in eight running sums.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let (whole, rest) = a.as_chunks::<8>();
-    let (other, other_rest) = b.as_chunks::<8>();
-    let mut sums = [0.0_f32; 8];
-    for (a, b) in whole.iter().zip(other) {
-        for lane in 0..8 {
-            sums[lane] += a[lane] * b[lane];
-        }
-    }
-    sums.iter().sum::<f32>() + rest.iter().zip(other_rest).map(|(a, b)| a * b).sum::<f32>()
+/// Sum of squares.
+fn square(v: &[f32]) -> f64 {
+    v.iter().map(|v| f64::from(*v).powi(2)).sum()
 }

@@ -69,7 +69,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     let (linear, jacobian, positions) = model(1e-5);
     // Every pixel responds like a disc in the plane. The Jacobian is that of lowered conductivity.
     let lowered = jacobian.clone();
-    let response = ChangeResponse::new(0.0, move |changes: &[f64]| {
+    let response = ChangeResponse::new(1.0, move |changes: &[f64]| {
         let answered: Vec<f64> = changes.iter().map(|u| -u / (1.0 + 0.5 * u)).collect();
         Some((&lowered * faer::ColRef::from_slice(&answered)).iter().copied().collect())
     });
@@ -98,6 +98,17 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     assert!((spot.amplitude / (truth.2 / (1.0 - 0.5 * truth.2)) - 1.0).abs() < 0.05, "{spot:?}");
     assert!(distance(spot.position_m, truth.0) < 1e-4, "{spot:?}");
     assert!(large(&positions[1..]).is_err());
+    // From its own result, a fit is settled within two steps; from the linear one, it takes more.
+    let (model, mut scratch) = (large(&positions).unwrap(), linear.scratch());
+    assert!(linear.take_frame(&frame, &mut scratch).is_ok() && linear.left_by(&[spot], &mut scratch).is_none());
+    let mut scratch = model.scratch();
+    let uniform = model.take_frame(&frame, &mut scratch).unwrap().uniform;
+    let [again, afresh] = [spot, as_linear].map(|start| {
+        let outcome = model.fit_in_full(&[start], uniform, &mut scratch).unwrap();
+        assert!(distance(scratch.spots()[0].position_m, spot.position_m) < 1e-5, "{:?}", scratch.spots());
+        outcome.steps
+    });
+    assert!(again <= 2 && again < afresh, "{again} and {afresh} steps");
 }
 
 #[test]
