@@ -149,8 +149,8 @@ impl SpotModel {
         Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 })
     }
 
-    /// Like [`SpotModel::fit_from`], to the end of [`SpotModel::go_beyond_proportion`]. Starts that are large changes are
-    /// taken for the result of such a fit, such as that of the last frame: they are not fitted linearly first.
+    /// Like [`SpotModel::fit_from`], followed by [`SpotModel::go_beyond_proportion`]. Starts that are large changes are
+    /// taken for the result of such a fit, for instance that of the last frame, and are not fitted linearly first.
     pub fn fit_in_full(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
         let Some(mut outcome) = self.left_by(starts, scratch) else {
             let outcome = self.fit_from(starts, uniform, scratch)?;
