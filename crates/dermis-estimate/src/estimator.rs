@@ -343,7 +343,8 @@ impl Estimator {
             }
             let found = self.search(best, null, hints, most_added);
             if found.is_some() {
-                (self.memory.first, self.memory.further) = (Pause::over(), Pause::over());
+                self.memory.first = Pause::over();
+                self.memory.further.shorten();
             } else if most_added > 1 && !self.is_unhurried && !self.fit.is_joint() {
                 self.memory.first.begin(residual);
             }
@@ -354,7 +355,7 @@ impl Estimator {
         }
         let found = if most_added == 0 { None } else { self.search(best, null, hints, most_added) };
         match found {
-            Some(_) => self.memory.further = Pause::over(),
+            Some(_) => self.memory.further.shorten(),
             None if !self.is_unhurried => self.memory.further.begin(residual),
             None => {}
         }

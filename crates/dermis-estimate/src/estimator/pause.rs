@@ -32,6 +32,11 @@ impl Pause {
         is_on
     }
 
+    /// After a search that found something: the next pause is as short as the first, but this one goes on.
+    pub fn shorten(&mut self) {
+        self.next = 0;
+    }
+
     /// Begins after a search in vain of a frame with this residual.
     pub fn begin(&mut self, residual: f64) {
         self.next = (2 * self.next).clamp(FRAMES[0], FRAMES[1]);
