@@ -4,7 +4,7 @@ mod pause;
 mod proposals;
 mod superfluous;
 
-use self::pause::Pause;
+use self::pause::{GROWN, Pause};
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press, PressFit};
 
@@ -30,8 +30,6 @@ const FOLLOWED: f64 = 0.5;
 const OPERATION_NS: f64 = 0.15;
 /// Presses that differ by less than this share of their radius in place and radius lead to the same fit.
 const SAME: f64 = 0.1;
-/// A fit is clearly worse than that of the last frame if it leaves more by this factor.
-const GROWN: f64 = 1.5;
 
 /// The explanation of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -237,7 +235,7 @@ impl Estimator {
         }
         let has_moved = self.fit.left_by(last).is_some_and(|cost| self.is_worse(&cost));
         let moved = if has_moved { Some(self.fitted(last, Effort::Quick)?) } else { None };
-        // What a quick fit leaves of spots that are large changes is mostly what is not linear.
+        // The quick fit of spots is linear: it leaves much of a strong press even where the press has not jumped.
         if self.fit.is_joint() && moved.as_ref().is_some_and(|moved| self.is_worse(&moved.cost)) {
             return None;
         }
@@ -333,8 +331,8 @@ impl Estimator {
         let most_added = self.most_supported(&best.cost, is_first);
         let residual = best.cost.residual;
         if is_first {
-            let is_promising = self.fit.most_gain(self.negative) >= PROMISING * self.evidence.begin.powi(2);
-            if most_added == 0 || !is_promising {
+            // The matched filter takes longer than the evidence, so it comes second.
+            if most_added == 0 || self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2) {
                 return None;
             }
             // Several presses may explain what one of them does not, but that takes a long search.
@@ -369,9 +367,9 @@ impl Estimator {
         (Evidence::of(cost, &perfect, is_first) / self.evidence.begin).powi(2) as usize
     }
 
-    /// The best-supported explanation that extends this one by at most so many presses. It has a press where the
-    /// residual suggests it; or a few in a row, since two may be needed where one explains nothing; or as many that are
-    /// all placed before the first fit; or one press split in two; or the hints.
+    /// The best-supported explanation that adds at most `most_added` presses to this one: a press where the residual
+    /// suggests it; a few in a row, since two may be needed where one explains nothing; several that are all placed
+    /// before the first fit; one press split in two; or the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press], most_added: usize) -> Option<Explanation> {
         let mut found: Vec<Explanation> = Vec::new();
         if self.fit.is_joint() {

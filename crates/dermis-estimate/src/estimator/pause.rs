@@ -2,8 +2,8 @@
 
 /// Frames of the first pause, and of the longest: each is twice as long as the one before.
 const FRAMES: [u32; 2] = [8, 32];
-/// A frame that leaves more than the one searched in vain by this factor ends the pause.
-const GROWN: f64 = 1.5;
+/// A residual has clearly grown if it is larger by this factor. That ends a pause.
+pub(super) const GROWN: f64 = 1.5;
 
 /// A pause, if there is one.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ impl Pause {
         Self { frames: 0, next: 0, in_vain_at: f64::INFINITY }
     }
 
-    /// Counts a frame with this residual. True if it is not to be searched.
+    /// Counts a frame with this residual. True if the search skips it.
     pub fn is_on(&mut self, residual: f64) -> bool {
         if residual >= GROWN * self.in_vain_at {
             self.next = 0;

@@ -81,7 +81,7 @@ pub(super) struct LargeScratch {
     /// The nonlinear part of the response, in the combinations of the table and in those of the model.
     tabulated: Vec<f32>,
     combined: Vec<f32>,
-    /// The spots whose response is asked for, and those of which `combined` is the nonlinear part.
+    /// The spots of the current request, and the spots that `combined` belongs to.
     asked: Vec<(Point, f64, f64)>,
     known: Vec<(Point, f64, f64)>,
     /// Operations spent on responses.

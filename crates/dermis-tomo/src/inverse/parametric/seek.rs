@@ -109,10 +109,16 @@ impl SpotModel {
         scratch.state.clear();
         scratch.spots.clear();
         scratch.looks_beyond = false;
+        scratch.residual.copy_from_slice(&scratch.data);
+        self.fit_uniform(scratch)
+    }
+
+    /// Fits the uniform change to the residual, and takes it off.
+    fn fit_uniform(&self, scratch: &mut FitScratch) -> FitOutcome {
         let product = |a: &[f32], b: &[f32]| f64::from(inner_product(a, b));
         let own = product(&self.uniform, &self.uniform) + UNIFORM_DEVIATION.powi(-2);
-        let uniform = product(&scratch.data, &self.uniform) / own;
-        self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
+        let uniform = product(&scratch.residual, &self.uniform) / own;
+        scratch.residual.iter_mut().zip(&self.uniform).for_each(|(r, v)| *r -= uniform as f32 * v);
         let energy = product(&scratch.data, &scratch.data) / self.combinations() as f64;
         let residual = self.mean_square(scratch);
         FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 }
@@ -134,23 +140,19 @@ impl SpotModel {
         Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps })
     }
 
-    /// The frame of the last [`SpotModel::take_frame`] under these spots, of which only the uniform change is fitted.
-    /// `None` if they are outside the table, small, or the model does not correct for large changes.
+    /// Compares the frame of the last [`SpotModel::take_frame`] with these spots as they are, and fits only the uniform
+    /// change. `None` if a spot is outside the table, if all are small, or if the model does not correct for large
+    /// changes.
     pub fn left_by(&self, spots: &[Spot], scratch: &mut FitScratch) -> Option<FitOutcome> {
         self.begin_from(spots, scratch)?;
         let FitScratch { state, rows, data, residual, .. } = &mut *scratch;
         self.residual(state, rows, data, 0.0, residual);
         self.look_beyond(scratch)?;
-        let own = square(&self.uniform) + UNIFORM_DEVIATION.powi(-2);
-        let uniform = f64::from(inner_product(&scratch.residual, &self.uniform)) / own;
-        scratch.residual.iter_mut().zip(&self.uniform).for_each(|(r, v)| *r -= uniform as f32 * v);
-        let energy = square(&scratch.data) / self.combinations() as f64;
-        let residual = self.mean_square(scratch);
-        Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 })
+        Some(self.fit_uniform(scratch))
     }
 
-    /// Like [`SpotModel::fit_from`], followed by [`SpotModel::go_beyond_proportion`]. Starts that are large changes are
-    /// taken for the result of such a fit, for instance that of the last frame, and are not fitted linearly first.
+    /// Like [`SpotModel::fit_from`], followed by [`SpotModel::go_beyond_proportion`]. Large starts come from an earlier
+    /// nonlinear fit, such as the last frame's, so the linear fit is left out for them.
     pub fn fit_in_full(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
         let Some(mut outcome) = self.left_by(starts, scratch) else {
             let outcome = self.fit_from(starts, uniform, scratch)?;
