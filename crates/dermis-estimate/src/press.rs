@@ -102,7 +102,7 @@ impl Cost {
 /// How thoroughly presses are fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
-    /// With a linear response, for comparing explanations.
+    /// With a linear response, for comparing explanations (see [`PressFit::linearise_about`]).
     Quick,
     /// With the full model.
     Full,
@@ -122,6 +122,10 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     fn left_by(&mut self, _presses: &[Press]) -> Option<Cost> {
         None
     }
+
+    /// Makes quick fits of this frame linear about these presses instead of about the skin at rest: the nonlinear part
+    /// of the response stays that of these presses. A full fit may end it.
+    fn linearise_about(&mut self, _presses: &[Press]) {}
 
     /// Fits only the loads of presses, at fixed positions and radii.
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost>;

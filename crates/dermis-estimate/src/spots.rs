@@ -86,6 +86,12 @@ impl PressFit for SpotFit {
         Some(self.cost(&outcome, presses.len()))
     }
 
+    fn linearise_about(&mut self, presses: &[Press]) {
+        self.starts.clear();
+        self.starts.extend(presses.iter().map(spot));
+        self.model.linearise_about(&self.starts, &mut self.scratch);
+    }
+
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
         self.starts.clear();
         self.starts.extend(starts.iter().map(spot));

@@ -88,7 +88,9 @@ impl Estimator {
         if others.is_empty() || !self.fit.has_quick_fit() {
             return false;
         }
+        self.fit.linearise_about(presses);
         let costs = [presses, others].map(|presses| self.fit.fit(presses, Effort::Quick));
+        self.fit.linearise_about(&[]);
         let [Some(all), Some(fewer)] = costs else { return false };
         Evidence::of(&fewer, &all, false) >= CLEARLY * self.evidence.hold
     }

@@ -76,7 +76,7 @@ impl SpotModel {
         mut outcome: FitOutcome,
         scratch: &mut FitScratch,
     ) -> Result<FitOutcome, InverseError> {
-        if self.look_beyond(scratch).is_some() {
+        if self.look_beyond(outcome.uniform, scratch).is_some() {
             outcome.steps += self.improve(&mut outcome.uniform, scratch)?;
             outcome.residual = self.mean_square(scratch);
             self.finish(outcome.residual, outcome.uniform, scratch);
@@ -96,8 +96,9 @@ impl SpotModel {
         scratch: &mut FitScratch,
     ) -> Result<FitOutcome, InverseError> {
         self.check_fit(difference, starts_m)?;
-        let FitScratch { data, .. } = scratch;
+        let FitScratch { data, linear, .. } = scratch;
         self.project(difference, data);
+        linear.copy_from_slice(data);
         let energy: f64 = data.iter().map(|v| f64::from(*v).powi(2)).sum();
         scratch.looks_beyond = false;
         let mut uniform = self.begin(starts_m, scratch)?;
@@ -128,13 +129,13 @@ impl SpotModel {
 
     /// Starts to account for large changes. `None` if the model has no correction for them, the changes are small, or
     /// the forward model fails; the spots then stay as they are.
-    pub(super) fn look_beyond(&self, scratch: &mut FitScratch) -> Option<()> {
+    pub(super) fn look_beyond(&self, uniform: f64, scratch: &mut FitScratch) -> Option<()> {
         let model = self.large.as_ref()?;
-        let FitScratch { state, residual, trial_residual, large, looks_beyond, .. } = scratch;
+        let FitScratch { state, rows, data, residual, trial_residual, large, looks_beyond, .. } = scratch;
         if !model.are_large(state.iter().map(State::spot), large) {
             return None;
         }
-        trial_residual.copy_from_slice(residual);
+        self.residual(state, rows, data, uniform, trial_residual);
         model.take_out(state.iter().map(State::spot), &self.responses, large, trial_residual)?;
         std::mem::swap(residual, trial_residual);
         *looks_beyond = true;
@@ -230,10 +231,10 @@ impl SpotModel {
     pub(super) fn solve_amplitudes(&self, count: usize, scratch: &mut FitScratch) -> Option<f64> {
         let length = self.combinations();
         scratch.columns[(count - 1) * length..count * length].copy_from_slice(&self.uniform);
-        let FitScratch { columns, data, solver, .. } = scratch;
+        let FitScratch { columns, linear, solver, .. } = scratch;
         solver.resize(count);
         let Scratch { equations: NormalEquations { normal, right }, factor, .. } = solver;
-        products(columns, data, length, count, normal, right);
+        products(columns, linear, length, count, normal, right);
         for k in 0..count {
             normal[k * count + k] *= 1.0 + 1e-9;
         }
@@ -245,11 +246,11 @@ impl SpotModel {
         solve_factored(factor, right, count);
         scratch.state.iter_mut().zip(right.iter()).for_each(|(state, a)| state.amplitude = *a);
         let uniform = right[count - 1];
-        self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
+        self.residual(&scratch.state, &scratch.rows, &scratch.linear, uniform, &mut scratch.residual);
         Some(uniform)
     }
 
-    /// Data minus model.
+    /// Data minus the linear model.
     pub(super) fn residual(&self, state: &[State], rows: &[f32], data: &[f32], uniform: f64, residual: &mut [f32]) {
         let length = data.len();
         residual.copy_from_slice(data);
@@ -304,7 +305,8 @@ impl SpotModel {
     /// cost there. `None` if the step leaves the table.
     fn try_step(&self, step: &[f64], uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
-        let FitScratch { state, trial, trial_rows, trial_residual, data, tabulated, large, looks_beyond, .. } = scratch;
+        let FitScratch { state, trial, trial_rows, trial_residual, tabulated, large, looks_beyond, .. } = scratch;
+        let frame = if *looks_beyond { &scratch.data } else { &scratch.linear };
         let [least, most] = self.responses.log_radii();
         let mut moved: f64 = 0.0;
         trial.clear();
@@ -324,7 +326,7 @@ impl SpotModel {
             trial.push(State { position_m, amplitude, log_radius });
         }
         let uniform = uniform + step[OF_SPOT * state.len()];
-        self.residual(trial, trial_rows, data, uniform, trial_residual);
+        self.residual(trial, trial_rows, frame, uniform, trial_residual);
         if let Some(model) = self.large.as_ref().filter(|_| *looks_beyond) {
             model.take_out(trial.iter().map(State::spot), &self.responses, large, trial_residual)?;
         }

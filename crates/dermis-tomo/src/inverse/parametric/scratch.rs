@@ -25,6 +25,9 @@ pub struct Spot {
 #[derive(Clone, Debug, Default)]
 pub struct FitScratch {
     pub(super) data: Vec<f32>,
+    /// The frame that linear fits explain: less the nonlinear part of the response to the spots about which the model
+    /// is linearised.
+    pub(super) linear: Vec<f32>,
     /// Memory for the nonlinear part of the response to spots, and whether the fit takes it into account yet.
     pub(super) large: LargeScratch,
     pub(super) looks_beyond: bool,
@@ -87,6 +90,7 @@ impl SpotModel {
         let parameters = OF_SPOT * most + 1;
         FitScratch {
             data: vec![0.0; length],
+            linear: vec![0.0; length],
             large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch(length)),
             looks_beyond: false,
             tabulated: self.responses.scratch(),

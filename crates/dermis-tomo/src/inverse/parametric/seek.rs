@@ -101,7 +101,22 @@ impl SpotModel {
         }
         crate::inverse::check_finite("channel", difference)?;
         self.project(difference, &mut scratch.data);
+        scratch.linear.copy_from_slice(&scratch.data);
         Ok(self.fit_nothing(scratch))
+    }
+
+    /// Linearises the model about these spots for linear fits to this frame: the nonlinear part of the response stays
+    /// that of these spots. Without spots, if they are small, and after a full fit, it is linear about the skin at rest.
+    pub fn linearise_about(&self, spots: &[Spot], scratch: &mut FitScratch) {
+        scratch.linear.copy_from_slice(&scratch.data);
+        let Some(model) = &self.large else { return };
+        if self.begin_from(spots, scratch).is_some() {
+            let FitScratch { state, linear, large, .. } = &mut *scratch;
+            if model.are_large(state.iter().map(State::spot), large) {
+                // Out of work, it stays linear about the skin at rest.
+                let _ = model.take_out(state.iter().map(State::spot), &self.responses, large, linear);
+            }
+        }
     }
 
     /// Fits only the uniform change to the frame of the last [`SpotModel::take_frame`].
@@ -109,7 +124,7 @@ impl SpotModel {
         scratch.state.clear();
         scratch.spots.clear();
         scratch.looks_beyond = false;
-        scratch.residual.copy_from_slice(&scratch.data);
+        scratch.residual.copy_from_slice(&scratch.linear);
         self.fit_uniform(scratch)
     }
 
@@ -130,8 +145,8 @@ impl SpotModel {
     /// Allocates nothing.
     pub fn fit_from(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
         self.begin_from(starts, scratch)?;
-        let FitScratch { state, rows, data, residual, .. } = &mut *scratch;
-        self.residual(state, rows, data, uniform, residual);
+        let FitScratch { state, rows, data, linear, residual, .. } = &mut *scratch;
+        self.residual(state, rows, linear, uniform, residual);
         let energy = square(data) / self.combinations() as f64;
         let mut uniform = uniform;
         let steps = self.improve(&mut uniform, scratch).ok()?;
@@ -145,9 +160,7 @@ impl SpotModel {
     /// changes.
     pub fn left_by(&self, spots: &[Spot], scratch: &mut FitScratch) -> Option<FitOutcome> {
         self.begin_from(spots, scratch)?;
-        let FitScratch { state, rows, data, residual, .. } = &mut *scratch;
-        self.residual(state, rows, data, 0.0, residual);
-        self.look_beyond(scratch)?;
+        self.look_beyond(0.0, scratch)?;
         Some(self.fit_uniform(scratch))
     }
 
@@ -155,6 +168,7 @@ impl SpotModel {
     /// nonlinear fit, such as the last frame's, so the linear fit is left out for them.
     pub fn fit_in_full(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
         let Some(mut outcome) = self.left_by(starts, scratch) else {
+            scratch.linear.copy_from_slice(&scratch.data);
             let outcome = self.fit_from(starts, uniform, scratch)?;
             return self.go_beyond_proportion(outcome, scratch).ok();
         };
