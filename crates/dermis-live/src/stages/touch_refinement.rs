@@ -15,7 +15,7 @@ use crate::stages::force_law::ForceLaw;
 use crate::stages::model_error::SpotError;
 use crate::stages::pace::Pace;
 use crate::stages::plates::fits_contacts;
-use crate::stages::press_peaks::Peaks;
+use crate::stages::press_peaks::{Peaks, Remains};
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, Pause, READY_NS, Searched, TouchSearch};
 use crate::stages::touch_search::{doubt, is_outstanding};
@@ -75,8 +75,8 @@ pub(crate) struct SpotStage {
     anchors: Vec<Anchor>,
     is_aged: bool,
     peaks: Peaks,
-    /// Remnants of past presses, to be added to the baseline.
-    remnants: Vec<Press>,
+    /// Sets that past presses have left in the layer, to be added to the baseline.
+    sets: Vec<Press>,
     ended: EndedPresses,
     is_unhurried: bool,
     volts: Vec<f64>,
@@ -129,7 +129,7 @@ impl SpotStage {
             anchors: Vec::new(),
             is_aged: false,
             peaks: Peaks::default(),
-            remnants: Vec::new(),
+            sets: Vec::new(),
             ended: EndedPresses::new(touch.both_signs, is_joint),
             is_unhurried: false,
             volts: Vec::new(),
@@ -187,7 +187,7 @@ impl SpotStage {
         self.ended.forget();
         self.peaks = Peaks::default();
         self.anchors.clear();
-        self.remnants.clear();
+        self.sets.clear();
     }
 
     /// Number of frames that had to wait for a search.
@@ -286,9 +286,9 @@ impl SpotStage {
 
     /// Presses that are part of the baseline but have ended, once they have been missing for several frames.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
-        if !self.remnants.is_empty() {
-            self.estimator.fit_mut().channels_of(&self.remnants, &mut self.volts);
-            self.remnants.clear();
+        if !self.sets.is_empty() {
+            self.estimator.fit_mut().channels_of(&self.sets, &mut self.volts);
+            self.sets.clear();
             return Some(Gone::BesideOthers(&self.volts));
         }
         match self.ended.take_certain()? {
@@ -441,8 +441,12 @@ impl SpotStage {
             if value == 0.0 || !value.is_finite() {
                 continue;
             }
-            if !self.both_signs && self.peaks.is_remnant(time_ns, press, value.abs()) {
-                self.remnants.push(*press);
+            let remains = match self.both_signs {
+                true => Remains::Press,
+                false => self.peaks.judge(time_ns, press, value.abs()),
+            };
+            if remains != Remains::Press {
+                self.sets.extend((remains == Remains::Set).then_some(*press));
                 continue;
             }
             let away = |contact: &&Contact| distance(contact.centroid_m, press.position_m);
