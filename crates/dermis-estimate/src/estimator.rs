@@ -198,8 +198,7 @@ impl Estimator {
         }
         // Something else may touch the skin now, and the presses of the last frame are a poor start for it.
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
-        let has_changed = !best.cost.is_noise() && best.cost.residual > GROWN * self.memory.left.max(best.cost.freedom);
-        let is_poor_start = !best.presses.is_empty() && (has_jumped || has_changed);
+        let is_poor_start = !best.presses.is_empty() && (has_jumped || self.is_worse(&best.cost));
         best = self.grown(best, &null, hints);
         // The gain of a first press is that over the whole frame, not over what the last fit left.
         if is_poor_start && let Some(null) = self.fit.fit_nothing() {

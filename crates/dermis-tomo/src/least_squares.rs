@@ -129,6 +129,11 @@ pub trait Problem {
     /// Moves to the last point tried.
     fn accept(&mut self);
 
+    /// True if the equations at a point also depend on the steps tried from there.
+    fn learns_from_steps(&self) -> bool {
+        false
+    }
+
     /// True if no further steps are needed after this accepted step.
     fn is_settled(&self, progress: &Progress, tolerances: &Tolerances) -> bool {
         tolerances.are_met(progress)
@@ -270,7 +275,7 @@ impl<P: Problem> Search<'_, P> {
     fn reject(&mut self, trial: Trial) -> Option<Outcome> {
         self.rejected += 1;
         self.info.damping = self.params.control.after_rejection(self.info.damping);
-        self.is_solved = false;
+        (self.is_solved, self.is_stale) = (false, self.problem.learns_from_steps());
         if let Control::Shortening { factor } = self.params.control {
             if self.params.tolerances.moved.is_some_and(|least| trial.moved <= least) {
                 return Some(Outcome::Settled);

@@ -35,24 +35,31 @@ pub(super) enum Remains {
 
 /// The peaks of recent presses.
 #[derive(Debug, Default)]
-pub(super) struct Peaks(Vec<Peak>);
+pub(super) struct Peaks {
+    peaks: Vec<Peak>,
+    time_ns: u64,
+}
 
 impl Peaks {
-    /// Forgets presses that have not been seen for long.
-    pub fn drop_old(&mut self, time_ns: u64) {
-        self.0.retain(|peak| time_ns.saturating_sub(peak.seen_ns) < REMEMBERED_NS);
+    /// Begins the explanation of a frame. Forgets presses that have not been seen for long; a remnant that was not seen
+    /// in the last explanation has not lasted.
+    pub fn begin(&mut self, time_ns: u64) {
+        let last_ns = std::mem::replace(&mut self.time_ns, time_ns);
+        self.peaks.retain(|peak| time_ns.saturating_sub(peak.seen_ns) < REMEMBERED_NS);
+        self.peaks.iter_mut().filter(|peak| peak.seen_ns < last_ns).for_each(|peak| peak.remnant_since_ns = None);
     }
 
-    /// Adds a press, and tells what remains of it.
-    pub fn judge(&mut self, time_ns: u64, press: &Press, amplitude: f64) -> Remains {
+    /// Adds a press of this explanation, and tells what remains of it.
+    pub fn judge(&mut self, press: &Press, amplitude: f64) -> Remains {
+        let time_ns = self.time_ns;
         let is_there = |peak: &&mut Peak| {
             let reach_m = peak.radius_m.max(press.radius_m) + 2.0 * press.place_sigma_m();
             distance(peak.position_m, press.position_m) <= reach_m
         };
         let Press { position_m, radius_m, .. } = *press;
         let now = Peak { position_m, radius_m, amplitude, seen_ns: time_ns, remnant_since_ns: None };
-        let Some(peak) = self.0.iter_mut().find(is_there) else {
-            self.0.push(now);
+        let Some(peak) = self.peaks.iter_mut().find(is_there) else {
+            self.peaks.push(now);
             return Remains::Press;
         };
         if amplitude > peak.amplitude {
@@ -64,7 +71,11 @@ impl Peaks {
             return Remains::Press;
         }
         let since_ns = *peak.remnant_since_ns.get_or_insert(time_ns);
-        if time_ns.saturating_sub(since_ns) >= SET_NS { Remains::Set } else { Remains::Remnant }
+        if time_ns.saturating_sub(since_ns) < SET_NS {
+            return Remains::Remnant;
+        }
+        peak.remnant_since_ns = None;
+        Remains::Set
     }
 }
 
@@ -78,14 +89,21 @@ mod tests {
     fn only_a_remnant_that_lasts_is_a_set() {
         let press = Press { radius_m: 0.01, ..Press::default() };
         let mut peaks = Peaks::default();
-        assert_eq!(peaks.judge(0, &press, 1.0), Remains::Press);
-        // Released: the last tenth of the amplitude passes within a few frames.
-        assert_eq!(peaks.judge(40 * MS, &press, 0.05), Remains::Remnant);
-        assert_eq!(peaks.judge(80 * MS, &press, 0.5), Remains::Press);
-        assert_eq!(peaks.judge(120 * MS, &press, 0.05), Remains::Remnant);
-        assert_eq!(peaks.judge(600 * MS, &press, 0.05), Remains::Remnant);
-        assert_eq!(peaks.judge(640 * MS, &press, 0.05), Remains::Set);
+        let mut judge = |ms: u64, press: &Press, amplitude| {
+            peaks.begin(ms * MS);
+            peaks.judge(press, amplitude)
+        };
+        assert_eq!(judge(0, &press, 1.0), Remains::Press);
+        // A release passes the last tenth of the amplitude within a few frames. Then it is pressed again.
+        assert_eq!(judge(40, &press, 0.05), Remains::Remnant);
+        assert_eq!(judge(80, &press, 0.5), Remains::Press);
+        assert_eq!(judge(120, &press, 0.05), Remains::Remnant);
+        assert_eq!(judge(600, &press, 0.05), Remains::Remnant);
+        assert_eq!(judge(640, &press, 0.05), Remains::Set);
+        assert_eq!(judge(680, &press, 0.05), Remains::Remnant);
+        // Seen again after another frame without it, or elsewhere.
         let elsewhere = Press { position_m: [0.05, 0.0], ..press };
-        assert_eq!(peaks.judge(640 * MS, &elsewhere, 0.05), Remains::Press);
+        assert_eq!(judge(1160, &elsewhere, 0.05), Remains::Press);
+        assert_eq!(judge(1200, &press, 0.05), Remains::Remnant);
     }
 }

@@ -20,9 +20,6 @@ pub(crate) const TYPICAL_RADIUS: f64 = 0.12;
 pub(super) const SMALLEST_RADIUS: f64 = 0.05;
 /// Large changes are solved on half the elements, but on this many at least, if the skin has them.
 const LEAST_BEYOND: usize = 1000;
-/// Highest frame rate at which fits correct for large changes. A forward solution takes 0.7 ms with 16 electrodes, and
-/// a fit needs two or more. The linear model places usual presses on gels and foams no worse at 100 frames/s.
-const MOST_FRAMES_PER_S: f64 = 60.0;
 
 /// The tabulated responses to spots for these channel deviations (volts).
 ///
@@ -96,10 +93,9 @@ fn response_beyond(prepared: &Prepared) -> Result<(ChangeResponse, Mat<f64>), Er
     Ok((ChangeResponse::new(operations, respond), jacobian))
 }
 
-/// True if there is time to correct for large changes, and no readout circuit between model and channels.
+/// True if fits can correct for large changes: no readout circuit lies between model and channels.
 pub(super) fn may_look_beyond(prepared: &Prepared) -> bool {
-    let backend = &prepared.skin.backend;
-    backend.circuit.is_none() && backend.frame_rate_hz() <= MOST_FRAMES_PER_S
+    prepared.skin.backend.circuit.is_none()
 }
 
 /// The change of the model's voltages when the conductance of each pixel changes by the given shares, and about the

@@ -404,7 +404,7 @@ impl SpotStage {
     /// Replaces the contacts of an image by the presses found.
     fn show(&mut self, time_ns: u64, explained: Explained, imager: &Imager, lowest: f64, contacts: &mut Vec<Contact>) {
         self.shown.clear();
-        self.peaks.drop_old(time_ns);
+        self.peaks.begin(time_ns);
         let Explained::By(estimate, has_gone) = explained else { return };
         if has_gone {
             contacts.clear();
@@ -443,7 +443,7 @@ impl SpotStage {
             }
             let remains = match self.both_signs {
                 true => Remains::Press,
-                false => self.peaks.judge(time_ns, press, value.abs()),
+                false => self.peaks.judge(press, value.abs()),
             };
             if remains != Remains::Press {
                 self.sets.extend((remains == Remains::Set).then_some(*press));

@@ -14,6 +14,7 @@
 //! If changes may be large ([`SpotModel::with_large_changes`]), the fit continues with a correction: at every trial,
 //! the nonlinear part of the response to its spots, computed by a forward model, is subtracted from the frame.
 
+mod beyond;
 mod fit;
 mod large_changes;
 mod model;

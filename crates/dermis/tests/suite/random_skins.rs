@@ -176,3 +176,29 @@ fn pairs_on_patches_that_follow_each_other_at_once_are_two_touches_each() {
     let right = told.iter().filter(|frames| **frames >= 5).count();
     assert!(told.len() == 12 && right >= 11, "frames of six with two touches: {told:?}");
 }
+
+#[test]
+fn presses_in_quick_succession_leave_the_baseline_as_it_was() {
+    let electrodes = (16, 10.0);
+    for layer in [LAYERS[0], LAYERS[1], LAYERS[3]] {
+        let mut skin = written("{ square = { side_mm = 120.0 } }", layer, electrodes, 0, "");
+        // Slow frames seldom show the middle of a release.
+        skin.backend.frames_per_s = 250.0;
+        let places = random_presses(&skin.outline(), &press_range(&skin), 10, 3).unwrap();
+        let mut bench = Bench::of(skin);
+        let before = bench.pipeline.baseline().0.to_vec();
+        for press in places.into_iter().flatten() {
+            bench.twin.scene_mut().press_with(0, press).unwrap();
+            bench.run(60);
+            let [x, y] = press.centre_m;
+            let error_mm = bench.error_mm([1e3 * x, 1e3 * y]);
+            assert!(bench.touches.len() == 1 && error_mm < 2.0, "{layer}: {error_mm} mm, {:?}", bench.touches);
+            bench.release(50);
+        }
+        let (after, noise) = bench.pipeline.baseline();
+        let square = |k: usize| ((after[k] - before[k]) / noise[k]).powi(2);
+        let moved = ((0..after.len()).map(square).sum::<f64>() / after.len() as f64).sqrt();
+        // Baselines of 32 frames are uncertain by a fifth of the noise of one.
+        assert!(moved < 0.5, "{layer}: moved by {moved} standard deviations of the noise");
+    }
+}

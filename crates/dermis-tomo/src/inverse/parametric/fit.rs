@@ -1,6 +1,8 @@
 //! The fit of spots to a frame, in reusable memory.
 
 use super::SpotModel;
+use super::beyond::Beyond;
+use super::large_changes::{LargeChanges, LargeScratch};
 use super::products::products;
 use super::scratch::{FitScratch, OF_SPOT, Spot, State};
 use crate::inverse::InverseError;
@@ -131,15 +133,33 @@ impl SpotModel {
     /// the forward model fails; the spots then stay as they are.
     pub(super) fn look_beyond(&self, uniform: f64, scratch: &mut FitScratch) -> Option<()> {
         let model = self.large.as_ref()?;
-        let FitScratch { state, rows, data, residual, trial_residual, large, looks_beyond, .. } = scratch;
+        let FitScratch { state, rows, data, residual, large, beyond, looks_beyond, .. } = scratch;
         if !model.are_large(state.iter().map(State::spot), large) {
             return None;
         }
-        self.residual(state, rows, data, uniform, trial_residual);
-        model.take_out(state.iter().map(State::spot), &self.responses, large, trial_residual)?;
-        std::mem::swap(residual, trial_residual);
+        let part = self.beyond(state, rows, model, beyond, large)?;
+        self.residual(state, rows, data, uniform, residual);
+        take_off(part, residual);
         *looks_beyond = true;
         Some(())
+    }
+
+    /// The nonlinear part of the response to these spots, whose responses are in `rows`. `None` as in
+    /// [`LargeChanges::compute`].
+    pub(super) fn beyond<'a>(
+        &self,
+        spots: &[State],
+        rows: &[f32],
+        model: &LargeChanges,
+        beyond: &'a mut Beyond,
+        large: &'a mut LargeScratch,
+    ) -> Option<&'a [f32]> {
+        if beyond.extrapolated(spots, rows).is_some() {
+            return Some(beyond.last());
+        }
+        let part = model.compute(spots.iter().map(State::spot), &self.responses, large)?;
+        beyond.learn(spots, part);
+        Some(part)
     }
 
     /// The Cramer-Rao bound on the covariance of a spot (x and y in metres, amplitude, log radius): the inverse of
@@ -277,7 +297,7 @@ impl SpotModel {
     /// strong, and steps along that valley would otherwise be cut short.
     fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch, equations: &mut NormalEquations) {
         let length = self.combinations();
-        let FitScratch { rows, columns, residual, state, .. } = scratch;
+        let FitScratch { rows, columns, residual, state, looks_beyond, beyond, .. } = scratch;
         let NormalEquations { normal, right } = equations;
         let parameters = OF_SPOT * state.len() + 1;
         for (k, state) in state.iter().enumerate() {
@@ -289,6 +309,11 @@ impl SpotModel {
             }
             let both = rows[column(3)].iter().zip(&rows[column(0)]);
             columns[column(3)].iter_mut().zip(both).for_each(|(c, (by_r, v))| *c = amplitude * (by_r - 2.0 * v));
+            for at in (OF_SPOT * k..OF_SPOT * (k + 1)).filter(|_| *looks_beyond) {
+                let column = &mut columns[at * length..(at + 1) * length];
+                beyond.weigh(at, column);
+                column.iter_mut().zip(beyond.slope(at)).for_each(|(c, v)| *c += v);
+            }
         }
         columns[(parameters - 1) * length..parameters * length].copy_from_slice(&self.uniform);
         products(columns, residual, length, parameters, normal, right);
@@ -305,7 +330,8 @@ impl SpotModel {
     /// cost there. `None` if the step leaves the table.
     fn try_step(&self, step: &[f64], uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
-        let FitScratch { state, trial, trial_rows, trial_residual, tabulated, large, looks_beyond, .. } = scratch;
+        let FitScratch { state, trial, trial_rows, trial_residual, tabulated, large, beyond, looks_beyond, .. } =
+            scratch;
         let frame = if *looks_beyond { &scratch.data } else { &scratch.linear };
         let [least, most] = self.responses.log_radii();
         let mut moved: f64 = 0.0;
@@ -328,7 +354,7 @@ impl SpotModel {
         let uniform = uniform + step[OF_SPOT * state.len()];
         self.residual(trial, trial_rows, frame, uniform, trial_residual);
         if let Some(model) = self.large.as_ref().filter(|_| *looks_beyond) {
-            model.take_out(trial.iter().map(State::spot), &self.responses, large, trial_residual)?;
+            take_off(self.beyond(trial, trial_rows, model, beyond, large)?, trial_residual);
         }
         let cost = self.cost_of(trial_residual, trial, uniform);
         cost.is_finite().then_some((moved, uniform, cost))
@@ -340,7 +366,9 @@ impl SpotModel {
         let parameters = OF_SPOT * scratch.state.len() + 1;
         let mut solver = std::mem::take(&mut scratch.solver);
         solver.resize(parameters);
+        let looks_beyond = std::mem::replace(&mut scratch.looks_beyond, false);
         self.normal_equations(uniform, scratch, &mut solver.equations);
+        scratch.looks_beyond = looks_beyond;
         let FitScratch { state, spots, .. } = &mut *scratch;
         let Scratch { equations: NormalEquations { normal, right }, factor, .. } = &mut solver;
         // Errors of the model weaken the frame's information, not the priors.
@@ -368,6 +396,11 @@ impl SpotModel {
         }
         scratch.solver = solver;
     }
+}
+
+/// Takes the nonlinear part of a response off a residual.
+pub(super) fn take_off(part: &[f32], residual: &mut [f32]) {
+    residual.iter_mut().zip(part).for_each(|(left, part)| *left -= part);
 }
 
 /// Adds a share of the priors of radii and uniform change to a normal matrix.
@@ -416,6 +449,10 @@ impl Problem for FitUnderWay<'_> {
         std::mem::swap(rows, trial_rows);
         std::mem::swap(residual, trial_residual);
         self.uniform = self.tried_uniform;
+    }
+
+    fn learns_from_steps(&self) -> bool {
+        self.scratch.looks_beyond
     }
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {

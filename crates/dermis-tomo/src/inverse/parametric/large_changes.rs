@@ -81,9 +81,6 @@ pub(super) struct LargeScratch {
     /// The nonlinear part of the response, in the combinations of the table and in those of the model.
     tabulated: Vec<f32>,
     combined: Vec<f32>,
-    /// The spots of the current request, and the spots that `combined` belongs to.
-    asked: Vec<(Point, f64, f64)>,
-    known: Vec<(Point, f64, f64)>,
     /// Operations spent on responses.
     pub(super) work: f64,
     /// Once more than this has been spent, no response is computed.
@@ -120,8 +117,6 @@ impl LargeChanges {
             linear: vec![0.0; pixels],
             tabulated: vec![0.0; self.jacobian.nrows()],
             combined: vec![0.0; combinations],
-            asked: Vec::new(),
-            known: Vec::new(),
             work: 0.0,
             most_work: f64::INFINITY,
         }
@@ -132,7 +127,7 @@ impl LargeChanges {
         answered / (1.0 - 0.5 * self.sign * answered).max(1.0 + 0.5 * LOWEST)
     }
 
-    /// True if any of these spots (as in [`LargeChanges::take_out`]) changes a pixel by more than `SMALL`.
+    /// True if any of these spots (as in [`LargeChanges::compute`]) changes a pixel by more than `SMALL`.
     pub(super) fn are_large(
         &self,
         mut spots: impl Iterator<Item = (Point, f64, f64)>,
@@ -145,38 +140,24 @@ impl LargeChanges {
         })
     }
 
-    /// Subtracts the nonlinear part of the response to these spots from a model's residual: the difference between
-    /// their full response and `amplitude` times the response of a spot of amplitude 1. Spots are position, radius
-    /// (metres) and amplitude, the latter as defined by the response. Asked for the same spots again, it computes
-    /// nothing. `None` if the forward model fails, or if no more work is allowed.
-    pub(super) fn take_out(
+    /// The nonlinear part of the response to these spots, in the combinations of a model: the difference between their
+    /// full response and `amplitude` times the response of a spot of amplitude 1. Spots are position, radius (metres)
+    /// and amplitude, the latter as defined by the response. `None` if the forward model fails, or if no more work is
+    /// allowed.
+    pub(super) fn compute<'a>(
         &self,
         spots: impl Iterator<Item = (Point, f64, f64)>,
         responses: &Responses,
-        scratch: &mut LargeScratch,
-        residual: &mut [f32],
-    ) -> Option<()> {
-        scratch.asked.clear();
-        scratch.asked.extend(spots);
-        if !are_same(&scratch.asked, &scratch.known) {
-            scratch.known.clear();
-            self.compute(responses, scratch)?;
-            scratch.known.clone_from(&scratch.asked);
-        }
-        residual.iter_mut().zip(&scratch.combined).for_each(|(left, beyond)| *left -= beyond);
-        Some(())
-    }
-
-    /// Computes the nonlinear part of the response to the spots asked for.
-    fn compute(&self, responses: &Responses, scratch: &mut LargeScratch) -> Option<()> {
+        scratch: &'a mut LargeScratch,
+    ) -> Option<&'a [f32]> {
         if scratch.is_out_of_work() {
             return None;
         }
         scratch.work += self.response.operations;
-        let LargeScratch { one, changes, linear, tabulated, combined, asked, .. } = scratch;
+        let LargeScratch { one, changes, linear, tabulated, combined, .. } = scratch;
         changes.fill(0.0);
         linear.fill(0.0);
-        for &(position_m, radius_m, amplitude) in asked.iter() {
+        for (position_m, radius_m, amplitude) in spots {
             self.one(position_m, radius_m, one);
             let largest = f64::from(one.iter().fold(0.0_f32, |most, v| most.max(v.abs())));
             if largest == 0.0 || amplitude == 0.0 {
@@ -200,7 +181,7 @@ impl LargeChanges {
             tabulated.iter_mut().zip(column).for_each(|(sum, entry)| *sum -= linear * entry);
         }
         responses.combine_one(tabulated, combined);
-        Some(())
+        Some(combined)
     }
 
     /// Largest change by a load of amplitude 1, which is 1 without a spread.
@@ -231,13 +212,6 @@ impl LargeChanges {
             }
         }
     }
-}
-
-/// True if spots differ by rounding at most: a radius may have been converted to its logarithm and back.
-fn are_same(a: &[(Point, f64, f64)], b: &[(Point, f64, f64)]) -> bool {
-    let is_same =
-        |(a, b): (&(Point, f64, f64), &(Point, f64, f64))| a.0 == b.0 && a.2 == b.2 && (a.1 - b.1).abs() <= 1e-12 * b.1;
-    !a.is_empty() && a.len() == b.len() && a.iter().zip(b).all(is_same)
 }
 
 impl fmt::Debug for LargeChanges {

@@ -1,6 +1,7 @@
 //! Spots, and the reusable memory of their fit.
 
 use super::SpotModel;
+use super::beyond::Beyond;
 use super::large_changes::LargeScratch;
 use crate::least_squares::Scratch;
 use crate::mesh::Point;
@@ -30,6 +31,7 @@ pub struct FitScratch {
     pub(super) linear: Vec<f32>,
     /// Memory for the nonlinear part of the response to spots, and whether the fit takes it into account yet.
     pub(super) large: LargeScratch,
+    pub(super) beyond: Beyond,
     pub(super) looks_beyond: bool,
     /// A response, in the combinations of the table.
     pub(super) tabulated: Vec<f32>,
@@ -57,6 +59,13 @@ impl State {
     /// Position, radius (metres) and amplitude.
     pub(super) fn spot(&self) -> ([f64; 2], f64, f64) {
         (self.position_m, self.log_radius.exp(), self.amplitude)
+    }
+
+    /// The step to another state in the parameters of a fit: x, y, amplitude at constant `a r^2`, log radius.
+    pub(super) fn step_to(&self, to: &Self) -> [f64; OF_SPOT] {
+        let wider = to.log_radius - self.log_radius;
+        let [x, y] = [0, 1].map(|axis| to.position_m[axis] - self.position_m[axis]);
+        [x, y, to.amplitude * (2.0 * wider).exp() - self.amplitude, wider]
     }
 }
 
@@ -92,6 +101,7 @@ impl SpotModel {
             data: vec![0.0; length],
             linear: vec![0.0; length],
             large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch(length)),
+            beyond: Beyond::new(length, most),
             looks_beyond: false,
             tabulated: self.responses.scratch(),
             rows: vec![0.0; OF_SPOT * length * most],

@@ -7,7 +7,7 @@
 
 use pulp::Arch;
 
-use super::fit::{FitOutcome, UNIFORM_DEVIATION};
+use super::fit::{FitOutcome, UNIFORM_DEVIATION, take_off};
 use super::scratch::{FitScratch, OF_SPOT, State};
 use super::{Spot, SpotModel};
 use crate::inner_product;
@@ -111,10 +111,11 @@ impl SpotModel {
         scratch.linear.copy_from_slice(&scratch.data);
         let Some(model) = &self.large else { return };
         if self.begin_from(spots, scratch).is_some() {
-            let FitScratch { state, linear, large, .. } = &mut *scratch;
-            if model.are_large(state.iter().map(State::spot), large) {
-                // Out of work, it stays linear about the skin at rest.
-                let _ = model.take_out(state.iter().map(State::spot), &self.responses, large, linear);
+            let FitScratch { state, rows, linear, large, beyond, .. } = &mut *scratch;
+            let are_large = model.are_large(state.iter().map(State::spot), large);
+            // Out of work, it stays linear about the skin at rest.
+            if let Some(part) = are_large.then(|| self.beyond(state, rows, model, beyond, large)).flatten() {
+                take_off(part, linear);
             }
         }
     }
