@@ -12,7 +12,8 @@
 //! is right (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31).
 //!
 //! If changes may be large ([`SpotModel::with_large_changes`]), the fit continues with a correction: at every trial,
-//! the nonlinear part of the response to its spots, computed by a forward model, is subtracted from the frame.
+//! the nonlinear part of the response to its spots, computed by a forward model or extrapolated from its last results,
+//! is subtracted from the frame.
 
 mod beyond;
 mod fit;
@@ -22,11 +23,13 @@ mod products;
 mod responses;
 mod scratch;
 mod seek;
+mod spot;
 mod table;
 
 pub use fit::FitOutcome;
 pub use large_changes::ChangeResponse;
 pub use model::SpotModel;
-pub use scratch::{FitScratch, Spot};
+pub use scratch::FitScratch;
 pub use seek::{SpotFilter, SpotProposal};
+pub use spot::Spot;
 pub use table::SpotOptions;

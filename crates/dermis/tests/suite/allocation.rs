@@ -28,9 +28,7 @@ fn frames(skin: &Skin) -> Vec<Vec<f64>> {
 
 #[test]
 fn frames_at_rest_are_read_without_allocating_and_presses_are_fitted_in_little() {
-    let mut skin = Skin::open("ionic-disc").unwrap();
-    // At this frame rate dents are fitted with the linear model.
-    skin.backend.frames_per_s = Some(100.0);
+    let skin = Skin::open("ionic-disc").unwrap();
     let frames = frames(&skin);
     let prepared = Prepared::new(skin).unwrap();
     let layout = Layout::Channels { count: prepared.channels() };
@@ -52,9 +50,10 @@ fn frames_at_rest_are_read_without_allocating_and_presses_are_fitted_in_little()
             // The pipeline prepares for a missing channel at the first frame without it, and again when it gives the
             // channel up.
             let prepares = round == 0 || (round == 2 && index < 10);
-            // Pressed from 50 to 90; the tracker ends touches a few frames later.
+            // Pressed from 50 to 90; the tracker ends touches a few frames later. A forward solution allocates 50 kB, and
+            // a fit takes up to some dozens.
             let at_rest = !(50..100).contains(&index);
-            let most_bytes = if at_rest { 0 } else { 512 * 1024 };
+            let most_bytes = if at_rest { 0 } else { 4 * 1024 * 1024 };
             assert!(
                 prepares || info.bytes_total <= most_bytes,
                 "round {round}, frame {index}, {touches} touches: {} allocations of {} bytes in all",

@@ -183,7 +183,7 @@ fn presses_in_quick_succession_leave_the_baseline_as_it_was() {
     for layer in [LAYERS[0], LAYERS[1], LAYERS[3]] {
         let mut skin = written("{ square = { side_mm = 120.0 } }", layer, electrodes, 0, "");
         // Slow frames seldom show the middle of a release.
-        skin.backend.frames_per_s = 250.0;
+        skin.backend.frames_per_s = Some(250.0);
         let places = random_presses(&skin.outline(), &press_range(&skin), 10, 3).unwrap();
         let mut bench = Bench::of(skin);
         let before = bench.pipeline.baseline().0.to_vec();

@@ -1,7 +1,7 @@
 //! The nonlinear part of the response near the spots for which it was last computed: its value there, and derivatives
 //! learnt from the steps of fits.
 
-use super::scratch::{OF_SPOT, State};
+use super::spot::{OF_SPOT, State};
 use crate::inner_product;
 
 /// Farthest move of a spot for which derivatives are kept, in its radii, and largest change of its log radius.

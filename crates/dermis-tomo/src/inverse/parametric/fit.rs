@@ -4,7 +4,8 @@ use super::SpotModel;
 use super::beyond::Beyond;
 use super::large_changes::{LargeChanges, LargeScratch};
 use super::products::products;
-use super::scratch::{FitScratch, OF_SPOT, Spot, State};
+use super::scratch::FitScratch;
+use super::spot::{OF_SPOT, Spot, State};
 use crate::inverse::InverseError;
 use crate::least_squares::{
     NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise, minimise, solve_factored,

@@ -8,7 +8,8 @@
 use pulp::Arch;
 
 use super::fit::{FitOutcome, UNIFORM_DEVIATION, take_off};
-use super::scratch::{FitScratch, OF_SPOT, State};
+use super::scratch::FitScratch;
+use super::spot::{OF_SPOT, State};
 use super::{Spot, SpotModel};
 use crate::inner_product;
 use crate::inverse::InverseError;
