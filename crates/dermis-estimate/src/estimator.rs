@@ -26,9 +26,6 @@ const MOST_WORK_GONE: f64 = 2e8;
 /// Share of the work within which the presses of the last frame must explain the next. If something else touches the
 /// skin, fits that start from them wander, and would use up the work for a search.
 const FOLLOWED: f64 = 0.5;
-/// Spots have jumped if a linear fit from those of the last frame leaves more than this share of the frame. On gel, foam
-/// and liquid it leaves up to 0.04 where they have not, and mostly 0.3 to 0.99 where they have.
-const JUMPED: f64 = 0.1;
 /// Time that an operation takes on one core, nanoseconds.
 const OPERATION_NS: f64 = 0.15;
 /// Least evidence of a quick fit, as a share of the threshold, that is worth a full one. Of 1,499 full fits of one to
@@ -240,11 +237,13 @@ impl Estimator {
             return None;
         }
         let has_moved = self.fit.left_by(last).is_some_and(|cost| self.is_worse(&cost));
-        let moved = if has_moved { Some(self.fitted(last, Effort::Quick)?) } else { None };
-        // The quick fit of spots is linear, so it leaves a part of a strong press even where the press has not jumped.
-        let most_left = if self.fit.is_joint() { 0.0 } else { JUMPED };
-        let has_jumped = |moved: &Explanation| self.is_worse(&moved.cost) && moved.cost.unexplained() > most_left;
-        if moved.as_ref().is_some_and(has_jumped) {
+        let moved = if has_moved {
+            self.fit.linearise_about(last);
+            Some(self.fitted(last, Effort::Quick)?)
+        } else {
+            None
+        };
+        if moved.as_ref().is_some_and(|moved| self.is_worse(&moved.cost)) {
             return None;
         }
         let warm = self.fitted(moved.as_ref().map_or(last, |moved| &moved.presses), Effort::Full)?;
