@@ -9,6 +9,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use faer::{Mat, MatRef};
+use pulp::Arch;
 
 use super::responses::Responses;
 use crate::mesh::Point;
@@ -172,14 +173,14 @@ impl LargeChanges {
         changes.iter_mut().for_each(|change| *change = (self.sign * *change).max(LOWEST));
         let differences = self.response.to(changes)?;
         tabulated.fill(0.0);
-        for (row, value) in self.projection.chunks_exact(tabulated.len()).zip(&differences) {
-            let value = *value as f32;
-            tabulated.iter_mut().zip(row).for_each(|(sum, entry)| *sum += value * entry);
-        }
-        for (pixel, linear) in linear.iter().enumerate().filter(|(_, linear)| **linear != 0.0) {
-            let (linear, column) = (*linear as f32, self.jacobian.col_as_slice(pixel));
-            tabulated.iter_mut().zip(column).for_each(|(sum, entry)| *sum -= linear * entry);
-        }
+        Arch::new().dispatch(|| {
+            for (row, value) in self.projection.chunks_exact(tabulated.len()).zip(&differences) {
+                add(*value as f32, row, tabulated);
+            }
+            for (pixel, linear) in linear.iter().enumerate().filter(|(_, linear)| **linear != 0.0) {
+                add(-*linear as f32, self.jacobian.col_as_slice(pixel), tabulated);
+            }
+        });
         responses.combine_one(tabulated, combined);
         Some(combined)
     }
@@ -198,20 +199,25 @@ impl LargeChanges {
     fn one(&self, [x, y]: Point, radius_m: f64, one: &mut [f32]) {
         one.fill(0.0);
         let per = 0.5 / (radius_m * radius_m);
-        for (pixel, at) in self.positions_m.iter().enumerate() {
-            let exponent = per * ((at[0] - x).powi(2) + (at[1] - y).powi(2));
-            if exponent < NOTHING {
-                let load = (-exponent).exp() as f32;
-                match &self.spread {
-                    None => one[pixel] = load,
-                    Some(spread) => {
-                        let column = spread.col_as_slice(pixel);
-                        one.iter_mut().zip(column).for_each(|(sum, entry)| *sum += load * entry);
+        Arch::new().dispatch(|| {
+            for (pixel, at) in self.positions_m.iter().enumerate() {
+                let exponent = per * ((at[0] - x).powi(2) + (at[1] - y).powi(2));
+                if exponent < NOTHING {
+                    let load = (-exponent).exp() as f32;
+                    match &self.spread {
+                        None => one[pixel] = load,
+                        Some(spread) => add(load, spread.col_as_slice(pixel), one),
                     }
                 }
             }
-        }
+        });
     }
+}
+
+/// Adds a multiple of a column. Must be inlined to be vectorised.
+#[inline(always)]
+fn add(factor: f32, column: &[f32], sum: &mut [f32]) {
+    sum.iter_mut().zip(column).for_each(|(sum, entry)| *sum += factor * entry);
 }
 
 impl fmt::Debug for LargeChanges {
