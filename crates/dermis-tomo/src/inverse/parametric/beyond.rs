@@ -6,11 +6,10 @@ use crate::inner_product;
 
 /// Farthest move of a spot for which derivatives are kept, in its radii, and largest change of its log radius.
 const NEAR: f64 = 0.5;
-/// The nonlinear part is extrapolated if it changes by less than this, and the whole response by less than this, both
-/// squared and in standard deviations of the noise. Where nothing has been learnt, its change is up to some tenths of
-/// that of the response.
-const LITTLE: f32 = 1.0;
-const LITTLE_IN_ALL: f32 = 9.0;
+/// The nonlinear part is extrapolated if it changes by two standard deviations of the noise at most, and the whole
+/// response by five; both are squared here. Errors of presses on gel, foam and liquid are the same as with 1 and 3.
+const LITTLE: f32 = 4.0;
+const LITTLE_IN_ALL: f32 = 25.0;
 
 /// The nonlinear part of the response near some spots.
 #[derive(Clone, Debug, Default)]
