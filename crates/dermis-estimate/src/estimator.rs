@@ -200,10 +200,9 @@ impl Estimator {
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
         let is_poor_start = !best.presses.is_empty() && (has_jumped || self.is_worse(&best.cost));
         // The gain of a first press is that over the whole frame, not over what the last fit left.
-        let afresh = match self.fit.fit_nothing().filter(|_| is_poor_start) {
-            Some(null) => Some(self.grown(nothing(), &null, hints)).filter(|afresh| !afresh.presses.is_empty()),
-            None => None,
-        };
+        self.fit.fit_nothing()?;
+        let afresh = is_poor_start.then(|| self.grown(nothing(), &null, hints));
+        let afresh = afresh.filter(|afresh| !afresh.presses.is_empty());
         if afresh.as_ref().is_none_or(|afresh| !afresh.cost.is_explained()) {
             best = self.grown(best, &null, hints);
         }

@@ -94,7 +94,7 @@ impl Beyond {
         if self.step.is_empty() {
             self.slopes.fill(0.0);
         } else if square > 0.0 && square.is_finite() {
-            // What the derivatives did not predict.
+            // The part that the derivatives missed.
             for ((change, to), from) in self.change.iter_mut().zip(value).zip(&self.value) {
                 *change = to - from - *change;
             }
