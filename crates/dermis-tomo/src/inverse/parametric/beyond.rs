@@ -136,17 +136,17 @@ mod tests {
         for parameter in 0..4 {
             beyond.weigh(parameter, &[1.0 + parameter as f32, 0.0]);
         }
-        for at in [state(1.0, 0.0), state(200.0, 0.0), state(200.0 * 0.02_f64.exp(), -0.01)] {
+        for at in [state(1.0, 0.0), state(200.0, 0.0), state(200.0 * 0.04_f64.exp(), -0.02)] {
             assert!(beyond.extrapolated(&[at], &rows).is_none());
             beyond.learn(&[at], &part(&at));
         }
-        let near = state(204.9, -0.0105);
+        let near = state(208.6, -0.0202);
         beyond.extrapolated(&[near], &rows).unwrap();
         let expected = part(&near);
-        // The amplitude is that at the radius of the last spots, which is 1 % less than at first.
+        // The amplitude is that at the radius of the last spots, which is 2 % less than at first.
         assert!(beyond.last().iter().zip(expected).all(|(value, expected)| (value - expected).abs() < 0.02));
         // Changes that noise would not hide, other spots, and moves beyond half a radius are computed.
-        assert!(beyond.extrapolated(&[state(220.0, -0.0105)], &rows).is_none());
+        assert!(beyond.extrapolated(&[state(220.0, -0.0202)], &rows).is_none());
         assert!(beyond.extrapolated(&[near, near], &[rows, rows].concat()).is_none());
         assert!(beyond.extrapolated(&[State { position_m: [0.6, 0.0], ..near }], &rows).is_none());
     }
