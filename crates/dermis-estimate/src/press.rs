@@ -123,8 +123,8 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         None
     }
 
-    /// Makes quick fits of this frame linear about these presses instead of about the skin at rest: the nonlinear part
-    /// of the response stays that of these presses. A full fit may end it.
+    /// Linearises quick fits of this frame about these presses: the nonlinear part of the response stays what it is for
+    /// them. Without presses, and after some full fits, quick fits are linear about the skin at rest.
     fn linearise_about(&mut self, _presses: &[Press]) {}
 
     /// Fits only the loads of presses, at fixed positions and radii.

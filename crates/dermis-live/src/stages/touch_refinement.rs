@@ -441,10 +441,7 @@ impl SpotStage {
             if value == 0.0 || !value.is_finite() {
                 continue;
             }
-            let remains = match self.both_signs {
-                true => Remains::Press,
-                false => self.peaks.judge(press, value.abs()),
-            };
+            let remains = if self.both_signs { Remains::Press } else { self.peaks.judge(press, value.abs()) };
             if remains != Remains::Press {
                 self.sets.extend((remains == Remains::Set).then_some(*press));
                 continue;
