@@ -41,10 +41,39 @@ const OCTAVES: i32 = 24;
 #[derive(Clone, Debug)]
 pub(super) struct Conductance {
     law: PlateLaw,
+    /// 1 / p_ref.
+    per_reference: f64,
+    /// Pressure at which contact begins, pascal.
+    faint_pa: f64,
     /// Number of the first knot.
     first: u64,
-    /// Values and derivatives at the knots, as by [`PlateLaw::share`].
-    knots: Vec<[f64; 2]>,
+    /// The cubic from each knot to the next.
+    cubics: Vec<Cubic>,
+}
+
+/// Hermite's cubic between two knots: `a + b t + c t^2 + d t^3` with `t = (x - from) / width`.
+#[derive(Clone, Copy, Debug)]
+struct Cubic {
+    from: f64,
+    /// 1 / width.
+    steepness: f64,
+    coefficients: [f64; 4],
+}
+
+impl Cubic {
+    fn between(law: &PlateLaw, number: u64) -> Self {
+        let (from, to) = (at_knot(number), at_knot(number + 1));
+        let (width, [low, low_slope], [high, high_slope]) = (to - from, law.share(from), law.share(to));
+        let (rise, a, b) = (high - low, width * low_slope, width * high_slope);
+        Self { from, steepness: width.recip(), coefficients: [low, a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise] }
+    }
+
+    /// Value and derivative.
+    fn at(&self, x: f64) -> [f64; 2] {
+        let t = (x - self.from) * self.steepness;
+        let [a, b, c, d] = self.coefficients;
+        [a + t * (b + t * (c + t * d)), (b + t * (2.0 * c + 3.0 * t * d)) * self.steepness]
+    }
 }
 
 /// The number of the last knot at or below a positive value.
@@ -62,47 +91,51 @@ impl Conductance {
         // Below this value, contact is left out.
         let least = (FAINT / (1.0 - FAINT)).powf(law.exponent.recip());
         let (first, last) = (knot(least), knot(least * 2f64.powi(OCTAVES)));
-        Self { law, first, knots: (first..=last + 1).map(|number| law.share(at_knot(number))).collect() }
+        let faint_pa = law.threshold_pa + least * law.reference_pa;
+        Self {
+            law,
+            per_reference: law.reference_pa.recip(),
+            faint_pa,
+            first,
+            cubics: (first..=last).map(|number| Cubic::between(&law, number)).collect(),
+        }
     }
 
     pub fn law(&self) -> &PlateLaw {
         &self.law
     }
 
+    /// Pressure up to which there is no contact, pascal.
+    pub fn faint_pa(&self) -> f64 {
+        self.faint_pa
+    }
+
     /// As [`PlateLaw::share`], by cubics between the knots; 0 below the faint contact.
     fn share(&self, relative: f64) -> [f64; 2] {
-        let number = knot(relative);
-        let Some(at) = number.checked_sub(self.first) else { return [0.0; 2] };
-        let Some(&[[low, low_slope], [high, high_slope]]) = self.knots.get(at as usize..at as usize + 2) else {
-            return self.law.share(relative);
-        };
-        let from = at_knot(number);
-        let width = at_knot(number + 1) - from;
-        let t = (relative - from) / width;
-        let (rise, a, b) = (high - low, width * low_slope, width * high_slope);
-        // Hermite's cubic low + a t + (3 rise - 2 a - b) t^2 + (a + b - 2 rise) t^3.
-        let (square, cube) = (3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise);
-        let share = low + t * (a + t * (square + t * cube));
-        [share, (a + t * (2.0 * square + 3.0 * t * cube)) / width]
+        match knot(relative).checked_sub(self.first).map(|at| self.cubics.get(at as usize)) {
+            None => [0.0; 2],
+            Some(Some(cubic)) => cubic.at(relative),
+            Some(None) => self.law.share(relative),
+        }
     }
 
     /// Conductance per area (S/m^2) and its derivative with respect to the pressure.
     pub fn at(&self, pressure_pa: f64) -> [f64; 2] {
-        let PlateLaw { threshold_pa, reference_pa, saturation_s_per_m2, .. } = self.law;
+        let PlateLaw { threshold_pa, saturation_s_per_m2, .. } = self.law;
         let above = pressure_pa - threshold_pa;
         if above <= 0.0 {
             return [0.0; 2];
         }
-        let [share, by_relative] = self.share(above / reference_pa);
-        let (g, slope) = (saturation_s_per_m2 * share, saturation_s_per_m2 * by_relative / reference_pa);
-        let faint = FAINT * saturation_s_per_m2;
+        let [share, by_relative] = self.share(above * self.per_reference);
+        let by_pressure = by_relative * self.per_reference;
+        let [g, slope] = [share, by_pressure].map(|value| saturation_s_per_m2 * value);
         // The smooth step t^2 (3 - 2 t) from the faint contact on.
-        match (g / faint - 1.0) / (FULL - 1.0) {
+        match (share / FAINT - 1.0) / (FULL - 1.0) {
             t if t <= 0.0 => [0.0; 2],
             t if t >= 1.0 => [g, slope],
             t => {
-                let (share, steep) = (t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / (faint * (FULL - 1.0)));
-                [g * share, slope * (share + g * steep)]
+                let (step, steep) = (t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / (FAINT * (FULL - 1.0)));
+                [g * step, slope * (step + share * steep)]
             }
         }
     }

@@ -67,6 +67,10 @@ pub(super) struct Field {
     pressure_pa: f64,
     radius_m: f64,
     spread_m: f64,
+    per_spread: f64,
+    /// Squares of the distances up to which the pressure is full, and beyond which there is none.
+    square_core: f64,
+    square_reach: f64,
 }
 
 impl Field {
@@ -75,7 +79,11 @@ impl Field {
 
     pub fn new(press: &Pressed, spread_m: f64) -> Self {
         let (pressure_pa, radius_m) = (press.log_pressure.exp(), press.log_radius.exp());
-        Self { centre_m: press.position_m, pressure_pa, radius_m, spread_m }
+        let edge_m = Self::REACH * spread_m;
+        let (core_m, reach_m) = ((radius_m - edge_m).max(0.0), radius_m + edge_m);
+        let (square_core, square_reach) = (core_m * core_m, reach_m * reach_m);
+        let (centre_m, per_spread) = (press.position_m, spread_m.recip());
+        Self { centre_m, pressure_pa, radius_m, spread_m, per_spread, square_core, square_reach }
     }
 
     /// Distance from the centre beyond which there is no pressure, metres.
@@ -83,42 +91,47 @@ impl Field {
         self.radius_m + Self::REACH * self.spread_m
     }
 
-    /// Offset from the centre, and its square; `None` beyond the reach.
-    fn offset(&self, place_m: Point) -> Option<([f64; 2], f64)> {
+    /// Distance from the centre beyond which the pressure is below this one (pascal), metres; at most the reach.
+    pub fn reach_above_m(&self, least_pa: f64) -> f64 {
+        let share = least_pa / self.pressure_pa;
+        let below = NORMAL.partition_point(|[below, _]| *below < share).saturating_sub(1);
+        let u = Self::REACH * (2.0 * below as f64 / STEPS as f64 - 1.0);
+        self.radius_m - u * self.spread_m
+    }
+
+    /// Offset from the centre, and its square.
+    #[inline]
+    fn offset(&self, place_m: Point) -> ([f64; 2], f64) {
         let off = [place_m[0] - self.centre_m[0], place_m[1] - self.centre_m[1]];
-        let square = off[0] * off[0] + off[1] * off[1];
-        (square <= self.reach_m().powi(2)).then_some((off, square))
+        (off, off[0] * off[0] + off[1] * off[1])
     }
 
-    /// Pressures at some positions in order, pascal; `None` beyond its reach.
-    pub fn pressures_at(&self, places_m: impl Iterator<Item = Point>) -> impl Iterator<Item = Option<f64>> {
-        let Self { centre_m: [x_m, y_m], pressure_pa, radius_m, spread_m } = *self;
-        let (table, reach_m) = (&*NORMAL, self.reach_m());
-        let (square_reach, per_spread) = (reach_m * reach_m, spread_m.recip());
-        places_m.map(move |place_m| {
-            let (x, y) = (place_m[0] - x_m, place_m[1] - y_m);
-            let square = x * x + y * y;
-            let share = || from_table(table, per_spread * (radius_m - square.sqrt()))[0];
-            (square <= square_reach).then(|| pressure_pa * share())
-        })
-    }
-
-    /// Pressure at a position, pascal; `None` beyond its reach.
-    pub fn pressure_at(&self, place_m: Point) -> Option<f64> {
-        self.pressures_at(std::iter::once(place_m)).next().flatten()
+    /// Pressure at a position, pascal.
+    #[inline]
+    pub fn pressure_at(&self, place_m: Point) -> f64 {
+        let (_, square) = self.offset(place_m);
+        if square <= self.square_core {
+            self.pressure_pa
+        } else if square <= self.square_reach {
+            self.pressure_pa * normal((self.radius_m - square.sqrt()) * self.per_spread)[0]
+        } else {
+            0.0
+        }
     }
 
     /// Derivatives of the pressure at a position by the parameters of the press; `None` beyond its reach.
     pub fn derivatives_at(&self, place_m: Point) -> Option<[f64; OF_PRESS]> {
-        let (off, square) = self.offset(place_m)?;
-        let distance_m = square.sqrt();
-        let u = (self.radius_m - distance_m) / self.spread_m;
-        if u > Self::REACH {
+        let (off, square) = self.offset(place_m);
+        if square <= self.square_core {
             return Some([0.0, 0.0, self.pressure_pa, 0.0]);
         }
-        let [below, density] = normal(u);
+        if square > self.square_reach {
+            return None;
+        }
+        let distance_m = square.sqrt();
+        let [below, density] = normal((self.radius_m - distance_m) * self.per_spread);
         let pressure = self.pressure_pa * below;
-        let density = self.pressure_pa * density / self.spread_m;
+        let density = self.pressure_pa * density * self.per_spread;
         let along = density / distance_m.max(1e-9);
         Some([along * off[0], along * off[1], pressure, density * self.radius_m])
     }
@@ -146,7 +159,7 @@ mod tests {
     #[test]
     fn derivatives_of_a_pressure_are_those_of_differences() {
         let press = Pressed { position_m: [0.0; 2], log_pressure: 9.0, log_radius: 8e-3_f64.ln(), has_ended: false };
-        let at = |press: &Pressed| Field::new(press, 1e-3).pressure_at([7e-3, 3e-3]).unwrap();
+        let at = |press: &Pressed| Field::new(press, 1e-3).pressure_at([7e-3, 3e-3]);
         let by = Field::new(&press, 1e-3).derivatives_at([7e-3, 3e-3]).unwrap();
         let moved = |parameter: usize, step: f64| {
             let mut moved = press;

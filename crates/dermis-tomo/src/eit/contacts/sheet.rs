@@ -7,7 +7,7 @@ use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::cholesky::llt::solve::{solve_in_place, solve_in_place_scratch};
 use faer::linalg::solvers::{Llt, Solve};
-use faer::{Mat, MatRef, Par, Side};
+use faer::{Mat, Par, Side};
 
 use crate::eit::forward::balanced;
 use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
@@ -306,35 +306,38 @@ impl ContactSheet {
         touched_plates.dedup();
         let plates: Vec<usize> =
             plates.iter().map(|plate| touched_plates.partition_point(|other| other < plate)).collect();
-        let sums = |columns: MatRef<'_, f64>| {
-            let mut sums = Mat::<f64>::zeros(touched_plates.len(), columns.ncols());
-            for (column, values) in columns.col_iter().enumerate() {
-                plates.iter().zip(values.iter()).for_each(|(&plate, value)| sums[(plate, column)] += value);
+        // Sum of some columns under each plate.
+        let sums = |of: &Mat<f64>, columns: Range<usize>| {
+            let mut sums_of = Mat::<f64>::zeros(touched_plates.len(), columns.len());
+            for (k, column) in columns.enumerate() {
+                let under = sums_of.col_as_slice_mut(k);
+                plates.iter().zip(of.col_as_slice(column)).for_each(|(&plate, value)| under[plate] += value);
             }
-            sums
+            sums_of
         };
         // A plate's potential adjusts, so only differences from the mean under it matter. Without the mean, rounding
         // errors are a share of these differences.
-        let mut driving = Mat::from_fn(count, fields, |row, field| self.fields[(field, nodes[row] as usize)]);
+        let mut means = vec![vec![0.0; fields]; touched_plates.len()];
         let mut under = vec![0.0; touched_plates.len()];
-        plates.iter().for_each(|&plate| under[plate] += 1.0);
-        let means = sums(driving.as_ref());
-        for (field, values) in driving.col_iter_mut().enumerate() {
-            let of_rows = plates.iter().zip(values.iter_mut());
-            of_rows.for_each(|(&plate, value)| *value -= means[(plate, field)] / under[plate]);
+        for (&node, &plate) in nodes.iter().zip(&plates) {
+            under[plate] += 1.0;
+            let driving = self.fields.col_as_slice(node as usize);
+            means[plate].iter_mut().zip(driving).for_each(|(sum, value)| *sum += value);
         }
-        let right =
-            Mat::<f32>::from_fn(count, fields + touched_plates.len(), |row, column| match column.checked_sub(fields) {
-                None => driving[(row, column)] as f32,
-                Some(plate) => f32::from(u8::from(plates[row] == plate)),
-            });
+        means.iter_mut().zip(&under).for_each(|(means, under)| means.iter_mut().for_each(|mean| *mean /= under));
+        let mut right = Mat::<f32>::zeros(count, fields + touched_plates.len());
+        for (row, (&node, &plate)) in nodes.iter().zip(&plates).enumerate() {
+            let driving = self.fields.col_as_slice(node as usize).iter().zip(&means[plate]);
+            driving.enumerate().for_each(|(field, (value, mean))| right[(row, field)] = (value - mean) as f32);
+            right[(row, fields + plate)] = 1.0;
+        }
         let singular = || EitError::System(SparseError::NotPositiveDefinite { pivot: 0, size: count });
         let solved = self.solve_contacts(&nodes, &conductance_s, right).ok_or_else(singular)?;
         let (driven, alone) = (solved.subcols(0, fields), solved.subcols(fields, touched_plates.len()));
-        let common: Vec<f64> = alone.col(0).iter().copied().collect();
+        let common = solved.col_as_slice(fields).to_vec();
         // No net current enters a plate.
-        let level = Llt::new(sums(alone).as_ref(), Side::Lower).map_err(|_| singular())?;
-        let currents = driven - alone * level.solve(sums(driven));
+        let level = Llt::new(sums(&solved, fields..solved.ncols()).as_ref(), Side::Lower).map_err(|_| singular())?;
+        let currents = driven - alone * level.solve(sums(&solved, 0..fields));
         Ok(Touched { nodes, conductance_s, currents, common })
     }
 
@@ -347,10 +350,9 @@ impl ContactSheet {
         for (b, &node) in nodes.iter().enumerate() {
             // Nodes are in ascending order.
             let green = self.green.column(node as usize);
-            for (a, &other) in nodes.iter().enumerate().skip(b) {
-                matrix[(a, b)] = green[(other - node) as usize];
-            }
-            matrix[(b, b)] += (1.0 / conductance_s[b]) as f32;
+            let column = &mut matrix.col_as_slice_mut(b)[b..];
+            column.iter_mut().zip(&nodes[b..]).for_each(|(value, other)| *value = green[(other - node) as usize]);
+            column[0] += (1.0 / conductance_s[b]) as f32;
         }
         let mut memory = MemBuffer::new(StackReq::any_of(&[
             cholesky_in_place_scratch::<f32>(count, Par::Seq, Default::default()),
@@ -359,7 +361,12 @@ impl ContactSheet {
         let stack = MemStack::new(&mut memory);
         cholesky_in_place(matrix.as_mut(), Default::default(), Par::Seq, stack, Default::default()).ok()?;
         solve_in_place(matrix.as_ref(), columns.as_mut(), Par::Seq, stack);
-        Some(Mat::from_fn(count, columns.ncols(), |row, column| f64::from(columns[(row, column)])))
+        let mut solved = Mat::zeros(count, columns.ncols());
+        for column in 0..columns.ncols() {
+            let values = solved.col_as_slice_mut(column).iter_mut().zip(columns.col_as_slice(column));
+            values.for_each(|(value, single)| *value = f64::from(*single));
+        }
+        Some(solved)
     }
 
     /// Derivatives of the channels with respect to [`OF_PRESS`] parameters. `rows` are the touched nodes that
@@ -373,15 +380,16 @@ impl ContactSheet {
     ) {
         let (measuring, stimulations) = (self.measuring(), self.stimulations);
         let mut measured = Mat::<f64>::zeros(rows.len(), measuring.len());
-        for (field, column) in measured.col_iter_mut().enumerate() {
-            let currents = touched.currents.col(measuring.start + field);
-            column.iter_mut().zip(rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
+        for field in 0..measuring.len() {
+            let currents = touched.currents.col_as_slice(measuring.start + field);
+            let values = measured.col_as_slice_mut(field);
+            values.iter_mut().zip(rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
         }
         let mut driven = Mat::<f64>::zeros(rows.len(), OF_PRESS * stimulations);
-        for (column, values) in driven.col_iter_mut().enumerate() {
+        for column in 0..OF_PRESS * stimulations {
             let (j, stimulation) = (column / stimulations, column % stimulations);
-            let currents = touched.currents.col(stimulation);
-            for ((value, &row), by) in values.iter_mut().zip(rows).zip(moves) {
+            let currents = touched.currents.col_as_slice(stimulation);
+            for ((value, &row), by) in driven.col_as_slice_mut(column).iter_mut().zip(rows).zip(moves) {
                 *value = by[j] * currents[row];
             }
         }
@@ -404,9 +412,10 @@ impl ContactSheet {
 
     pub(super) fn change_of(&self, touched: &Touched) -> Vec<f64> {
         let measuring = self.measuring();
-        let fields = Mat::from_fn(measuring.len(), touched.nodes.len(), |field, row| {
-            self.fields[(measuring.start + field, touched.nodes[row] as usize)]
-        });
+        let mut fields = Mat::<f64>::zeros(measuring.len(), touched.nodes.len());
+        for (row, &node) in touched.nodes.iter().enumerate() {
+            fields.col_as_slice_mut(row).copy_from_slice(&self.fields.col_as_slice(node as usize)[measuring.clone()]);
+        }
         let exchange = &fields * touched.currents.subcols(0, self.stimulations);
         let change =
             |c: &Measurement| -self.measured(c, |field| exchange[(field - measuring.start, c.stimulation as usize)]);
