@@ -305,8 +305,8 @@ def chaos(ground: Ground):
     check(peaks[-1] < 1.3 * statistics.median(peaks) + 50, f"the run's memory grew: {[round(p) for p in peaks]}")
     check(missing <= counted, f"{missing} frames are missing, {counted} counted")
     check(
-        statistics.median(p99s) <= 2 * quiet_p99,
-        f"the 99th percentile is {statistics.median(p99s):.1f} ms, quiet {quiet_p99:.1f} ms",
+        max(p99s) <= 2 * quiet_p99,
+        f"the 99th percentile of the worst session is {max(p99s):.1f} ms, quiet {quiet_p99:.1f} ms",
     )
 
 

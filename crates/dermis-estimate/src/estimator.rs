@@ -64,6 +64,9 @@ pub struct Estimator {
     left: Option<f64>,
     /// Most operations of the current part of an explanation.
     most: f64,
+    /// Quick fits of joint sets to the current frame, and the size of the largest set proposed so far.
+    sets: Vec<Explanation>,
+    searched: usize,
 }
 
 /// Memory of the frames so far.
@@ -105,6 +108,8 @@ impl Estimator {
             allowance: f64::INFINITY,
             left: None,
             most: f64::INFINITY,
+            sets: Vec::new(),
+            searched: 0,
         }
     }
 
@@ -113,7 +118,7 @@ impl Estimator {
     pub fn copy(&self) -> Option<Self> {
         let fit = self.fit.copy()?;
         let memory = self.memory.clone();
-        Some(Self { fit, memory, spent: 0.0, allowance: f64::INFINITY, left: None, ..*self })
+        Some(Self { fit, memory, spent: 0.0, allowance: f64::INFINITY, left: None, sets: Vec::new(), ..*self })
     }
 
     /// Memory of the frames so far.
@@ -166,9 +171,21 @@ impl Estimator {
         self.memory = Memory::nothing();
     }
 
+    /// Forgets the presses of the last frame: they do not explain it. Searches that were in vain still pause.
+    pub fn forget_presses(&mut self) {
+        self.memory.last.clear();
+        self.memory.left = 0.0;
+    }
+
     /// From now on, every frame is searched in full, within the usual bound on operations.
     pub fn take_time(&mut self) {
         self.is_unhurried = true;
+    }
+
+    /// Forgets the joint sets of another frame, or of presses of the other sign.
+    fn forget_sets(&mut self) {
+        self.sets.clear();
+        self.searched = 0;
     }
 
     /// True if a frame (model volts) is noise and a uniform change, or cannot be fitted.
@@ -181,6 +198,7 @@ impl Estimator {
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
         self.allow_work(MOST_WORK);
         let null = self.fit.take_frame(frame)?;
+        self.forget_sets();
         let nothing = || Explanation { presses: Vec::new(), cost: null };
         let last = std::mem::take(&mut self.memory.last);
         // An allowance for the frame is no longer than either part.
@@ -208,7 +226,8 @@ impl Estimator {
         }
         best = afresh.filter(|afresh| self.score(afresh) < self.score(&best)).unwrap_or(best);
         self.memory.left = best.cost.residual;
-        if best.presses.is_empty() && !null.is_noise() {
+        // Contacts with a plate saturate: no press is too hard for the model.
+        if best.presses.is_empty() && !null.is_noise() && !self.fit.is_joint() {
             best = self.roughly(&null).unwrap_or(best);
         }
         let estimate = self.estimate(best, &null);
@@ -289,6 +308,7 @@ impl Estimator {
     }
 
     fn explain_from_nothing(&mut self) -> Option<Estimate> {
+        self.forget_sets();
         let null = self.fit.fit_nothing()?;
         let best = Explanation { presses: Vec::new(), cost: null };
         // Presses that have ended have a pause of their own.
@@ -380,6 +400,7 @@ impl Estimator {
         let mut found: Vec<Explanation> = Vec::new();
         if self.fit.is_joint() {
             self.propose_sets(best, most_added, &mut found);
+            found.retain(|more| !self.is_hopeless(more));
         } else {
             self.fit.linearise_about(&best.presses);
             self.propose_singly(best, hints, most_added, &mut found);

@@ -67,7 +67,7 @@ pub struct Cost {
 
 /// Largest mean square of a residual that counts as noise. The noise level, from 32 frames at rest, is only known to
 /// a third.
-const MOST_NOISE: f64 = 1.5;
+pub const MOST_NOISE: f64 = 1.5;
 
 /// Largest multiple of the model's usual error that one press or a set of presses leaves.
 pub(crate) const MOST_MODEL_ERROR: f64 = 4.0;
@@ -91,6 +91,11 @@ impl Cost {
         if self.residual <= UNEXPLAINED_BY_NOISE * self.freedom {
             return 0.0;
         }
+        self.left()
+    }
+
+    /// As [`Cost::unexplained`], also for residuals that may be noise.
+    pub fn left(&self) -> f64 {
         let beyond = |value: f64| (value - self.freedom).max(0.0);
         match beyond(self.energy) {
             0.0 => 0.0,

@@ -340,13 +340,15 @@ impl Pipeline {
         };
         let Running { reference, reconstructor } = &mut **running;
         let difference = &mut self.buffers.difference;
+        let is_touched = reconstructor.is_loaded() || reconstructor.refinement.is_unsure();
         let expected = match health.mask(difference) {
             Some(masked) => Some(reconstructor.imager.fill_in(masked)?),
             None => None,
         };
         let (raw, scale) = (self.baseline.raw(), &reference.scale);
-        let frame = HealthFrame { at, raw, scale, difference, expected };
-        let HealthDecision { excluded, left_out, moved, sight } = health.examine(&frame)?;
+        let frame = HealthFrame { at, raw, scale, difference, expected, is_touched };
+        let HealthDecision { excluded, left_out, moved, sight } =
+            health.examine(&frame, || reconstructor.refinement.explains(difference))?;
         for (value, _) in difference.iter_mut().zip(excluded).filter(|(_, excluded)| **excluded) {
             *value = f64::NAN;
         }

@@ -254,6 +254,11 @@ impl Baseline {
         Ok(())
     }
 
+    /// Cancels a tare in progress that was started for this reason. The baseline stays.
+    pub fn cancel_tare(&mut self, reason: &str) {
+        self.tare.take_if(|tare| tare.reason == reason);
+    }
+
     /// Sets the baseline to given values, such as a recorded reference frame, and ends start-up. NaN disables a
     /// channel.
     ///

@@ -116,6 +116,18 @@ fn a_tare_under_load_is_refused_unless_forced() {
 }
 
 #[test]
+fn a_tare_is_cancelled_by_its_reason() {
+    let mut baseline = ready();
+    baseline.tare(4, TareGuard::Force, "a press has ended").unwrap();
+    run(&mut baseline, 1..3, |_| [5.0, 6.0], Load::Free);
+    baseline.cancel_tare("another");
+    assert_eq!(baseline.state(), BaselineState::Taring { have: 2, want: 4 });
+    baseline.cancel_tare("a press has ended");
+    run(&mut baseline, 3..9, |_| [5.0, 6.0], Load::Touched);
+    assert_eq!((baseline.state(), baseline.records().len()), (BaselineState::Ready, 1));
+}
+
+#[test]
 fn a_touch_calls_a_tare_off() {
     let mut baseline = ready();
     baseline.tare(10, TareGuard::RefuseUnderLoad, "").unwrap();

@@ -20,6 +20,8 @@ const PROPOSED: f64 = 0.25;
 const MOST_SPLIT: usize = 3;
 /// A joint set that leaves more than this share of a streamed frame doesn't explain it.
 const HOPELESS: f64 = 0.5;
+/// A joint set whose quick fit leaves less than this share is fitted in full before larger sets are tried.
+const CLOSE: f64 = 0.05;
 /// The search for joint sets ends at such a set of this many presses or more, if it also leaves more than this share of
 /// what smaller sets leave. The change is then damage. Two of three presses at once may explain no more than one.
 const MANY: usize = 3;
@@ -29,26 +31,43 @@ impl Estimator {
     /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else
     /// those that have ended. Both in one set would explain a cut as well.
     pub(super) fn propose_sets(&mut self, best: &Explanation, most_added: usize, found: &mut Vec<Explanation>) {
-        let (mut is_first, mut least_left) = (true, f64::INFINITY);
-        while let Some(set) = self.fit.next_joint_set(is_first, self.negative) {
-            is_first = false;
-            if set.len() <= best.presses.len() || set.len() > best.presses.len() + most_added {
+        let sizes = best.presses.len() + 1..=best.presses.len().saturating_add(most_added);
+        let mut least_left = f64::INFINITY;
+        let mut known = std::mem::take(&mut self.sets).into_iter();
+        loop {
+            let more = match known.next() {
+                Some(more) => more,
+                None => {
+                    let Some(set) = self.fit.next_joint_set(self.searched == 0, self.negative) else { break };
+                    self.searched = set.len();
+                    if !sizes.contains(&set.len()) {
+                        continue;
+                    }
+                    let set = self.fit.resized(set);
+                    let Some(more) = self.fitted(&set, Effort::Quick) else { break };
+                    more
+                }
+            };
+            self.sets.push(more.clone());
+            if !sizes.contains(&more.presses.len()) {
                 continue;
             }
-            let set = self.fit.resized(set);
-            let Some(more) = self.fitted(&set, Effort::Quick) else { break };
-            let (left, is_enough, is_hopeless) =
-                (more.cost.unexplained(), more.cost.is_explained(), self.is_hopeless(&more));
-            found.push(more);
-            if is_enough || set.len() >= MANY && is_hopeless && left > NO_BETTER * least_left {
-                return;
+            // Its sheet is coarse, so the best set may leave some per cent.
+            let (count, left) = (more.presses.len(), more.cost.left());
+            let full = if count == 1 && left < CLOSE { self.fitted(&more.presses, Effort::Full) } else { None };
+            let is_enough = full.as_ref().unwrap_or(&more).cost.is_explained();
+            let is_in_vain = count >= MANY && self.is_hopeless(&more) && left > NO_BETTER * least_left;
+            found.push(full.filter(|_| is_enough).unwrap_or(more));
+            if is_enough || is_in_vain {
+                break;
             }
             least_left = least_left.min(left);
         }
+        self.sets.extend(known);
     }
 
     /// True if an explanation leaves most of a streamed frame.
-    fn is_hopeless(&self, of: &Explanation) -> bool {
+    pub(super) fn is_hopeless(&self, of: &Explanation) -> bool {
         !self.is_unhurried && of.cost.unexplained() > HOPELESS
     }
 

@@ -86,6 +86,10 @@ impl Pipeline {
             return Ok(());
         }
         let is_touched = reconstructor.touches.is_loaded();
+        // Another press may begin while the baseline is learnt.
+        if !reconstructor.touches.contacts().is_empty() {
+            self.baseline.cancel_tare(GONE_REASON);
+        }
         match reconstructor.refinement.gone() {
             None => {}
             Some(Gone::BesideOthers(volts)) => self.baseline.shift(as_measured(volts).into_iter()),

@@ -50,6 +50,11 @@ impl EndedPresses {
         (self.frames, self.wait) = (0, 0);
     }
 
+    /// True if the last search failed, and the frames since have not been clearly explained.
+    pub fn has_failed(&self) -> bool {
+        self.waited > 0
+    }
+
     /// True if it is time for a search.
     pub fn is_due(&self) -> bool {
         self.wait == 0 && !self.both_signs

@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use dermis_estimate::{Estimator, Evidence, PressFit};
+use dermis_estimate::{Estimator, Evidence, MOST_NOISE, PressFit};
 use dermis_touch::Contact;
 
 use crate::Error;
@@ -100,6 +100,18 @@ impl Presses {
         fresh.set_built_share(self.built_share);
         self.stage = Some(Box::new(fresh));
         Ok(())
+    }
+
+    /// True if a difference frame (model volts) is no more than the noise of its channels.
+    fn is_noise(&self, difference: &[f64]) -> bool {
+        let (mut square, mut count) = (0.0, 0.0);
+        for (channel, (value, noise)) in (0..).zip(difference.iter().zip(&self.noise)) {
+            if *noise > 0.0 && noise.is_finite() && !self.left_out.contains(&channel) {
+                square += (value / noise).powi(2);
+                count += 1.0;
+            }
+        }
+        square <= MOST_NOISE * count
     }
 
     /// Makes a fit under the current weights. A fit that is being made is dropped.
@@ -290,11 +302,26 @@ impl Refinement {
         presses.take_up(time_ns)?;
         let Some(stage) = &mut presses.stage else { return Ok(()) };
         let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
-        stage.refine(time_ns, imager.filled(), imager, f64::from(lowest), contacts);
-        if presses.drift.observe(time_ns, stage.is_touched()) {
+        stage.refine(time_ns, imager.filled(), &presses.noise, imager, f64::from(lowest), contacts);
+        let is_touched = stage.is_touched();
+        let is_noise = !is_touched && presses.is_noise(imager.filled());
+        if presses.drift.observe(time_ns, is_touched, is_noise) {
             presses.reweigh_soon(time_ns);
         }
         Ok(())
+    }
+
+    /// True if the last frames contain something that no presses explain so far.
+    pub(crate) fn is_unsure(&self) -> bool {
+        match &self.by {
+            By::Presses(presses) => presses.stage.as_ref().is_some_and(|stage| stage.is_unsure()),
+            By::Nothing => false,
+        }
+    }
+
+    /// True if presses explain a frame (model volts, finite) for the most part.
+    pub(crate) fn explains(&mut self, difference: &[f64]) -> bool {
+        self.stage().is_some_and(|stage| stage.explains(difference))
     }
 
     /// Presses that are part of the baseline but have ended, once that is certain.

@@ -1,6 +1,8 @@
 //! Touches on sheets, separate patches and liquids: the presses that explain a frame, converted to contacts.
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Memory, Press, PressFit};
+mod explanation;
+
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::{PixelGrid, Point, distance};
 use dermis_touch::force::ForceReading;
@@ -17,7 +19,7 @@ use crate::stages::pace::Pace;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::{Peaks, Remains};
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
-use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, Pause, READY_NS, Searched, TouchSearch};
+use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, InVain, Pause, Searched};
 use crate::stages::touch_search::{doubt, is_outstanding};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
@@ -61,6 +63,9 @@ pub(crate) struct SpotStage {
     is_search_of_contacts: bool,
     is_search_stale: bool,
     pause: Pause,
+    in_vain: InVain,
+    /// The frame over the noise of its channels.
+    scaled: Vec<f64>,
     pace: Pace,
     explained: f64,
     far_m: f64,
@@ -108,6 +113,8 @@ impl SpotStage {
             is_search_of_contacts: false,
             is_search_stale: false,
             pause: Pause::default(),
+            in_vain: InVain::default(),
+            scaled: Vec::new(),
             pace: Pace::default(),
             estimator,
             error: SpotError::of(prepared),
@@ -183,6 +190,7 @@ impl SpotStage {
         self.estimator.forget();
         self.search.cancel();
         self.pause = Pause::default();
+        self.in_vain.clear();
         self.pace.forget();
         self.ended.forget();
         self.peaks = Peaks::default();
@@ -193,80 +201,6 @@ impl SpotStage {
     /// Number of frames that had to wait for a search.
     pub(crate) fn waits(&self) -> u64 {
         self.search.waits()
-    }
-
-    /// The presses that explain a frame.
-    fn explain(&mut self, difference: &[f64]) -> Explained {
-        if let Some(mut rest) = self.explain_without_gone(difference) {
-            self.hold(&mut rest.presses);
-            return Explained::By(rest, true);
-        }
-        let Some(estimate) = self.estimator.explain(difference, &self.hints) else { return Explained::Nothing };
-        if self.estimator.is_out_of_work() {
-            return Explained::Later(Some(estimate));
-        }
-        if self.is_outstanding && !self.is_joint {
-            // A hard press leaves much that would pass for presses that have ended.
-            self.ended.forget();
-            return self.concluded(estimate, None);
-        }
-        if !self.ended.looks_for(&estimate) {
-            return self.concluded(estimate, None);
-        }
-        let with_gone = self.estimator.explain_with_gone();
-        if self.estimator.is_out_of_work() {
-            return Explained::Later(Some(estimate));
-        }
-        self.concluded(estimate, Some(with_gone))
-    }
-
-    /// Explains a frame in the background, with this memory of the frames before it.
-    fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory) {
-        let Some(mut estimator) = self.estimator.copy() else { return };
-        estimator.set_memory(memory);
-        let (frame, hints, is_gone_possible) = (difference.to_vec(), self.hints.clone(), self.ended.is_due());
-        let search = TouchSearch { estimator, frame, hints, is_gone_possible };
-        self.is_search_stale = false;
-        self.is_search_of_contacts = !self.hints.is_empty();
-        self.search.begin(time_ns.saturating_add(READY_NS), move |_| Some(search.run()));
-    }
-
-    /// The result of a search in the background, once it is due.
-    fn searched(&mut self, time_ns: u64) -> Option<Explained> {
-        let Searched { estimate, with_gone, memory } = self.search.take(time_ns).filter(|_| !self.is_search_stale)?;
-        self.estimator.set_memory(memory);
-        let Some(estimate) = estimate else { return Some(Explained::Nothing) };
-        let looks_for_gone = self.ended.looks_for(&estimate);
-        Some(self.concluded(estimate, with_gone.filter(|_| looks_for_gone)))
-    }
-
-    /// The explanation of a frame from that by present presses and, if they were looked for, that by presses that have
-    /// ended as well.
-    fn concluded(&mut self, mut estimate: Estimate, with_gone: Option<Option<Estimate>>) -> Explained {
-        self.hold(&mut estimate.presses);
-        match with_gone.and_then(|with_gone| self.ended.judge(&estimate, with_gone)) {
-            Some(rest) => Explained::By(rest, true),
-            None => Explained::By(estimate, false),
-        }
-    }
-
-    /// Between searches, takes the presses that the last one found to have ended off the frame and explains the rest.
-    /// `None` without any, or if that no longer explains the frame.
-    fn explain_without_gone(&mut self, difference: &[f64]) -> Option<Estimate> {
-        if !self.ended.is_between_searches() {
-            return None;
-        }
-        if !self.estimator.is_at_rest(difference) {
-            self.estimator.fit_mut().channels_of(&self.ended.presses, &mut self.volts);
-            let rest: Vec<f64> = difference.iter().zip(&self.volts).map(|(all, gone)| all - gone).collect();
-            let estimate = self.estimator.explain(&rest, &self.hints)?;
-            let energy = |volts: &[f64]| volts.iter().map(|volts| volts * volts).sum::<f64>();
-            if self.ended.explain(estimate.unexplained * energy(&rest) / energy(difference), &estimate) {
-                return Some(estimate);
-            }
-        }
-        self.ended.drop_presses();
-        None
     }
 
     /// Keeps presses at the position and radius from when the baseline was fresh, as long as the frame allows it.
@@ -301,15 +235,19 @@ impl SpotStage {
 
     /// Replaces the contacts of an image by the presses that explain its frame (model volts). The image's contacts
     /// stay if the frame cannot be fitted, or if presses leave more of it unexplained than `touch.most_unexplained`.
-    /// `lowest` is the lowest value of the image.
+    /// `noise` is that of the channels (model volts), `lowest` the lowest value of the image.
     pub(crate) fn refine(
         &mut self,
         time_ns: u64,
         difference: &[f64],
+        noise: &[f64],
         imager: &Imager,
         lowest: f64,
         contacts: &mut Vec<Contact>,
     ) {
+        self.scaled.clear();
+        self.scaled
+            .extend(difference.iter().zip(noise).map(|(value, noise)| if *noise > 0.0 { value / noise } else { 0.0 }));
         if self.is_unhurried && !self.is_joint {
             return self.refine_now(time_ns, difference, imager, lowest, contacts);
         }
@@ -359,7 +297,11 @@ impl SpotStage {
         if contacts.is_empty() {
             self.pause = Pause::default();
         }
-        if !self.is_unhurried && self.pause.is_on(time_ns) {
+        let of_frame = match self.is_joint {
+            true => self.in_vain.pause_of(time_ns, &self.scaled).copied().unwrap_or_default(),
+            false => Pause::default(),
+        };
+        if !self.is_unhurried && (self.pause.is_on(time_ns) || of_frame.is_on(time_ns)) {
             self.shown.clear();
             doubt(contacts, lowest);
             return;
@@ -369,7 +311,8 @@ impl SpotStage {
             return self.show(time_ns, explained, imager, lowest, contacts);
         }
         if !self.is_unhurried {
-            self.estimator.allow(if self.pause.has_begun() { AT_ONCE_IN_VAIN } else { AT_ONCE });
+            let is_in_vain = self.pause.has_begun() || of_frame.has_begun();
+            self.estimator.allow(if is_in_vain { AT_ONCE_IN_VAIN } else { AT_ONCE });
         }
         let memory = self.estimator.memory().clone();
         let explained = match self.search.is_under_way() {
@@ -412,7 +355,8 @@ impl SpotStage {
         if estimate.unexplained > self.most_unexplained {
             if self.is_joint {
                 self.pause.begin(time_ns);
-                self.estimator.forget();
+                self.in_vain.begin(time_ns, &self.scaled);
+                self.estimator.forget_presses();
                 doubt(contacts, lowest);
                 // No later frame continues this search.
                 contacts.retain(|contact| !self.is_unhurried || contact.strength != ContactStrength::Weak);
@@ -427,6 +371,7 @@ impl SpotStage {
             return;
         }
         self.pause = Pause::default();
+        self.in_vain.forget(&self.scaled);
         self.of_image.clear();
         self.of_image.append(contacts);
         // In a tank, weak presses may be side lobes of a strong one.

@@ -1,11 +1,11 @@
 //! The search for the presses that explain a frame, if it takes longer than a frame may: it goes on in the background
 //! with a copy of the estimator.
 
-use dermis_estimate::{Estimate, Estimator, Memory, Press};
+use dermis_estimate::{Estimate, Estimator, MOST_NOISE, Memory, Press};
 use dermis_touch::{Contact, ContactStrength};
 
-/// Most operations of a search within a frame: some 15 ms on one core. It suffices for two presses on most sandwiches.
-pub(super) const AT_ONCE: f64 = 1e8;
+/// Most operations of a search within a frame: some 8 ms on one core. It suffices for three presses on most sandwiches.
+pub(super) const AT_ONCE: f64 = 5e7;
 /// The same while no presses explain the frames: the search fails or takes long, and goes on in the background anyway.
 pub(super) const AT_ONCE_IN_VAIN: f64 = 2e7;
 /// Delay after which a search in the background takes effect, nanoseconds. It takes up to 150 ms on one slow core.
@@ -18,8 +18,14 @@ const CLEARLY_EXPLAINED: f64 = 0.005;
 /// it: a press on a cut, or a hard press.
 const OUTSTANDING: f64 = 2.0;
 
-/// Pause after frames that no presses explain, nanoseconds: initial and maximum. It doubles each time.
+/// Pause after a frame that no presses explain, nanoseconds: initial and maximum. It doubles each time.
 const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
+
+/// Frames that nothing explains are remembered for this long, nanoseconds, and at most this many.
+const REMEMBERED_NS: u64 = 5_000_000_000;
+const MOST_REMEMBERED: usize = 8;
+/// Two frames are the same if their difference, beyond the noise, has less than this share of the energy.
+const SAME: f64 = 0.02;
 
 /// A frame to explain.
 pub(super) struct TouchSearch {
@@ -79,6 +85,65 @@ impl Pause {
     }
 }
 
+/// Frames that were searched in vain lately. The same frame is not searched again at once, even if others come between:
+/// a bad contact may spoil every other frame.
+#[derive(Debug, Default)]
+pub(super) struct InVain {
+    frames: Vec<Unexplained>,
+}
+
+/// A frame that no presses explain.
+#[derive(Debug)]
+struct Unexplained {
+    /// Over the noise of its channels.
+    frame: Vec<f64>,
+    energy: f64,
+    pause: Pause,
+    seen_ns: u64,
+}
+
+impl InVain {
+    /// The pause for a frame (over the noise) that was searched in vain before.
+    pub fn pause_of(&mut self, time_ns: u64, frame: &[f64]) -> Option<&Pause> {
+        self.frames.retain(|known| time_ns.saturating_sub(known.seen_ns) < REMEMBERED_NS);
+        let known = self.frames.iter_mut().find(|known| known.is(frame))?;
+        known.seen_ns = time_ns;
+        Some(&known.pause)
+    }
+
+    /// Begins a pause after a search of this frame.
+    pub fn begin(&mut self, time_ns: u64, frame: &[f64]) {
+        if let Some(known) = self.frames.iter_mut().find(|known| known.is(frame)) {
+            known.pause.begin(time_ns);
+            return;
+        }
+        if self.frames.len() == MOST_REMEMBERED {
+            self.frames.remove(0);
+        }
+        let mut pause = Pause::default();
+        pause.begin(time_ns);
+        let energy = frame.iter().map(|value| value * value).sum();
+        self.frames.push(Unexplained { frame: frame.to_vec(), energy, pause, seen_ns: time_ns });
+    }
+
+    /// Forgets a frame: presses explain it now.
+    pub fn forget(&mut self, frame: &[f64]) {
+        self.frames.retain(|known| !known.is(frame));
+    }
+
+    pub fn clear(&mut self) {
+        self.frames.clear();
+    }
+}
+
+impl Unexplained {
+    /// True if another frame is the same but for noise and a small change.
+    fn is(&self, frame: &[f64]) -> bool {
+        let apart: f64 = self.frame.iter().zip(frame).map(|(a, b)| (a - b) * (a - b)).sum();
+        apart <= MOST_NOISE * 2.0 * frame.len() as f64 + SAME * self.energy
+    }
+}
+
 /// Result of a frame's search.
 pub(super) enum Explained {
     /// The presses, and true if presses that have ended explain the frame as well.
@@ -105,5 +170,33 @@ pub(super) fn doubt(contacts: &mut Vec<Contact>, lowest: f64) {
         contacts.truncate(1);
     } else {
         contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn frames_searched_in_vain_pause_although_others_come_between() {
+        let mut in_vain = InVain::default();
+        let frame = |size: f64, noise: f64| (0..100).map(|k| size + noise * f64::from(k % 3 - 1)).collect::<Vec<_>>();
+        in_vain.begin(0, &frame(50.0, 1.0));
+        in_vain.begin(40 * MS, &frame(50.0, -1.0));
+        // The second pause of the same frame is twice as long as the first, 30 ms.
+        let is_on = |in_vain: &mut InVain, ms: u64, size: f64| {
+            in_vain.pause_of(ms * MS, &frame(size, 1.0)).map(|pause| pause.is_on(ms * MS))
+        };
+        assert_eq!(is_on(&mut in_vain, 99, 50.0), Some(true));
+        assert_eq!(is_on(&mut in_vain, 101, 50.0), Some(false));
+        assert_eq!(is_on(&mut in_vain, 101, 70.0), None);
+        // It is forgotten once presses explain it, or after five seconds.
+        in_vain.begin(120 * MS, &frame(70.0, 1.0));
+        in_vain.forget(&frame(50.0, 0.5));
+        assert_eq!(is_on(&mut in_vain, 121, 50.0), None);
+        assert_eq!(is_on(&mut in_vain, 121, 70.0), Some(true));
+        assert_eq!(is_on(&mut in_vain, 5_122, 70.0), None);
     }
 }

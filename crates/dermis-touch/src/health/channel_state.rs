@@ -8,6 +8,8 @@ const RECENT: f64 = 0.3;
 const SETTLING: f64 = 0.1;
 /// Upper bound on the contribution of one difference of successive readings, in variances.
 const MOST_FLICKER: f64 = 100.0;
+/// A channel is back where it was within this many standard deviations beyond the tolerance.
+const BACK: f64 = 3.0;
 /// A channel is noisy if its squared differences reach this many times their usual size.
 const NOISY: f64 = 6.0;
 /// Halve the counts of repetitions and pairs at this many pairs, so that they describe the recent past.
@@ -37,6 +39,8 @@ pub(super) struct ChannelState {
     /// Mean size of the residual that the other channels leave unexplained.
     pub unexplained: f64,
     last_difference: f64,
+    /// It reads what it should by its baseline, as far as other channels tell.
+    pub is_back: bool,
     /// Consecutive frames without fault.
     pub clean: u32,
     /// First frame of the evidence being gathered.
@@ -67,6 +71,7 @@ impl ChannelState {
             flicker: 1.0,
             unexplained: 0.0,
             last_difference: f64::NAN,
+            is_back: true,
             clean: 0,
             suspect_since: None,
             bad: None,
@@ -162,6 +167,7 @@ impl ChannelState {
         if !apart.is_finite() {
             return 0.0;
         }
+        self.is_back = apart.abs() <= tolerated + BACK * deviation;
         let from_offset = apart - self.offset;
         if self.bad.is_some() {
             self.offset += SETTLING * from_offset;

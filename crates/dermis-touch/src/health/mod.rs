@@ -27,7 +27,7 @@ mod tests;
 pub use fault::{
     ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, FrameFault, FrameFaultKind, Health,
 };
-pub use monitor::HealthMonitor;
+pub use monitor::{HealthMonitor, JudgedFrame};
 pub use params::{HEALTH_WINDOW, HealthParams};
 pub use rest_scatter::{FEWEST_AT_REST, RestScatter};
 pub use start::HealthReference;

@@ -16,6 +16,10 @@ const FARTHER: f64 = 3.0;
 /// Suspect a channel only if its residual is at least this share of the largest: one bad channel disturbs all
 /// residuals.
 const BESIDE: f64 = 0.3;
+/// Residual beyond the tolerance from which a channel looks faulty, in standard deviations.
+const SUSPECT: f64 = 3.0;
+/// Number of the frame that looks like faults in which presses are asked about again. The next may bring the verdict.
+const ASK_AGAIN: u32 = 3;
 /// Largest step that a touch can cause, as a share of the largest resting value. Used if there is nothing to compare
 /// with.
 const GROSS_STEP: f64 = 0.5;
@@ -43,6 +47,23 @@ pub struct HealthMonitor {
     pub(super) largest_rest: f64,
     has_expectation: bool,
     pub(super) begun: bool,
+    /// Consecutive frames that look like faults, and whether presses explained the last of them.
+    suspect_frames: u32,
+    is_explained: bool,
+}
+
+/// A frame to judge.
+#[derive(Debug, Clone, Copy)]
+pub struct JudgedFrame<'a> {
+    /// Time in nanoseconds, and sequence number.
+    pub at: (u64, u64),
+    /// Difference data, model volts; NaN where missing.
+    pub difference: &'a [f64],
+    /// Each channel's residual against the value expected from the good channels (model volts), if available.
+    pub unexplained: Option<&'a [f64]>,
+    /// The skin is touched. A channel that has settled at another value is then not acquitted: how much of it is the
+    /// touch is not known.
+    pub is_touched: bool,
 }
 
 impl HealthMonitor {
@@ -66,6 +87,8 @@ impl HealthMonitor {
             largest_rest: 0.0,
             has_expectation: false,
             begun: false,
+            suspect_frames: 0,
+            is_explained: false,
             wiring,
             params,
         }
@@ -143,19 +166,14 @@ impl HealthMonitor {
         Ok(())
     }
 
-    /// Judges the last frame read from its difference data (model volts, NaN where missing). True if the known faults
-    /// changed. A frame that is wrong as a whole says nothing about its channels. `unexplained` is each channel's
-    /// residual against the value expected from the good channels (model volts), if available. `at` is the frame's
-    /// time in nanoseconds and its sequence number.
+    /// Judges the last frame read. True if the known faults changed. A frame that is wrong as a whole says nothing
+    /// about its channels. `is_explained` tells whether presses explain the frame. It is asked only about frames that
+    /// look like faults: a press on electrodes can short them.
     ///
     /// # Errors
     /// [`TouchError::Length`].
-    pub fn judge(
-        &mut self,
-        at: (u64, u64),
-        difference: &[f64],
-        unexplained: Option<&[f64]>,
-    ) -> Result<bool, TouchError> {
+    pub fn judge(&mut self, frame: &JudgedFrame<'_>, is_explained: impl FnMut() -> bool) -> Result<bool, TouchError> {
+        let JudgedFrame { at, difference, unexplained, is_touched } = *frame;
         require_length("difference data", self.channels.len(), difference.len())?;
         require_length(
             "unexplained differences",
@@ -172,9 +190,10 @@ impl HealthMonitor {
             return Ok(verdict);
         }
         self.find_dead(difference);
+        self.ask(difference, unexplained, is_explained);
         self.gather(at, difference, unexplained);
         self.previous.copy_from_slice(difference);
-        let declared = self.declare(at);
+        let declared = self.declare(at, is_touched);
         let changed = declared || verdict;
         if declared {
             self.conclude();
@@ -198,6 +217,32 @@ impl HealthMonitor {
         }
     }
 
+    /// Asks whether presses explain a frame that looks like faults: in the first such frame, shortly before a verdict,
+    /// and as long as they do.
+    fn ask(&mut self, difference: &[f64], unexplained: Option<&[f64]>, mut is_explained: impl FnMut() -> bool) {
+        let is_suspect = self.looks_faulty(difference, unexplained);
+        self.suspect_frames = if is_suspect { self.suspect_frames.saturating_add(1) } else { 0 };
+        let asks = is_suspect && (self.is_explained || [1, ASK_AGAIN].contains(&self.suspect_frames));
+        self.is_explained = asks && is_explained();
+        if self.is_explained {
+            self.dead.fill(false);
+        }
+    }
+
+    /// True if a channel not declared yet shows a fault for which a press could be the cause.
+    fn looks_faulty(&mut self, difference: &[f64], unexplained: Option<&[f64]>) -> bool {
+        if self.dead.iter().zip(&self.declared).any(|(dead, declared)| *dead && !*declared) {
+            return true;
+        }
+        let Some(all) = unexplained.filter(|_| self.has_expectation) else { return false };
+        let median = self.median_size(difference);
+        (0..all.len()).filter(|&channel| !self.declared[channel]).any(|channel| {
+            let state = &self.channels[channel];
+            all[channel].abs() > self.tolerated(state, median) + SUSPECT * state.unexplained_sigma
+                && self.usable_partner(channel).is_none()
+        })
+    }
+
     /// Gathers the evidence of one frame for each channel.
     fn gather(&mut self, at: (u64, u64), difference: &[f64], unexplained: Option<&[f64]>) {
         for (state, _) in self.channels.iter_mut().zip(&self.dead).filter(|(_, dead)| **dead) {
@@ -212,6 +257,8 @@ impl HealthMonitor {
             }
             let excess = match (self.usable_partner(channel), unexplained) {
                 (Some((partner, ratio)), _) => self.against_partner(channel, partner, ratio, difference),
+                // Presses account for what the linear image does not.
+                (None, Some(_)) if self.is_explained => 0.0,
                 (None, Some(all)) if self.has_expectation => {
                     if all[channel].abs() >= BESIDE * farthest || self.declared[channel] {
                         self.against_expectation(channel, all[channel], median)
@@ -253,11 +300,15 @@ impl HealthMonitor {
     }
 
     fn against_expectation(&mut self, channel: usize, apart: f64, median: f64) -> f64 {
+        let tolerated = self.tolerated(&self.channels[channel], median);
         let state = &mut self.channels[channel];
-        let tolerated =
-            self.params.unpartnered_share_of_rest * state.rest.abs() + self.params.unpartnered_changes * median;
         let deviation = state.unexplained_sigma;
         state.excess(apart, tolerated, deviation)
+    }
+
+    /// Tolerated residual of a channel without a partner.
+    fn tolerated(&self, state: &ChannelState, median: f64) -> f64 {
+        self.params.unpartnered_share_of_rest * state.rest.abs() + self.params.unpartnered_changes * median
     }
 
     fn against_itself(&mut self, channel: usize, difference: &[f64]) -> f64 {
@@ -277,7 +328,7 @@ impl HealthMonitor {
     }
 
     /// Declares and acquits channels. True if any changed.
-    fn declare(&mut self, at: (u64, u64)) -> bool {
+    fn declare(&mut self, at: (u64, u64), is_touched: bool) -> bool {
         for channel in 0..self.channels.len() {
             self.spared[channel] = self.is_convicted(channel) && self.partner_is_to_blame(channel);
         }
@@ -289,7 +340,7 @@ impl HealthMonitor {
                 state.acquit();
             } else if let Some((known, since, sequence)) = state.bad {
                 let kind = known.max(state.kind());
-                if state.clean >= self.params.clean_frames {
+                if state.clean >= self.params.clean_frames && (state.is_back || !is_touched) {
                     state.acquit();
                     changed = true;
                 } else if kind != known {

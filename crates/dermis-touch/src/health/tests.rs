@@ -49,6 +49,9 @@ struct Bench {
     frame: u64,
     /// Reference of the differences. Channels acquitted are set to their reading at that time.
     baseline: Vec<f64>,
+    is_touched: bool,
+    /// Presses explain all frames.
+    is_explained: bool,
 }
 
 impl Bench {
@@ -62,7 +65,8 @@ impl Bench {
         let reference =
             HealthReference { rest: &rest, deviation: &deviation, readings, readings_deviation, unexplained: None };
         monitor.begin(&reference).unwrap();
-        Self { monitor, channels, noise: Noise(7), frame: 0, baseline: rest }
+        let (is_touched, is_explained) = (false, false);
+        Self { monitor, channels, noise: Noise(7), frame: 0, baseline: rest, is_touched, is_explained }
     }
 
     /// Runs a frame whose readings `change` may alter, given channel, reading and a random number.
@@ -75,7 +79,9 @@ impl Bench {
             .collect();
         let difference: Vec<f64> = readings.iter().zip(&self.baseline).map(|(v, b)| v - b).collect();
         self.monitor.read(&readings).unwrap();
-        self.monitor.judge((self.frame * 10, self.frame), &difference, None).unwrap();
+        let at = (self.frame * 10, self.frame);
+        let frame = JudgedFrame { at, difference: &difference, unexplained: None, is_touched: self.is_touched };
+        self.monitor.judge(&frame, || self.is_explained).unwrap();
         for &channel in self.monitor.recovered() {
             self.baseline[channel as usize] = readings[channel as usize];
         }
@@ -189,6 +195,39 @@ fn a_short_is_recognised_by_driving_and_reading_across_it() {
 }
 
 #[test]
+fn a_press_that_shorts_two_electrodes_is_no_fault() {
+    let vanishes = |[drive, read]: [u32; 2], v: f64, _: f64| if drive == 2 || read == 2 { 0.01 * v } else { v };
+    let mut bench = Bench::new();
+    bench.is_explained = true;
+    for _ in 0..30 {
+        bench.step(vanishes);
+        assert!(bench.monitor.health().channels.is_empty() && !bench.monitor.is_doubtful());
+    }
+    // The same without a press that explains it is one.
+    bench.is_explained = false;
+    (0..HEALTH_WINDOW).for_each(|_| bench.step(vanishes));
+    assert!(!bench.monitor.health().channels.is_empty());
+}
+
+#[test]
+fn channels_at_a_new_level_are_acquitted_only_at_rest() {
+    let moved = |c: [u32; 2], v: f64, _: f64| if c == [0, 3] { 1.2 * v } else { v };
+    let mut bench = Bench::new();
+    bench.until(moved, |health| !health.is_sound());
+    bench.is_touched = true;
+    (0..150).for_each(|_| bench.step(moved));
+    assert!(!bench.monitor.health().is_sound());
+    // Back at its old level, it is, and at the new one as soon as nothing touches the skin.
+    let held = bench.monitor.clone();
+    (0..100).for_each(|_| bench.step(|_, v, _| v));
+    assert!(bench.monitor.health().is_sound());
+    bench.monitor = held;
+    bench.is_touched = false;
+    bench.step(moved);
+    assert!(bench.monitor.health().is_sound());
+}
+
+#[test]
 fn a_frozen_channel_is_stuck_but_a_frozen_frame_is_no_channel_fault() {
     let mut bench = Bench::new();
     bench.sound(200);
@@ -292,7 +331,9 @@ fn instruments_that_repeat_frames_or_have_no_noise_are_not_frozen() {
             let difference: Vec<f64> = readings.iter().zip(&resting).map(|(v, b)| v - b).collect();
             for _ in 0..repeated {
                 monitor.read(&readings).unwrap();
-                monitor.judge((frame, frame), &difference, None).unwrap();
+                let at = (frame, frame);
+                let judged = JudgedFrame { at, difference: &difference, unexplained: None, is_touched: false };
+                monitor.judge(&judged, || false).unwrap();
                 assert!(monitor.health().frame.is_none(), "{repeated}: {frame}: {:?}", monitor.health());
             }
         }
@@ -358,6 +399,7 @@ fn initial_faults_are_found_in_the_baseline() {
 fn frames_of_another_length_are_refused() {
     let mut monitor = HealthMonitor::new(wiring(), HealthParams::default());
     assert!(monitor.read(&[0.0]).is_err());
-    assert!(monitor.judge((0, 0), &[0.0], None).is_err());
+    let frame = JudgedFrame { at: (0, 0), difference: &[0.0], unexplained: None, is_touched: false };
+    assert!(monitor.judge(&frame, || false).is_err());
     assert!(Wiring::new(2, vec![vec![0, 2]], vec![], vec![], vec![]).is_err());
 }

@@ -207,3 +207,35 @@ fn presses_in_quick_succession_leave_the_baseline_as_it_was() {
         assert!(moved < 0.5, "{layer}: moved by {moved} standard deviations of the noise");
     }
 }
+
+/// A press on two electrodes of a sandwich shorts them, and a press may begin while the baseline is corrected.
+#[test]
+fn triples_on_a_sandwich_leave_its_channels_and_its_baseline_as_they_were() {
+    let skin = written("{ square = { side_mm = 120.0 } }", LAYERS[2], (16, 10.0), 0, "");
+    let places = random_presses(&skin.outline(), &press_range(&skin), 300, 7).unwrap();
+    let are_apart = |group: &&[Vec<Indenter>]| {
+        let apart = |a: usize, b: usize| distance(group[a][0].centre_m, group[b][0].centre_m);
+        apart(0, 1).min(apart(0, 2)).min(apart(1, 2)) >= 0.03
+    };
+    let groups: Vec<Vec<Indenter>> = places.chunks_exact(3).filter(are_apart).take(30).map(<[_]>::concat).collect();
+    let mut bench = Bench::of(skin);
+    let before = bench.pipeline.baseline().0.to_vec();
+    let mut counts = Vec::new();
+    for group in groups {
+        for (pointer, indenter) in (0..).zip(group) {
+            bench.twin.scene_mut().press_with(pointer, indenter).unwrap();
+        }
+        for _ in 0..20 {
+            bench.run(1);
+            assert!(bench.pipeline.health().is_sound(), "{:?}", bench.pipeline.health());
+        }
+        counts.push(bench.touches.len());
+        bench.release(20);
+    }
+    let right = counts.iter().filter(|count| **count == 3).count();
+    assert!(right >= 28, "{counts:?}");
+    let (after, noise) = bench.pipeline.baseline();
+    let square = |k: usize| ((after[k] - before[k]) / noise[k]).powi(2);
+    let moved = ((0..after.len()).map(square).sum::<f64>() / after.len() as f64).sqrt();
+    assert!(moved < 0.5, "moved by {moved} standard deviations of the noise");
+}

@@ -3,7 +3,7 @@
 
 use dermis_tomo::inverse::{LeaveOneOutResidual, Operator};
 use dermis_touch::Baseline;
-use dermis_touch::health::{HEALTH_WINDOW, Health, HealthMonitor, HealthReference};
+use dermis_touch::health::{HEALTH_WINDOW, Health, HealthMonitor, HealthReference, JudgedFrame};
 
 use super::wiring::{health_params, wiring};
 use crate::Error;
@@ -14,6 +14,8 @@ use crate::reference::{MeasuredNoise, Reference};
 const UNCERTAINTY: f64 = 1.2;
 /// Minimum share of the channels needed for an image.
 const FEWEST_SHARE: f64 = 0.25;
+/// A restored channel is back where it was within this many standard deviations of the noise.
+const BACK: f64 = 5.0;
 /// Weight of a new frame in the reading at which a channel would agree with the others.
 const AGREEING: f64 = 0.1;
 
@@ -25,6 +27,8 @@ pub(crate) struct HealthStage {
     /// Difference data without the channels already excluded.
     masked: Vec<f64>,
     residuals: Vec<f64>,
+    /// Their standard deviations at rest; 0 if there is nothing to compare with.
+    unexplained: Vec<f64>,
     /// Readings at which excluded channels would agree with the others.
     agreeing: Vec<f64>,
     /// Channels excluded permanently, for the operator.
@@ -46,6 +50,8 @@ pub(crate) struct HealthFrame<'a> {
     pub difference: &'a [f64],
     /// All channels as expected from the remaining ones: [`HealthStage::mask`], filled in. `None` if too few remain.
     pub expected: Option<&'a [f64]>,
+    /// The skin was touched in the last frame.
+    pub is_touched: bool,
 }
 
 /// Visibility of the skin in a frame.
@@ -80,6 +86,7 @@ impl HealthStage {
             residual_of: None,
             masked: Vec::with_capacity(count),
             residuals: vec![0.0; count],
+            unexplained: vec![0.0; count],
             agreeing: vec![f64::NAN; count],
             left_out: Vec::with_capacity(count),
             moved: Vec::with_capacity(count),
@@ -136,6 +143,7 @@ impl HealthStage {
         let of_reading = |(sigma, scale): (&f64, &f64)| sigma / scale.abs();
         let readings_deviation: Vec<f64> = reference.noise.iter().zip(&reference.scale).map(of_reading).collect();
         let unexplained = self.residual_of.as_ref().map(|residual_of| residual_of.deviations(&deviation));
+        self.unexplained = unexplained.clone().unwrap_or_else(|| vec![0.0; deviation.len()]);
         let reference = HealthReference {
             rest: &rest,
             deviation: &deviation,
@@ -155,8 +163,13 @@ impl HealthStage {
         is_enough(&self.masked).then_some(&self.masked)
     }
 
-    /// Checks a frame, after [`HealthStage::mask`] of its difference data.
-    pub fn examine(&mut self, frame: &HealthFrame<'_>) -> Result<HealthDecision<'_>, Error> {
+    /// Checks a frame, after [`HealthStage::mask`] of its difference data. `is_explained` tells whether presses explain
+    /// it.
+    pub fn examine(
+        &mut self,
+        frame: &HealthFrame<'_>,
+        is_explained: impl FnMut() -> bool,
+    ) -> Result<HealthDecision<'_>, Error> {
         let difference = frame.difference;
         let residuals = match (&mut self.residual_of, frame.expected) {
             (Some(residual_of), Some(filled)) => {
@@ -174,20 +187,31 @@ impl HealthStage {
             for (channel, _) in self.monitor.declared().iter().enumerate().filter(|(_, declared)| **declared) {
                 let value = frame.raw[channel] - filled[channel] / frame.scale[channel];
                 let agreeing = &mut self.agreeing[channel];
-                // Average only fault-free frames; there are many of these before a channel is restored.
-                *agreeing = if agreeing.is_finite() && self.monitor.is_clean(channel) {
+                // Average only fault-free frames; there are many of these before a channel is restored. Under presses,
+                // the expected values are rough.
+                *agreeing = if agreeing.is_finite() && frame.is_touched {
+                    *agreeing
+                } else if agreeing.is_finite() && self.monitor.is_clean(channel) {
                     *agreeing + AGREEING * (value - *agreeing)
                 } else {
                     value
                 };
             }
         }
-        let changed = self.monitor.judge(frame.at, difference, residuals)?;
+        let is_compared = residuals.is_some();
+        let judged = JudgedFrame { at: frame.at, difference, unexplained: residuals, is_touched: frame.is_touched };
+        let changed = self.monitor.judge(&judged, is_explained)?;
         self.moved.clear();
         if changed {
             self.note_left_out();
             for channel in self.monitor.recovered().iter().map(|&c| c as usize) {
-                self.moved.push((channel, std::mem::replace(&mut self.agreeing[channel], f64::NAN)));
+                let agreeing = std::mem::replace(&mut self.agreeing[channel], f64::NAN);
+                // A channel that reads what it should by its old baseline keeps it. Under a touch, it is restored only
+                // if it does.
+                let is_back = is_compared && self.residuals[channel].abs() <= BACK * self.unexplained[channel];
+                if !is_back && !frame.is_touched {
+                    self.moved.push((channel, agreeing));
+                }
             }
         }
         let excluded = self.monitor.excluded();
