@@ -25,6 +25,11 @@ const UNIFORM_REST: f64 = 3.0;
 /// For this long after a touch, the baseline catches up fast on the drift it missed, seconds.
 const CATCH_UP_S: f64 = 2.0;
 const CATCH_UP_TIME_CONSTANT_S: f64 = 0.5;
+/// During a tare of a skin at rest, readings differ from their mean by at most this many variances of the noise, which
+/// is only known to a third. Both are uncertain, so that two frames differ by 2.
+const MOST_NOISE: f64 = 3.0;
+/// Beyond the noise, they differ by at most this share of the energy of the change that the tare makes.
+const STILL: f64 = 0.02;
 /// Number of baselines whose values are kept, in addition to the first.
 const MOST_KEPT: usize = 64;
 
@@ -254,11 +259,6 @@ impl Baseline {
         Ok(())
     }
 
-    /// Cancels a tare in progress that was started for this reason. The baseline stays.
-    pub fn cancel_tare(&mut self, reason: &str) {
-        self.tare.take_if(|tare| tare.reason == reason);
-    }
-
     /// Sets the baseline to given values, such as a recorded reference frame, and ends start-up. NaN disables a
     /// channel.
     ///
@@ -371,11 +371,17 @@ impl Baseline {
     }
 
     fn learn_tare(&mut self, time_ns: u64, load: Load) -> BaselineChange {
-        let Some(tare) = self.tare.as_mut() else { return BaselineChange::None };
-        if load == Load::Touched && tare.guard == TareGuard::RefuseUnderLoad {
+        let Some(tare) = &self.tare else { return BaselineChange::None };
+        let is_off = match tare.guard {
+            TareGuard::RefuseUnderLoad => load == Load::Touched,
+            TareGuard::Still => !self.is_still(),
+            TareGuard::Force => false,
+        };
+        if is_off {
             self.tare = None;
             return BaselineChange::TareCancelled;
         }
+        let Some(tare) = self.tare.as_mut() else { return BaselineChange::None };
         for ((sum, count), raw) in self.tare_sum.iter_mut().zip(&mut self.tare_count).zip(&self.raw) {
             if raw.is_finite() {
                 *sum += raw;
@@ -390,11 +396,27 @@ impl Baseline {
             *to = if count > 0 { sum / f64::from(count) } else { f64::NAN };
         }
         if let Some(Tare { have, guard, reason, .. }) = self.tare.take() {
-            let forced = guard == TareGuard::Force;
+            let forced = guard != TareGuard::RefuseUnderLoad;
             let origin = if forced { ReferenceOrigin::ForcedTare } else { ReferenceOrigin::Tare };
             self.record(time_ns, have, origin, reason);
         }
         BaselineChange::Tared
+    }
+
+    /// True if the last frame is the mean of the tare so far but for noise, and for a small share of the change that the
+    /// tare would make.
+    fn is_still(&self) -> bool {
+        let (mut apart, mut change, mut count) = (0.0, 0.0, 0.0);
+        for (channel, sigma) in self.noise_std.iter().enumerate().filter(|(_, sigma)| **sigma > 0.0) {
+            let mean = self.tare_sum[channel] / f64::from(self.tare_count[channel]);
+            let (off, all) = (self.raw[channel] - mean, mean - self.baseline[channel]);
+            if off.is_finite() && all.is_finite() {
+                apart += (off / sigma).powi(2);
+                change += (all / sigma).powi(2);
+                count += 1.0;
+            }
+        }
+        apart <= MOST_NOISE * count + STILL * change
     }
 
     fn follow_drift(&mut self, time_ns: u64, elapsed_s: f64, load: Load) {

@@ -116,15 +116,18 @@ fn a_tare_under_load_is_refused_unless_forced() {
 }
 
 #[test]
-fn a_tare_is_cancelled_by_its_reason() {
-    let mut baseline = ready();
-    baseline.tare(4, TareGuard::Force, "a press has ended").unwrap();
-    run(&mut baseline, 1..3, |_| [5.0, 6.0], Load::Free);
-    baseline.cancel_tare("another");
-    assert_eq!(baseline.state(), BaselineState::Taring { have: 2, want: 4 });
-    baseline.cancel_tare("a press has ended");
-    run(&mut baseline, 3..9, |_| [5.0, 6.0], Load::Touched);
-    assert_eq!((baseline.state(), baseline.records().len()), (BaselineState::Ready, 1));
+fn a_change_calls_off_a_tare_of_a_skin_at_rest() {
+    for (change, expected) in [(0.0, [5.0, 6.0]), (5.0, [1.0, 2.0])] {
+        let mut baseline = Baseline::new(2, params(4)).unwrap();
+        let noisy = |second: u64, at: [f64; 2]| at.map(|value| value + 0.01 * (-1.0_f64).powi(second as i32));
+        run(&mut baseline, 0..4, |second| noisy(second, [1.0, 2.0]), Load::Free);
+        baseline.tare(4, TareGuard::Still, "a press has ended").unwrap();
+        run(&mut baseline, 4..6, |second| noisy(second, [5.0, 6.0]), Load::Touched);
+        run(&mut baseline, 6..8, |second| noisy(second, [5.0, 6.0 + change]), Load::Free);
+        let is_near = |(value, expected): (&f64, f64)| (value - expected).abs() < 0.02;
+        assert!(baseline.baseline().iter().zip(expected).all(is_near), "{change}: {:?}", baseline.baseline());
+        assert_eq!(baseline.state(), BaselineState::Ready);
+    }
 }
 
 #[test]

@@ -86,16 +86,13 @@ impl Pipeline {
             return Ok(());
         }
         let is_touched = reconstructor.touches.is_loaded();
-        // Another press may begin while the baseline is learnt.
-        if !reconstructor.touches.contacts().is_empty() {
-            self.baseline.cancel_tare(GONE_REASON);
-        }
         match reconstructor.refinement.gone() {
             None => {}
             Some(Gone::BesideOthers(volts)) => self.baseline.shift(as_measured(volts).into_iter()),
-            // A search for touches in progress would block a tare that refuses under load, hence the force.
+            // A search for touches in progress would block a tare that refuses under load. But another press may begin
+            // while the baseline is learnt.
             Some(Gone::Alone) if self.baseline.state() == BaselineState::Ready && !is_touched => {
-                self.baseline.tare(GONE_FRAMES, TareGuard::Force, GONE_REASON)?;
+                self.baseline.tare(GONE_FRAMES, TareGuard::Still, GONE_REASON)?;
             }
             Some(Gone::Alone) => {}
         }

@@ -26,6 +26,7 @@ pub(super) struct EndedPresses {
     /// Frames until the next search for them.
     wait: u32,
     waited: u32,
+    has_failed: bool,
     /// Presses may change the skin in either direction, so a change of the opposite sign does not mean that one has
     /// ended.
     both_signs: bool,
@@ -52,7 +53,7 @@ impl EndedPresses {
 
     /// True if the last search failed, and the frames since have not been clearly explained.
     pub fn has_failed(&self) -> bool {
-        self.waited > 0
+        self.has_failed
     }
 
     /// True if it is time for a search.
@@ -90,7 +91,7 @@ impl EndedPresses {
     pub fn looks_for(&mut self, estimate: &Estimate) -> bool {
         self.presses.clear();
         if is_clearly_explained(estimate) || self.both_signs {
-            (self.frames, self.wait, self.waited) = (0, 0, 0);
+            (self.frames, self.wait, self.waited, self.has_failed) = (0, 0, 0, false);
             return false;
         }
         let looks = self.wait == 0;
@@ -106,6 +107,7 @@ impl EndedPresses {
             let most = if is_simpler { estimate.unexplained } else { BETTER * estimate.unexplained };
             has_ended && found.unexplained < most.min(UNEXPLAINED)
         });
+        self.has_failed = found.is_none();
         let Some(mut found) = found else {
             self.frames = 0;
             self.wait_longer();

@@ -61,6 +61,8 @@ pub enum TareGuard {
     RefuseUnderLoad,
     /// The tare proceeds whatever the load, and is recorded as forced.
     Force,
+    /// As `Force`, but the tare is cancelled if the readings change during it by more than noise: something moves.
+    Still,
 }
 
 /// Progress of start-up or tare.
