@@ -123,7 +123,7 @@ fn a_change_calls_off_a_tare_of_a_skin_at_rest() {
         run(&mut baseline, 0..4, |second| noisy(second, [1.0, 2.0]), Load::Free);
         baseline.tare(4, TareGuard::Still, "a press has ended").unwrap();
         run(&mut baseline, 4..6, |second| noisy(second, [5.0, 6.0]), Load::Touched);
-        run(&mut baseline, 6..8, |second| noisy(second, [5.0, 6.0 + change]), Load::Free);
+        run(&mut baseline, 6..8, |second| noisy(second, [5.0, 6.0 + change]), Load::Touched);
         let is_near = |(value, expected): (&f64, f64)| (value - expected).abs() < 0.02;
         assert!(baseline.baseline().iter().zip(expected).all(is_near), "{change}: {:?}", baseline.baseline());
         assert_eq!(baseline.state(), BaselineState::Ready);
