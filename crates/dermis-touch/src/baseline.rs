@@ -25,8 +25,8 @@ const UNIFORM_REST: f64 = 3.0;
 /// For this long after a touch, the baseline catches up fast on the drift it missed, seconds.
 const CATCH_UP_S: f64 = 2.0;
 const CATCH_UP_TIME_CONSTANT_S: f64 = 0.5;
-/// During a tare of a skin at rest, readings differ from their mean by at most this many variances of the noise, which
-/// is only known to a third. Both are uncertain, so that two frames differ by 2.
+/// Mean square by which readings at rest differ from those before them, in variances of the noise: at most this. Two
+/// frames differ by 2, and the noise is only known to a third.
 const MOST_NOISE: f64 = 3.0;
 /// Beyond the noise, they differ by at most this share of the energy of the change that the tare makes.
 const STILL: f64 = 0.02;

@@ -20,7 +20,7 @@ const PROPOSED: f64 = 0.25;
 const MOST_SPLIT: usize = 3;
 /// A joint set that leaves more than this share of a streamed frame doesn't explain it.
 const HOPELESS: f64 = 0.5;
-/// A joint set whose quick fit leaves less than this share is fitted in full before larger sets are tried.
+/// A single press whose quick fit leaves less than this share is fitted in full before larger sets are tried.
 const CLOSE: f64 = 0.05;
 /// The search for joint sets ends at such a set of this many presses or more, if it also leaves more than this share of
 /// what smaller sets leave. The change is then damage. Two of three presses at once may explain no more than one.
