@@ -403,8 +403,7 @@ impl Baseline {
         BaselineChange::Tared
     }
 
-    /// True if the last frame is the mean of the tare so far but for noise, and for a small share of the change that the
-    /// tare would make.
+    /// True if the last frame agrees with the mean of the tare so far, within the noise and [`STILL`].
     fn is_still(&self) -> bool {
         let (mut apart, mut change, mut count) = (0.0, 0.0, 0.0);
         for (channel, sigma) in self.noise_std.iter().enumerate().filter(|(_, sigma)| **sigma > 0.0) {

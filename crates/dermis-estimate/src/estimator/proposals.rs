@@ -1,6 +1,7 @@
 //! Proposes sets of presses that may explain a frame better than an explanation does.
 
 use std::f64::consts::PI;
+use std::ops::RangeInclusive;
 
 use super::{Estimator, Explanation};
 use crate::press::{Effort, Press};
@@ -33,22 +34,11 @@ impl Estimator {
     pub(super) fn propose_sets(&mut self, best: &Explanation, most_added: usize, found: &mut Vec<Explanation>) {
         let sizes = best.presses.len() + 1..=best.presses.len().saturating_add(most_added);
         let mut least_left = f64::INFINITY;
-        let mut known = std::mem::take(&mut self.sets).into_iter();
-        loop {
-            let more = match known.next() {
-                Some(more) => more,
-                None => {
-                    let Some(set) = self.fit.next_joint_set(self.searched == 0, self.negative) else { break };
-                    self.searched = set.len();
-                    if !sizes.contains(&set.len()) {
-                        continue;
-                    }
-                    let set = self.fit.resized(set);
-                    let Some(more) = self.fitted(&set, Effort::Quick) else { break };
-                    more
-                }
-            };
-            self.sets.push(more.clone());
+        for k in 0.. {
+            if k == self.sets.len() && !self.find_set(&sizes) {
+                break;
+            }
+            let more = self.sets[k].clone();
             if !sizes.contains(&more.presses.len()) {
                 continue;
             }
@@ -63,7 +53,22 @@ impl Estimator {
             }
             least_left = least_left.min(left);
         }
-        self.sets.extend(known);
+    }
+
+    /// Adds the next larger joint set of one of these sizes. False if there is none, or it cannot be fitted.
+    fn find_set(&mut self, sizes: &RangeInclusive<usize>) -> bool {
+        while self.searched < *sizes.end() {
+            let Some(set) = self.fit.next_joint_set(self.searched == 0, self.negative) else { return false };
+            self.searched = set.len();
+            if sizes.contains(&set.len()) {
+                let set = self.fit.resized(set);
+                let more = self.fitted(&set, Effort::Quick);
+                let is_found = more.is_some();
+                self.sets.extend(more);
+                return is_found;
+            }
+        }
+        false
     }
 
     /// True if an explanation leaves most of a streamed frame.

@@ -68,7 +68,7 @@ pub(super) struct Field {
     radius_m: f64,
     spread_m: f64,
     per_spread: f64,
-    /// Squares of the distances up to which the pressure is full, and beyond which there is none.
+    /// Squared radii of the full pressure, and of all of it.
     square_core: f64,
     square_reach: f64,
 }

@@ -50,12 +50,13 @@ impl Drift {
         Self { voltages: prepared.voltages.clone(), electrodes, touched_ns: None, released_ns: None, age_s: 0.0 }
     }
 
-    /// Records whether presses are being followed, and whether the frame is noise. True if the weights have changed.
-    pub fn observe(&mut self, time_ns: u64, is_touched: bool, is_noise: bool) -> bool {
+    /// Records whether presses are being followed. `is_noise` tells whether the frame is noise; it is asked only after a
+    /// touch. True if the weights have changed.
+    pub fn observe(&mut self, time_ns: u64, is_touched: bool, is_noise: impl FnOnce() -> bool) -> bool {
         let since_s = |ns: u64| time_ns.saturating_sub(ns) as f64 * 1e-9;
         if is_touched {
             self.released_ns = None;
-        } else if is_noise {
+        } else if self.touched_ns.is_some() && is_noise() {
             // The skin has not drifted since the last update of the baseline.
             (self.touched_ns, self.released_ns) = (None, None);
         } else if self.touched_ns.is_some() && since_s(*self.released_ns.get_or_insert(time_ns)) >= CAUGHT_UP_S {
@@ -136,14 +137,15 @@ mod tests {
     fn a_frame_of_noise_shows_that_nothing_has_drifted() {
         let mut drift =
             Drift { voltages: vec![1.0], electrodes: Vec::new(), touched_ns: None, released_ns: None, age_s: 0.0 };
-        let held =
-            |drift: &mut Drift, from_s: u64| (from_s..from_s + 6).for_each(|s| _ = drift.observe(s * S, true, false));
+        let held = |drift: &mut Drift, from_s: u64| {
+            (from_s..from_s + 6).for_each(|s| _ = drift.observe(s * S, true, || false))
+        };
         // Two presses of six seconds each, with and without drift between them.
         held(&mut drift, 0);
-        drift.observe(6 * S, false, true);
+        drift.observe(6 * S, false, || true);
         held(&mut drift, 7);
         assert!(!drift.is_aged());
-        drift.observe(13 * S, false, false);
+        drift.observe(13 * S, false, || false);
         held(&mut drift, 14);
         assert!(drift.is_aged());
     }

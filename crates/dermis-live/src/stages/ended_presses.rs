@@ -26,7 +26,8 @@ pub(super) struct EndedPresses {
     /// Frames until the next search for them.
     wait: u32,
     waited: u32,
-    has_failed: bool,
+    /// The last search failed, and the frames since have not been clearly explained.
+    pub has_failed: bool,
     /// Presses may change the skin in either direction, so a change of the opposite sign does not mean that one has
     /// ended.
     both_signs: bool,
@@ -49,11 +50,6 @@ impl EndedPresses {
     pub fn forget(&mut self) {
         self.presses.clear();
         (self.frames, self.wait) = (0, 0);
-    }
-
-    /// True if the last search failed, and the frames since have not been clearly explained.
-    pub fn has_failed(&self) -> bool {
-        self.has_failed
     }
 
     /// True if it is time for a search.

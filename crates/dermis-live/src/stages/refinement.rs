@@ -102,18 +102,6 @@ impl Presses {
         Ok(())
     }
 
-    /// True if a difference frame (model volts) is no more than the noise of its channels.
-    fn is_noise(&self, difference: &[f64]) -> bool {
-        let (mut square, mut count) = (0.0, 0.0);
-        for (channel, (value, noise)) in (0..).zip(difference.iter().zip(&self.noise)) {
-            if *noise > 0.0 && noise.is_finite() && !self.left_out.contains(&channel) {
-                square += (value / noise).powi(2);
-                count += 1.0;
-            }
-        }
-        square <= MOST_NOISE * count
-    }
-
     /// Makes a fit under the current weights. A fit that is being made is dropped.
     fn fit(&mut self) -> Result<AgedFit, Error> {
         self.coming.cancel();
@@ -156,6 +144,18 @@ impl Presses {
         }
         Ok(())
     }
+}
+
+/// True if a difference frame is no more than this noise (both model volts), without the channels left out.
+fn is_noise(difference: &[f64], noise: &[f64], left_out: &[u32]) -> bool {
+    let (mut square, mut count) = (0.0, 0.0);
+    for (channel, (value, noise)) in (0..).zip(difference.iter().zip(noise)) {
+        if *noise > 0.0 && noise.is_finite() && !left_out.contains(&channel) {
+            square += (value / noise).powi(2);
+            count += 1.0;
+        }
+    }
+    square <= MOST_NOISE * count
 }
 
 impl Refinement {
@@ -304,14 +304,14 @@ impl Refinement {
         let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
         stage.refine(time_ns, imager.filled(), &presses.noise, imager, f64::from(lowest), contacts);
         let is_touched = stage.is_touched();
-        let is_noise = !is_touched && presses.is_noise(imager.filled());
-        if presses.drift.observe(time_ns, is_touched, is_noise) {
+        let (noise, left_out) = (&presses.noise, &presses.left_out);
+        if presses.drift.observe(time_ns, is_touched, || is_noise(imager.filled(), noise, left_out)) {
             presses.reweigh_soon(time_ns);
         }
         Ok(())
     }
 
-    /// True if the last frames contain something that no presses explain so far.
+    /// True while presses do not explain the last frames.
     pub(crate) fn is_unsure(&self) -> bool {
         match &self.by {
             By::Presses(presses) => presses.stage.as_ref().is_some_and(|stage| stage.is_unsure()),

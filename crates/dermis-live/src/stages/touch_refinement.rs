@@ -245,9 +245,11 @@ impl SpotStage {
         lowest: f64,
         contacts: &mut Vec<Contact>,
     ) {
-        self.scaled.clear();
-        self.scaled
-            .extend(difference.iter().zip(noise).map(|(value, noise)| if *noise > 0.0 { value / noise } else { 0.0 }));
+        if self.is_joint {
+            let over = |(value, noise): (&f64, &f64)| if *noise > 0.0 { value / noise } else { 0.0 };
+            self.scaled.clear();
+            self.scaled.extend(difference.iter().zip(noise).map(over));
+        }
         if self.is_unhurried && !self.is_joint {
             return self.refine_now(time_ns, difference, imager, lowest, contacts);
         }

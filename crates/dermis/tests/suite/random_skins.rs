@@ -139,12 +139,7 @@ fn three_presses_are_counted_with_eight_electrodes() {
         // The counts of a single draw of 40 scatter by 2.
         for seed in 7..11 {
             let places = random_presses(&skin.outline(), &press_range(&skin), 400, seed).unwrap();
-            let are_apart = |group: &&[Vec<Indenter>]| {
-                let apart = |a: usize, b: usize| distance(group[a][0].centre_m, group[b][0].centre_m);
-                apart(0, 1).min(apart(0, 2)).min(apart(1, 2)) >= 0.25e-3 * side_mm
-            };
-            let groups: Vec<Vec<Indenter>> =
-                places.chunks_exact(3).filter(are_apart).take(20).map(<[_]>::concat).collect();
+            let groups: Vec<_> = triples_apart(&places, 0.25e-3 * side_mm).take(20).collect();
             triples += groups.len();
             let found = pressed_and_read(skin.clone(), groups, seed);
             right += found.iter().filter(|touches| touches.len() == 3).count();
@@ -152,6 +147,21 @@ fn three_presses_are_counted_with_eight_electrodes() {
     }
     // Twelve parameters from twenty independent readings.
     assert!(triples == 160 && right >= 136, "{right} of {triples}");
+}
+
+/// Presses three at a time, at least this far apart (metres).
+fn triples_apart(places: &[Vec<Indenter>], apart_m: f64) -> impl Iterator<Item = Vec<Indenter>> {
+    places.chunks_exact(3).map(<[_]>::concat).filter(move |group| {
+        let apart = |a: usize, b: usize| distance(group[a].centre_m, group[b].centre_m);
+        apart(0, 1).min(apart(0, 2)).min(apart(1, 2)) >= apart_m
+    })
+}
+
+/// Root mean square by which the baseline has moved, in standard deviations of the noise.
+fn moved(bench: &Bench, before: &[f64]) -> f64 {
+    let (after, noise) = bench.pipeline.baseline();
+    let square = |k: usize| ((after[k] - before[k]) / noise[k]).powi(2);
+    ((0..after.len()).map(square).sum::<f64>() / after.len() as f64).sqrt()
 }
 
 /// Presses of the last frame that have moved elsewhere at once must not use up the work for the search.
@@ -200,9 +210,7 @@ fn presses_in_quick_succession_leave_the_baseline_as_it_was() {
             assert!(bench.touches.len() == 1 && error_mm < 2.0, "{layer}: {error_mm} mm, {:?}", bench.touches);
             bench.release(50);
         }
-        let (after, noise) = bench.pipeline.baseline();
-        let square = |k: usize| ((after[k] - before[k]) / noise[k]).powi(2);
-        let moved = ((0..after.len()).map(square).sum::<f64>() / after.len() as f64).sqrt();
+        let moved = moved(&bench, &before);
         // Baselines of 32 frames are uncertain by a fifth of the noise of one.
         assert!(moved < 0.5, "{layer}: moved by {moved} standard deviations of the noise");
     }
@@ -213,15 +221,10 @@ fn presses_in_quick_succession_leave_the_baseline_as_it_was() {
 fn triples_on_a_sandwich_leave_its_channels_and_its_baseline_as_they_were() {
     let skin = written("{ square = { side_mm = 120.0 } }", LAYERS[2], (16, 10.0), 0, "");
     let places = random_presses(&skin.outline(), &press_range(&skin), 300, 7).unwrap();
-    let are_apart = |group: &&[Vec<Indenter>]| {
-        let apart = |a: usize, b: usize| distance(group[a][0].centre_m, group[b][0].centre_m);
-        apart(0, 1).min(apart(0, 2)).min(apart(1, 2)) >= 0.03
-    };
-    let groups: Vec<Vec<Indenter>> = places.chunks_exact(3).filter(are_apart).take(30).map(<[_]>::concat).collect();
     let mut bench = Bench::of(skin);
     let before = bench.pipeline.baseline().0.to_vec();
     let mut counts = Vec::new();
-    for group in groups {
+    for group in triples_apart(&places, 0.03).take(30) {
         for (pointer, indenter) in (0..).zip(group) {
             bench.twin.scene_mut().press_with(pointer, indenter).unwrap();
         }
@@ -234,8 +237,6 @@ fn triples_on_a_sandwich_leave_its_channels_and_its_baseline_as_they_were() {
     }
     let right = counts.iter().filter(|count| **count == 3).count();
     assert!(right >= 28, "{counts:?}");
-    let (after, noise) = bench.pipeline.baseline();
-    let square = |k: usize| ((after[k] - before[k]) / noise[k]).powi(2);
-    let moved = ((0..after.len()).map(square).sum::<f64>() / after.len() as f64).sqrt();
+    let moved = moved(&bench, &before);
     assert!(moved < 0.5, "moved by {moved} standard deviations of the noise");
 }

@@ -24,7 +24,7 @@ impl SpotStage {
         if !self.ended.looks_for(&estimate) {
             return self.concluded(estimate, None);
         }
-        if self.is_joint && self.ended.has_failed() && !self.is_unhurried {
+        if self.is_joint && self.ended.has_failed && !self.is_unhurried {
             self.estimator.allow(AT_ONCE_IN_VAIN);
         }
         let with_gone = self.estimator.explain_with_gone();

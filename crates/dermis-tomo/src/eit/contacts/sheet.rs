@@ -308,12 +308,12 @@ impl ContactSheet {
             plates.iter().map(|plate| touched_plates.partition_point(|other| other < plate)).collect();
         // Sum of some columns under each plate.
         let sums = |of: &Mat<f64>, columns: Range<usize>| {
-            let mut sums_of = Mat::<f64>::zeros(touched_plates.len(), columns.len());
+            let mut totals = Mat::<f64>::zeros(touched_plates.len(), columns.len());
             for (k, column) in columns.enumerate() {
-                let under = sums_of.col_as_slice_mut(k);
+                let under = totals.col_as_slice_mut(k);
                 plates.iter().zip(of.col_as_slice(column)).for_each(|(&plate, value)| under[plate] += value);
             }
-            sums_of
+            totals
         };
         // A plate's potential adjusts, so only differences from the mean under it matter. Without the mean, rounding
         // errors are a share of these differences.
