@@ -371,7 +371,8 @@ impl Calibration {
         let groups = self.groups.iter();
         let groups = groups.map(|group| LabelledFrame { frame: &group.frame, touches_m: &group.touches_m });
         let labelled: Vec<LabelledFrame<'_>> = singles.chain(groups).collect();
-        Ok(Superposition::fit(&labelled, self.locator.channel_weights())?)
+        let is_used: Vec<bool> = self.locator.channel_weights().iter().map(|weight| *weight > 0.0).collect();
+        Ok(Superposition::fit(&labelled, &is_used)?)
     }
 
     /// Amplitude that the locator gives a typical poke, over a skin whose shorter side is twice `half_width_m`,

@@ -8,17 +8,19 @@
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
-//! pokes. A further touch must be stronger than the false second touches found in each poke by the map of the others.
+//! pokes. Every touch must be stronger, relative to the typical poke at its place, than the false second touches found
+//! in each poke by the map of the others.
 
 mod map;
 
 use super::data::MIN_CHANNELS;
 use super::error::{LocatorError, check_length};
+use super::posterior::extent;
 use super::rows::{dot, products};
 use crate::plane::squared_distance;
 use crate::statistics::{evenly, median};
 pub use map::LabelledFrame;
-use map::{Learned, Map, Shape, Sums, candidates};
+use map::{Learned, Map, Shape, Sums, candidates, equal_weights};
 
 /// Maximum number of touches in a frame.
 pub const MOST_TOUCHES: usize = 8;
@@ -33,10 +35,14 @@ const MOST_ALIKE: f64 = 0.5;
 /// Minimum number of frames, and the maximum that choose the threshold of a further touch.
 const FEWEST: usize = 40;
 const MOST_LEFT_OUT: usize = 200;
-/// Share of these frames that may show a wrong number of touches, beyond those that always do. The threshold is then
-/// raised by `FEW` over their number, since few of them seldom include a bad one.
+/// Number of parts of the frames, each of which is judged by the map of the others.
+const PARTS: usize = 10;
+/// Sums of two frames of one touch are judged as well, if the touches are this far apart relative to the radius of the
+/// pokes. A real frame counts for as many as `REAL` sums, since false second touches are worse than missed ones.
+const SUMS_APART: f64 = 0.5;
+const REAL: f64 = 3.0;
+/// Share of the frames that may show a wrong number of touches, beyond those that always do.
 const WRONG: f64 = 0.005;
-const FEW: f64 = 10.0;
 /// Standard deviations by which one position explains a frame better than another if it clearly does.
 const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
@@ -65,20 +71,35 @@ pub struct Superposition {
     map: Map,
     /// Unweighted signatures of unit length, by which touches are told apart: a row for each position.
     shapes: Vec<f32>,
-    /// Minimum strength of a further touch relative to the RMS sum of the others, or to a median poke if that is
-    /// stronger.
+    /// Strength at which a map finds the typical poke near each position that it was not taught, in median pokes.
+    typical: Vec<f64>,
+    /// Minimum strength of each of several touches, relative to the typical one at its place.
     least_further: f64,
-    /// Minimum strength of a first touch, in median pokes.
+    /// The same of a single touch.
     least_first: f64,
 }
 
-/// Strengths found in frames by a map learned without them.
+/// Relative strengths found in frames by a map learned without them.
 #[derive(Default)]
 struct LeftOut {
     /// Strengths of the first touches.
     firsts: Vec<f64>,
-    /// For each frame, its number of touches and the relative strengths of the second, third and so on.
-    further: Vec<(usize, Vec<f64>)>,
+    further: Vec<Judged>,
+}
+
+/// A frame judged by a map learned without it.
+struct Judged {
+    touches: usize,
+    /// The weakest strength with two touches, three and so on, up to one too many.
+    strengths: Vec<f64>,
+    /// How much the frame counts.
+    weight: f64,
+}
+
+impl Judged {
+    fn is_right(&self, least: f64) -> bool {
+        1 + self.strengths.iter().take_while(|strength| **strength >= least).count() == self.touches
+    }
 }
 
 /// Working memory of [`Superposition::explain`], kept by the caller between frames.
@@ -86,26 +107,58 @@ struct LeftOut {
 pub struct SuperpositionScratch {
     weighted: Vec<f32>,
     projected: Vec<f32>,
-    residual: Vec<f32>,
     predicted: Vec<f64>,
+    /// Inner products of the signatures with the projected frame, and with what the trial leaves of it.
     along: Vec<f32>,
+    left: Vec<f32>,
+    columns: Columns,
     parts: Vec<Part>,
     trial: Vec<Part>,
 }
 
+/// Inner products of all signatures with those of the positions tried in a frame.
+#[derive(Clone, Debug, Default)]
+struct Columns {
+    positions: Vec<usize>,
+    /// A column for each position, and memory for more.
+    values: Vec<Vec<f32>>,
+}
+
+impl Columns {
+    fn of(&self, position: usize) -> &[f32] {
+        let number =
+            self.positions.iter().position(|held| *held == position).expect("the column of every part is held");
+        &self.values[number]
+    }
+
+    fn hold(&mut self, map: &Map, position: usize) {
+        if self.positions.contains(&position) {
+            return;
+        }
+        let number = self.positions.len();
+        if number == self.values.len() {
+            self.values.push(Vec::new());
+        }
+        self.values[number].resize(map.squares.len(), 0.0);
+        products(&map.signatures, map.rank, map.signature(position), &mut self.values[number]);
+        self.positions.push(position);
+    }
+}
+
 impl Superposition {
-    /// Learns the signatures from labelled frames. `weights` is the weight of each channel, usually one over its noise,
-    /// and 0 if it is unused. `None` with too few frames for a threshold.
+    /// Learns the signatures from labelled frames, with each channel scaled to the same RMS in them. Channels for which
+    /// `is_used` is false are left out. `None` with too few frames for a threshold.
     ///
     /// # Errors
-    /// Frames or weights of different lengths, frames without touches or without readings, degenerate frames.
-    pub fn fit(labelled: &[LabelledFrame<'_>], weights: &[f64]) -> Result<Option<Self>, LocatorError> {
+    /// Frames of another length than `is_used`, frames without touches or without readings, degenerate frames.
+    pub fn fit(labelled: &[LabelledFrame<'_>], is_used: &[bool]) -> Result<Option<Self>, LocatorError> {
         let labelled: Vec<LabelledFrame<'_>> =
             evenly(labelled.len(), MOST_FRAMES).into_iter().map(|i| labelled[i]).collect();
         if labelled.len() < FEWEST {
             return Ok(None);
         }
-        let (sums, typical) = Sums::of(&labelled, weights)?;
+        let weights = equal_weights(&labelled, is_used)?;
+        let (sums, typical) = Sums::of(&labelled, &weights)?;
         let shape = Shape::choose(&sums.some(&evenly(labelled.len(), CHOOSING)))?;
         let positions_m = candidates(&sums);
         let learned = Learned::of(&sums, &shape, &positions_m)?;
@@ -113,6 +166,7 @@ impl Superposition {
         let mut fitted = Self {
             map: learned.map(&all)?.0,
             shapes: learned.shapes(),
+            typical: learned.typical(&sums, &positions_m)?,
             positions_m,
             weights: weights.iter().map(|weight| weight / typical).collect(),
             least_further: 0.0,
@@ -211,94 +265,76 @@ impl Superposition {
             .extend((0..channels).map(|k| if is_usable(k) { (frame[k] * self.weights[k]) as f32 } else { 0.0 }));
         scratch.projected.resize(self.map.rank, 0.0);
         scratch.along.resize(self.positions_m.len(), 0.0);
-        products(&self.map.basis, channels, &scratch.weighted, &mut scratch.projected);
+        scratch.columns.positions.clear();
+        self.project_weighted(scratch);
         if usable < self.weights.iter().filter(|weight| **weight > 0.0).count() {
-            scratch.residual.clone_from(&scratch.projected);
-            if let Some((index, strength)) = self.best(scratch, &[]) {
-                self.map.channels_of(index, strength, &mut scratch.predicted);
+            scratch.trial.clear();
+            if let Some(part) = self.best(scratch, usize::MAX) {
+                self.map.channels_of(part.index, part.share, &mut scratch.predicted);
                 for k in (0..channels).filter(|&k| self.weights[k] > 0.0 && !frame[k].is_finite()) {
                     scratch.weighted[k] = scratch.predicted[k] as f32;
                 }
-                products(&self.map.basis, channels, &scratch.weighted, &mut scratch.projected);
+                self.project_weighted(scratch);
             }
         }
         Ok(())
     }
 
+    fn project_weighted(&self, scratch: &mut SuperpositionScratch) {
+        products(&self.map.basis, self.channels(), &scratch.weighted, &mut scratch.projected);
+        products(&self.map.signatures, self.map.rank, &scratch.projected, &mut scratch.along);
+    }
+
     /// Puts the touches found so far and one more into the trial. Returns the strength of the weakest, relative to the
-    /// RMS sum of the others or to a median poke if that is stronger; of a first touch, its own. `None` if nothing more
-    /// fits.
+    /// typical one at its place. `None` if nothing more fits.
     fn try_another(&self, scratch: &mut SuperpositionScratch) -> Option<f64> {
         scratch.trial.clone_from(&scratch.parts);
-        self.leave(scratch, usize::MAX);
-        let trial = std::mem::take(&mut scratch.trial);
-        let found = self.best(scratch, &trial);
-        scratch.trial = trial;
-        let (index, share) = found?;
-        scratch.trial.push(self.part(index, share));
+        let found = self.best(scratch, usize::MAX)?;
+        scratch.columns.hold(&self.map, found.index);
+        scratch.trial.push(found);
         self.fit_strengths(scratch);
         for _ in 0..MOST_SWEEPS {
             if scratch.trial.len() < 2 || !self.search_again(scratch) {
                 break;
             }
         }
-        let weakest = scratch.trial.iter().map(|part| part.share).fold(f64::INFINITY, f64::min);
-        if scratch.trial.len() == 1 {
-            return Some(weakest);
-        }
-        // The map's errors at the other touches add in quadrature.
-        let squares: f64 = scratch.trial.iter().map(|part| part.share.powi(2)).sum();
-        Some(weakest / (squares - weakest.powi(2)).sqrt().max(1.0))
+        let relative = scratch.trial.iter().map(|part| part.share / self.typical[part.index]);
+        Some(relative.fold(f64::INFINITY, f64::min))
     }
 
     /// Searches the position of each part again, with the others fixed. Returns true if one has moved.
     fn search_again(&self, scratch: &mut SuperpositionScratch) -> bool {
         let mut has_moved = false;
         for number in 0..scratch.trial.len() {
-            self.leave(scratch, number);
-            let kept = scratch.trial.swap_remove(number);
-            let trial = std::mem::take(&mut scratch.trial);
-            let found = self.best(scratch, &trial).map_or(kept, |(index, share)| self.part(index, share));
-            scratch.trial = trial;
-            scratch.trial.push(found);
-            let last = scratch.trial.len() - 1;
-            scratch.trial.swap(number, last);
-            has_moved |= found.index != kept.index;
+            let Some(found) = self.best(scratch, number) else { continue };
+            has_moved |= found.index != scratch.trial[number].index;
+            scratch.columns.hold(&self.map, found.index);
+            scratch.trial[number] = found;
             self.fit_strengths(scratch);
         }
         has_moved
     }
 
-    fn part(&self, index: usize, share: f64) -> Part {
-        Part { position_m: self.positions_m[index], share, index }
-    }
-
-    /// What is left of the frame without the parts of the trial, other than the one numbered `but`.
-    fn leave(&self, scratch: &mut SuperpositionScratch, but: usize) {
-        scratch.residual.clone_from(&scratch.projected);
-        for (number, part) in scratch.trial.iter().enumerate() {
-            if number != but {
-                let strength = part.share as f32;
-                let signature = self.map.signature(part.index);
-                scratch.residual.iter_mut().zip(signature).for_each(|(value, s)| *value -= strength * s);
-            }
+    /// The position that explains most of what the trial leaves of the frame, unlike those of the trial. The trial's part
+    /// numbered `but` doesn't count.
+    fn best(&self, scratch: &mut SuperpositionScratch, but: usize) -> Option<Part> {
+        let SuperpositionScratch { along, left, columns, trial, .. } = scratch;
+        let others = || trial.iter().enumerate().filter(|(number, _)| *number != but).map(|(_, part)| part);
+        left.clone_from(along);
+        for other in others() {
+            let strength = other.share as f32;
+            left.iter_mut().zip(columns.of(other.index)).for_each(|(value, column)| *value -= strength * column);
         }
-    }
-
-    /// The position that explains most of the residual, with its strength, unlike those of `others`.
-    fn best(&self, scratch: &mut SuperpositionScratch, others: &[Part]) -> Option<(usize, f64)> {
-        let map = &self.map;
-        let shape = |position: usize| &self.shapes[position * map.rank..(position + 1) * map.rank];
-        products(&map.signatures, map.rank, &scratch.residual, &mut scratch.along);
+        let rank = self.map.rank;
+        let shape = |position: usize| &self.shapes[position * rank..(position + 1) * rank];
+        let is_alike = |a: usize, b: usize| f64::from(dot(shape(a), shape(b))) > MOST_ALIKE;
         let mut best = (0.0_f32, None);
-        for (p, (along, square)) in scratch.along.iter().zip(&map.squares).enumerate() {
-            if *along <= 0.0 || along * along <= best.0 * square {
+        for (index, (along, square)) in left.iter().zip(&self.map.squares).enumerate() {
+            if *along <= 0.0 || along * along <= best.0 * square || others().any(|other| is_alike(index, other.index)) {
                 continue;
             }
-            let is_alike = |other: &Part| f64::from(dot(shape(p), shape(other.index))) > MOST_ALIKE;
-            if !others.iter().any(is_alike) {
-                best = (along * along / square, Some((p, f64::from(along / square))));
-            }
+            let share = f64::from(along / square);
+            best = (along * along / square, Some(Part { position_m: self.positions_m[index], share, index }));
         }
         best.1
     }
@@ -306,19 +342,16 @@ impl Superposition {
     /// Fits the strengths of the trial's parts together, none below zero, by coordinate descent.
     fn fit_strengths(&self, scratch: &mut SuperpositionScratch) {
         const SWEEPS: usize = 30;
+        let SuperpositionScratch { along, columns, trial, .. } = scratch;
         let mut gram = [[0.0_f64; MOST_TOUCHES + 1]; MOST_TOUCHES + 1];
-        let mut along = [0.0_f64; MOST_TOUCHES + 1];
-        for (i, a) in scratch.trial.iter().enumerate() {
-            along[i] = f64::from(dot(self.map.signature(a.index), &scratch.projected));
-            for (j, b) in scratch.trial.iter().enumerate() {
-                gram[i][j] = f64::from(dot(self.map.signature(a.index), self.map.signature(b.index)));
-            }
+        for (row, a) in gram.iter_mut().zip(trial.iter()) {
+            let column = columns.of(a.index);
+            row.iter_mut().zip(trial.iter()).for_each(|(value, b)| *value = f64::from(column[b.index]));
         }
         for _ in 0..SWEEPS {
-            for i in 0..scratch.trial.len() {
-                let others: f64 =
-                    scratch.trial.iter().enumerate().filter(|(j, _)| *j != i).map(|(j, b)| gram[i][j] * b.share).sum();
-                scratch.trial[i].share = ((along[i] - others) / gram[i][i]).max(0.0);
+            for i in 0..trial.len() {
+                let others: f64 = (0..trial.len()).filter(|j| *j != i).map(|j| gram[i][j] * trial[j].share).sum();
+                trial[i].share = ((f64::from(along[trial[i].index]) - others) / gram[i][i]).max(0.0);
             }
         }
     }
@@ -347,33 +380,62 @@ impl Superposition {
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Strengths found in each frame by a map learned without it. Each half of the frames is weighted by the errors in
-    /// the other half, since frames that weight a map show smaller errors than new ones do.
+    /// Strengths found in each frame, and in sums of two, by a map learned without them. Each part of the frames is
+    /// weighted by the errors in the others, since frames that weight a map show smaller errors than new ones do.
     fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
         let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
-        for half in 0..2 {
-            let (judged, weighting): (Vec<usize>, Vec<usize>) = (0..labelled.len()).partition(|i| i % 2 == half);
+        for part in 0..PARTS {
+            let (judged, weighting): (Vec<usize>, Vec<usize>) = (0..labelled.len()).partition(|i| i % PARTS == part);
             let (map, alpha) = learned.map(&weighting)?;
-            self.map = map.clone();
-            for number in evenly(judged.len(), MOST_LEFT_OUT / 2).into_iter().map(|k| judged[k]) {
-                self.map.leave_out(&map, &alpha, learned, number);
-                self.project(labelled[number].frame, &mut scratch)?;
-                scratch.parts.clear();
-                let count = labelled[number].touches_m.len().min(MOST_TOUCHES - 1);
-                let mut strengths = Vec::with_capacity(count);
-                for touch in 0..=count {
-                    let Some(strength) = self.try_another(&mut scratch) else { break };
-                    if touch == 0 {
-                        left_out.firsts.push(strength);
-                    } else {
-                        strengths.push(strength);
-                    }
-                    std::mem::swap(&mut scratch.parts, &mut scratch.trial);
-                }
-                left_out.further.push((count, strengths));
+            let some: Vec<usize> = evenly(judged.len(), MOST_LEFT_OUT / PARTS).into_iter().map(|k| judged[k]).collect();
+            for (place, &number) in some.iter().enumerate() {
+                self.map.clone_from(&map);
+                self.map.leave_out(&alpha, learned, number);
+                let LabelledFrame { frame, touches_m } = labelled[number];
+                let touches = touches_m.len().min(MOST_TOUCHES - 1);
+                let (first, strengths) = self.strengths(frame, touches, &mut scratch)?;
+                left_out.firsts.extend(first);
+                left_out.further.push(Judged { touches, strengths, weight: REAL });
+                let others = some[place + 1..].iter().chain(&some[..place]);
+                let Some(other) = others.copied().find(|&other| self.is_apart(touches_m, labelled[other].touches_m))
+                else {
+                    continue;
+                };
+                self.map.leave_out(&alpha, learned, other);
+                let sum: Vec<f64> = frame.iter().zip(labelled[other].frame).map(|(a, b)| a + b).collect();
+                let (_, strengths) = self.strengths(&sum, 2, &mut scratch)?;
+                left_out.further.push(Judged { touches: 2, strengths, weight: 1.0 });
             }
         }
         Ok(left_out)
+    }
+
+    /// True if both frames have a single touch, far from the other's.
+    fn is_apart(&self, a_m: &[[f64; 2]], b_m: &[[f64; 2]]) -> bool {
+        let apart2 = (SUMS_APART * extent(&self.positions_m)).powi(2);
+        matches!((a_m, b_m), ([a_m], [b_m]) if squared_distance(*a_m, *b_m) >= apart2)
+    }
+
+    /// The strength of a frame's first touch, and the weakest with two, three and so on, up to one more than `touches`.
+    fn strengths(
+        &self,
+        frame: &[f64],
+        touches: usize,
+        scratch: &mut SuperpositionScratch,
+    ) -> Result<(Option<f64>, Vec<f64>), LocatorError> {
+        self.project(frame, scratch)?;
+        scratch.parts.clear();
+        let (mut first, mut further) = (None, Vec::with_capacity(touches));
+        for touch in 0..=touches {
+            let Some(strength) = self.try_another(scratch) else { break };
+            if touch == 0 {
+                first = Some(strength);
+            } else {
+                further.push(strength);
+            }
+            std::mem::swap(&mut scratch.parts, &mut scratch.trial);
+        }
+        Ok((first, further))
     }
 
     /// Chooses the minimum strength of a further touch, such that nearly as many numbers of touches are right as with
@@ -382,20 +444,16 @@ impl Superposition {
         let LeftOut { mut firsts, further } = left_out;
         let explained = self.explained(labelled, &mut SuperpositionScratch::default())?;
         let right = |least: f64| {
-            let found = |strengths: &[f64]| 1 + strengths.iter().take_while(|strength| **strength >= least).count();
-            further.iter().filter(|(count, strengths)| found(strengths) == *count).count() as f64
+            let right = further.iter().filter(|judged| judged.is_right(least));
+            right.map(|judged| judged.weight).sum::<f64>()
         };
         let steps = (1..=100).map(|step| 0.01 * f64::from(step));
         let most = steps.clone().map(right).fold(0.0, f64::max);
-        let enough = most - WRONG * further.len() as f64;
+        let enough = most - WRONG * further.iter().map(|judged| judged.weight).sum::<f64>();
         let mut good = steps.filter(|least| right(*least) >= enough);
         let least = good.next().unwrap_or(1.0);
-        let has_several = further.iter().any(|(count, _)| *count > 1);
-        self.least_further = match good.next_back() {
-            // In the middle between the false touches and the weakest true ones.
-            Some(most) if has_several => (least * most).sqrt(),
-            _ => least * (1.0 + FEW / further.len() as f64),
-        };
+        // In the middle between the false touches and the weakest true ones.
+        self.least_further = (least * good.next_back().unwrap_or(least)).sqrt();
         firsts.sort_by(f64::total_cmp);
         let weak = firsts.get((WEAK * firsts.len() as f64) as usize).copied().unwrap_or(0.0);
         // What noise alone shows is no stronger than a false second touch.

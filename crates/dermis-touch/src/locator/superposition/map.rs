@@ -11,12 +11,14 @@ use crate::plane::squared_distance;
 use crate::statistics::{evenly, median};
 
 /// Maximum rank of the projection, and maximum number of frames that define it.
-const MOST_RANK: usize = 64;
-const MOST_PROJECTED: usize = 300;
+const MOST_RANK: usize = 128;
+const MOST_PROJECTED: usize = 600;
 /// Candidates of the length, relative to the radius of the pokes, and of the noise variance of a frame relative to the
 /// prior variance of a signature.
 const LENGTHS: [f64; 4] = [0.2, 0.35, 0.6, 1.0];
 const NOISES: [f64; 5] = [0.02, 0.1, 0.5, 2.0, 8.0];
+/// Minimum strength of a typical touch, in median pokes: below it, a touch is not seen at all.
+const LEAST_TYPICAL: f64 = 0.05;
 /// Minimum distance of two candidates, relative to the radius of the pokes.
 const CANDIDATES_APART: f64 = 0.04;
 
@@ -75,7 +77,6 @@ impl<'a> Sums<'a> {
         let mut frames = Mat::<f64>::zeros(labelled.len(), channels);
         let mut lengths = Vec::with_capacity(labelled.len());
         for (i, labelled) in labelled.iter().enumerate() {
-            check_length("frame", channels, labelled.frame.len())?;
             check_positions("touches_m", labelled.touches_m)?;
             if labelled.touches_m.is_empty() {
                 return Err(LocatorError::Count { field: "touches of a frame", got: 0, expected: "at least 1" });
@@ -190,6 +191,18 @@ fn apart2(places_m: &[[f64; 2]]) -> f64 {
     (CANDIDATES_APART * extent(places_m)).powi(2)
 }
 
+/// Weights with which the channels that are used have the same RMS in these frames; 0 for the others.
+pub(super) fn equal_weights(labelled: &[LabelledFrame<'_>], is_used: &[bool]) -> Result<Vec<f64>, LocatorError> {
+    let mut squares = vec![0.0; is_used.len()];
+    for labelled in labelled {
+        check_length("frame", is_used.len(), labelled.frame.len())?;
+        let finite = |value: &f64| if value.is_finite() { value * value } else { 0.0 };
+        squares.iter_mut().zip(labelled.frame).for_each(|(square, value)| *square += finite(value));
+    }
+    let weight = |(square, is_used): (f64, &bool)| if *is_used && square > 0.0 { square.sqrt().recip() } else { 0.0 };
+    Ok(squares.into_iter().zip(is_used).map(weight).collect())
+}
+
 /// The places of pokes, without those next to another.
 pub(super) fn candidates(sums: &Sums<'_>) -> Vec<[f64; 2]> {
     let places_m = sums.places_m();
@@ -230,6 +243,44 @@ impl Learned {
         })
     }
 
+    /// Strength, in median pokes, at which a map of the other frames finds the typical touch near each position. Errors
+    /// of the map make it less than one where touches are faint.
+    pub(super) fn typical(&self, sums: &Sums<'_>, positions_m: &[[f64; 2]]) -> Result<Vec<f64>, LocatorError> {
+        let all: Vec<usize> = (0..sums.len()).collect();
+        let (whiten, _, _) = self.whitening(&all)?;
+        let found = (&sums.frames * &self.basis) * &whiten;
+        let errors = self.errors(&all) * &whiten;
+        let strength = |frame: usize| {
+            let (mut along, mut square) = (0.0, 0.0);
+            for (found, error) in found.row(frame).iter().zip(errors.row(frame).iter()) {
+                along += (found - error) * found;
+                square += (found - error).powi(2);
+            }
+            if square > 0.0 { along / square } else { 0.0 }
+        };
+        let touches = all.iter().flat_map(|&frame| {
+            let strength = strength(frame);
+            sums.touches_m[frame].iter().map(move |place_m| (*place_m, strength))
+        });
+        let mut touches: Vec<([f64; 2], f64)> = touches.collect();
+        let near = (touches.len() as f64).sqrt().ceil() as usize;
+        Ok(positions_m
+            .iter()
+            .map(|position_m| {
+                let away2 = |touch: &([f64; 2], f64)| squared_distance(touch.0, *position_m);
+                touches.sort_by(|a, b| away2(a).total_cmp(&away2(b)));
+                let strengths: Vec<f64> = touches[..near].iter().map(|touch| touch.1).collect();
+                median(&strengths).max(LEAST_TYPICAL)
+            })
+            .collect())
+    }
+
+    /// Errors that the map of the other frames makes in each of these frames, `alpha / own` (Rasmussen & Williams,
+    /// eq. 5.12): frames by rank.
+    fn errors(&self, frames: &[usize]) -> Mat<f64> {
+        Mat::from_fn(frames.len(), self.alpha.ncols(), |i, r| self.alpha[(frames[i], r)] / self.own[frames[i]])
+    }
+
     /// Signatures of unit length, a row for each position.
     pub(super) fn shapes(&self) -> Vec<f32> {
         let lengths: Vec<f64> = self.signatures.row_iter().map(|row| row.norm_l2().max(f64::MIN_POSITIVE)).collect();
@@ -254,12 +305,11 @@ impl Learned {
     }
 
     /// Symmetric square roots of the inverse covariance of the map's errors and of that covariance, relative to their
-    /// mean square along a direction, and that mean square. The errors are those that the map of the other frames makes
-    /// in each frame, `alpha / own` (Rasmussen & Williams, eq. 5.12). The covariance has an inverse Wishart prior about
-    /// equal, independent errors, with as many degrees of freedom as dimensions.
+    /// mean square along a direction, and that mean square. The covariance has an inverse Wishart prior about equal,
+    /// independent errors, with as many degrees of freedom as dimensions.
     fn whitening(&self, judged: &[usize]) -> Result<(Mat<f64>, Mat<f64>, f64), LocatorError> {
         let (count, rank) = (judged.len(), self.alpha.ncols());
-        let errors = Mat::from_fn(count, rank, |i, r| self.alpha[(judged[i], r)] / self.own[judged[i]]);
+        let errors = self.errors(judged);
         let squares = errors.transpose() * &errors;
         let sum: f64 = (0..rank).map(|r| squares[(r, r)]).sum();
         let mean = (sum / (count * rank) as f64).max(f64::MIN_POSITIVE);
@@ -281,18 +331,19 @@ impl Learned {
 impl Map {
     /// Becomes the map without the frame numbered `number`: S - w a' / k, with a its weights, k its diagonal element of
     /// the inverse covariance K^-1, and w the map's covariances with all frames times its column of K^-1. Places poked
-    /// by this frame alone explain nothing then, because a new touch isn't at the place of a poke either.
-    pub(super) fn leave_out(&mut self, whole: &Self, alpha: &[f32], learned: &Learned, number: usize) {
+    /// by this frame alone explain nothing then, because a new touch isn't at the place of a poke either. A second frame
+    /// is left out as if the first had no influence on it.
+    pub(super) fn leave_out(&mut self, alpha: &[f32], learned: &Learned, number: usize) {
         let positions = self.squares.len();
         let influence = &learned.influence[number * positions..(number + 1) * positions];
         let alpha = &alpha[number * self.rank..(number + 1) * self.rank];
-        let rows = self.signatures.chunks_exact_mut(self.rank).zip(whole.signatures.chunks_exact(self.rank));
-        for ((row, of_all), influence) in rows.zip(influence) {
+        for (row, influence) in self.signatures.chunks_exact_mut(self.rank).zip(influence) {
             let share = influence / learned.own[number] as f32;
-            row.iter_mut().zip(of_all).zip(alpha).for_each(|((value, all), alpha)| *value = all - share * alpha);
+            row.iter_mut().zip(alpha).for_each(|(value, alpha)| *value -= share * alpha);
         }
+        let places: Vec<usize> = (0..positions).filter(|&place| self.squares[place] == f32::INFINITY).collect();
         self.measure();
-        learned.places[number].iter().for_each(|&place| self.squares[place] = f32::INFINITY);
+        places.iter().chain(&learned.places[number]).for_each(|&place| self.squares[place] = f32::INFINITY);
     }
 
     fn measure(&mut self) {

@@ -34,7 +34,7 @@ fn learned() -> Superposition {
     let touches = places.iter().map(std::slice::from_ref);
     let labelled: Vec<LabelledFrame<'_>> =
         frames.iter().zip(touches).map(|(frame, touches_m)| LabelledFrame { frame, touches_m }).collect();
-    Superposition::fit(&labelled, &[1.0; CHANNELS]).unwrap().unwrap()
+    Superposition::fit(&labelled, &[true; CHANNELS]).unwrap().unwrap()
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn labelled_pairs_and_single_touches_train_together() {
     let frames: Vec<Vec<f64>> = touches.iter().enumerate().map(|(i, t)| frame(&pressed(t), i)).collect();
     let labelled: Vec<LabelledFrame<'_>> =
         frames.iter().zip(&touches).map(|(frame, touches_m)| LabelledFrame { frame, touches_m }).collect();
-    let map = Superposition::fit(&labelled, &[1.0; CHANNELS]).unwrap().unwrap();
+    let map = Superposition::fit(&labelled, &[true; CHANNELS]).unwrap().unwrap();
     let mut scratch = SuperpositionScratch::default();
     let (mut pairs, mut right) = (0, 0);
     for number in 0..100 {
@@ -101,11 +101,11 @@ fn few_frames_frames_of_other_lengths_and_frames_without_touches_are_refused() {
     let frame = vec![1.0; CHANNELS];
     let one = [[0.0, 0.0]];
     let labelled = vec![LabelledFrame { frame: &frame, touches_m: &one }; FEWEST - 1];
-    assert!(Superposition::fit(&labelled, &[1.0; CHANNELS]).unwrap().is_none());
+    assert!(Superposition::fit(&labelled, &[true; CHANNELS]).unwrap().is_none());
     let labelled = vec![LabelledFrame { frame: &frame, touches_m: &one }; FEWEST];
-    assert!(matches!(Superposition::fit(&labelled, &[1.0; 3]), Err(LocatorError::Length { .. })));
+    assert!(matches!(Superposition::fit(&labelled, &[true; 3]), Err(LocatorError::Length { .. })));
     let labelled = vec![LabelledFrame { frame: &frame, touches_m: &[] }; FEWEST];
-    assert!(matches!(Superposition::fit(&labelled, &[1.0; CHANNELS]), Err(LocatorError::Count { .. })));
+    assert!(matches!(Superposition::fit(&labelled, &[true; CHANNELS]), Err(LocatorError::Count { .. })));
     let mut scratch = SuperpositionScratch::default();
     assert!(learned().explain(&[f64::NAN; CHANNELS], &mut scratch).is_err());
 }
