@@ -8,8 +8,8 @@
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
-//! pokes. Every touch must be stronger, relative to the typical poke at its place, than the false second touches found
-//! in each poke by the map of the others.
+//! pokes. The strength of each touch counts relative to the typical poke at its place. The threshold counts touches best
+//! in pokes, and in sums of two of them, by a map learned from the others.
 
 mod map;
 
@@ -40,9 +40,11 @@ const PARTS: usize = 10;
 /// Sums of two frames of one touch are judged as well, if the touches are this far apart relative to the radius of the
 /// pokes. A real frame counts for as many as `REAL` sums, since false second touches are worse than missed ones.
 const SUMS_APART: f64 = 0.5;
-const REAL: f64 = 3.0;
+const REAL: f64 = 10.0;
 /// Share of the frames that may show a wrong number of touches, beyond those that always do.
 const WRONG: f64 = 0.005;
+/// The threshold is raised by this over the number of frames, since few of them seldom include a bad one.
+const FEW: f64 = 10.0;
 /// Standard deviations by which one position explains a frame better than another if it clearly does.
 const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
@@ -453,7 +455,8 @@ impl Superposition {
         let mut good = steps.filter(|least| right(*least) >= enough);
         let least = good.next().unwrap_or(1.0);
         // In the middle between the false touches and the weakest true ones.
-        self.least_further = (least * good.next_back().unwrap_or(least)).sqrt();
+        let middle = (least * good.next_back().unwrap_or(least)).sqrt();
+        self.least_further = middle * (1.0 + FEW / labelled.len() as f64);
         firsts.sort_by(f64::total_cmp);
         let weak = firsts.get((WEAK * firsts.len() as f64) as usize).copied().unwrap_or(0.0);
         // What noise alone shows is no stronger than a false second touch.
