@@ -35,7 +35,7 @@ const MOST_ALIKE: f64 = 0.5;
 /// Minimum number of frames, and the maximum that choose the threshold of a further touch.
 const FEWEST: usize = 40;
 const MOST_LEFT_OUT: usize = 200;
-/// Number of parts of the frames, each of which is judged by the map of the others.
+/// Number of parts of the frames. The map of the others judges each part.
 const PARTS: usize = 10;
 /// Sums of two frames of one touch are judged as well, if the touches are this far apart relative to the radius of the
 /// pokes. A real frame counts for as many as `REAL` sums, since false second touches are worse than missed ones.
@@ -44,7 +44,7 @@ const REAL: f64 = 10.0;
 /// Share of the frames that may show a wrong number of touches, beyond those that always do.
 const WRONG: f64 = 0.005;
 /// The threshold is raised by this over the number of frames, since few of them seldom include a bad one.
-const FEW: f64 = 10.0;
+const FEW: f64 = 20.0;
 /// Standard deviations by which one position explains a frame better than another if it clearly does.
 const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
@@ -164,11 +164,11 @@ impl Superposition {
         let shape = Shape::choose(&sums.some(&evenly(labelled.len(), CHOOSING)))?;
         let positions_m = candidates(&sums);
         let learned = Learned::of(&sums, &shape, &positions_m)?;
-        let all: Vec<usize> = (0..labelled.len()).collect();
+        let (map, alpha) = learned.map(&(0..labelled.len()).collect::<Vec<_>>())?;
         let mut fitted = Self {
-            map: learned.map(&all)?.0,
             shapes: learned.shapes(),
-            typical: learned.typical(&sums, &positions_m)?,
+            typical: learned.typical(&map, &alpha, &sums, &positions_m),
+            map,
             positions_m,
             weights: weights.iter().map(|weight| weight / typical).collect(),
             least_further: 0.0,
@@ -193,8 +193,7 @@ impl Superposition {
         frame: &[f64],
         scratch: &'a mut SuperpositionScratch,
     ) -> Result<&'a [Part], LocatorError> {
-        self.project(frame, scratch)?;
-        scratch.parts.clear();
+        self.begin(frame, scratch)?;
         while scratch.parts.len() < MOST_TOUCHES {
             let Some(share) = self.try_another(scratch) else { break };
             let is_touch =
@@ -252,6 +251,15 @@ impl Superposition {
         Ok(explained(part.index) - explained(other) > CLEARLY.powi(2) * self.map.error_variance)
     }
 
+    /// Prepares to explain a frame.
+    fn begin(&self, frame: &[f64], scratch: &mut SuperpositionScratch) -> Result<(), LocatorError> {
+        self.project(frame, scratch)?;
+        self.match_signatures(scratch);
+        scratch.columns.positions.clear();
+        scratch.parts.clear();
+        Ok(())
+    }
+
     /// Projects a weighted frame. Missing channels are filled with what the best single touch predicts.
     fn project(&self, frame: &[f64], scratch: &mut SuperpositionScratch) -> Result<(), LocatorError> {
         let channels = self.channels();
@@ -266,24 +274,23 @@ impl Superposition {
             .weighted
             .extend((0..channels).map(|k| if is_usable(k) { (frame[k] * self.weights[k]) as f32 } else { 0.0 }));
         scratch.projected.resize(self.map.rank, 0.0);
-        scratch.along.resize(self.positions_m.len(), 0.0);
-        scratch.columns.positions.clear();
-        self.project_weighted(scratch);
+        products(&self.map.basis, channels, &scratch.weighted, &mut scratch.projected);
         if usable < self.weights.iter().filter(|weight| **weight > 0.0).count() {
+            self.match_signatures(scratch);
             scratch.trial.clear();
             if let Some(part) = self.best(scratch, usize::MAX) {
                 self.map.channels_of(part.index, part.share, &mut scratch.predicted);
                 for k in (0..channels).filter(|&k| self.weights[k] > 0.0 && !frame[k].is_finite()) {
                     scratch.weighted[k] = scratch.predicted[k] as f32;
                 }
-                self.project_weighted(scratch);
+                products(&self.map.basis, channels, &scratch.weighted, &mut scratch.projected);
             }
         }
         Ok(())
     }
 
-    fn project_weighted(&self, scratch: &mut SuperpositionScratch) {
-        products(&self.map.basis, self.channels(), &scratch.weighted, &mut scratch.projected);
+    fn match_signatures(&self, scratch: &mut SuperpositionScratch) {
+        scratch.along.resize(self.positions_m.len(), 0.0);
         products(&self.map.signatures, self.map.rank, &scratch.projected, &mut scratch.along);
     }
 
@@ -317,8 +324,8 @@ impl Superposition {
         has_moved
     }
 
-    /// The position that explains most of what the trial leaves of the frame, unlike those of the trial. The trial's part
-    /// numbered `but` doesn't count.
+    /// The position that explains most of what the trial leaves of the frame, and isn't like one of the trial's. The
+    /// part numbered `but` is left out of the trial.
     fn best(&self, scratch: &mut SuperpositionScratch, but: usize) -> Option<Part> {
         let SuperpositionScratch { along, left, columns, trial, .. } = scratch;
         let others = || trial.iter().enumerate().filter(|(number, _)| *number != but).map(|(_, part)| part);
@@ -367,8 +374,7 @@ impl Superposition {
     ) -> Result<f64, LocatorError> {
         let mut shares = Vec::with_capacity(labelled.len().min(MOST_LEFT_OUT));
         for number in evenly(labelled.len(), MOST_LEFT_OUT) {
-            self.project(labelled[number].frame, scratch)?;
-            scratch.parts.clear();
+            self.begin(labelled[number].frame, scratch)?;
             if self.try_another(scratch).is_some() {
                 let touch = scratch.trial[0];
                 self.map.channels_of(touch.index, touch.share, &mut scratch.predicted);
@@ -382,10 +388,15 @@ impl Superposition {
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Strengths found in each frame, and in sums of two, by a map learned without them. Each part of the frames is
-    /// weighted by the errors in the others, since frames that weight a map show smaller errors than new ones do.
+    /// Strengths found in each frame, and in sums of two, by a map learned without them. The errors in the other parts
+    /// of the frames weight the map that judges a part. Errors in frames that weight a map are smaller than in new ones.
     fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
         let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
+        let apart2 = (SUMS_APART * extent(&self.positions_m)).powi(2);
+        let are_apart = |a: usize, b: usize| {
+            let touches_m = (labelled[a].touches_m, labelled[b].touches_m);
+            matches!(touches_m, ([a_m], [b_m]) if squared_distance(*a_m, *b_m) >= apart2)
+        };
         for part in 0..PARTS {
             let (judged, weighting): (Vec<usize>, Vec<usize>) = (0..labelled.len()).partition(|i| i % PARTS == part);
             let (map, alpha) = learned.map(&weighting)?;
@@ -399,10 +410,7 @@ impl Superposition {
                 left_out.firsts.extend(first);
                 left_out.further.push(Judged { touches, strengths, weight: REAL });
                 let others = some[place + 1..].iter().chain(&some[..place]);
-                let Some(other) = others.copied().find(|&other| self.is_apart(touches_m, labelled[other].touches_m))
-                else {
-                    continue;
-                };
+                let Some(other) = others.copied().find(|&other| are_apart(number, other)) else { continue };
                 self.map.leave_out(&alpha, learned, other);
                 let sum: Vec<f64> = frame.iter().zip(labelled[other].frame).map(|(a, b)| a + b).collect();
                 let (_, strengths) = self.strengths(&sum, 2, &mut scratch)?;
@@ -412,12 +420,6 @@ impl Superposition {
         Ok(left_out)
     }
 
-    /// True if both frames have a single touch, far from the other's.
-    fn is_apart(&self, a_m: &[[f64; 2]], b_m: &[[f64; 2]]) -> bool {
-        let apart2 = (SUMS_APART * extent(&self.positions_m)).powi(2);
-        matches!((a_m, b_m), ([a_m], [b_m]) if squared_distance(*a_m, *b_m) >= apart2)
-    }
-
     /// The strength of a frame's first touch, and the weakest with two, three and so on, up to one more than `touches`.
     fn strengths(
         &self,
@@ -425,8 +427,7 @@ impl Superposition {
         touches: usize,
         scratch: &mut SuperpositionScratch,
     ) -> Result<(Option<f64>, Vec<f64>), LocatorError> {
-        self.project(frame, scratch)?;
-        scratch.parts.clear();
+        self.begin(frame, scratch)?;
         let (mut first, mut further) = (None, Vec::with_capacity(touches));
         for touch in 0..=touches {
             let Some(strength) = self.try_another(scratch) else { break };

@@ -69,8 +69,8 @@ fn pokes_make_it_precise() {
             calibration.leave_one_out().median_error_m * 1e3,
             outcome.within
         );
-        // Two presses in sixty may look like two.
-        assert!(found >= 98 && outcome.extra <= 3, "{found}, {} too many", outcome.extra);
+        // One press in a hundred may look like two.
+        assert!(found >= 98 && outcome.extra <= 2, "{found}, {} too many", outcome.extra);
         assert!(errors[0] <= median_mm && errors[1] <= p90_mm, "{errors:?}");
         // 60 to 76 % are required over many splits. One split of 100 scatters by 5 % about its mean, and with 50
         // pokes the choice of pokes adds to that.

@@ -59,10 +59,8 @@ impl FusedState {
             return Err(LocatorError::Value { field: "plain_share", index: 0, value, expected });
         }
         let not_negative = |v: f64| v.is_finite() && v >= 0.0;
-        let values = [self.fusion.temperature, self.extrapolation_m];
+        let values = [self.fusion.temperature, self.extrapolation_m, self.excess.distance_power];
         check_first("fusion", values.into_iter(), not_negative, "a finite number, zero or above")?;
-        let powers = [self.excess.misfit_power, self.excess.distance_power];
-        check_first("excess powers", powers.into_iter(), not_negative, "a finite number, zero or above")?;
         let above = |v: f64| v.is_finite() && v > 0.0;
         let usual = [self.excess.usual_novelty, self.excess.usual_distance];
         check_first("excess medians", usual.into_iter(), above, "a finite number above zero")?;

@@ -6,7 +6,7 @@ use faer::{Mat, MatRef, Side};
 use crate::locator::error::{LocatorError, check_length, check_positions};
 use crate::locator::pair_correlations::matern52;
 use crate::locator::posterior::extent;
-use crate::locator::rows::dot;
+use crate::locator::rows::{dot, products};
 use crate::plane::squared_distance;
 use crate::statistics::{evenly, median};
 
@@ -243,36 +243,33 @@ impl Learned {
         })
     }
 
-    /// Strength, in median pokes, at which a map of the other frames finds the typical touch near each position. Errors
-    /// of the map make it less than one where touches are faint.
-    pub(super) fn typical(&self, sums: &Sums<'_>, positions_m: &[[f64; 2]]) -> Result<Vec<f64>, LocatorError> {
-        let all: Vec<usize> = (0..sums.len()).collect();
-        let (whiten, _, _) = self.whitening(&all)?;
-        let found = (&sums.frames * &self.basis) * &whiten;
-        let errors = self.errors(&all) * &whiten;
+    /// Strength, in median pokes, that the map of the other frames finds for the typical touch near each position. It
+    /// is below one where touches are faint, because the map has errors. `alpha` are the weights of the frames in `map`.
+    pub(super) fn typical(&self, map: &Map, alpha: &[f32], sums: &Sums<'_>, positions_m: &[[f64; 2]]) -> Vec<f64> {
+        let mut found = vec![0.0; map.rank];
         let strength = |frame: usize| {
+            let weighted: Vec<f32> = sums.frames.row(frame).iter().map(|value| *value as f32).collect();
+            products(&map.basis, weighted.len(), &weighted, &mut found);
             let (mut along, mut square) = (0.0, 0.0);
-            for (found, error) in found.row(frame).iter().zip(errors.row(frame).iter()) {
-                along += (found - error) * found;
-                square += (found - error).powi(2);
+            for (found, alpha) in found.iter().zip(&alpha[frame * map.rank..(frame + 1) * map.rank]) {
+                let signature = f64::from(*found) - f64::from(*alpha) / self.own[frame];
+                along += signature * f64::from(*found);
+                square += signature * signature;
             }
             if square > 0.0 { along / square } else { 0.0 }
         };
-        let touches = all.iter().flat_map(|&frame| {
-            let strength = strength(frame);
-            sums.touches_m[frame].iter().map(move |place_m| (*place_m, strength))
-        });
-        let mut touches: Vec<([f64; 2], f64)> = touches.collect();
+        let strengths: Vec<f64> = (0..sums.len()).map(strength).collect();
+        let touches = sums.touches_m.iter().zip(strengths);
+        let mut touches: Vec<([f64; 2], f64)> =
+            touches.flat_map(|(touches_m, strength)| touches_m.iter().map(move |at_m| (*at_m, strength))).collect();
         let near = (touches.len() as f64).sqrt().ceil() as usize;
-        Ok(positions_m
-            .iter()
-            .map(|position_m| {
-                let away2 = |touch: &([f64; 2], f64)| squared_distance(touch.0, *position_m);
-                touches.sort_by(|a, b| away2(a).total_cmp(&away2(b)));
-                let strengths: Vec<f64> = touches[..near].iter().map(|touch| touch.1).collect();
-                median(&strengths).max(LEAST_TYPICAL)
-            })
-            .collect())
+        let typical = |position_m: &[f64; 2]| {
+            let away2 = |touch: &([f64; 2], f64)| squared_distance(touch.0, *position_m);
+            touches.select_nth_unstable_by(near - 1, |a, b| away2(a).total_cmp(&away2(b)));
+            let strengths: Vec<f64> = touches[..near].iter().map(|touch| touch.1).collect();
+            median(&strengths).max(LEAST_TYPICAL)
+        };
+        positions_m.iter().map(typical).collect()
     }
 
     /// Errors that the map of the other frames makes in each of these frames, `alpha / own` (Rasmussen & Williams,
