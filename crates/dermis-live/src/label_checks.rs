@@ -8,6 +8,7 @@
 //! prediction for a press at its label. This identifies mirrored and rotated axes if the model is roughly right.
 
 use dermis_tomo::mesh::{Point, distance};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::calibration::{PokeFrames, Pokes, differences_of};
@@ -109,12 +110,15 @@ fn cosine(a: &[f64], b: &[f64]) -> f64 {
 /// For each poke, the pokes with the most similar frames.
 fn neighbours(unit: &[Vec<f64>]) -> Vec<Vec<usize>> {
     (0..unit.len())
+        .into_par_iter()
         .map(|poke| {
             let mut others: Vec<(f64, usize)> = (0..unit.len())
                 .filter(|other| *other != poke)
                 .map(|other| (cosine(&unit[poke], &unit[other]), other))
                 .collect();
-            others.sort_by(|a, b| b.0.total_cmp(&a.0));
+            if others.len() > NEIGHBOURS {
+                others.select_nth_unstable_by(NEIGHBOURS, |a, b| b.0.total_cmp(&a.0));
+            }
             others.into_iter().take(NEIGHBOURS).map(|(_, other)| other).collect()
         })
         .collect()
@@ -177,16 +181,20 @@ fn lag(unit: &[Vec<f64>], labels_m: &[Point], found_m: f64) -> Option<i64> {
     let shifted = |rows: i64| {
         // The label of frame k is in row k + rows.
         let ahead = rows.unsigned_abs() as usize;
-        let (unit, labels_m) = if rows > 0 {
+        if rows > 0 {
             (&unit[..unit.len() - ahead], &labels_m[ahead..])
         } else {
             (&unit[ahead..], &labels_m[..labels_m.len() - ahead])
-        };
-        permutation_test(unit, labels_m)
+        }
     };
-    let (rows, (error_m, p_value)) =
-        SHIFTS.into_iter().map(|rows| (rows, shifted(rows))).min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
-    (error_m < SHIFT_GAIN * found_m && p_value.is_some_and(|p| p <= LARGEST_P)).then_some(rows)
+    let error_of = |rows: i64| {
+        let (unit, labels_m) = shifted(rows);
+        error_m(&neighbours(unit), labels_m)
+    };
+    let (error_m, rows) = SHIFTS.into_iter().map(|rows| (error_of(rows), rows)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let better = (error_m < SHIFT_GAIN * found_m).then(|| shifted(rows));
+    let (_, p_value) = better.map(|(unit, labels_m)| permutation_test(unit, labels_m))?;
+    p_value.filter(|p_value| *p_value <= LARGEST_P).map(|_| rows)
 }
 
 /// The symmetry of the axes that fits the model far better than the labels as they are.

@@ -143,8 +143,11 @@ impl Calibration {
         }
         let map = signature_map(prepared, options.physics)?;
         let earlier: Vec<Earlier<'_>> = options.start.iter().map(Self::earlier).collect();
-        let Started { locator: fused, keeps, review: start } = fit_best(&examples, &map, &earlier, prepared)?;
-        let drift = (rows.len() >= FEWEST_FOR_DRIFT).then(|| SessionDrift::measure(&examples)).transpose()?;
+        let (started, drift) = rayon::join(
+            || fit_best(&examples, &map, &earlier, prepared),
+            || (rows.len() >= FEWEST_FOR_DRIFT).then(|| SessionDrift::measure(&examples)).transpose(),
+        );
+        let (Started { locator: fused, keeps, review: start }, drift) = (started?, drift?);
         let kept: Vec<usize> = picked(MOST_KEPT).collect();
         let mut scratch = fused.scratch();
         let mut weigh = |frame: &[f64]| {

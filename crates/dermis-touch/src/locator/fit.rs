@@ -1,6 +1,6 @@
 //! Fits a locator to pokes and physics: chooses hyperparameters, and judges each example by the others.
 
-use faer::Mat;
+use faer::{Mat, MatMut};
 
 use super::channel_covariance::ChannelPrior;
 use super::data::{
@@ -172,16 +172,17 @@ impl Fitting<'_> {
         hyper: &Hyperparameters,
         worked_out: &mut WorkedOut,
     ) -> Result<Judged, LocatorError> {
-        let map = self.fit_map(design, prior, hyper, worked_out)?;
+        let mut map = self.fit_map(design, prior, hyper, worked_out)?;
         let n = design.positions_m.len();
         let mut left_out = Mat::<f64>::zeros(self.positions.len(), n);
         let (misfits, refitted_variance) = match self.turn {
-            None => ((0..n).map(|i| map.left_out_log_likelihood(i, left_out.col_as_slice_mut(i))).collect(), None),
+            None => (leave_out(&map, 0, left_out.as_mut()), None),
             Some(_) => {
                 let (misfits, variance) = self.refit_without(design, prior, hyper, &mut left_out)?;
                 (misfits, Some(variance))
             }
         };
+        map.forget_products();
         let calibration = calibrate(self.positions, &left_out, &design.positions_m, self.spacing_m);
         Ok(Judged { map, calibration, left_out, misfits, refitted_variance })
     }
@@ -339,6 +340,26 @@ impl Fitting<'_> {
             load.map(|law| law.relative_error),
         )
     }
+}
+
+/// Fills the columns with the log-likelihoods of examples, from number `first` on, in the fit without each. Returns
+/// their misfits.
+fn leave_out(map: &FittedMap, first: usize, mut columns: MatMut<'_, f64>) -> Vec<f64> {
+    const TOGETHER: usize = 32;
+    let count = columns.ncols();
+    if count <= TOGETHER {
+        let one = |k: usize| {
+            let column =
+                columns.as_mut().col_mut(k).try_as_col_major_mut().expect("a column of a matrix is contiguous");
+            map.left_out_log_likelihood(first + k, column.as_slice_mut())
+        };
+        return (0..count).map(one).collect();
+    }
+    let middle = count / 2;
+    let (left, right) = columns.split_at_col_mut(middle);
+    let (mut misfits, others) = rayon::join(|| leave_out(map, first, left), || leave_out(map, first + middle, right));
+    misfits.extend(others);
+    misfits
 }
 
 /// Indices of positions, sorted by their direction from the centroid.

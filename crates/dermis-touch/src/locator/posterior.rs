@@ -2,6 +2,7 @@
 //! two numbers that calibrate the uncertainty: the temperature b of p(x) ~ exp(b L(x)) and a factor on sigma.
 
 use faer::Mat;
+use rayon::prelude::*;
 
 use super::rows::tempered_sums;
 
@@ -115,21 +116,23 @@ pub(super) fn calibrate(
         let share = step as f64 / (TEMPERATURES - 1) as f64;
         HOTTEST * (COLDEST / HOTTEST).powf(share)
     };
-    // For each temperature, errors and posterior standard deviations, x and y of each example.
-    let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::new(); TEMPERATURES];
-    let mut likely = Likely::default();
-    for (i, position) in truth.iter().enumerate() {
+    let locate = |likely: &mut Likely, i: usize| {
         let origin = likely.fill(positions, left_out.col_as_slice(i));
-        for (step, errors) in errors.iter_mut().enumerate() {
-            if step % THINNED_EVERY == 0 {
+        let mut at = |step: usize| {
+            if step.is_multiple_of(THINNED_EVERY) {
                 likely.forget_below((NEGLIGIBLE / temperature(step)) as f32);
             }
             let (mean_m, variances_m2) = likely.spread(temperature(step), spacing_m);
-            errors.extend([0, 1].map(|axis| (origin[axis] + mean_m[axis] - position[axis], variances_m2[axis].sqrt())));
-        }
-    }
+            [0, 1].map(|axis| (origin[axis] + mean_m[axis] - truth[i][axis], variances_m2[axis].sqrt()))
+        };
+        (0..TEMPERATURES).map(&mut at).collect::<Vec<_>>()
+    };
+    // For each example and temperature, errors and posterior standard deviations of x and y.
+    let errors: Vec<Vec<[(f64, f64); 2]>> =
+        (0..truth.len()).into_par_iter().map_init(Likely::default, locate).collect();
     let mut best = Calibration { temperature: 1.0, score: f64::NEG_INFINITY };
-    for (step, errors) in errors.iter().enumerate() {
+    for step in 0..TEMPERATURES {
+        let errors: Vec<(f64, f64)> = errors.iter().flat_map(|example| example[step]).collect();
         let ratios: Vec<f64> = errors.iter().map(|e| (e.0 / e.1).abs()).collect();
         let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
         let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / truth.len() as f64;

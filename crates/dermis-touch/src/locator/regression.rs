@@ -3,8 +3,7 @@
 //! the covariance between channels, is the regression's own residual covariance shrunk to its diagonal. Rasmussen &
 //! Williams (2006), sections 2.2 and 5.4.2, for the regression and for leaving one example out without refitting.
 
-use std::cell::OnceCell;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
@@ -68,8 +67,8 @@ pub(super) fn example_noise(design: &Design, noise: f64) -> Vec<f64> {
 #[derive(Debug, Clone)]
 pub(super) struct FittedMap {
     /// Computed on demand, since judging the candidates of a search does not need it.
-    transform: OnceCell<Mat<f64>>,
-    signatures: OnceCell<Mat<f64>>,
+    transform: OnceLock<Mat<f64>>,
+    signatures: OnceLock<Mat<f64>>,
     /// Whitened examples: rank by examples.
     pub frames: Mat<f64>,
     /// Squared lengths of the whitened signatures.
@@ -216,7 +215,7 @@ impl FittedMap {
         let least = basis.map_or(0.0, |_| design.noise_variance / noise_variance(hyper.noise, 1.0, 1.0));
         let factor = channel_factor(residual, alpha, hyper.shrinkage, least, channel_prior)?;
         let (frames, alpha) = (whitened(&factor, z), whitened(&factor, alpha));
-        let (transform, signatures) = (OnceCell::new(), OnceCell::new());
+        let (transform, signatures) = (OnceLock::new(), OnceLock::new());
         if let Some(q) = basis {
             let _ = transform.set(whitened(&factor, q));
         }
@@ -251,6 +250,11 @@ impl FittedMap {
             signatures_frames,
             signatures_alpha,
         })
+    }
+
+    /// Frees the products of signatures and examples, after which no example can be left out.
+    pub(super) fn forget_products(&mut self) {
+        (self.signatures_frames, self.signatures_alpha) = (Mat::new(), Mat::new());
     }
 
     /// T: rank by channels.

@@ -3,6 +3,7 @@
 //! covariance between p and q given the examples.
 
 use faer::Mat;
+use rayon::prelude::*;
 
 use super::data::SuggestedPoke;
 use super::error::LocatorError;
@@ -37,9 +38,10 @@ impl Locator {
         let length_m = state.hyperparameters.length_m;
         let mut covariance = conditional_covariance(&places, &examples, &state.example_noise, length_m)?;
         let noise = noise_variance(state.hyperparameters.noise, 1.0, 1.0);
-        let mut weights = vec![0.0; state.positions_m.len()];
-        let mut scratch = weights.clone();
-        let sigma: Vec<f64> = chosen.iter().map(|&p| self.expected_sigma_at(p, &mut scratch, &mut weights)).collect();
+        let zeros = || vec![0.0; state.positions_m.len()];
+        let sigma_at =
+            |(scratch, weights): &mut (Vec<f64>, Vec<f64>), p: &usize| self.expected_sigma_at(*p, scratch, weights);
+        let sigma: Vec<f64> = chosen.par_iter().map_init(|| (zeros(), zeros()), sigma_at).collect();
         let mut suggestions = Vec::with_capacity(count.min(places.len()));
         for _ in 0..count.min(places.len()) {
             let gain = |q: usize| {

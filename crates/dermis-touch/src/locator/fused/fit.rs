@@ -165,19 +165,38 @@ struct Inverse {
     guesses: Vec<Guess>,
 }
 
+/// The inverse expert on unit frames alone.
+struct Plain {
+    rows: Vec<Vec<f64>>,
+    regression: Regression,
+    places: LeftOutPlaces,
+}
+
+impl Plain {
+    fn fit(
+        units: &Units,
+        places_m: &[[f64; 2]],
+        judged: &[usize],
+        is_earlier: Option<&[bool]>,
+    ) -> Result<Self, LocatorError> {
+        let mut rows = vec![vec![0.0; 2 * units.units[0].len()]; units.units.len()];
+        units.units.iter().zip(&mut rows).for_each(|(unit, row)| Features::inverse(unit, row));
+        let (regression, places) = Regression::fit(&rows, places_m, PLAIN_RANK, judged, is_earlier)?;
+        Ok(Self { rows, regression, places })
+    }
+}
+
 impl Inverse {
     /// `whitened` holds the rows of the forward expert's whitened frames, if they should be used.
     fn fit(
-        units: &Units,
+        plain: Plain,
         whitened: Option<Vec<Vec<f64>>>,
         places_m: &[[f64; 2]],
         rows: &[usize],
         is_earlier: Option<&[bool]>,
     ) -> Result<Self, LocatorError> {
         let truth: Vec<[f64; 2]> = rows.iter().map(|&i| places_m[i]).collect();
-        let mut plain_rows = vec![vec![0.0; 2 * units.units[0].len()]; units.units.len()];
-        units.units.iter().zip(&mut plain_rows).for_each(|(unit, row)| Features::inverse(unit, row));
-        let (mut plain, mut places) = Regression::fit(&plain_rows, places_m, PLAIN_RANK, rows, is_earlier)?;
+        let Plain { rows: plain_rows, regression: mut plain, mut places } = plain;
         let mut share = 1.0;
         let mut other = None;
         if let Some(frames) = whitened {
@@ -255,11 +274,15 @@ fn fit_all(
         turn: form.turn.as_ref(),
         grid: GRID,
     };
-    let judged = fitting.judge(&design, &prior, &form.hyper, &mut WorkedOut::default())?;
+    let (judged, plain) = rayon::join(
+        || fitting.judge(&design, &prior, &form.hyper, &mut WorkedOut::default()),
+        || Plain::fit(&units, &examples.positions_m, &rows, weigh.is_earlier.as_deref()),
+    );
+    let (judged, plain) = (judged?, plain?);
     let whitened = (n >= WHITENED_POKES * examples.channels)
         .then(|| whitened_rows(examples, &form.features, &judged))
         .transpose()?;
-    let inverse = Inverse::fit(&units, whitened, &examples.positions_m, &rows, weigh.is_earlier.as_deref())?;
+    let inverse = Inverse::fit(plain, whitened, &examples.positions_m, &rows, weigh.is_earlier.as_deref())?;
     let joining = weigh.joining(JOINING);
     let alone = form.turn.is_some() && rows.len() < TELLING;
     let left_out: Vec<LeftOutView<'_>> = joining

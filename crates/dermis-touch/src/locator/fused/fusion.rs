@@ -11,6 +11,8 @@
 
 use std::collections::HashMap;
 
+use rayon::prelude::*;
+
 use super::inverse::Guess;
 use crate::locator::posterior::{ONE_SIGMA, log_student, weighted_quantile};
 use crate::locator::rows::exponentials;
@@ -298,25 +300,26 @@ impl Fusion {
     /// The combination that predicts left-out examples best.
     pub(super) fn choose(positions: &[[f64; 2]], cells: &Cells, left_out: &[LeftOutView<'_>]) -> Self {
         let candidates = Self::candidates(left_out.iter().all(|example| example.guess.is_some()));
-        // For each candidate, errors, posterior standard deviations and weights, x and y of each example.
-        let mut errors: Vec<Vec<(f64, f64, f64)>> = vec![Vec::with_capacity(2 * left_out.len()); candidates.len()];
-        let mut weighing = Weighing::new(positions.len());
-        for &LeftOutView { log_likelihood, guess, truth_m, weight } in left_out {
+        // For each example and candidate, errors, posterior standard deviations and weights of x and y.
+        let locate = |weighing: &mut Weighing, example: &LeftOutView<'_>| {
+            let LeftOutView { log_likelihood, guess, truth_m, weight } = *example;
             weighing.begin(positions, cells, log_likelihood, guess);
-            for (candidate, errors) in candidates.iter().zip(&mut errors) {
-                let joined = candidate.join_weighed(positions, cells, log_likelihood, guess, &mut weighing);
-                for axis in 0..2 {
-                    errors.push((joined.mean_m[axis] - truth_m[axis], joined.covariance_m2[axis].sqrt(), weight));
-                }
-            }
-        }
+            let mut by_candidate = |candidate: &Self| {
+                let joined = candidate.join_weighed(positions, cells, log_likelihood, guess, weighing);
+                [0, 1].map(|axis| (joined.mean_m[axis] - truth_m[axis], joined.covariance_m2[axis].sqrt(), weight))
+            };
+            candidates.iter().map(&mut by_candidate).collect::<Vec<_>>()
+        };
+        let located = left_out.par_iter().map_init(|| Weighing::new(positions.len()), locate);
+        let errors: Vec<Vec<[(f64, f64, f64); 2]>> = located.collect();
         let mut best = (f64::NEG_INFINITY, Self { temperature: TEMPERATURES[4], doublings: None });
-        for (candidate, errors) in candidates.into_iter().zip(&errors) {
+        for (number, candidate) in candidates.iter().enumerate() {
+            let errors: Vec<(f64, f64, f64)> = errors.iter().flat_map(|example| example[number]).collect();
             let ratios: Vec<(f64, f64)> = errors.iter().map(|e| ((e.0 / e.1).abs(), e.2)).collect();
             let factor = weighted_quantile(ratios, ONE_SIGMA).max(1e-3);
             let score = errors.iter().map(|e| e.2 * log_student(e.0, e.1 * factor)).sum::<f64>();
             if score > best.0 {
-                best = (score, candidate);
+                best = (score, *candidate);
             }
         }
         best.1

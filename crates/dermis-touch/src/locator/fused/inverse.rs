@@ -10,6 +10,7 @@
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
+use rayon::prelude::*;
 
 use super::landmarks;
 use crate::locator::error::{LocatorError, check_first, check_length};
@@ -148,8 +149,7 @@ impl Regression {
             return Err(LocatorError::Singular { what: "kernel between the examples" });
         }
         let targets = Mat::from_fn(n, 2, |i, axis| places_m[chosen[i]][axis] - self.mean_m[axis]);
-        let mut best = f64::INFINITY;
-        for relative in LENGTHS {
+        let try_length = |relative: f64| {
             let length = relative * typical.sqrt();
             let kernel = Mat::from_fn(n, n, |i, j| f64::from(matern52_of(d2[(i, j)] as f32, 1.0 / length as f32)));
             let eigen = kernel
@@ -157,7 +157,7 @@ impl Regression {
                 .map_err(|_| LocatorError::Singular { what: "kernel between the examples" })?;
             let (u, values) = (eigen.U(), eigen.S().column_vector());
             let along = u.transpose() * &targets;
-            for ridge in RIDGES {
+            let try_ridge = |ridge: f64| {
                 let gain = |j: usize| 1.0 / (values[j].max(0.0) + ridge);
                 let a = u * Mat::from_fn(n, 2, |j, axis| gain(j) * along[(j, axis)]);
                 let gains: Vec<f64> = (0..n).map(gain).collect();
@@ -170,11 +170,15 @@ impl Regression {
                 let squares: Vec<f64> =
                     (0..n).map(|i| (a[(i, 0)].powi(2) + a[(i, 1)].powi(2)) / diagonal[i].powi(2)).collect();
                 let middle = median(&squares).max(f64::MIN_POSITIVE);
-                let score = squares.iter().map(|s| (s + middle).ln()).sum::<f64>() / n as f64;
-                if score < best {
-                    best = score;
-                    (self.length, self.ridge) = (length, ridge);
-                }
+                squares.iter().map(|s| (s + middle).ln()).sum::<f64>() / n as f64
+            };
+            Ok(RIDGES.map(|ridge| (try_ridge(ridge), length, ridge)))
+        };
+        let tried: Result<Vec<_>, LocatorError> = LENGTHS.into_par_iter().map(try_length).collect();
+        let mut best = f64::INFINITY;
+        for (score, length, ridge) in tried?.into_iter().flatten() {
+            if score < best {
+                (best, self.length, self.ridge) = (score, length, ridge);
             }
         }
         let nearest = |i: usize| (0..n).filter(|j| *j != i).map(|j| d2[(i, j)]).fold(f64::INFINITY, f64::min);
