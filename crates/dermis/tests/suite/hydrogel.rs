@@ -48,34 +48,40 @@ fn touches_are_located_without_labels() {
     assert!(p90_mm <= 13.0, "{p90_mm}");
 }
 
-/// Every fifth poke is for testing and the rest for training, or every tenth for training (50) and a different
-/// hundred for testing.
+/// Every fifth poke is for testing. The rest are for training, or three times every tenth (50).
 #[test]
 fn pokes_make_it_precise() {
     let Some(folder) = dermis_testdata::set("hydrogel") else { return };
     let presses = presses(&folder).unwrap();
     let test: Vec<usize> = (0..500).filter(|i| i % 5 == 2).collect();
-    for (train, median_mm, p90_mm) in [
-        ((0..500).filter(|i| i % 5 != 2).collect::<Vec<_>>(), 2.0, 5.5),
-        ((0..500).filter(|i| i % 10 == 0).collect::<Vec<_>>(), 6.0, 15.0),
-    ] {
-        let calibration = presses.calibrate(&train).unwrap();
+    let every_tenth = |first: usize| (0..500).filter(|i| i % 10 == first).collect::<Vec<_>>();
+    let rest = (0..500).filter(|i| i % 5 != 2).collect::<Vec<_>>();
+    let fifties = [0, 3, 6].map(every_tenth);
+    let judge = |train: &Vec<usize>, [median_mm, p90_mm]: [f64; 2]| {
+        let calibration = presses.calibrate(train).unwrap();
         assert!(calibration.suggest_pokes(3).unwrap().iter().all(|poke| poke.sigma_m > 0.0));
         let outcome = presses.judge(&test, Some(&calibration)).unwrap();
         let (found, errors) = (outcome.errors_mm.len(), [0.5, 0.9].map(|share| outcome.quantile_mm(share)));
         println!(
-            "{} pokes: left out {:.2} mm; {found} of 100 found, {errors:.2?} mm, within one sigma {:.2?}",
+            "{} pokes: left out {:.2} mm; {found} of 100 found, {} too many, {errors:.2?} mm, within one sigma {:.2?}",
             train.len(),
             calibration.leave_one_out().median_error_m * 1e3,
+            outcome.extra,
             outcome.within
         );
-        // One press in a hundred may look like two.
-        assert!(found >= 98 && outcome.extra <= 2, "{found}, {} too many", outcome.extra);
         assert!(errors[0] <= median_mm && errors[1] <= p90_mm, "{errors:?}");
-        // 60 to 76 % are required over many splits. One split of 100 scatters by 5 % about its mean, and with 50
-        // pokes the choice of pokes adds to that.
-        assert!(outcome.within.iter().all(|share| (0.5..=0.85).contains(share)), "{:?}", outcome.within);
-    }
+        (found, outcome.extra, outcome.within)
+    };
+    // Two presses in a hundred may be missed or look like two, and 60 to 76 % are required inside one sigma over many splits. One
+    // split of 100 scatters by 5 % about its mean, and with 50 pokes the choice of pokes adds to that.
+    let is_right = |share: f64| (0.5..=0.85).contains(&share);
+    let (found, extra, within) = judge(&rest, [2.0, 5.5]);
+    assert!(found >= 98 && extra <= 2 && within.into_iter().all(is_right), "{found}, {extra} too many, {within:?}");
+    let few = fifties.each_ref().map(|train| judge(train, [6.0, 15.0]));
+    let found: usize = few.iter().map(|(found, ..)| found).sum();
+    let extra: usize = few.iter().map(|(_, extra, _)| extra).sum();
+    let within = [0, 1].map(|axis| few.iter().map(|(.., within)| within[axis]).sum::<f64>() / few.len() as f64);
+    assert!(found >= 294 && extra <= 6 && within.into_iter().all(is_right), "{found}, {extra} too many, {within:?}");
 }
 
 /// Starts from a skin file without a circuit, and finds it from the presses themselves without any labels.
