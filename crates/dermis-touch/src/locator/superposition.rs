@@ -324,8 +324,8 @@ impl Superposition {
         has_moved
     }
 
-    /// The position that explains most of what the trial leaves of the frame, and isn't like one of the trial's. The
-    /// part numbered `but` is left out of the trial.
+    /// The best position for one more touch: it explains most of what the trial leaves of the frame. Positions that look
+    /// like one of the trial's are skipped. The trial's part numbered `but` is ignored.
     fn best(&self, scratch: &mut SuperpositionScratch, but: usize) -> Option<Part> {
         let SuperpositionScratch { along, left, columns, trial, .. } = scratch;
         let others = || trial.iter().enumerate().filter(|(number, _)| *number != but).map(|(_, part)| part);
@@ -388,8 +388,8 @@ impl Superposition {
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Strengths found in each frame, and in sums of two, by a map learned without them. The errors in the other parts
-    /// of the frames weight the map that judges a part. Errors in frames that weight a map are smaller than in new ones.
+    /// Strengths found in each frame, and in sums of two, by a map learned without them. A part's own errors don't weight
+    /// the map that judges it, since its frames would then fit too well.
     fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
         let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
         let apart2 = (SUMS_APART * extent(&self.positions_m)).powi(2);

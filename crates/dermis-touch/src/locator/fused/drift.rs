@@ -74,7 +74,7 @@ fn errors(
     let some: Vec<Vec<f64>> = learnt.iter().map(|&i| rows[i].clone()).collect();
     let there: Vec<[f64; 2]> = learnt.iter().map(|&i| places[i]).collect();
     let all: Vec<usize> = (0..learnt.len()).collect();
-    let (regression, _) = Regression::fit(&some, &there, super::fit::PLAIN_RANK, &all, None)?;
+    let (regression, _) = Regression::fit(&some, &there, super::inverse_fit::PLAIN_RANK, &all, None)?;
     let mut memory = Memory::default();
     let mut found = Vec::with_capacity(tested.len());
     for &i in tested {

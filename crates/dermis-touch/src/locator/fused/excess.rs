@@ -18,7 +18,7 @@ const MISFIT_POWER: f64 = 1.5;
 /// Powers tried of the distance, the default first.
 const DISTANCE_POWERS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
 /// Gain in total log score that a power above zero must bring: Akaike's penalty for one parameter, plus the logarithm
-/// of the number of powers tried. Fifty pokes otherwise choose one by chance.
+/// of the number of powers tried. Without it, fifty pokes choose one by chance.
 const MARGIN: f64 = SELECTION_MARGIN + 1.386_294;
 /// Limits of the ratios, beyond which left-out examples give no information.
 const LIMITS: (f64, f64) = (0.1, 30.0);

@@ -22,6 +22,7 @@ mod fit;
 mod form_choice;
 mod fusion;
 mod inverse;
+mod inverse_fit;
 mod landmarks;
 mod live;
 mod model;
