@@ -8,8 +8,8 @@
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
-//! pokes. The strength of each touch counts relative to the typical poke at its place. The threshold counts touches best
-//! in pokes, and in sums of two of them, by a map learned from the others.
+//! pokes. The strength of each touch counts relative to the typical poke at its place. The threshold counts touches
+//! best in pokes, and in sums of two of them, by a map learned from the others.
 
 mod map;
 
@@ -324,8 +324,8 @@ impl Superposition {
         has_moved
     }
 
-    /// The best position for one more touch: it explains most of what the trial leaves of the frame. Positions that look
-    /// like one of the trial's are skipped. The trial's part numbered `but` is ignored.
+    /// The best position for one more touch: it explains most of what the trial leaves of the frame. Positions that
+    /// look like one of the trial's are skipped. The trial's part numbered `but` is ignored.
     fn best(&self, scratch: &mut SuperpositionScratch, but: usize) -> Option<Part> {
         let SuperpositionScratch { along, left, columns, trial, .. } = scratch;
         let others = || trial.iter().enumerate().filter(|(number, _)| *number != but).map(|(_, part)| part);
@@ -388,8 +388,8 @@ impl Superposition {
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Strengths found in each frame, and in sums of two, by a map learned without them. A part's own errors don't weight
-    /// the map that judges it, since its frames would then fit too well.
+    /// Strengths found in each frame, and in sums of two, by a map learned without them. A part's own errors don't
+    /// weight the map that judges it, since its frames would then fit too well.
     fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
         let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
         let apart2 = (SUMS_APART * extent(&self.positions_m)).powi(2);

@@ -11,9 +11,9 @@ use crate::locator::posterior::{ONE_SIGMA, SELECTION_MARGIN, Trial, log_student,
 use crate::statistics::median;
 
 /// Power of the misfit. A skin measured before and after damage, in both directions, has 43 % of the errors inside one
-/// sigma without it after 1,000 pokes, 52 % with the power 1, 58 % with 1.5 and 63 % with 2. Checked on 35 other changed
-/// skins: seven measured skins with 10 to 40 % of another skin's frames, or with channel gains that scatter by 15 or
-/// 30 %. With 1.5, between 50 and 89 % are inside, and mean likelihoods are within 0.04 of the best.
+/// sigma without it after 1,000 pokes, 52 % with the power 1, 58 % with 1.5 and 63 % with 2. Checked on 35 other
+/// changed skins: seven measured skins with 10 to 40 % of another skin's frames, or with channel gains that scatter by
+/// 15 or 30 %. With 1.5, between 50 and 89 % are inside, and mean likelihoods are within 0.04 of the best.
 const MISFIT_POWER: f64 = 1.5;
 /// Powers tried of the distance, the default first.
 const DISTANCE_POWERS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
