@@ -154,6 +154,15 @@ export async function waitForRows(page, isWanted, ms = 8000, frames = 0) {
   return waitUntil(page, "touches", () => touchRows(page), isWanted, { ms, frames });
 }
 
+/** Makes sure that only the page presses: stops the twin's demonstration and waits for its end. */
+export async function stopDemonstration(page) {
+  if (isDemo) return;
+  const demo = page.locator("#demo");
+  // Not a click of the mouse, because a narrow window folds the button away.
+  if ((await demo.getAttribute("aria-pressed")) === "true") await demo.evaluate((button) => button.click());
+  await waitForRows(page, (rows) => rows.length === 0, 60_000);
+}
+
 /** Puts the mouse down at a place on the skin, millimetres. */
 export async function pressAt(page, x_mm, y_mm) {
   const { x, y } = await windowFromSkin(page, x_mm, y_mm);

@@ -5,7 +5,7 @@ import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
-import { isDemo, keepPicture, openPage, pressAt, startBrowser, startPage, unfold, waitForRows } from "./browser.mjs";
+import { isDemo, keepPicture, openPage, pressAt, startBrowser, startPage, stopDemonstration, unfold, waitForRows } from "./browser.mjs";
 
 const axe = createRequire(import.meta.url).resolve("axe-core/axe.min.js");
 let server;
@@ -22,17 +22,9 @@ after(async () => {
 
 const open = (options) => openPage(browser, server.address, options);
 
-/** Makes sure that only the page presses: stops a twin's demonstration and waits for its end. */
-async function calm(page) {
-  if (isDemo) return;
-  const isOn = await page.locator("#demo").evaluate((button) => button.getAttribute("aria-pressed") === "true");
-  if (isOn) await page.locator("#demo").click();
-  await waitForRows(page, (rows) => rows.length === 0, 60_000);
-}
-
 test("colours begin at zero, and the press that the skin is made for is plain to see in them", async () => {
   const { page } = await open();
-  await calm(page);
+  await stopDemonstration(page);
   assert.equal(await page.locator("#range-low").textContent(), "0");
   const high = Number(await page.locator("#range-high").textContent());
   assert.ok(high > 0, `up to ${high}`);
@@ -189,7 +181,7 @@ test("what is seen is saved as a picture and as a table", async () => {
 
 test("the saved picture is the one on the screen, with every number at its electrode", async () => {
   const { page } = await open({ deviceScaleFactor: 2 });
-  await calm(page);
+  await stopDemonstration(page);
   await page.locator("#pause").click();
   await page.waitForTimeout(300);
   const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#keep-png").click()]);

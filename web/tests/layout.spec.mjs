@@ -8,7 +8,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { promisify } from "node:util";
-import { isDemo, keepPicture, openPage, pressAt, startBrowser, startServer, waitForRows } from "./browser.mjs";
+import { isDemo, keepPicture, openPage, pressAt, startBrowser, startServer, stopDemonstration, waitForRows } from "./browser.mjs";
 
 const dermis = (...args) => promisify(execFile)(process.env.DERMIS_BIN, args);
 
@@ -121,9 +121,7 @@ for (const [name, args] of Object.entries(isDemo ? { demo: () => [] } : SKINS)) 
           const { width, height } = window;
           const phone = window.name === "phone" ? { hasTouch: true, isMobile: true, deviceScaleFactor: 2 } : {};
           const { page } = await openPage(browser, server.address, { viewport: { width, height }, colorScheme, ...phone });
-          const demo = page.locator("#demo");
-          if (!isDemo && (await demo.getAttribute("aria-pressed")) === "true") await demo.evaluate((button) => button.click());
-          if (!isDemo) await waitForRows(page, (rows) => rows.length === 0, 60_000);
+          await stopDemonstration(page);
           const outline = await page.locator(".outline").evaluate((path) => (({ width, height }) => ({ width, height }))(path.getBBox()));
           await pressAt(page, 0.15 * outline.width, 0.18 * outline.height);
           await waitForRows(page, (rows) => rows.length > 0, 60_000);
