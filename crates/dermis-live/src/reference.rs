@@ -30,6 +30,8 @@ const MODEL_ERROR: f64 = 0.002;
 pub enum NoiseSource {
     /// The scatter of the baseline's frames.
     Baseline,
+    /// The scatter of baselines of which each belongs to one frame.
+    Pairs,
     /// The frames themselves, see [`noise_of_frames`].
     Frames,
     /// The skin file's `touch.assumed_noise_share`.
@@ -41,6 +43,7 @@ impl NoiseSource {
     pub fn describe(self) -> &'static str {
         match self {
             Self::Baseline => "measured from the baseline",
+            Self::Pairs => "measured from the baselines",
             Self::Frames => "estimated from the frames themselves",
             Self::Assumed => "assumed",
         }
@@ -76,7 +79,7 @@ impl Reference {
     /// # Errors
     /// No frames, frames of the wrong length, or a baseline that is zero everywhere.
     pub fn of(prepared: &Prepared, frames: &[Vec<f64>]) -> Result<Self, Error> {
-        Self::averaged(prepared, frames, frames.len())
+        Self::averaged(prepared, frames, frames.len(), NoiseSource::Baseline)
     }
 
     /// As [`Reference::of`], for frames with one of these baselines each: differences contain the noise of two
@@ -85,11 +88,17 @@ impl Reference {
     /// # Errors
     /// As [`Reference::of`].
     pub fn of_pairs(prepared: &Prepared, baselines: &[Vec<f64>]) -> Result<Self, Error> {
-        Self::averaged(prepared, baselines, 1)
+        Self::averaged(prepared, baselines, 1, NoiseSource::Pairs)
     }
 
-    /// As [`Reference::of`], where the baseline of a difference is the mean of `averaged` frames.
-    fn averaged(prepared: &Prepared, frames: &[Vec<f64>], averaged: usize) -> Result<Self, Error> {
+    /// As [`Reference::of`], where the baseline of a difference is the mean of `averaged` frames, and the noise, if
+    /// there are enough, is `measured`.
+    fn averaged(
+        prepared: &Prepared,
+        frames: &[Vec<f64>],
+        averaged: usize,
+        measured: NoiseSource,
+    ) -> Result<Self, Error> {
         let channels = prepared.channels();
         check_frames("baseline", frames, channels)?;
         let baseline: Vec<f64> = (0..channels).map(|channel| finite_mean(frames.iter().map(|f| f[channel]))).collect();
@@ -112,7 +121,7 @@ impl Reference {
         let difference =
             |pair: &[Vec<f64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
         let successive = frames.windows(2).map(difference).collect();
-        let noise_source = if noise_measured { NoiseSource::Baseline } else { NoiseSource::Assumed };
+        let noise_source = if noise_measured { measured } else { NoiseSource::Assumed };
         let misfit = if baseline_is_known(prepared) { misfit(&prepared.voltages, &baseline) } else { f64::NAN };
         Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order, misfit })
     }

@@ -103,7 +103,7 @@ impl Arguments {
 
 fn as_json(report: &Report, differences: bool, found: Option<&FoundOrder>) -> serde_json::Value {
     let noise = match report.noise_source {
-        NoiseSource::Baseline => "baseline",
+        NoiseSource::Baseline | NoiseSource::Pairs => "baseline",
         NoiseSource::Frames => "frames",
         NoiseSource::Assumed => "assumed",
     };

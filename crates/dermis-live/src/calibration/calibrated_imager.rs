@@ -8,7 +8,7 @@ use super::self_calibrated::SelfCalibrated;
 use crate::Error;
 use crate::imager::{Imager, weighting};
 use crate::prepare::Prepared;
-use crate::reference::{NoiseSource, Reference};
+use crate::reference::Reference;
 
 /// Imager, reference and placement finder, with or without calibration.
 #[derive(Debug)]
@@ -66,8 +66,7 @@ pub(crate) fn learnt_finder(
     calibration: &Calibration,
     reference: &Reference,
 ) -> Result<PlacementFinder, Error> {
-    let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
-    let smallest_amplitude = calibration.smallest_amplitude(prepared, session_noise)?;
+    let smallest_amplitude = calibration.smallest_amplitude(prepared, reference)?;
     let finder = LearntFinder::new(calibration, smallest_amplitude, prepared.half_width_m())?;
     Ok(PlacementFinder::Learnt(Box::new(finder)))
 }

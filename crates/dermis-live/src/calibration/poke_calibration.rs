@@ -34,12 +34,13 @@ use serde::{Deserialize, Serialize};
 use start::{Earlier, Started, fit_best};
 pub use start::{StartReview, StartUse};
 pub(super) use strength::SmallestAmplitude;
-use strength::{TouchStrength, Weighed};
+use strength::{SessionNoise, TouchStrength, Weighed};
 
 use super::poke_check::{Sound, check_pokes};
 use super::pokes::{LoadQuantity, Pokes, load_shares};
 use crate::Error;
 use crate::prepare::Prepared;
+use crate::reference::{NoiseSource, Reference};
 
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
@@ -160,22 +161,13 @@ impl Calibration {
         let some_earlier = evenly(earlier_frames.len(), MOST_WEIGHED).into_iter().map(|i| &earlier_frames[i]);
         let weighed = picked(MOST_WEIGHED).map(|i| &differences[i]).chain(some_earlier);
         let amplitudes: Result<Vec<f64>, Error> = weighed.map(|frame| Ok(weigh(frame)?.amplitude)).collect();
-        let resting = match measured {
-            PokeFrames::Readings { baselines, .. } if baselines.len() > 1 => {
-                // The difference of two frames is noisier than a frame's difference from the mean of all.
-                let of_a_poke = if measured.has_pairs() { 1.0 } else { (0.5 + 0.5 / baselines.len() as f64).sqrt() };
-                baselines
-                    .windows(2)
-                    .map(|pair| reference.difference(&pair[1], Some(&pair[0])))
-                    .filter(|difference| difference.iter().any(|v| v.is_finite() && *v != 0.0))
-                    .map(|difference| {
-                        let weighed = weigh(&difference)?;
-                        Ok(Weighed { amplitude: of_a_poke * weighed.amplitude, ..weighed })
-                    })
-                    .collect::<Result<Vec<Weighed>, Error>>()?
-            }
-            _ => Vec::new(),
-        };
+        let resting = measured.at_rest(&reference);
+        // The difference of two frames is noisier than a frame's difference from the mean of all.
+        let of_a_poke = if measured.has_pairs() { 1.0 } else { (0.5 + 0.5 / (resting.len() + 1) as f64).sqrt() };
+        let resting: Result<Vec<Weighed>, Error> = resting
+            .iter()
+            .map(|difference| weigh(difference).map(|rest| Weighed { amplitude: of_a_poke * rest.amplitude, ..rest }))
+            .collect();
         let dead = dead_channels.iter().copied().filter(|channel| !unsound_channels.contains(channel)).collect();
         let rest_scatter =
             scatter.map_or_else(Vec::new, |scatter| scatter.robust().iter().map(|v| v.max(0.0)).collect());
@@ -192,7 +184,7 @@ impl Calibration {
             as_built: None,
             groups: Vec::new(),
             pokes: rows.len(),
-            strength: TouchStrength::of(amplitudes?, &resting, matches!(measured, PokeFrames::Readings { .. })),
+            strength: TouchStrength::of(amplitudes?, &resting?, matches!(measured, PokeFrames::Readings { .. })),
             review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter, start },
         };
         if let Some(earlier) = earlier {
@@ -432,17 +424,21 @@ impl Calibration {
         Ok(MeasuredJacobian::interpolate(&frames, &positions, &prepared.map.inside_centres_m(), &lengths)?)
     }
 
-    /// The amplitudes below which a frame shows no touch: see [`TouchStrength::smallest`]. `session_noise` is the
-    /// noise of difference data, if known. If the model locates touches, these thresholds are for the touches it does
-    /// not see, and weak pokes that it does see are irrelevant.
+    /// The amplitudes below which a frame with this reference shows no touch: see [`TouchStrength::smallest`]. If the
+    /// model locates touches, these thresholds are for the touches it does not see, and weak pokes that it does see
+    /// are irrelevant.
     pub(super) fn smallest_amplitude(
         &self,
         prepared: &Prepared,
-        session_noise: Option<&[f64]>,
+        reference: &Reference,
     ) -> Result<SmallestAmplitude, Error> {
+        let noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise);
         // Noise that is zero everywhere has no amplitude.
-        let noise = session_noise.and_then(|noise| self.locator.predict(noise).ok());
-        let noise = noise.map(|located| (located.amplitude, self.channels));
+        let noise = noise.and_then(|noise| self.locator.predict(noise).ok()).map(|located| SessionNoise {
+            amplitude: located.amplitude,
+            channels: self.channels,
+            is_of_pairs: reference.noise_source == NoiseSource::Pairs,
+        });
         let usual_error_m = self.locator.leave_one_out().median_error_m;
         let hold_sigma = prepared.skin.touch.hold_sigma;
         let smallest = self.strength.smallest(hold_sigma, noise, usual_error_m, prepared.half_width_m());

@@ -37,6 +37,13 @@ impl PokeFrames<'_> {
         }
     }
 
+    /// Differences of successive baselines, without those that are zero everywhere.
+    pub(super) fn at_rest(&self, reference: &Reference) -> Vec<Vec<f64>> {
+        let PokeFrames::Readings { baselines, .. } = self else { return Vec::new() };
+        let differences = baselines.windows(2).map(|pair| reference.difference(&pair[1], Some(&pair[0])));
+        differences.filter(|difference| difference.iter().any(|v| v.is_finite() && *v != 0.0)).collect()
+    }
+
     /// True if each poke has its own baseline.
     pub(super) fn has_pairs(&self) -> bool {
         matches!(self, PokeFrames::Readings { baselines, frames } if are_pairs(baselines, frames))

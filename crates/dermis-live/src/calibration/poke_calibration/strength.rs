@@ -30,6 +30,23 @@ pub(super) struct Weighed {
     pub sigma_m: f64,
 }
 
+/// The noise of the frames in which touches are sought.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SessionNoise {
+    /// RMS of the channels' standard deviations, weighted as in the locator.
+    pub amplitude: f64,
+    pub channels: usize,
+    /// True if each frame has its own baseline, and the noise was measured from these.
+    pub is_of_pairs: bool,
+}
+
+impl SessionNoise {
+    /// The amplitude that the noise seldom exceeds. An RMS over c channels varies by 1 / sqrt(2 c) of itself.
+    fn seldom(self) -> f64 {
+        self.amplitude * (1.0 + SELDOM / (2.0 * self.channels as f64).sqrt())
+    }
+}
+
 /// Amplitudes and standard deviations that separate a touch from rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -60,21 +77,21 @@ impl TouchStrength {
 
     /// The amplitudes below which a frame shows no touch. The basis is half the amplitude of weak pokes, or
     /// `hold_sigma` sigmas of the noise if that is less. It is raised above rest, both in the calibration's own
-    /// frames and in the current session (`noise`: the amplitude of its noise and the number of channels, if known).
-    /// If a frame has a precise position, the amplitude of weak pokes is enough, whatever rest reaches.
+    /// frames and in the current session (`noise`, if known). The session's own rest decides alone if each frame has
+    /// its own baseline: such frames do not remember earlier presses, and the calibration's baselines may have been
+    /// far apart. If a frame has a precise position, the amplitude of weak pokes is enough, whatever rest reaches.
     /// `usual_error_m` is the error of left-out pokes, `half_width_m` half the shorter side of the skin.
     pub fn smallest(
         &self,
         hold_sigma: f64,
-        noise: Option<(f64, usize)>,
+        noise: Option<SessionNoise>,
         usual_error_m: f64,
         half_width_m: f64,
     ) -> SmallestAmplitude {
         let weak = self.weak.unwrap_or(0.0);
         let usual = if self.in_noise { hold_sigma.min(0.5 * weak) } else { 0.5 * weak };
-        // An RMS over c channels varies by 1 / sqrt(2 c) of itself.
-        let seldom = |(noise, channels): (f64, usize)| noise * (1.0 + SELDOM / (2.0 * channels as f64).sqrt());
-        let rest = ABOVE_REST * self.rest.unwrap_or(0.0).max(noise.map_or(0.0, seldom));
+        let earlier = self.rest.filter(|_| noise.is_none_or(|noise| !noise.is_of_pairs)).unwrap_or(0.0);
+        let rest = ABOVE_REST * earlier.max(noise.map_or(0.0, SessionNoise::seldom));
         // Without frames at rest, the precision of their positions is unknown.
         let placed_sigma_m = self.rest_sigma_m.map_or(f64::INFINITY, |rest_m| {
             (BELOW_REST * rest_m).max(ABOVE_USUAL_ERROR * usual_error_m).min(BELOW_HALF_WIDTH * half_width_m)
@@ -144,12 +161,16 @@ mod tests {
         let strength = TouchStrength::of(vec![10.0; 40], &resting(), true);
         // Over 200 channels, noise seldom exceeds 1.08 times its usual amplitude.
         let noisy = |noise: f64| ABOVE_REST * noise * (1.0 + SELDOM / 20.0);
-        let smallest = |noise: f64| {
-            let smallest = strength.smallest(4.0, Some((noise, 200)), 0.0, 0.1);
+        let smallest = |noise: f64, is_of_pairs: bool| {
+            let noise = SessionNoise { amplitude: noise, channels: 200, is_of_pairs };
+            let smallest = strength.smallest(0.5, Some(noise), 0.0, 0.1);
             (smallest.anywhere, smallest.placed)
         };
-        assert_eq!(smallest(4.0), (noisy(4.0), noisy(4.0)));
-        assert_eq!(smallest(30.0), (noisy(30.0), BELOW_WEAK * 10.0));
+        assert_eq!(smallest(4.0, false), (noisy(4.0), noisy(4.0)));
+        assert_eq!(smallest(30.0, false), (noisy(30.0), BELOW_WEAK * 10.0));
+        // Frames at rest reached 1.1 in the calibration, which frames with their own baselines need not exceed.
+        assert!(smallest(0.8, false).0 > ABOVE_REST);
+        assert_eq!(smallest(0.8, true), (noisy(0.8), noisy(0.8)));
     }
 
     #[test]
