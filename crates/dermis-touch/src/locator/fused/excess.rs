@@ -32,6 +32,11 @@ pub(super) struct Unlike {
     pub distance: f64,
 }
 
+/// A frame's misfit over that of left-out pokes, at least 1.
+pub(super) fn misfit_ratio(misfit: f64, usual: f64) -> f64 {
+    (misfit / usual).clamp(1.0, LIMITS.1)
+}
+
 /// The law of the widening. Earlier versions stored a power of the misfit as well.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Excess {
@@ -51,9 +56,13 @@ impl Default for Excess {
 impl Excess {
     /// Factor on the posterior's variance.
     pub(super) fn of(&self, frame: Unlike) -> f64 {
-        let ratio = |value: f64, usual: f64| (value / usual).clamp(LIMITS.0, LIMITS.1);
-        ratio(frame.novelty, self.usual_novelty).max(1.0).powf(MISFIT_POWER)
-            * ratio(frame.distance, self.usual_distance).powf(self.distance_power)
+        let distance = (frame.distance / self.usual_distance).clamp(LIMITS.0, LIMITS.1);
+        self.misfit_ratio(frame.novelty).powf(MISFIT_POWER) * distance.powf(self.distance_power)
+    }
+
+    /// See [`misfit_ratio`].
+    pub(super) fn misfit_ratio(&self, novelty: f64) -> f64 {
+        misfit_ratio(novelty, self.usual_novelty)
     }
 
     /// The law that predicts left-out examples best.

@@ -1,6 +1,6 @@
 //! Fits both experts and their combination.
 
-use super::excess::{Excess, Unlike};
+use super::excess::{Excess, Unlike, misfit_ratio};
 use super::features::Features;
 use super::form_choice::{Form, GRID, MOST_TURNED, TELLING, choose_form, forward_examples, projection};
 use super::fusion::{Cells, Fusion, LeftOutView};
@@ -21,7 +21,7 @@ use crate::locator::model::Locator;
 use crate::locator::posterior::{CHOSEN_QUANTITIES, ONE_SIGMA, Spread, Trial, quantile};
 use crate::locator::regression::{WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
-use crate::statistics::{evenly, spacing};
+use crate::statistics::{evenly, median, spacing};
 
 /// Minimum pokes per channel for using whitened frames. With fewer, the whitening has seen the left-out poke.
 const WHITENED_POKES: usize = 3;
@@ -165,7 +165,9 @@ fn fit_all(
     let whitened = (n >= WHITENED_POKES * examples.channels)
         .then(|| whitened_rows(examples, &form.features, &judged))
         .transpose()?;
-    let inverse = Inverse::fit(plain, whitened, &examples.positions_m, &rows, weigh.is_earlier.as_deref())?;
+    let usual = median(&judged.misfits);
+    let misfits: Vec<f64> = judged.misfits.iter().map(|misfit| misfit_ratio(*misfit, usual)).collect();
+    let inverse = Inverse::fit(plain, whitened, &examples.positions_m, &rows, &misfits, weigh.is_earlier.as_deref())?;
     let joining = weigh.joining(JOINING);
     let alone = form.turn.is_some() && rows.len() < TELLING;
     let left_out: Vec<LeftOutView<'_>> = joining

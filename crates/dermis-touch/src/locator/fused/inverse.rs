@@ -73,12 +73,24 @@ pub(super) struct LeftOutPlaces {
 }
 
 /// A position and the local variance of a coordinate.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Guess {
     pub mean_m: [f64; 2],
     pub variance_m2: f64,
     /// Squared distance to the nearest example over the usual one.
     pub distance: f64,
+}
+
+impl Guess {
+    /// The mean of this and another guess, with this share of this one.
+    pub(super) fn mixed(self, share: f64, other: Self) -> Self {
+        let mix = |a: f64, b: f64| share * a + (1.0 - share) * b;
+        Self {
+            mean_m: [0, 1].map(|axis| mix(self.mean_m[axis], other.mean_m[axis])),
+            variance_m2: mix(self.variance_m2, other.variance_m2),
+            distance: mix(self.distance, other.distance),
+        }
+    }
 }
 
 impl Regression {

@@ -3,6 +3,7 @@
 use super::excess::Unlike;
 use super::features::Features;
 use super::inverse::{Guess, Memory};
+use super::inverse_fit::plain_share;
 use super::model::FusedLocator;
 use crate::locator::data::{LoadEstimate, Located};
 use crate::locator::error::{LocatorError, check_length};
@@ -51,14 +52,14 @@ impl FusedLocator {
         let (amplitude, seen) = state.features.unit(frame, &mut scratch.unit)?;
         state.features.forward(frame, &scratch.unit, amplitude, &mut scratch.forward_frame);
         let (weighed, misfit) = state.forward.compare(&scratch.forward_frame, &mut scratch.forward)?;
-        let guess = state.fusion.doublings.is_some().then(|| self.guess(scratch, seen));
+        let novelty = misfit / state.forward.state.usual_misfit;
+        let guess = state.fusion.doublings.is_some().then(|| self.guess(scratch, seen, novelty));
         let forward = &state.forward.state;
         let positions = &forward.positions_m;
         let LocatorScratch { log_likelihood, posterior, along, .. } = &mut scratch.forward;
         let found = state.fusion.join(positions, &self.cells, log_likelihood, guess, along, posterior);
         let unexplained: f64 = forward.variance.iter().zip(posterior.iter()).map(|(v, w)| v * w).sum();
         let spread = |axis: usize| Spread { factor: state.sigma_factors[axis], extrapolation_m: state.extrapolation_m };
-        let novelty = misfit / forward.usual_misfit;
         let distance = guess.map_or(1.0, |guess| guess.distance);
         let excess = state.excess.of(Unlike { novelty, distance });
         let sigma = |axis: usize| spread(axis).variance_m2(excess * found.covariance_m2[axis], unexplained).sqrt();
@@ -91,17 +92,11 @@ impl FusedLocator {
         self.predict_into(frame, &mut self.scratch())
     }
 
-    /// The inverse expert's position. Missing channels increase its variance.
-    fn guess(&self, scratch: &mut FusedScratch, seen: f64) -> Guess {
+    /// The inverse expert's position in a frame with this misfit. Missing channels increase its variance.
+    fn guess(&self, scratch: &mut FusedScratch, seen: f64, novelty: f64) -> Guess {
         let state = &self.state;
-        let mut guess = Guess { mean_m: [0.0; 2], variance_m2: 0.0, distance: 0.0 };
-        let mut add = |share: f64, part: Guess| {
-            guess.mean_m[0] += share * part.mean_m[0];
-            guess.mean_m[1] += share * part.mean_m[1];
-            guess.variance_m2 += share * part.variance_m2 / (seen * seen);
-            guess.distance += share * part.distance;
-        };
-        if state.plain_share > 0.0 {
+        let share = plain_share(state.plain_share, state.excess.misfit_ratio(novelty));
+        let plain = (share > 0.0).then(|| {
             if !scratch.forward.missing_now.is_empty() {
                 self.stand_in(scratch);
             }
@@ -109,15 +104,19 @@ impl FusedLocator {
             Features::inverse(&scratch.unit, &mut scratch.inverse_frame);
             scratch.features.clear();
             scratch.features.extend(scratch.inverse_frame.iter().map(|v| *v as f32));
-            add(state.plain_share, state.plain.guess(&scratch.features, &mut scratch.memory, None));
-        }
-        if let Some(whitened) = state.whitened.as_ref().filter(|_| state.plain_share < 1.0) {
+            state.plain.guess(&scratch.features, &mut scratch.memory, None)
+        });
+        let whitened = state.whitened.as_ref().filter(|_| share < 1.0).map(|whitened| {
             scratch.features.clear();
             scratch.features.extend_from_slice(&scratch.forward.whitened);
             unit_length(&mut scratch.features);
-            add(1.0 - state.plain_share, whitened.guess(&scratch.features, &mut scratch.memory, None));
-        }
-        guess
+            whitened.guess(&scratch.features, &mut scratch.memory, None)
+        });
+        let guess = match (plain, whitened) {
+            (Some(plain), Some(whitened)) => plain.mixed(share, whitened),
+            (one, other) => one.or(other).unwrap_or_default(),
+        };
+        Guess { variance_m2: guess.variance_m2 / (seen * seen), ..guess }
     }
 
     /// Fills missing channels with values of the pokes nearest to the forward expert's best position.
