@@ -30,7 +30,7 @@ const MODEL_ERROR: f64 = 0.002;
 pub enum NoiseSource {
     /// The scatter of the baseline's frames.
     Baseline,
-    /// The scatter of baselines of which each belongs to one frame.
+    /// The scatter of the baselines, where each frame has its own.
     Pairs,
     /// The frames themselves, see [`noise_of_frames`].
     Frames,

@@ -165,7 +165,7 @@ fn fit_all(
     let whitened = (n >= WHITENED_POKES * examples.channels)
         .then(|| whitened_rows(examples, &form.features, &judged))
         .transpose()?;
-    let usual = median(&judged.misfits);
+    let usual = median(&judged.misfits).max(f64::MIN_POSITIVE);
     let misfits: Vec<f64> = judged.misfits.iter().map(|misfit| misfit_ratio(*misfit, usual)).collect();
     let inverse = Inverse::fit(plain, whitened, &examples.positions_m, &rows, &misfits, weigh.is_earlier.as_deref())?;
     let joining = weigh.joining(JOINING);
