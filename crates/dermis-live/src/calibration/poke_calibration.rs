@@ -162,8 +162,7 @@ impl Calibration {
         let weighed = picked(MOST_WEIGHED).map(|i| &differences[i]).chain(some_earlier);
         let amplitudes: Result<Vec<f64>, Error> = weighed.map(|frame| Ok(weigh(frame)?.amplitude)).collect();
         let resting = measured.at_rest(&reference);
-        // The difference of two frames is noisier than a frame's difference from the mean of all.
-        let of_a_poke = if measured.has_pairs() { 1.0 } else { (0.5 + 0.5 / (resting.len() + 1) as f64).sqrt() };
+        let of_a_poke = measured.noise_share();
         let resting: Result<Vec<Weighed>, Error> = resting
             .iter()
             .map(|difference| weigh(difference).map(|rest| Weighed { amplitude: of_a_poke * rest.amplitude, ..rest }))

@@ -44,8 +44,16 @@ impl PokeFrames<'_> {
         differences.filter(|difference| difference.iter().any(|v| v.is_finite() && *v != 0.0)).collect()
     }
 
+    /// Noise of a poke's difference as a share of that of successive baselines: less if the baseline is a mean.
+    pub(super) fn noise_share(&self) -> f64 {
+        match self {
+            PokeFrames::Readings { baselines, .. } if !self.has_pairs() => (0.5 + 0.5 / baselines.len() as f64).sqrt(),
+            _ => 1.0,
+        }
+    }
+
     /// True if each poke has its own baseline.
-    pub(super) fn has_pairs(&self) -> bool {
+    fn has_pairs(&self) -> bool {
         matches!(self, PokeFrames::Readings { baselines, frames } if are_pairs(baselines, frames))
     }
 }

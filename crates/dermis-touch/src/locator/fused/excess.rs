@@ -57,12 +57,7 @@ impl Excess {
     /// Factor on the posterior's variance.
     pub(super) fn of(&self, frame: Unlike) -> f64 {
         let distance = (frame.distance / self.usual_distance).clamp(LIMITS.0, LIMITS.1);
-        self.misfit_ratio(frame.novelty).powf(MISFIT_POWER) * distance.powf(self.distance_power)
-    }
-
-    /// See [`misfit_ratio`].
-    pub(super) fn misfit_ratio(&self, novelty: f64) -> f64 {
-        misfit_ratio(novelty, self.usual_novelty)
+        misfit_ratio(frame.novelty, self.usual_novelty).powf(MISFIT_POWER) * distance.powf(self.distance_power)
     }
 
     /// The law that predicts left-out examples best.

@@ -1,6 +1,6 @@
 //! Locates one frame with both experts, without allocating.
 
-use super::excess::Unlike;
+use super::excess::{Unlike, misfit_ratio};
 use super::features::Features;
 use super::inverse::{Guess, Memory};
 use super::inverse_fit::plain_share;
@@ -95,7 +95,7 @@ impl FusedLocator {
     /// The inverse expert's position in a frame with this misfit. Missing channels increase its variance.
     fn guess(&self, scratch: &mut FusedScratch, seen: f64, novelty: f64) -> Guess {
         let state = &self.state;
-        let share = plain_share(state.plain_share, state.excess.misfit_ratio(novelty));
+        let share = plain_share(state.plain_share, misfit_ratio(novelty, state.excess.usual_novelty));
         let plain = (share > 0.0).then(|| {
             if !scratch.forward.missing_now.is_empty() {
                 self.stand_in(scratch);
