@@ -79,11 +79,14 @@ pub struct Memory {
     first: Pause,
     gone: Pause,
     further: Pause,
+    /// Presses that a frame clearly needed, and the one that was in doubt.
+    needed: Option<(Vec<Press>, Press)>,
 }
 
 impl Memory {
     fn nothing() -> Self {
-        Self { last: Vec::new(), left: 0.0, first: Pause::over(), gone: Pause::over(), further: Pause::over() }
+        let (first, gone, further) = (Pause::over(), Pause::over(), Pause::over());
+        Self { last: Vec::new(), left: 0.0, first, gone, further, needed: None }
     }
 }
 
@@ -200,7 +203,10 @@ impl Estimator {
         let null = self.fit.take_frame(frame)?;
         self.forget_sets();
         let nothing = || Explanation { presses: Vec::new(), cost: null };
-        let last = std::mem::take(&mut self.memory.last);
+        let mut last = std::mem::take(&mut self.memory.last);
+        if self.have_gone(&last, &null) {
+            last.clear();
+        }
         // An allowance for the frame is no longer than either part.
         let has_parts = !last.is_empty() && self.left.is_none();
         if has_parts {
@@ -266,6 +272,14 @@ impl Estimator {
         }
         let warm = self.fitted(moved.as_ref().map_or(last, |moved| &moved.presses), Effort::Full)?;
         Some(self.without_superfluous(warm, null))
+    }
+
+    /// True if the presses of the last frame have gone: the frame is noise, and contains too little of them to hold
+    /// them.
+    fn have_gone(&mut self, last: &[Press], null: &Cost) -> bool {
+        let little = PROMISING * self.evidence.hold.powi(2);
+        let is_little = |cost: Cost| null.residual - cost.residual < little;
+        null.is_noise() && self.fit.fit_loads(last).is_some_and(is_little)
     }
 
     /// True if this leaves clearly more than the last frame's explanation did.
@@ -486,9 +500,10 @@ impl Estimator {
 
 /// True if two sets of presses would be fitted to the same result.
 fn is_same(a: &[Press], b: &[Press]) -> bool {
-    let near = |p: &Press, q: &Press| {
-        let wider = (p.radius_m / q.radius_m).ln().abs();
-        p.load * q.load > 0.0 && p.distance_m(q) < SAME * q.radius_m && wider < SAME
-    };
-    a.len() == b.len() && a.iter().all(|p| b.iter().any(|q| near(p, q)))
+    a.len() == b.len() && a.iter().all(|p| b.iter().any(|q| p.load * q.load > 0.0 && is_near(p, q)))
+}
+
+/// True if two presses have about the same place and radius.
+fn is_near(p: &Press, q: &Press) -> bool {
+    p.distance_m(q) < SAME * q.radius_m && (p.radius_m / q.radius_m).ln().abs() < SAME
 }

@@ -1,6 +1,6 @@
 //! Removes the presses that an explanation doesn't need.
 
-use super::{Estimator, Explanation};
+use super::{Estimator, Explanation, SAME, is_near};
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press};
 
@@ -45,7 +45,7 @@ impl Estimator {
             let worst = if sureness < 0.0 { worst } else { overlaps.unwrap_or(worst) };
             let mut others = of.presses.clone();
             others.remove(worst);
-            if sureness >= 0.0 && overlaps.is_none() && self.is_clearly_needed(&of.presses, &others) {
+            if sureness >= 0.0 && overlaps.is_none() && self.is_clearly_needed(worst, &of, &others) {
                 break;
             }
             let is_first = others.is_empty();
@@ -82,17 +82,30 @@ impl Estimator {
         })
     }
 
-    /// True if quick fits leave no doubt that the frame needs all presses, not just these others. The full response
-    /// would take several times as long.
-    fn is_clearly_needed(&mut self, presses: &[Press], others: &[Press]) -> bool {
+    /// True if quick fits leave no doubt that the frame needs all presses of an explanation, not just these others
+    /// without the worst. The full response would take several times as long. The answer holds for as long as the
+    /// presses stay where and as strong as they are, and explain as much.
+    fn is_clearly_needed(&mut self, worst: usize, of: &Explanation, others: &[Press]) -> bool {
         if others.is_empty() || !self.fit.has_quick_fit() {
             return false;
         }
-        self.fit.linearise_about(presses);
-        let costs = [presses, others].map(|presses| self.fit.fit(presses, Effort::Quick));
+        let is_known = self.memory.needed.as_ref().is_some_and(|(all, doubted)| {
+            is_unchanged(&of.presses[worst], doubted)
+                && all.len() == of.presses.len()
+                && of.presses.iter().all(|press| all.iter().any(|known| is_unchanged(press, known)))
+        });
+        if is_known && !self.is_worse(&of.cost) {
+            return true;
+        }
+        self.fit.linearise_about(&of.presses);
+        let costs = [&of.presses, others].map(|presses| self.fit.fit(presses, Effort::Quick));
         self.fit.linearise_about(&[]);
         let [Some(all), Some(fewer)] = costs else { return false };
-        Evidence::of(&fewer, &all, false) >= CLEARLY * self.evidence.hold
+        let is_needed = Evidence::of(&fewer, &all, false) >= CLEARLY * self.evidence.hold;
+        if is_needed {
+            self.memory.needed = Some((of.presses.clone(), of.presses[worst]));
+        }
+        is_needed
     }
 
     /// The weaker of two presses that overlap.
@@ -107,4 +120,9 @@ impl Estimator {
         }
         None
     }
+}
+
+/// True if one press is another, of about the same strength.
+fn is_unchanged(press: &Press, known: &Press) -> bool {
+    press.load * known.load > 0.0 && is_near(press, known) && (press.load / known.load).ln().abs() < SAME
 }

@@ -16,7 +16,7 @@ mod search;
 mod sheet;
 
 pub use plates::{PlateContact, PlatePoint, PlatedSheet};
-pub use search::{Looked, PatchSearch, PatchSets};
+pub use search::{PatchSearch, PatchSets};
 pub use sheet::{ContactPatch, ContactSheet};
 
 #[cfg(test)]

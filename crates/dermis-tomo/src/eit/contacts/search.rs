@@ -16,6 +16,9 @@ const EXTENDED: usize = 60;
 const MOST: usize = 4;
 /// Number of channels processed in parallel.
 const LANES: usize = 16;
+/// Sets are first ranked on this many lanes of channels. Only the best are judged on all channels.
+const RANKING_LANES: usize = 4;
+const JUDGED: usize = 500;
 
 /// Distribution of a port's current over its nodes.
 type Shape = Vec<(usize, f64)>;
@@ -24,6 +27,8 @@ type Shape = Vec<(usize, f64)>;
 #[derive(Debug)]
 pub struct PatchSearch {
     patches: Vec<ContactPatch>,
+    /// Channels in the order of the lanes: the first lanes sample all stimulations and measuring patterns.
+    order: Vec<usize>,
     /// Ports x ports, ohm. The diagonal holds each port's own resistance, including its contact.
     resistance: Vec<Vec<f64>>,
     /// Ports x channels: the effect of a single port, volts, and its potentials under the channel's stimulation and
@@ -72,14 +77,9 @@ pub struct PatchSets {
     /// Changes of the channels over their standard deviations, and the inverse standard deviations; 0 if missing.
     scaled: Vec<[f32; LANES]>,
     weight: Vec<[f32; LANES]>,
-    /// Sum of squares of the scaled changes.
-    energy: f64,
     /// Sets of the last size, best first.
     best: Vec<Candidate>,
     size: usize,
-    /// Sets of the next size, and the residual energies of those judged already.
-    grown: Vec<Ports>,
-    judged: Vec<Candidate>,
     operations: f64,
 }
 
@@ -88,17 +88,6 @@ impl PatchSets {
     pub fn operations(&self) -> f64 {
         self.operations
     }
-}
-
-/// Result of a call.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Looked {
-    /// More sets of this size remain to be judged.
-    NotDone,
-    /// The best set of this size.
-    Best(Vec<ContactPatch>),
-    /// There is no room for a larger set, or the set has four patches.
-    NoRoom,
 }
 
 impl PatchSearch {
@@ -111,6 +100,7 @@ impl PatchSearch {
             places_m.iter().map(|&position_m| ContactPatch { position_m, ..typical }).collect();
         let mut shapes = Vec::with_capacity(patches.len());
         let (mut fields, mut alone_v, mut own) = (Vec::new(), Vec::new(), Vec::new());
+        let order = scattered(sheet.channels());
         for patch in &patches {
             let touched = sheet.touch(&[*patch])?;
             let total: f64 = touched.common.iter().sum();
@@ -121,18 +111,20 @@ impl PatchSearch {
                     .map(|t| shape.iter().map(|(n, share)| share * sheet.fields[(t, *n)]).sum())
                     .collect(),
             );
-            alone_v.push(in_lanes(sheet.change_of(&touched)));
+            alone_v.push(in_lanes(&order, &sheet.change_of(&touched)));
             own.push(1.0 / total);
             shapes.push(shape);
         }
         let resistance = resistances(sheet, &shapes, &own);
         let of_channels = |value: &dyn Fn(&Measurement, &[f64]) -> f64| -> Vec<Vec<[f32; LANES]>> {
-            let of_port = |fields: &Vec<f64>| in_lanes(sheet.measurements.iter().map(|m| value(m, fields)));
+            let of_port = |fields: &Vec<f64>| {
+                in_lanes(&order, &sheet.measurements.iter().map(|m| value(m, fields)).collect::<Vec<_>>())
+            };
             fields.iter().map(of_port).collect()
         };
         let driven = of_channels(&|m, fields| fields[m.stimulation as usize]);
         let measured = of_channels(&|m, fields| sheet.measured(m, |field| fields[field]));
-        Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
+        Ok(Self { patches, order, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
     /// Starts the search in changes of the channels (volts, non-finite if missing) with these standard deviations.
@@ -146,67 +138,55 @@ impl PatchSearch {
             channels.map(|(change, sigma)| if change.is_finite() { value(*change, *sigma) } else { 0.0 }).collect()
         };
         let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
-        let energy = scaled.iter().map(|v| v * v).sum();
-        let (scaled, weight) = (in_lanes(scaled), in_lanes(weight));
-        Ok(PatchSets {
-            scaled,
-            weight,
-            energy,
-            best: Vec::new(),
-            size: 0,
-            grown: Vec::new(),
-            judged: Vec::new(),
-            operations: 0.0,
-        })
+        let (scaled, weight) = (in_lanes(&self.order, &scaled), in_lanes(&self.order, &weight));
+        Ok(PatchSets { scaled, weight, best: Vec::new(), size: 0, operations: 0.0 })
     }
 
-    /// Searches for the best single patch, on later calls the best pair and so on up to four: starting points for a
-    /// fit. Judges at most `most` sets per call.
-    pub fn look(&self, sets: &mut PatchSets, most: usize) -> Looked {
-        if sets.grown.is_empty() {
-            self.grow(sets);
-            if sets.grown.is_empty() {
-                return Looked::NoRoom;
-            }
+    /// The best single patch, on later calls the best pair and so on up to four: starting points for a fit. `None` if
+    /// there is no room for a larger set, or the set has four patches.
+    pub fn look(&self, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
+        let mut grown = self.grow(sets);
+        let lanes = sets.scaled.len();
+        if grown.len() > JUDGED && lanes > RANKING_LANES {
+            let mut ranked = self.judge(sets, &grown, RANKING_LANES);
+            ranked.select_nth_unstable_by(JUDGED, |a, b| a.left.total_cmp(&b.left));
+            grown = ranked[..JUDGED].iter().map(|candidate| candidate.ports).collect();
         }
-        let from = sets.judged.len();
-        let to = sets.grown.len().min(from + most.max(1));
-        let judged = Arch::new().dispatch(Judge { search: self, sets, grown: &sets.grown[from..to] });
-        sets.judged.extend(judged);
-        // Each port adds its effect, and each pair of them its part of the currents between them.
-        let of_one = (sets.scaled.len() * LANES * (sets.size + 1).pow(2)) as f64;
-        sets.operations += of_one * (to - from) as f64;
-        if to < sets.grown.len() {
-            return Looked::NotDone;
-        }
-        sets.grown.clear();
-        std::mem::swap(&mut sets.best, &mut sets.judged);
-        sets.judged.clear();
+        sets.best = self.judge(sets, &grown, lanes);
         sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
         sets.size += 1;
-        match sets.best.first() {
-            Some(best) => Looked::Best(best.ports.list().iter().map(|&port| self.patches[port]).collect()),
-            None => Looked::NoRoom,
-        }
+        let best = sets.best.first()?;
+        Some(best.ports.list().iter().map(|&port| self.patches[port]).collect())
     }
 
-    /// Grows the sets by one patch.
-    fn grow(&self, sets: &mut PatchSets) {
+    /// Judges sets of one size by the channels in the first lanes.
+    fn judge(&self, sets: &mut PatchSets, grown: &[Ports], lanes: usize) -> Vec<Candidate> {
+        // Each port adds its effect, and each pair of them its part of the currents between them.
+        sets.operations += (lanes * LANES * (sets.size + 1).pow(2) * grown.len()) as f64;
+        let (scaled, weight) = (&sets.scaled[..lanes], &sets.weight[..lanes]);
+        Arch::new().dispatch(Judge { search: self, scaled, weight, grown })
+    }
+
+    /// The sets of the next size.
+    fn grow(&self, sets: &PatchSets) -> Vec<Ports> {
         let count = self.patches.len();
-        match sets.size {
-            0 => sets.grown.extend((0..count).map(Ports::one)),
-            MOST.. => {}
-            size => {
-                // Try all pairs: one port between two touches explains much of the data but is a dead end.
-                let extended = if size == 1 { count } else { EXTENDED };
-                for candidate in sets.best.iter().take(extended) {
-                    let first = if size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
-                    let list = candidate.ports.list();
-                    let room = |port: &usize| list.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
-                    sets.grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
-                }
-            }
+        if sets.size == 0 {
+            return (0..count).map(Ports::one).collect();
         }
+        let mut grown = Vec::new();
+        // Try all pairs: one port between two touches explains much of the data but is a dead end.
+        let extended = match sets.size {
+            1 => count,
+            MOST.. => 0,
+            _ => EXTENDED,
+        };
+        for candidate in sets.best.iter().take(extended) {
+            let first = if sets.size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
+            let list = candidate.ports.list();
+            let room = |port: &usize| list.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
+            grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
+        }
+        grown
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
@@ -218,7 +198,7 @@ impl PatchSearch {
     /// `D_jk = R_jk - R_jn - R_nk + R_nn`, a channel changes by the sum of the single-port effects minus
     /// `d_m' D^-1 d_s`.
     #[inline(always)]
-    fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
+    fn left(&self, ports: &Ports, scaled: &[[f32; LANES]], weight: &[[f32; LANES]], energy: f64) -> f64 {
         let (ports, unknowns) = (ports.list(), ports.count - 1);
         let last = ports[unknowns];
         let mut loops = [[0.0; MOST - 1]; MOST - 1];
@@ -231,7 +211,7 @@ impl PatchSearch {
         invert(&mut loops, unknowns);
         let loops = loops.map(|row| row.map(|value| value as f32));
         let mut sums = Sums::default();
-        for (lane, (scaled, weight)) in sets.scaled.iter().zip(&sets.weight).enumerate() {
+        for (lane, (scaled, weight)) in scaled.iter().zip(weight).enumerate() {
             let mut values = self.alone_v[last][lane];
             for &port in &ports[..unknowns] {
                 let alone = &self.alone_v[port][lane];
@@ -258,14 +238,15 @@ impl PatchSearch {
                 sums.square[k] += value * value;
             }
         }
-        sums.left(sets.energy)
+        sums.left(energy)
     }
 }
 
 /// Judges the sets in one loop, so that all of it is compiled for the vector instructions of the machine.
 struct Judge<'a> {
     search: &'a PatchSearch,
-    sets: &'a PatchSets,
+    scaled: &'a [[f32; LANES]],
+    weight: &'a [[f32; LANES]],
     grown: &'a [Ports],
 }
 
@@ -274,9 +255,11 @@ impl NullaryFnOnce for Judge<'_> {
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let mut judged = Vec::with_capacity(self.grown.len());
-        for &ports in self.grown {
-            judged.push(Candidate { ports, left: self.search.left(&ports, self.sets) });
+        let Self { search, scaled, weight, grown } = self;
+        let energy = scaled.iter().flatten().map(|value| f64::from(*value).powi(2)).sum();
+        let mut judged = Vec::with_capacity(grown.len());
+        for &ports in grown {
+            judged.push(Candidate { ports, left: search.left(&ports, scaled, weight, energy) });
         }
         judged
     }
@@ -318,18 +301,22 @@ fn resistances(sheet: &ContactSheet, shapes: &[Shape], own: &[f64]) -> Vec<Vec<f
     resistance
 }
 
-/// Splits the channels into lanes, padded with zeros.
-fn in_lanes(values: impl IntoIterator<Item = f64>) -> Vec<[f32; LANES]> {
-    let mut lanes = Vec::new();
-    for (k, value) in values.into_iter().enumerate() {
-        if k % LANES == 0 {
-            lanes.push([0.0; LANES]);
-        }
-        if let Some(lane) = lanes.last_mut() {
-            lane[k % LANES] = value as f32;
-        }
-    }
-    lanes
+/// Numbers below `count` in an order whose beginnings are spread evenly, by multiples of the golden ratio.
+fn scattered(count: usize) -> Vec<usize> {
+    const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by_key(|&channel| GOLDEN.wrapping_mul(channel as u64));
+    order
+}
+
+/// Splits the channels into lanes in this order, padded with zeros.
+fn in_lanes(order: &[usize], values: &[f64]) -> Vec<[f32; LANES]> {
+    let lane = |channels: &[usize]| {
+        let mut lane = [0.0; LANES];
+        lane.iter_mut().zip(channels).for_each(|(lane, &channel)| *lane = values[channel] as f32);
+        lane
+    };
+    order.chunks(LANES).map(lane).collect()
 }
 
 /// Inverts the leading block of this size in place by Gauss-Jordan elimination; it is positive definite.
