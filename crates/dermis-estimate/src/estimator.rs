@@ -79,14 +79,15 @@ pub struct Memory {
     first: Pause,
     gone: Pause,
     further: Pause,
-    /// Presses that a frame clearly needed, and the one that was in doubt.
-    needed: Option<(Vec<Press>, Press)>,
+    /// Presses that explained a frame together, and those of them that it clearly needed.
+    together: Vec<Press>,
+    needed: Vec<Press>,
 }
 
 impl Memory {
     fn nothing() -> Self {
         let (first, gone, further) = (Pause::over(), Pause::over(), Pause::over());
-        Self { last: Vec::new(), left: 0.0, first, gone, further, needed: None }
+        Self { last: Vec::new(), left: 0.0, first, gone, further, together: Vec::new(), needed: Vec::new() }
     }
 }
 

@@ -286,7 +286,7 @@ impl Pipeline {
         let difference = &mut self.buffers.difference;
         difference.clear();
         difference.extend(self.baseline.compensated().iter().zip(&reference.scale).map(|(d, s)| d * s));
-        let sight = self.examine_health(at)?;
+        let sight = self.examine_health(time_ns, at)?;
         let State::Running(running) = &mut self.state else { return Ok(Seen { touched: false, believed: false }) };
         let reconstructor = &mut running.reconstructor;
         let Buffers { difference, image, .. } = &mut self.buffers;
@@ -334,7 +334,7 @@ impl Pipeline {
 
     /// Checks the health of the current frame and applies the result. Excluded channels are removed from it, and
     /// operator, image noise and refinement continue with the others.
-    fn examine_health(&mut self, at: (u64, u64)) -> Result<Sight, Error> {
+    fn examine_health(&mut self, time_ns: u64, at: (u64, u64)) -> Result<Sight, Error> {
         let (Some(health), State::Running(running)) = (&mut self.health, &mut self.state) else {
             return Ok(Sight::Clear);
         };
@@ -348,7 +348,7 @@ impl Pipeline {
         let (raw, scale) = (self.baseline.raw(), &reference.scale);
         let frame = HealthFrame { at, raw, scale, difference, expected, is_touched };
         let HealthDecision { excluded, left_out, moved, sight } =
-            health.examine(&frame, || reconstructor.refinement.explains(difference))?;
+            health.examine(&frame, || reconstructor.refinement.explains(time_ns, difference))?;
         for (value, _) in difference.iter_mut().zip(excluded).filter(|(_, excluded)| **excluded) {
             *value = f64::NAN;
         }

@@ -230,6 +230,9 @@ pub struct Contact {
     /// True if a fit found that exactly one touch explains it.
     #[serde(default)]
     pub is_single: bool,
+    /// True if a search of an earlier frame found it, too. It then counts as two frames towards a touch.
+    #[serde(default)]
+    pub was_found: bool,
 }
 
 impl Contact {
@@ -253,6 +256,7 @@ impl Contact {
             load: None,
             other_place: None,
             is_single: false,
+            was_found: false,
         }
     }
 

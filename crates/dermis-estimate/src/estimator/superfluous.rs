@@ -1,6 +1,6 @@
 //! Removes the presses that an explanation doesn't need.
 
-use super::{Estimator, Explanation, SAME, is_near};
+use super::{Estimator, Explanation, Memory, SAME, is_near};
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press};
 
@@ -89,12 +89,11 @@ impl Estimator {
         if others.is_empty() || !self.fit.has_quick_fit() {
             return false;
         }
-        let is_known = self.memory.needed.as_ref().is_some_and(|(all, doubted)| {
-            is_unchanged(&of.presses[worst], doubted)
-                && all.len() == of.presses.len()
-                && of.presses.iter().all(|press| all.iter().any(|known| is_unchanged(press, known)))
-        });
-        if is_known && !self.is_worse(&of.cost) {
+        let Memory { together, needed, .. } = &self.memory;
+        let is_among = |press: &Press, some: &[Press]| some.iter().any(|known| is_unchanged(press, known));
+        let are_together =
+            together.len() == of.presses.len() && of.presses.iter().all(|press| is_among(press, together));
+        if are_together && is_among(&of.presses[worst], needed) && !self.is_worse(&of.cost) {
             return true;
         }
         self.fit.linearise_about(&of.presses);
@@ -103,7 +102,11 @@ impl Estimator {
         let [Some(all), Some(fewer)] = costs else { return false };
         let is_needed = Evidence::of(&fewer, &all, false) >= CLEARLY * self.evidence.hold;
         if is_needed {
-            self.memory.needed = Some((of.presses.clone(), of.presses[worst]));
+            if !are_together {
+                self.memory.together.clone_from(&of.presses);
+                self.memory.needed.clear();
+            }
+            self.memory.needed.push(of.presses[worst]);
         }
         is_needed
     }

@@ -320,8 +320,8 @@ impl Refinement {
     }
 
     /// True if presses explain a frame (model volts, finite) for the most part.
-    pub(crate) fn explains(&mut self, difference: &[f64]) -> bool {
-        self.stage().is_some_and(|stage| stage.explains(difference))
+    pub(crate) fn explains(&mut self, time_ns: u64, difference: &[f64]) -> bool {
+        self.stage().is_some_and(|stage| stage.explains(time_ns, difference))
     }
 
     /// Presses that are part of the baseline but have ended, once that is certain.

@@ -19,7 +19,7 @@ use crate::stages::pace::Pace;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::{Peaks, Remains};
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
-use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, InVain, Pause, Searched};
+use crate::stages::touch_search::{AT_ONCE, Explained, InVain, Patience, Pause, Searched};
 use crate::stages::touch_search::{doubt, is_outstanding};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
@@ -59,6 +59,10 @@ pub(crate) struct SpotStage {
     is_joint: bool,
     /// A search that takes longer than a frame.
     search: Beside<Searched>,
+    /// Its result, if it was due before contacts were known.
+    due: Option<Explained>,
+    /// The presses that it found in an earlier frame, if that was due in this frame.
+    found: Vec<Press>,
     /// The image showed contacts when it began, and has shown none since.
     is_search_of_contacts: bool,
     is_search_stale: bool,
@@ -110,6 +114,8 @@ impl SpotStage {
         Self {
             is_joint,
             search: Beside::new(),
+            due: None,
+            found: Vec::new(),
             is_search_of_contacts: false,
             is_search_stale: false,
             pause: Pause::default(),
@@ -189,6 +195,8 @@ impl SpotStage {
     pub(crate) fn forget(&mut self) {
         self.estimator.forget();
         self.search.cancel();
+        self.due = None;
+        self.found.clear();
         self.pause = Pause::default();
         self.in_vain.clear();
         self.pace.forget();
@@ -254,13 +262,14 @@ impl SpotStage {
             return self.refine_now(time_ns, difference, imager, lowest, contacts);
         }
         self.is_search_stale |= contacts.is_empty() && self.is_search_of_contacts;
-        match self.searched(time_ns) {
+        match self.searched(time_ns, difference) {
             // This frame starts from the presses found.
             None => {}
             Some(Explained::By(estimate, false)) if self.is_accepted(&estimate) => {}
             Some(explained) => {
                 self.show(time_ns, explained, imager, lowest, contacts);
                 self.pace.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
+                self.found.clear();
                 return;
             }
         }
@@ -272,6 +281,7 @@ impl SpotStage {
             let busy_ns = if is_in_vain || self.is_unhurried { 0 } else { spent_ns };
             self.pace.keep(time_ns, busy_ns, if self.shown.is_empty() { &[] } else { contacts });
         }
+        self.found.clear();
     }
 
     /// True if presses explain so much of a frame that they are shown.
@@ -313,8 +323,7 @@ impl SpotStage {
             return self.show(time_ns, explained, imager, lowest, contacts);
         }
         if !self.is_unhurried {
-            let is_in_vain = self.pause.has_begun() || of_frame.has_begun();
-            self.estimator.allow(if is_in_vain { AT_ONCE_IN_VAIN } else { AT_ONCE });
+            self.estimator.allow(AT_ONCE);
         }
         let memory = self.estimator.memory().clone();
         let explained = match self.search.is_under_way() {
@@ -328,7 +337,7 @@ impl SpotStage {
         let so_far = so_far.filter(|estimate| self.is_accepted(estimate));
         let is_lost = has_jumped || so_far.is_none() && self.estimator.is_out_of_work();
         if !self.search.is_under_way() {
-            self.search(time_ns, difference, memory.clone());
+            self.search(time_ns, difference, memory.clone(), Patience::Short);
         }
         if is_lost {
             self.estimator.set_memory(memory);
@@ -420,6 +429,7 @@ impl SpotStage {
                 force: by_contact.or_else(by_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,
+                was_found: self.found.iter().any(|found| press.distance_m(found) < press.radius_m),
                 ..Contact::even(press.position_m, value, area_m2)
             });
             self.shown.push(*press);

@@ -4,12 +4,14 @@
 use dermis_estimate::{Estimate, Estimator, MOST_NOISE, Memory, Press};
 use dermis_touch::{Contact, ContactStrength};
 
-/// Most operations of a search within a frame: some 8 ms on one core. It suffices for three presses on most sandwiches.
-pub(super) const AT_ONCE: f64 = 5e7;
-/// The same while no presses explain the frames: the search fails or takes long, and goes on in the background anyway.
-pub(super) const AT_ONCE_IN_VAIN: f64 = 2e7;
-/// Delay after which a search in the background takes effect, nanoseconds. It takes up to 150 ms on one slow core.
-pub(super) const READY_NS: u64 = 160_000_000;
+/// Most operations of a search within a frame: some 1.5 ms on one core. It suffices for one press on most sandwiches.
+pub(super) const AT_ONCE: f64 = 1e7;
+/// The first searches in the background: most operations, which suffice for three presses on most sandwiches, and the
+/// delay after which they take effect, nanoseconds. At up to 60 frames per second, that is by the next frame.
+const SOON: f64 = 5e7;
+const SOON_NS: u64 = 15_000_000;
+/// Delay after which longer searches take effect, nanoseconds. They take up to 150 ms on one slow core.
+const LATER_NS: u64 = 160_000_000;
 /// A frame whose presses leave less than this share of its energy unexplained is not searched for presses that have
 /// ended but are still part of the baseline.
 const CLEARLY_EXPLAINED: f64 = 0.005;
@@ -27,6 +29,23 @@ const MOST_REMEMBERED: usize = 8;
 /// Two frames are the same if their difference, beyond the noise, has less than this share of the energy.
 const SAME: f64 = 0.02;
 
+/// How long a search in the background may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Patience {
+    Short,
+    Long,
+}
+
+impl Patience {
+    /// Delay after which the search takes effect, nanoseconds.
+    pub fn delay_ns(self) -> u64 {
+        match self {
+            Self::Short => SOON_NS,
+            Self::Long => LATER_NS,
+        }
+    }
+}
+
 /// A frame to explain.
 pub(super) struct TouchSearch {
     pub estimator: Estimator,
@@ -36,6 +55,7 @@ pub(super) struct TouchSearch {
     pub hints: Vec<Press>,
     /// Presses that are part of the baseline may have ended.
     pub is_gone_possible: bool,
+    pub patience: Patience,
 }
 
 /// The result of a search.
@@ -47,16 +67,25 @@ pub(super) struct Searched {
     pub with_gone: Option<Option<Estimate>>,
     /// The estimator's memory.
     pub memory: Memory,
+    /// The search ended early, since it had this patience.
+    pub is_out_of_work: bool,
+    pub patience: Patience,
 }
 
 impl TouchSearch {
-    /// Searches as long as the estimator allows itself.
+    /// Searches as long as its patience allows, or the estimator itself.
     pub fn run(mut self) -> Searched {
+        if self.patience == Patience::Short {
+            self.estimator.allow(SOON);
+        }
         let estimate = self.estimator.explain(&self.frame, &self.hints);
         let memory = self.estimator.memory().clone();
         let is_unexplained = estimate.as_ref().is_some_and(|estimate| !is_clearly_explained(estimate));
-        let with_gone = (is_unexplained && self.is_gone_possible).then(|| self.estimator.explain_with_gone());
-        Searched { estimate, with_gone, memory }
+        let is_out_of_work = self.estimator.is_out_of_work();
+        let looks_for_gone = is_unexplained && self.is_gone_possible && !is_out_of_work;
+        let with_gone = looks_for_gone.then(|| self.estimator.explain_with_gone());
+        let is_out_of_work = is_out_of_work || self.estimator.is_out_of_work();
+        Searched { estimate, with_gone, memory, is_out_of_work, patience: self.patience }
     }
 }
 
@@ -145,6 +174,7 @@ impl Unexplained {
 }
 
 /// Result of a frame's search.
+#[derive(Debug)]
 pub(super) enum Explained {
     /// The presses, and true if presses that have ended explain the frame as well.
     By(Estimate, bool),

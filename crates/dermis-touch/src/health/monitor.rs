@@ -18,8 +18,8 @@ const FARTHER: f64 = 3.0;
 const BESIDE: f64 = 0.3;
 /// Residual beyond the tolerance from which a channel looks faulty, in standard deviations.
 const SUSPECT: f64 = 3.0;
-/// Number of the frame that looks like faults in which presses are asked about again. The next may bring the verdict.
-const ASK_AGAIN: u32 = 3;
+/// Number of frames that look like faults in which presses are asked about. The next may bring the verdict.
+const ASKED: u32 = 3;
 /// Largest step that a touch can cause, as a share of the largest resting value. Used if there is nothing to compare
 /// with.
 const GROSS_STEP: f64 = 0.5;
@@ -217,12 +217,12 @@ impl HealthMonitor {
         }
     }
 
-    /// Asks whether presses explain a frame that looks like faults: in the first such frame, shortly before a verdict,
-    /// and as long as they do.
+    /// Asks whether presses explain a frame that looks like faults: in the first such frames, since the answer may take
+    /// longer than one of them, and as long as they do.
     fn ask(&mut self, difference: &[f64], unexplained: Option<&[f64]>, mut is_explained: impl FnMut() -> bool) {
         let is_suspect = self.looks_faulty(difference, unexplained);
         self.suspect_frames = if is_suspect { self.suspect_frames.saturating_add(1) } else { 0 };
-        let asks = is_suspect && (self.is_explained || [1, ASK_AGAIN].contains(&self.suspect_frames));
+        let asks = is_suspect && (self.is_explained || self.suspect_frames <= ASKED);
         self.is_explained = asks && is_explained();
         if self.is_explained {
             self.dead.fill(false);

@@ -3,7 +3,7 @@
 use dermis_estimate::{Estimate, Memory};
 
 use super::{EXPLAINED, SpotStage};
-use crate::stages::touch_search::{AT_ONCE, AT_ONCE_IN_VAIN, Explained, READY_NS, Searched, TouchSearch};
+use crate::stages::touch_search::{AT_ONCE, Explained, Patience, Searched, TouchSearch};
 
 impl SpotStage {
     /// The presses that explain a frame.
@@ -24,9 +24,6 @@ impl SpotStage {
         if !self.ended.looks_for(&estimate) {
             return self.concluded(estimate, None);
         }
-        if self.is_joint && self.ended.has_failed && !self.is_unhurried {
-            self.estimator.allow(AT_ONCE_IN_VAIN);
-        }
         let with_gone = self.estimator.explain_with_gone();
         if self.estimator.is_out_of_work() {
             return Explained::Later(Some(estimate));
@@ -39,38 +36,69 @@ impl SpotStage {
         self.search.is_under_way() || self.pause.has_begun()
     }
 
-    /// True if presses explain a frame for the most part. The next explanation starts from them.
-    pub(crate) fn explains(&mut self, difference: &[f64]) -> bool {
+    /// True if presses explain a frame for the most part. The next explanation starts from them. If that takes longer
+    /// than a frame, the answer is no, and later frames know it.
+    pub(crate) fn explains(&mut self, time_ns: u64, difference: &[f64]) -> bool {
+        self.due = self.searched(time_ns, difference);
         if self.is_joint && !self.is_unhurried {
+            // Operations for frames that were not shown don't count.
+            self.estimator.spent_ns();
             self.estimator.allow(AT_ONCE);
         }
         let memory = self.estimator.memory().clone();
-        let explained = self.estimator.explain(difference, &[]);
+        let explained = match self.search.is_under_way() {
+            true => self.estimator.follow(difference),
+            false => self.estimator.explain(difference, &[]),
+        };
         let is_explained = explained.is_some_and(|e| !e.presses.is_empty() && e.unexplained <= EXPLAINED);
-        if !is_explained {
-            self.estimator.set_memory(memory);
+        if is_explained {
+            return true;
         }
-        is_explained
+        if self.estimator.is_out_of_work() && !self.search.is_under_way() {
+            self.search(time_ns, difference, memory.clone(), Patience::Short);
+        }
+        self.estimator.set_memory(memory);
+        false
     }
 
     /// Explains a frame in the background, with this memory of the frames before it.
-    pub(super) fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory) {
+    pub(super) fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory, patience: Patience) {
         let Some(mut estimator) = self.estimator.copy() else { return };
         estimator.set_memory(memory);
         let (frame, hints, is_gone_possible) = (difference.to_vec(), self.hints.clone(), self.ended.is_due());
-        let search = TouchSearch { estimator, frame, hints, is_gone_possible };
+        let search = TouchSearch { estimator, frame, hints, is_gone_possible, patience };
         self.is_search_stale = false;
         self.is_search_of_contacts = !self.hints.is_empty();
-        self.search.begin(time_ns.saturating_add(READY_NS), move |_| Some(search.run()));
+        self.search.begin(time_ns.saturating_add(patience.delay_ns()), move |_| Some(search.run()));
     }
 
-    /// The result of a search in the background, once it is due.
-    pub(super) fn searched(&mut self, time_ns: u64) -> Option<Explained> {
-        let Searched { estimate, with_gone, memory } = self.search.take(time_ns).filter(|_| !self.is_search_stale)?;
+    /// The result of a search in the background, once it is due. A short search that did not suffice is followed by a
+    /// longer one, of the present frame. The presses found by then are followed until that is due.
+    pub(super) fn searched(&mut self, time_ns: u64, difference: &[f64]) -> Option<Explained> {
+        if self.due.is_some() {
+            return self.due.take();
+        }
+        let searched = self.search.take(time_ns).filter(|_| !self.is_search_stale)?;
+        let Searched { mut estimate, with_gone, memory, is_out_of_work, patience } = searched;
+        let goes_on = is_out_of_work && patience == Patience::Short;
+        if goes_on {
+            self.search(time_ns, difference, self.estimator.memory().clone(), Patience::Long);
+            estimate = Some(estimate.filter(|estimate| self.is_accepted(estimate))?);
+        }
         self.estimator.set_memory(memory);
         let Some(estimate) = estimate else { return Some(Explained::Nothing) };
-        let looks_for_gone = self.ended.looks_for(&estimate);
-        Some(self.concluded(estimate, with_gone.filter(|_| looks_for_gone)))
+        let explained = if goes_on {
+            Explained::By(estimate, false)
+        } else {
+            let looks_for_gone = self.ended.looks_for(&estimate);
+            self.concluded(estimate, with_gone.filter(|_| looks_for_gone))
+        };
+        if let Explained::By(estimate, false) = &explained
+            && self.is_accepted(estimate)
+        {
+            self.found.clone_from(&estimate.presses);
+        }
+        Some(explained)
     }
 
     /// The explanation of a frame from that by present presses and, if they were looked for, that by presses that have
