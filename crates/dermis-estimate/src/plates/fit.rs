@@ -321,6 +321,9 @@ impl PressFit for PlateFit {
     }
 
     fn next_joint_set(&mut self, is_first: bool, have_ended: bool) -> Option<Vec<Press>> {
+        if self.work > self.most_work {
+            return None;
+        }
         let sign = if have_ended { -1.0 } else { 1.0 };
         if is_first {
             let volts: Vec<f64> = self.volts.iter().map(|value| sign * value).collect();

@@ -8,7 +8,7 @@ use dermis_tomo::least_squares::{
 use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
 use crate::plates::model::LONGEST_LOG;
 use crate::plates::pressure::{OF_PRESS, Pressed};
-use crate::press::Cost;
+use crate::press::{Cost, Effort};
 
 /// Initial damping.
 const DAMPING: f64 = 1e-3;
@@ -18,6 +18,8 @@ const CONVERGED: f64 = 2e-3;
 /// A fit has also converged when a step lowers the residual by less than this share of it, or of the model's own error.
 /// If the residual is noise, in some 200 readings, that is 0.2 of a squared standard deviation.
 const NO_BETTER: f64 = 1e-3;
+/// The same for a fit that only compares explanations. A full fit follows where it matters.
+const QUICK_NO_BETTER: f64 = 0.02;
 /// Largest move in one step, in radii.
 const LONGEST: f64 = 0.5;
 
@@ -122,8 +124,9 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
-        let PlateFit { error_share, frame, .. } = &*self.fit;
+        let PlateFit { error_share, frame, at, .. } = &*self.fit;
         let left = progress.after.max(error_share * inner_product(frame, frame));
-        progress.moved < CONVERGED || progress.before - progress.after < NO_BETTER * left
+        let no_better = if at.effort == Effort::Full { NO_BETTER } else { QUICK_NO_BETTER };
+        progress.moved < CONVERGED || progress.before - progress.after < no_better * left
     }
 }
