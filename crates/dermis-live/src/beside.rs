@@ -9,7 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(target_family = "wasm"))]
 use std::{cell::Cell, sync::LazyLock, thread::JoinHandle};
 
-/// Niceness of threads for patient work: they get a quarter of a core that others want.
+/// Niceness of threads for work in the background: they get a quarter of a core that others want. A thread as urgent
+/// as that of the frames would interrupt it for some milliseconds when it starts.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 5;
 /// Patient work that is late for an instrument's frames is asked for again after this time, nanoseconds.
@@ -26,10 +27,9 @@ thread_local! {
 static PATIENT: LazyLock<Option<rayon::ThreadPool>> =
     LazyLock::new(|| rayon::ThreadPoolBuilder::new().start_handler(|_| IS_PATIENT.set(true)).build().ok());
 
-/// Makes the current thread one for patient work.
+/// Makes the current thread one for work in the background.
 #[cfg(not(target_family = "wasm"))]
-fn be_patient() {
-    IS_PATIENT.set(true);
+fn be_nice() {
     // On Linux, each thread has a niceness of its own.
     #[cfg(target_os = "linux")]
     let _ = rustix::process::nice(NICENESS);
@@ -80,9 +80,8 @@ struct Outcome<T>(#[cfg(not(target_family = "wasm"))] JoinHandle<Option<T>>, #[c
 impl<T: Send + 'static> Outcome<T> {
     fn of(is_patient: bool, work: impl FnOnce() -> Option<T> + Send + 'static) -> Self {
         Self(std::thread::spawn(move || {
-            if is_patient {
-                be_patient();
-            }
+            be_nice();
+            IS_PATIENT.set(is_patient);
             work()
         }))
     }

@@ -26,6 +26,8 @@ const QUICK_STEPS: usize = 8;
 const FORCE_SHARE: f64 = 0.09;
 /// Radii from which joint sets may be fitted, relative to the typical one. Wider presses would explain much of a cut.
 const STARTING_RADII: [f64; 2] = [1.0, 1.4];
+/// Work per operation of a search for joint sets: it takes longer than those of factorisations.
+const WORK_OF_SETS: f64 = 1.5;
 /// Number of proposals for one more press.
 const PROPOSALS: usize = 3;
 /// Distance of these proposals from each other, in typical radii.
@@ -333,7 +335,7 @@ impl PressFit for PlateFit {
         let sets = self.joint.as_mut()?;
         let before = sets.operations();
         let places = self.model.next_joint(sets);
-        self.work += sets.operations() - before;
+        self.work += WORK_OF_SETS * (sets.operations() - before);
         let press = |position_m: Point| Press { position_m, radius_m, load: sign * load, ..Press::default() };
         Some(places?.into_iter().map(press).collect())
     }

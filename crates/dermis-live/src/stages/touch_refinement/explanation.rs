@@ -40,6 +40,9 @@ impl SpotStage {
     /// than a frame, the answer is no, and later frames know it.
     pub(crate) fn explains(&mut self, time_ns: u64, difference: &[f64]) -> bool {
         self.due = self.searched(time_ns, difference);
+        if self.due.is_some() && self.found.is_empty() {
+            return false;
+        }
         if self.is_joint && !self.is_unhurried {
             // Operations for frames that were not shown don't count.
             self.estimator.spent_ns();
