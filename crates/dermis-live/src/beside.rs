@@ -7,10 +7,17 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(target_family = "wasm"))]
-use std::{cell::Cell, sync::LazyLock, thread::JoinHandle};
+use std::{
+    cell::Cell,
+    panic::{AssertUnwindSafe, catch_unwind, resume_unwind},
+    sync::LazyLock,
+    thread,
+};
 
-/// Niceness of threads for work in the background: they get a quarter of a core that others want. A thread as urgent
-/// as that of the frames would interrupt it for some milliseconds when it starts.
+#[cfg(not(target_family = "wasm"))]
+use crossbeam_channel::{Receiver, Sender};
+
+/// Niceness of threads for work in the background: they get a quarter of a core that others want.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 5;
 /// Patient work that is late for an instrument's frames is asked for again after this time, nanoseconds.
@@ -27,13 +34,23 @@ thread_local! {
 static PATIENT: LazyLock<Option<rayon::ThreadPool>> =
     LazyLock::new(|| rayon::ThreadPoolBuilder::new().start_handler(|_| IS_PATIENT.set(true)).build().ok());
 
-/// Makes the current thread one for work in the background.
+/// Work for a thread of its own.
 #[cfg(not(target_family = "wasm"))]
-fn be_nice() {
-    // On Linux, each thread has a niceness of its own.
-    #[cfg(target_os = "linux")]
-    let _ = rustix::process::nice(NICENESS);
-}
+type Job = Box<dyn FnOnce() + Send>;
+
+/// Starts the threads for work in the background, so that they inherit its niceness. One that starts as urgent as the
+/// thread of the frames interrupts it for some milliseconds.
+#[cfg(not(target_family = "wasm"))]
+static STARTER: LazyLock<Sender<Job>> = LazyLock::new(|| {
+    let (send, jobs) = crossbeam_channel::unbounded::<Job>();
+    thread::spawn(move || {
+        // On Linux, each thread has a niceness of its own.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::process::nice(NICENESS);
+        jobs.into_iter().for_each(|job| drop(thread::Builder::new().spawn(job)));
+    });
+    send
+});
 
 /// Does parallel work on threads as patient as the current one. The work must not wait for locks that other patient
 /// work may hold.
@@ -74,25 +91,34 @@ struct UnderWay<T> {
 
 /// Result of work: from a thread, or computed at once if there are no threads (in a page).
 #[derive(Debug)]
-struct Outcome<T>(#[cfg(not(target_family = "wasm"))] JoinHandle<Option<T>>, #[cfg(target_family = "wasm")] Option<T>);
+struct Outcome<T>(
+    #[cfg(not(target_family = "wasm"))] Receiver<thread::Result<Option<T>>>,
+    #[cfg(target_family = "wasm")] Option<T>,
+);
 
 #[cfg(not(target_family = "wasm"))]
 impl<T: Send + 'static> Outcome<T> {
     fn of(is_patient: bool, work: impl FnOnce() -> Option<T> + Send + 'static) -> Self {
-        Self(std::thread::spawn(move || {
-            be_nice();
+        let (tell, told) = crossbeam_channel::bounded(1);
+        let job = move || {
             IS_PATIENT.set(is_patient);
-            work()
-        }))
+            // Nobody waits for work that is no longer wanted.
+            let _ = tell.send(catch_unwind(AssertUnwindSafe(work)));
+        };
+        if let Err(refused) = STARTER.send(Box::new(job)) {
+            // Without threads, the work is done at once.
+            refused.into_inner()();
+        }
+        Self(told)
     }
 
     fn is_there(&self) -> bool {
-        self.0.is_finished()
+        !self.0.is_empty()
     }
 
     fn wait(self) -> Option<T> {
-        // If the thread panicked, propagate its panic.
-        self.0.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        // If the work panicked, propagate its panic. There is no result if the system refused a thread.
+        self.0.recv().ok()?.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }
 

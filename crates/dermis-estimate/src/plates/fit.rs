@@ -323,9 +323,6 @@ impl PressFit for PlateFit {
     }
 
     fn next_joint_set(&mut self, is_first: bool, have_ended: bool) -> Option<Vec<Press>> {
-        if self.work > self.most_work {
-            return None;
-        }
         let sign = if have_ended { -1.0 } else { 1.0 };
         if is_first {
             let volts: Vec<f64> = self.volts.iter().map(|value| sign * value).collect();
@@ -333,9 +330,11 @@ impl PressFit for PlateFit {
         }
         let [load, radius_m] = self.model.reported_typical();
         let sets = self.joint.as_mut()?;
-        let before = sets.operations();
+        self.work += WORK_OF_SETS * self.model.joint_operations(sets);
+        if self.work > self.most_work {
+            return None;
+        }
         let places = self.model.next_joint(sets);
-        self.work += WORK_OF_SETS * (sets.operations() - before);
         let press = |position_m: Point| Press { position_m, radius_m, load: sign * load, ..Press::default() };
         Some(places?.into_iter().map(press).collect())
     }

@@ -126,6 +126,11 @@ impl PlateModel {
         self.search.as_ref()?.begin(self.sheets[0].sheet(), frame, deviations).ok()
     }
 
+    /// Most operations of the next call of [`PlateModel::next_joint`].
+    pub(super) fn joint_operations(&self, sets: &PatchSets) -> f64 {
+        self.search.as_ref().map_or(0.0, |search| search.operations(sets))
+    }
+
     /// The best positions for one press more than before.
     pub(super) fn next_joint(&self, sets: &mut PatchSets) -> Option<Vec<[f64; 2]>> {
         Some(self.search.as_ref()?.look(sets)?.iter().map(|patch| patch.position_m).collect())

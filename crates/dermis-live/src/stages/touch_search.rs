@@ -8,7 +8,7 @@ use dermis_touch::{Contact, ContactStrength};
 pub(super) const AT_ONCE: f64 = 1e7;
 /// The first searches in the background: most operations, which suffice for three presses on most sandwiches, and the
 /// delay after which they take effect, nanoseconds. At up to 60 frames per second, that is by the next frame.
-const SOON: f64 = 5e7;
+const SOON: f64 = 7e7;
 const SOON_NS: u64 = 15_000_000;
 /// Delay after which longer searches take effect, nanoseconds. They take up to 150 ms on one slow core.
 const LATER_NS: u64 = 160_000_000;

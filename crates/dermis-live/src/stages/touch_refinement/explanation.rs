@@ -3,7 +3,7 @@
 use dermis_estimate::{Estimate, Memory};
 
 use super::{EXPLAINED, SpotStage};
-use crate::stages::touch_search::{AT_ONCE, Explained, Patience, Searched, TouchSearch};
+use crate::stages::touch_search::{Explained, Patience, Searched, TouchSearch};
 
 impl SpotStage {
     /// The presses that explain a frame.
@@ -36,28 +36,22 @@ impl SpotStage {
         self.search.is_under_way() || self.pause.has_begun()
     }
 
-    /// True if presses explain a frame for the most part. The next explanation starts from them. If that takes longer
-    /// than a frame, the answer is no, and later frames know it.
+    /// True if presses explain a frame for the most part. The next explanation starts from them. If finding them takes
+    /// longer than following those of the last frame, the answer is no, and the next frames know it.
     pub(crate) fn explains(&mut self, time_ns: u64, difference: &[f64]) -> bool {
         self.due = self.searched(time_ns, difference);
         if self.due.is_some() && self.found.is_empty() {
             return false;
         }
-        if self.is_joint && !self.is_unhurried {
-            // Operations for frames that were not shown don't count.
-            self.estimator.spent_ns();
-            self.estimator.allow(AT_ONCE);
-        }
+        let is_slow = self.is_joint && !self.is_unhurried;
         let memory = self.estimator.memory().clone();
-        let explained = match self.search.is_under_way() {
-            true => self.estimator.follow(difference),
-            false => self.estimator.explain(difference, &[]),
-        };
+        let explained =
+            if is_slow { self.estimator.follow(difference) } else { self.estimator.explain(difference, &[]) };
         let is_explained = explained.is_some_and(|e| !e.presses.is_empty() && e.unexplained <= EXPLAINED);
         if is_explained {
             return true;
         }
-        if self.estimator.is_out_of_work() && !self.search.is_under_way() {
+        if is_slow && !self.search.is_under_way() {
             self.search(time_ns, difference, memory.clone(), Patience::Short);
         }
         self.estimator.set_memory(memory);

@@ -80,14 +80,6 @@ pub struct PatchSets {
     /// Sets of the last size, best first.
     best: Vec<Candidate>,
     size: usize,
-    operations: f64,
-}
-
-impl PatchSets {
-    /// Operations spent so far.
-    pub fn operations(&self) -> f64 {
-        self.operations
-    }
 }
 
 impl PatchSearch {
@@ -139,7 +131,7 @@ impl PatchSearch {
         };
         let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
         let (scaled, weight) = (in_lanes(&self.order, &scaled), in_lanes(&self.order, &weight));
-        Ok(PatchSets { scaled, weight, best: Vec::new(), size: 0, operations: 0.0 })
+        Ok(PatchSets { scaled, weight, best: Vec::new(), size: 0 })
     }
 
     /// The best single patch, on later calls the best pair and so on up to four: starting points for a fit. `None` if
@@ -159,10 +151,23 @@ impl PatchSearch {
         Some(best.ports.list().iter().map(|&port| self.patches[port]).collect())
     }
 
-    /// Judges sets of one size by the channels in the first lanes.
-    fn judge(&self, sets: &mut PatchSets, grown: &[Ports], lanes: usize) -> Vec<Candidate> {
+    /// Most operations of the next call of [`PatchSearch::look`].
+    pub fn operations(&self, sets: &PatchSets) -> f64 {
+        let count = self.patches.len();
+        let grown = match sets.size {
+            0 => count,
+            1 => count * count.saturating_sub(1) / 2,
+            _ => EXTENDED * count,
+        };
+        let lanes = sets.scaled.len();
+        let judged =
+            if lanes > RANKING_LANES { RANKING_LANES * grown + lanes * JUDGED.min(grown) } else { lanes * grown };
         // Each port adds its effect, and each pair of them its part of the currents between them.
-        sets.operations += (lanes * LANES * (sets.size + 1).pow(2) * grown.len()) as f64;
+        (LANES * (sets.size + 1).pow(2) * judged) as f64
+    }
+
+    /// Judges sets of one size by the channels in the first lanes.
+    fn judge(&self, sets: &PatchSets, grown: &[Ports], lanes: usize) -> Vec<Candidate> {
         let (scaled, weight) = (&sets.scaled[..lanes], &sets.weight[..lanes]);
         Arch::new().dispatch(Judge { search: self, scaled, weight, grown })
     }
