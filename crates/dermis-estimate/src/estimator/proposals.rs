@@ -17,6 +17,8 @@ const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Once proposals have taken this share of the work, one that explains the frame is enough.
 const PROPOSED: f64 = 0.25;
+/// Joint sets are proposed until they have taken this share of the work. The rest is for full fits of the best.
+const PROPOSED_SETS: f64 = 0.6;
 /// Only the strongest presses are split, at most this many.
 const MOST_SPLIT: usize = 3;
 /// A joint set that leaves more than this share of a streamed frame doesn't explain it.
@@ -35,7 +37,8 @@ impl Estimator {
         let sizes = best.presses.len() + 1..=best.presses.len().saturating_add(most_added);
         let mut least_left = f64::INFINITY;
         for k in 0.. {
-            if k == self.sets.len() && !self.find_set(&sizes) {
+            let is_late = !found.is_empty() && self.fit.work() > PROPOSED_SETS * self.most;
+            if k == self.sets.len() && (is_late || !self.find_set(&sizes)) {
                 break;
             }
             let more = self.sets[k].clone();
