@@ -1,9 +1,11 @@
 //! Decides how many presses explain a frame.
 
+mod memory;
 mod pause;
 mod proposals;
 mod superfluous;
 
+pub use self::memory::Memory;
 use self::pause::{GROWN, Pause};
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press, PressFit};
@@ -67,28 +69,6 @@ pub struct Estimator {
     /// Quick fits of joint sets to the current frame, and the size of the largest set proposed so far.
     sets: Vec<Explanation>,
     searched: usize,
-}
-
-/// Memory of the frames so far.
-#[derive(Clone, Debug)]
-pub struct Memory {
-    last: Vec<Press>,
-    /// Residual of the last frame.
-    left: f64,
-    /// Pauses of the searches for first presses, for presses that have ended, and for further ones.
-    first: Pause,
-    gone: Pause,
-    further: Pause,
-    /// Presses that explained a frame together, and those of them that it clearly needed.
-    together: Vec<Press>,
-    needed: Vec<Press>,
-}
-
-impl Memory {
-    fn nothing() -> Self {
-        let (first, gone, further) = (Pause::over(), Pause::over(), Pause::over());
-        Self { last: Vec::new(), left: 0.0, first, gone, further, together: Vec::new(), needed: Vec::new() }
-    }
 }
 
 /// A set of presses and the cost of its fit.

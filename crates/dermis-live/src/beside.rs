@@ -43,7 +43,7 @@ type Job = Box<dyn FnOnce() + Send>;
 #[cfg(not(target_family = "wasm"))]
 static STARTER: LazyLock<Sender<Job>> = LazyLock::new(|| {
     let (send, jobs) = crossbeam_channel::unbounded::<Job>();
-    thread::spawn(move || {
+    let _ = thread::Builder::new().spawn(move || {
         // On Linux, each thread has a niceness of its own.
         #[cfg(target_os = "linux")]
         let _ = rustix::process::nice(NICENESS);
@@ -106,7 +106,7 @@ impl<T: Send + 'static> Outcome<T> {
             let _ = tell.send(catch_unwind(AssertUnwindSafe(work)));
         };
         if let Err(refused) = STARTER.send(Box::new(job)) {
-            // Without threads, the work is done at once.
+            // If the system refuses threads, the work is done at once.
             refused.into_inner()();
         }
         Self(told)
@@ -117,7 +117,7 @@ impl<T: Send + 'static> Outcome<T> {
     }
 
     fn wait(self) -> Option<T> {
-        // If the work panicked, propagate its panic. There is no result if the system refused a thread.
+        // If the work panicked, propagate its panic. If the system refused a thread, there is no result.
         self.0.recv().ok()?.unwrap_or_else(|panic| resume_unwind(panic))
     }
 }

@@ -260,6 +260,14 @@ impl Contact {
         }
     }
 
+    /// Number of frames that it counts for towards a touch.
+    pub(crate) fn strong_frames(&self) -> u32 {
+        match self.strength {
+            ContactStrength::Strong => 1 + u32::from(self.was_found),
+            ContactStrength::Weak => 0,
+        }
+    }
+
     pub(crate) fn sign_order(&self) -> u8 {
         match self.sign {
             ContactSign::Positive => 0,

@@ -370,11 +370,7 @@ impl Tracker {
         for index in 0..self.blobs.len() {
             let blob = &mut self.blobs[index];
             let Stage::Tentative { strong_frames } = blob.stage else { continue };
-            let counted = match blob.contact.strength {
-                ContactStrength::Strong => 1 + u32::from(blob.contact.was_found),
-                ContactStrength::Weak => 0,
-            };
-            let strong_frames = strong_frames.saturating_add(counted);
+            let strong_frames = strong_frames.saturating_add(blob.contact.strong_frames());
             if strong_frames < self.params.min_age_frames {
                 blob.stage = Stage::Tentative { strong_frames };
                 continue;

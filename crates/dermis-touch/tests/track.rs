@@ -281,6 +281,13 @@ fn weak_contacts_begin_nothing() {
 }
 
 #[test]
+fn a_contact_also_found_in_an_earlier_frame_begins_at_once() {
+    let found = |strength| Contact { was_found: true, ..contact(0.0, 0.0, strength) };
+    assert_eq!(count(&feed(&mut tracker(), 0, &[found(ContactStrength::Strong)])), (1, 0, 0));
+    assert!(feed(&mut tracker(), 0, &[found(ContactStrength::Weak)]).is_empty());
+}
+
+#[test]
 fn a_lost_frame_does_no_harm() {
     let mut tracker = tracker();
     let mut begins = 0;

@@ -190,7 +190,7 @@ fn presses(skin: Skin, radius_m: f64, forces_n: &[f64]) -> Outcome<Presses> {
     }
     let model = spot_model(rig.prepared(), &rig.reference().noise)?;
     let imager = Imager::new(rig.prepared(), rig.reference(), &[])?;
-    let refinement = Refinement::new(rig.prepared(), &rig.reference().noise)?;
+    let refinement = Refinement::new(rig.prepared(), &rig.reference().noise)?.taking_time();
     let reconstructor = Reconstructor::new(rig.prepared(), imager, None, refinement)?;
     let (mut spots, mut scratch) = (Vec::new(), model.scratch());
     for (place, difference) in &frames {

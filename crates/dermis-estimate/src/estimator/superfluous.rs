@@ -93,7 +93,8 @@ impl Estimator {
         let is_among = |press: &Press, some: &[Press]| some.iter().any(|known| is_unchanged(press, known));
         let are_together =
             together.len() == of.presses.len() && of.presses.iter().all(|press| is_among(press, together));
-        if are_together && is_among(&of.presses[worst], needed) && !self.is_worse(&of.cost) {
+        let is_known = are_together && is_among(&of.presses[worst], needed);
+        if is_known && !self.is_worse(&of.cost) {
             return true;
         }
         self.fit.linearise_about(&of.presses);
@@ -101,7 +102,7 @@ impl Estimator {
         self.fit.linearise_about(&[]);
         let [Some(all), Some(fewer)] = costs else { return false };
         let is_needed = Evidence::of(&fewer, &all, false) >= CLEARLY * self.evidence.hold;
-        if is_needed {
+        if is_needed && !is_known {
             if !are_together {
                 self.memory.together.clone_from(&of.presses);
                 self.memory.needed.clear();

@@ -382,7 +382,7 @@ impl Bench {
         let idle = self.refinements.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut refinement = match idle {
             Some(refinement) => refinement,
-            None => Refinement::new(&self.prepared, noise)?,
+            None => Refinement::new(&self.prepared, noise)?.taking_time(),
         };
         refinement.renew(&self.prepared, noise)?;
         Ok(refinement)

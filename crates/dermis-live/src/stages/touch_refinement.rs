@@ -19,7 +19,7 @@ use crate::stages::pace::Pace;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::{Peaks, Remains};
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
-use crate::stages::touch_search::{AT_ONCE, Explained, InVain, Patience, Pause, Searched};
+use crate::stages::touch_search::{AT_ONCE, Explained, InVain, Pause, Searched};
 use crate::stages::touch_search::{doubt, is_outstanding};
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
@@ -262,7 +262,7 @@ impl SpotStage {
             return self.refine_now(time_ns, difference, imager, lowest, contacts);
         }
         self.is_search_stale |= contacts.is_empty() && self.is_search_of_contacts;
-        match self.searched(time_ns, difference) {
+        match self.searched(time_ns) {
             // This frame starts from the presses found.
             None => {}
             Some(Explained::By(estimate, false)) if self.is_accepted(&estimate) => {}
@@ -337,7 +337,7 @@ impl SpotStage {
         let so_far = so_far.filter(|estimate| self.is_accepted(estimate));
         let is_lost = has_jumped || so_far.is_none() && self.estimator.is_out_of_work();
         if !self.search.is_under_way() {
-            self.search(time_ns, difference, memory.clone(), Patience::Short);
+            self.search(time_ns, difference, memory.clone());
         }
         if is_lost {
             self.estimator.set_memory(memory);

@@ -46,15 +46,24 @@ impl Patience {
     }
 }
 
-/// A frame to explain.
-pub(super) struct TouchSearch {
-    pub estimator: Estimator,
+/// What a search starts from.
+#[derive(Clone, Debug)]
+pub(super) struct Asked {
+    pub time_ns: u64,
     /// The frame, model volts.
     pub frame: Vec<f64>,
+    /// The estimator's memory of the frames before it.
+    pub memory: Memory,
     /// Presses to try first.
     pub hints: Vec<Press>,
     /// Presses that are part of the baseline may have ended.
     pub is_gone_possible: bool,
+}
+
+/// A frame to explain.
+pub(super) struct TouchSearch {
+    pub estimator: Estimator,
+    pub asked: Asked,
     pub patience: Patience,
 }
 
@@ -67,9 +76,8 @@ pub(super) struct Searched {
     pub with_gone: Option<Option<Estimate>>,
     /// The estimator's memory.
     pub memory: Memory,
-    /// The search ended early, since it had this patience.
-    pub is_out_of_work: bool,
-    pub patience: Patience,
+    /// A longer search may find more: what it starts from.
+    pub goes_on: Option<Asked>,
 }
 
 impl TouchSearch {
@@ -78,14 +86,17 @@ impl TouchSearch {
         if self.patience == Patience::Short {
             self.estimator.allow(SOON);
         }
-        let estimate = self.estimator.explain(&self.frame, &self.hints);
+        let Asked { frame, memory, hints, is_gone_possible, .. } = &self.asked;
+        self.estimator.set_memory(memory.clone());
+        let estimate = self.estimator.explain(frame, hints);
         let memory = self.estimator.memory().clone();
         let is_unexplained = estimate.as_ref().is_some_and(|estimate| !is_clearly_explained(estimate));
         let is_out_of_work = self.estimator.is_out_of_work();
-        let looks_for_gone = is_unexplained && self.is_gone_possible && !is_out_of_work;
+        let looks_for_gone = is_unexplained && *is_gone_possible && !is_out_of_work;
         let with_gone = looks_for_gone.then(|| self.estimator.explain_with_gone());
         let is_out_of_work = is_out_of_work || self.estimator.is_out_of_work();
-        Searched { estimate, with_gone, memory, is_out_of_work, patience: self.patience }
+        let goes_on = (is_out_of_work && self.patience == Patience::Short).then_some(self.asked);
+        Searched { estimate, with_gone, memory, goes_on }
     }
 }
 

@@ -311,7 +311,7 @@ impl Presses {
         }
         let (prepared, noise) = (rig.prepared(), &rig.reference().noise);
         let imager = Imager::new(prepared, rig.reference(), &[]).unwrap();
-        let refinement = Refinement::new(prepared, noise).unwrap();
+        let refinement = Refinement::new(prepared, noise).unwrap().taking_time();
         let reconstructor = Reconstructor::new(prepared, imager, None, refinement).unwrap();
         Self { rig, reconstructor, frames, time_ns: 0 }
     }

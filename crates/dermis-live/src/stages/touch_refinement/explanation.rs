@@ -3,7 +3,7 @@
 use dermis_estimate::{Estimate, Memory};
 
 use super::{EXPLAINED, SpotStage};
-use crate::stages::touch_search::{Explained, Patience, Searched, TouchSearch};
+use crate::stages::touch_search::{AT_ONCE, Asked, Explained, Patience, Searched, TouchSearch};
 
 impl SpotStage {
     /// The presses that explain a frame.
@@ -39,11 +39,16 @@ impl SpotStage {
     /// True if presses explain a frame for the most part. The next explanation starts from them. If finding them takes
     /// longer than following those of the last frame, the answer is no, and the next frames know it.
     pub(crate) fn explains(&mut self, time_ns: u64, difference: &[f64]) -> bool {
-        self.due = self.searched(time_ns, difference);
+        self.due = self.searched(time_ns);
         if self.due.is_some() && self.found.is_empty() {
             return false;
         }
         let is_slow = self.is_joint && !self.is_unhurried;
+        if is_slow {
+            // The work for frames that were not shown doesn't count.
+            self.estimator.spent_ns();
+            self.estimator.allow(AT_ONCE);
+        }
         let memory = self.estimator.memory().clone();
         let explained =
             if is_slow { self.estimator.follow(difference) } else { self.estimator.explain(difference, &[]) };
@@ -52,43 +57,47 @@ impl SpotStage {
             return true;
         }
         if is_slow && !self.search.is_under_way() {
-            self.search(time_ns, difference, memory.clone(), Patience::Short);
+            self.search(time_ns, difference, memory.clone());
         }
         self.estimator.set_memory(memory);
         false
     }
 
     /// Explains a frame in the background, with this memory of the frames before it.
-    pub(super) fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory, patience: Patience) {
-        let Some(mut estimator) = self.estimator.copy() else { return };
-        estimator.set_memory(memory);
+    pub(super) fn search(&mut self, time_ns: u64, difference: &[f64], memory: Memory) {
         let (frame, hints, is_gone_possible) = (difference.to_vec(), self.hints.clone(), self.ended.is_due());
-        let search = TouchSearch { estimator, frame, hints, is_gone_possible, patience };
         self.is_search_stale = false;
         self.is_search_of_contacts = !self.hints.is_empty();
-        self.search.begin(time_ns.saturating_add(patience.delay_ns()), move |_| Some(search.run()));
+        self.begin(Asked { time_ns, frame, memory, hints, is_gone_possible }, Patience::Short);
+    }
+
+    fn begin(&mut self, asked: Asked, patience: Patience) {
+        let Some(estimator) = self.estimator.copy() else { return };
+        let due_ns = asked.time_ns.saturating_add(patience.delay_ns());
+        let search = TouchSearch { estimator, asked, patience };
+        self.search.begin(due_ns, move |_| Some(search.run()));
     }
 
     /// The result of a search in the background, once it is due. A short search that did not suffice is followed by a
-    /// longer one, of the present frame. The presses found by then are followed until that is due.
-    pub(super) fn searched(&mut self, time_ns: u64, difference: &[f64]) -> Option<Explained> {
+    /// longer one. The presses found by then are followed until that is due.
+    pub(super) fn searched(&mut self, time_ns: u64) -> Option<Explained> {
         if self.due.is_some() {
             return self.due.take();
         }
         let searched = self.search.take(time_ns).filter(|_| !self.is_search_stale)?;
-        let Searched { mut estimate, with_gone, memory, is_out_of_work, patience } = searched;
-        let goes_on = is_out_of_work && patience == Patience::Short;
-        if goes_on {
-            self.search(time_ns, difference, self.estimator.memory().clone(), Patience::Long);
+        let Searched { mut estimate, with_gone, memory, goes_on } = searched;
+        let is_final = goes_on.is_none();
+        if let Some(asked) = goes_on {
+            self.begin(asked, Patience::Long);
             estimate = Some(estimate.filter(|estimate| self.is_accepted(estimate))?);
         }
         self.estimator.set_memory(memory);
         let Some(estimate) = estimate else { return Some(Explained::Nothing) };
-        let explained = if goes_on {
-            Explained::By(estimate, false)
-        } else {
+        let explained = if is_final {
             let looks_for_gone = self.ended.looks_for(&estimate);
             self.concluded(estimate, with_gone.filter(|_| looks_for_gone))
+        } else {
+            Explained::By(estimate, false)
         };
         if let Explained::By(estimate, false) = &explained
             && self.is_accepted(estimate)

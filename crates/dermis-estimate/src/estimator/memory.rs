@@ -1,0 +1,26 @@
+//! What an estimator remembers of the frames so far.
+
+use super::pause::Pause;
+use crate::press::Press;
+
+/// Memory of the frames so far.
+#[derive(Clone, Debug)]
+pub struct Memory {
+    pub(super) last: Vec<Press>,
+    /// Residual of the last frame.
+    pub(super) left: f64,
+    /// Pauses of the searches for first presses, for presses that have ended, and for further ones.
+    pub(super) first: Pause,
+    pub(super) gone: Pause,
+    pub(super) further: Pause,
+    /// Presses that explained a frame together, and those of them that it clearly needed.
+    pub(super) together: Vec<Press>,
+    pub(super) needed: Vec<Press>,
+}
+
+impl Memory {
+    pub(super) fn nothing() -> Self {
+        let (first, gone, further) = (Pause::over(), Pause::over(), Pause::over());
+        Self { last: Vec::new(), left: 0.0, first, gone, further, together: Vec::new(), needed: Vec::new() }
+    }
+}
