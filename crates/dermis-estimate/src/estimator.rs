@@ -481,10 +481,11 @@ impl Estimator {
 
 /// True if two sets of presses would be fitted to the same result.
 fn is_same(a: &[Press], b: &[Press]) -> bool {
-    a.len() == b.len() && a.iter().all(|p| b.iter().any(|q| p.load * q.load > 0.0 && is_near(p, q)))
+    a.len() == b.len() && a.iter().all(|p| b.iter().any(|q| is_near(p, q)))
 }
 
-/// True if two presses have about the same place and radius.
+/// True if two presses have about the same place and radius, and act in the same direction.
 fn is_near(p: &Press, q: &Press) -> bool {
-    p.distance_m(q) < SAME * q.radius_m && (p.radius_m / q.radius_m).ln().abs() < SAME
+    let wider = (p.radius_m / q.radius_m).ln().abs();
+    p.load * q.load > 0.0 && p.distance_m(q) < SAME * q.radius_m && wider < SAME
 }

@@ -4,6 +4,8 @@
 //! frames of an instrument: it takes effect later, and a log message says so. Otherwise the instrument's frames would
 //! be lost for as long as the work takes.
 
+#[cfg(not(target_family = "wasm"))]
+use crossbeam_channel::{Receiver, Sender};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(target_family = "wasm"))]
@@ -13,9 +15,6 @@ use std::{
     sync::LazyLock,
     thread,
 };
-
-#[cfg(not(target_family = "wasm"))]
-use crossbeam_channel::{Receiver, Sender};
 
 /// Niceness of threads for work in the background: they get a quarter of a core that others want.
 #[cfg(target_os = "linux")]
@@ -43,12 +42,16 @@ type Job = Box<dyn FnOnce() + Send>;
 #[cfg(not(target_family = "wasm"))]
 static STARTER: LazyLock<Sender<Job>> = LazyLock::new(|| {
     let (send, jobs) = crossbeam_channel::unbounded::<Job>();
-    let _ = thread::Builder::new().spawn(move || {
+    let warn = |error| tracing::warn!("the system refuses a thread for work in the background: {error}");
+    let started = thread::Builder::new().spawn(move || {
         // On Linux, each thread has a niceness of its own.
         #[cfg(target_os = "linux")]
         let _ = rustix::process::nice(NICENESS);
-        jobs.into_iter().for_each(|job| drop(thread::Builder::new().spawn(job)));
+        for job in jobs {
+            thread::Builder::new().spawn(job).map_or_else(warn, drop);
+        }
     });
+    started.map_or_else(warn, drop);
     send
 });
 
@@ -105,10 +108,8 @@ impl<T: Send + 'static> Outcome<T> {
             // Nobody waits for work that is no longer wanted.
             let _ = tell.send(catch_unwind(AssertUnwindSafe(work)));
         };
-        if let Err(refused) = STARTER.send(Box::new(job)) {
-            // If the system refuses threads, the work is done at once.
-            refused.into_inner()();
-        }
+        // If the system refused the starter its thread, the job is dropped, and has no result.
+        let _ = STARTER.send(Box::new(job));
         Self(told)
     }
 

@@ -1,11 +1,12 @@
-//! What an estimator remembers of the frames so far.
+//! The state that an estimator carries from frame to frame.
 
 use super::pause::Pause;
 use crate::press::Press;
 
-/// Memory of the frames so far.
+/// State that an estimator carries from frame to frame.
 #[derive(Clone, Debug)]
 pub struct Memory {
+    /// Presses of the last frame.
     pub(super) last: Vec<Press>,
     /// Residual of the last frame.
     pub(super) left: f64,

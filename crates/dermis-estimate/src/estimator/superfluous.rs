@@ -128,5 +128,5 @@ impl Estimator {
 
 /// True if one press is another, of about the same strength.
 fn is_unchanged(press: &Press, known: &Press) -> bool {
-    press.load * known.load > 0.0 && is_near(press, known) && (press.load / known.load).ln().abs() < SAME
+    is_near(press, known) && (press.load / known.load).ln().abs() < SAME
 }

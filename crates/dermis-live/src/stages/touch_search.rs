@@ -46,9 +46,10 @@ impl Patience {
     }
 }
 
-/// What a search starts from.
+/// A frame to search, and the state in which its search begins.
 #[derive(Clone, Debug)]
 pub(super) struct Asked {
+    /// Time of the frame.
     pub time_ns: u64,
     /// The frame, model volts.
     pub frame: Vec<f64>,
@@ -60,7 +61,7 @@ pub(super) struct Asked {
     pub is_gone_possible: bool,
 }
 
-/// A frame to explain.
+/// A search for the presses that explain a frame.
 pub(super) struct TouchSearch {
     pub estimator: Estimator,
     pub asked: Asked,
@@ -76,7 +77,7 @@ pub(super) struct Searched {
     pub with_gone: Option<Option<Estimate>>,
     /// The estimator's memory.
     pub memory: Memory,
-    /// A longer search may find more: what it starts from.
+    /// Input of a longer search, if this one ended early.
     pub goes_on: Option<Asked>,
 }
 

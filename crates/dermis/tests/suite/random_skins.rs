@@ -243,7 +243,7 @@ fn triples_on_a_sandwich_leave_its_channels_and_its_baseline_as_they_were() {
     }
     let right = counts.iter().filter(|count| **count == 3).count();
     assert!(right >= 28, "{counts:?}");
-    // The search goes on beside the first frame. As for counts, nine of ten must be right.
+    // A search for three ends after the first frame. Nine of ten must begin with the second.
     let in_time = frames.iter().filter(|first| first.is_some_and(|frame| frame <= 2)).count();
     assert!(in_time >= 27, "first frames with three touches: {frames:?}");
     let moved = moved(&bench, &before);
