@@ -8,8 +8,9 @@
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
-//! pokes. The strength of each touch counts relative to the typical poke at its place. The threshold counts touches
-//! best in pokes, and in sums of two of them, by a map learned from the others.
+//! pokes. Each touch needs evidence: its strength must be far more probable with a touch at that place than with the
+//! noise and the map's errors alone. The threshold counts touches best in pokes, and in sums of two of them, by a map
+//! learned from the others.
 
 mod map;
 
@@ -40,7 +41,7 @@ const PARTS: usize = 10;
 /// Sums of two frames of one touch are judged as well, if the touches are this far apart relative to the radius of the
 /// pokes. A real frame counts for as many as `REAL` sums, since false second touches are worse than missed ones.
 const SUMS_APART: f64 = 0.5;
-const REAL: f64 = 10.0;
+const REAL: f64 = 15.0;
 /// Share of the frames that may show a wrong number of touches, beyond those that always do.
 const WRONG: f64 = 0.005;
 /// The threshold is raised by this over the number of frames, since few of them seldom include a bad one.
@@ -49,6 +50,8 @@ const FEW: f64 = 20.0;
 const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
 const MOST_SWEEPS: usize = 4;
+/// Minimum error of the map, relative to the typical strength at a place.
+const MAP_ERROR: f64 = 0.1;
 /// If the map explains less than `MOST_NOISE` of the median poke, frames are mostly noise, and a first touch must be as
 /// strong as a further one. Up to the share `WEAK` of the pokes may then be too weak.
 const MOST_NOISE: f64 = 0.5;
@@ -75,16 +78,18 @@ pub struct Superposition {
     shapes: Vec<f32>,
     /// Strength at which a map finds the typical poke near each position that it was not taught, in median pokes.
     typical: Vec<f64>,
-    /// Minimum strength of each of several touches, relative to the typical one at its place.
+    /// Number of noises in a frame: 2 in the sum of two.
+    noises: f64,
+    /// Minimum evidence for each of several touches, in standard deviations.
     least_further: f64,
     /// The same of a single touch.
     least_first: f64,
 }
 
-/// Relative strengths found in frames by a map learned without them.
+/// Evidence found in frames by a map learned without them.
 #[derive(Default)]
 struct LeftOut {
-    /// Strengths of the first touches.
+    /// Evidence for the first touches.
     firsts: Vec<f64>,
     further: Vec<Judged>,
 }
@@ -92,15 +97,15 @@ struct LeftOut {
 /// A frame judged by a map learned without it.
 struct Judged {
     touches: usize,
-    /// The weakest strength with two touches, three and so on, up to one too many.
-    strengths: Vec<f64>,
+    /// The least evidence with two touches, three and so on, up to one too many.
+    evidence: Vec<f64>,
     /// How much the frame counts.
     weight: f64,
 }
 
 impl Judged {
     fn is_right(&self, least: f64) -> bool {
-        1 + self.strengths.iter().take_while(|strength| **strength >= least).count() == self.touches
+        1 + self.evidence.iter().take_while(|evidence| **evidence >= least).count() == self.touches
     }
 }
 
@@ -170,6 +175,7 @@ impl Superposition {
             typical: learned.typical(&map, &alpha, &sums, &positions_m),
             map,
             positions_m,
+            noises: 1.0,
             weights: weights.iter().map(|weight| weight / typical).collect(),
             least_further: 0.0,
             least_first: 0.0,
@@ -195,10 +201,8 @@ impl Superposition {
     ) -> Result<&'a [Part], LocatorError> {
         self.begin(frame, scratch)?;
         while scratch.parts.len() < MOST_TOUCHES {
-            let Some(share) = self.try_another(scratch) else { break };
-            let is_touch =
-                if scratch.parts.is_empty() { share >= self.least_first } else { share >= self.least_further };
-            if !is_touch {
+            let Some(evidence) = self.try_another(scratch) else { break };
+            if evidence < if scratch.parts.is_empty() { self.least_first } else { self.least_further } {
                 break;
             }
             std::mem::swap(&mut scratch.parts, &mut scratch.trial);
@@ -294,8 +298,8 @@ impl Superposition {
         products(&self.map.signatures, self.map.rank, &scratch.projected, &mut scratch.along);
     }
 
-    /// Puts the touches found so far and one more into the trial. Returns the strength of the weakest, relative to the
-    /// typical one at its place. `None` if nothing more fits.
+    /// Puts the touches found so far and one more into the trial. Returns the least evidence for one of them. `None` if
+    /// nothing more fits.
     fn try_another(&self, scratch: &mut SuperpositionScratch) -> Option<f64> {
         scratch.trial.clone_from(&scratch.parts);
         let found = self.best(scratch, usize::MAX)?;
@@ -307,8 +311,27 @@ impl Superposition {
                 break;
             }
         }
-        let relative = scratch.trial.iter().map(|part| part.share / self.typical[part.index]);
-        Some(relative.fold(f64::INFINITY, f64::min))
+        let evidence = (0..scratch.trial.len()).map(|number| self.evidence(&scratch.trial, number));
+        Some(evidence.fold(f64::INFINITY, f64::min))
+    }
+
+    /// Evidence that a part of the trial is a touch, in standard deviations: (2 ln b)^1/2, with b how many times as
+    /// probable its strength a is with a touch as without, 0 if it isn't. Without a touch, a is the noise and the map's
+    /// error, a ~ N(0, v). With one, it is about the strength t that is typical at its place, a ~ N(t, v + t^2). The
+    /// map's error is `MAP_ERROR` of t. It grows with the strongest other part, as far as errors aren't noise.
+    fn evidence(&self, trial: &[Part], number: usize) -> f64 {
+        let square = |part: &Part| f64::from(self.map.squares[part.index]);
+        let energy = |part: &&Part| part.share * part.share * square(part);
+        let others = trial.iter().enumerate().filter(|(other, _)| *other != number).map(|(_, part)| part);
+        let strongest = others.max_by(|a, b| energy(a).total_cmp(&energy(b)));
+        let gain = strongest.map_or(1.0, |part| (part.share / self.typical[part.index]).max(1.0));
+        let (part, noise) = (&trial[number], self.map.noise_share);
+        let (strength, typical) = (part.share, self.typical[part.index]);
+        let map_error = (MAP_ERROR * typical).powi(2) * (noise + (1.0 - noise) * gain * gain);
+        let without = self.noises * noise * self.map.error_variance / square(part) + map_error;
+        let with = without + typical * typical;
+        let ratio = strength.powi(2) / without - (strength - typical).powi(2) / with - (with / without).ln();
+        ratio.max(0.0).sqrt()
     }
 
     /// Searches the position of each part again, with the others fixed. Returns true if one has moved.
@@ -388,7 +411,7 @@ impl Superposition {
         Ok(if shares.is_empty() { 0.0 } else { median(&shares) })
     }
 
-    /// Strengths found in each frame, and in sums of two, by a map learned without them. A part's own errors don't
+    /// Evidence found in each frame, and in sums of two, by a map learned without them. A part's own errors don't
     /// weight the map that judges it, since its frames would then fit too well.
     fn leave_out(mut self, labelled: &[LabelledFrame<'_>], learned: &Learned) -> Result<LeftOut, LocatorError> {
         let (mut scratch, mut left_out) = (SuperpositionScratch::default(), LeftOut::default());
@@ -406,22 +429,24 @@ impl Superposition {
                 self.map.leave_out(&alpha, learned, number);
                 let LabelledFrame { frame, touches_m } = labelled[number];
                 let touches = touches_m.len().min(MOST_TOUCHES - 1);
-                let (first, strengths) = self.strengths(frame, touches, &mut scratch)?;
+                let (first, evidence) = self.least_evidence(frame, touches, &mut scratch)?;
                 left_out.firsts.extend(first);
-                left_out.further.push(Judged { touches, strengths, weight: REAL });
+                left_out.further.push(Judged { touches, evidence, weight: REAL });
                 let others = some[place + 1..].iter().chain(&some[..place]);
                 let Some(other) = others.copied().find(|&other| are_apart(number, other)) else { continue };
                 self.map.leave_out(&alpha, learned, other);
                 let sum: Vec<f64> = frame.iter().zip(labelled[other].frame).map(|(a, b)| a + b).collect();
-                let (_, strengths) = self.strengths(&sum, 2, &mut scratch)?;
-                left_out.further.push(Judged { touches: 2, strengths, weight: 1.0 });
+                self.noises = 2.0;
+                let (_, evidence) = self.least_evidence(&sum, 2, &mut scratch)?;
+                self.noises = 1.0;
+                left_out.further.push(Judged { touches: 2, evidence, weight: 1.0 });
             }
         }
         Ok(left_out)
     }
 
-    /// The strength of a frame's first touch, and the weakest with two, three and so on, up to one more than `touches`.
-    fn strengths(
+    /// Evidence for a frame's first touch, and the least with two, three and so on, up to one more than `touches`.
+    fn least_evidence(
         &self,
         frame: &[f64],
         touches: usize,
@@ -430,19 +455,19 @@ impl Superposition {
         self.begin(frame, scratch)?;
         let (mut first, mut further) = (None, Vec::with_capacity(touches));
         for touch in 0..=touches {
-            let Some(strength) = self.try_another(scratch) else { break };
+            let Some(evidence) = self.try_another(scratch) else { break };
             if touch == 0 {
-                first = Some(strength);
+                first = Some(evidence);
             } else {
-                further.push(strength);
+                further.push(evidence);
             }
             std::mem::swap(&mut scratch.parts, &mut scratch.trial);
         }
         Ok((first, further))
     }
 
-    /// Chooses the minimum strength of a further touch, such that nearly as many numbers of touches are right as with
-    /// any, and that of a first touch.
+    /// Chooses the minimum evidence for a further touch, such that nearly as many numbers of touches are right as with
+    /// any, and that for a first touch.
     fn set_thresholds(&mut self, labelled: &[LabelledFrame<'_>], left_out: LeftOut) -> Result<(), LocatorError> {
         let LeftOut { mut firsts, further } = left_out;
         let explained = self.explained(labelled, &mut SuperpositionScratch::default())?;
@@ -450,7 +475,7 @@ impl Superposition {
             let right = further.iter().filter(|judged| judged.is_right(least));
             right.map(|judged| judged.weight).sum::<f64>()
         };
-        let steps = (1..=100).map(|step| 0.01 * f64::from(step));
+        let steps = (0..=250).map(|step| 0.1 * 1.025_f64.powi(step));
         let most = steps.clone().map(right).fold(0.0, f64::max);
         let enough = most - WRONG * further.iter().map(|judged| judged.weight).sum::<f64>();
         let mut good = steps.filter(|least| right(*least) >= enough);

@@ -13,6 +13,9 @@ use crate::statistics::{evenly, median};
 /// Maximum rank of the projection, and maximum number of frames that define it.
 const MOST_RANK: usize = 128;
 const MOST_PROJECTED: usize = 600;
+/// Maximum numbers of frames and of positions that the variance of errors is taken from.
+const MOST_VARIANCE_FRAMES: usize = 200;
+const MOST_VARIANCE_POSITIONS: usize = 50;
 /// Candidates of the length, relative to the radius of the pokes, and of the noise variance of a frame relative to the
 /// prior variance of a signature.
 const LENGTHS: [f64; 4] = [0.2, 0.35, 0.6, 1.0];
@@ -43,8 +46,10 @@ pub(super) struct Map {
     pub signatures: Vec<f32>,
     /// Squared length of each signature.
     pub squares: Vec<f32>,
-    /// Variance of the map's errors along each direction.
+    /// Variance of frames about the map, along its signatures.
     pub error_variance: f64,
+    /// Share of this variance at a typical touch that is noise: it doesn't grow with the strength of the touch.
+    pub noise_share: f64,
 }
 
 /// The signatures learned from frames, not yet weighted by their errors.
@@ -61,6 +66,8 @@ pub(super) struct Learned {
     own: Vec<f64>,
     /// Candidates that exist because of a single frame.
     places: Vec<Vec<usize>>,
+    /// As in [`Map`].
+    noise_share: f64,
 }
 
 /// Frames as the map sees them.
@@ -68,6 +75,8 @@ pub(super) struct Sums<'a> {
     touches_m: Vec<&'a [[f64; 2]]>,
     /// Weighted frames in median pokes: frames by channels. Missing channels are zero.
     frames: Mat<f64>,
+    /// Length of the frame in units of the rows of `frames`.
+    scales: Vec<f64>,
 }
 
 impl<'a> Sums<'a> {
@@ -93,17 +102,20 @@ impl<'a> Sums<'a> {
         let singles: Vec<f64> =
             labelled.iter().zip(&lengths).filter(|(of, _)| of.touches_m.len() == 1).map(|(_, l)| *l).collect();
         let typical = median(if singles.is_empty() { &lengths } else { &singles });
+        let mut scales = Vec::with_capacity(labelled.len());
         for (i, labelled) in labelled.iter().enumerate() {
             let scale = if labelled.touches_m.len() == 1 { lengths[i] } else { typical };
             (0..channels).for_each(|k| frames[(i, k)] /= scale);
+            scales.push(scale / typical);
         }
-        Ok((Self { touches_m: labelled.iter().map(|labelled| labelled.touches_m).collect(), frames }, typical))
+        Ok((Self { touches_m: labelled.iter().map(|labelled| labelled.touches_m).collect(), frames, scales }, typical))
     }
 
     pub(super) fn some(&self, rows: &[usize]) -> Self {
         Self {
             touches_m: rows.iter().map(|&i| self.touches_m[i]).collect(),
             frames: Mat::from_fn(rows.len(), self.frames.ncols(), |i, k| self.frames[(rows[i], k)]),
+            scales: rows.iter().map(|&i| self.scales[i]).collect(),
         }
     }
 
@@ -186,6 +198,31 @@ fn covariance(a: &[&[[f64; 2]]], b: &[&[[f64; 2]]], length_m: f64) -> Mat<f64> {
     })
 }
 
+/// Share of the errors' variance that is noise. Of frames with small and with large signatures, the median squared
+/// errors e and signatures s give e^2 = n + m s^2, and n / (n + m s^2) at the median s.
+fn noise_share(sums: &Sums<'_>, frames: &Mat<f64>, alpha: &Mat<f64>, own: &[f64]) -> f64 {
+    let rank = alpha.ncols();
+    let mut squares: Vec<(f64, f64)> = (0..sums.len())
+        .map(|i| {
+            let error = |r: usize| alpha[(i, r)] / own[i];
+            let square =
+                |of: &dyn Fn(usize) -> f64| sums.scales[i].powi(2) * (0..rank).map(|r| of(r).powi(2)).sum::<f64>();
+            (square(&|r| frames[(i, r)] - error(r)), square(&error))
+        })
+        .collect();
+    squares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let medians = |some: &[(f64, f64)]| {
+        let (signatures, errors): (Vec<f64>, Vec<f64>) = some.iter().copied().unzip();
+        (median(&signatures), median(&errors))
+    };
+    let (small, large) = squares.split_at(squares.len() / 2);
+    let ((small, its_error), (large, error)) = (medians(small), medians(large));
+    let growth = ((error - its_error) / (large - small)).max(0.0);
+    let noise = (its_error - growth * small).max(0.0);
+    let share = noise / (noise + growth * medians(&squares).0);
+    if share.is_finite() { share } else { 0.0 }
+}
+
 /// Square of the minimum distance of two candidates, m^2.
 fn apart2(places_m: &[[f64; 2]]) -> f64 {
     (CANDIDATES_APART * extent(places_m)).powi(2)
@@ -233,10 +270,13 @@ impl Learned {
         let single: Vec<&[[f64; 2]]> = positions_m.iter().map(std::slice::from_ref).collect();
         let to_map = covariance(&single, &sums.touches_m, shape.length_m);
         let alpha = &inverse * (&sums.frames * &basis);
+        let own: Vec<f64> = (0..sums.len()).map(|i| inverse[(i, i)]).collect();
+        let noise_share = noise_share(sums, &(&sums.frames * &basis), &alpha, &own);
         Ok(Self {
+            noise_share,
             signatures: &to_map * &alpha,
             influence: single_precision((&inverse * to_map.transpose()).as_ref()),
-            own: (0..sums.len()).map(|i| inverse[(i, i)]).collect(),
+            own,
             places: sums.places_of_one(positions_m),
             basis,
             alpha,
@@ -288,23 +328,51 @@ impl Learned {
     /// The map of all frames, weighted by the errors in those numbered `judged`, and the weights of each frame: rows of
     /// `rank` values.
     pub(super) fn map(&self, judged: &[usize]) -> Result<(Map, Vec<f32>), LocatorError> {
-        let (whiten, unwhiten, error_variance) = self.whitening(judged)?;
+        let (whiten, unwhiten) = self.whitening(judged)?;
         let mut map = Map {
             rank: self.alpha.ncols(),
             basis: single_precision((&self.basis * &whiten).transpose()),
             lift: single_precision((&self.basis * &unwhiten).transpose()),
             signatures: single_precision((&self.signatures * &whiten).as_ref()),
             squares: Vec::new(),
-            error_variance,
+            error_variance: 0.0,
+            noise_share: self.noise_share,
         };
         map.measure();
-        Ok((map, single_precision((&self.alpha * &whiten).as_ref())))
+        let alpha = single_precision((&self.alpha * &whiten).as_ref());
+        map.error_variance = self.error_variance(&map, &alpha, judged);
+        Ok((map, alpha))
+    }
+
+    /// Variance of the frames' errors along signatures that were learned without them. Along the directions that span
+    /// the frames, it would be far too large: these hold all noise of the frames, but little of another frame's.
+    fn error_variance(&self, map: &Map, alpha: &[f32], judged: &[usize]) -> f64 {
+        let positions = map.squares.len();
+        let (mut sum, mut count) = (0.0, 0.0);
+        for frame in evenly(judged.len(), MOST_VARIANCE_FRAMES).into_iter().map(|number| judged[number]) {
+            let alpha = &alpha[frame * map.rank..(frame + 1) * map.rank];
+            let own = self.own[frame] as f32;
+            for position in evenly(positions, MOST_VARIANCE_POSITIONS) {
+                let share = self.influence[frame * positions + position] / own;
+                let (mut along, mut square) = (0.0_f64, 0.0_f64);
+                for (signature, alpha) in map.signature(position).iter().zip(alpha) {
+                    let signature = f64::from(signature - share * alpha);
+                    along += signature * f64::from(alpha / own);
+                    square += signature * signature;
+                }
+                if square > 0.0 {
+                    sum += along * along / square;
+                    count += 1.0;
+                }
+            }
+        }
+        sum / f64::max(count, 1.0)
     }
 
     /// Symmetric square roots of the inverse covariance of the map's errors and of that covariance, relative to their
-    /// mean square along a direction, and that mean square. The covariance has an inverse Wishart prior about equal,
-    /// independent errors, with as many degrees of freedom as dimensions.
-    fn whitening(&self, judged: &[usize]) -> Result<(Mat<f64>, Mat<f64>, f64), LocatorError> {
+    /// mean square along a direction. The covariance has an inverse Wishart prior about equal, independent errors, with
+    /// as many degrees of freedom as dimensions.
+    fn whitening(&self, judged: &[usize]) -> Result<(Mat<f64>, Mat<f64>), LocatorError> {
         let (count, rank) = (judged.len(), self.alpha.ncols());
         let errors = self.errors(judged);
         let squares = errors.transpose() * &errors;
@@ -321,7 +389,7 @@ impl Learned {
             let scaled = Mat::from_fn(rank, rank, |a, b| eigen.U()[(a, b)] * eigen.S().column_vector()[b].powf(power));
             scaled * eigen.U().transpose()
         };
-        Ok((power(-0.5), power(0.5), mean))
+        Ok((power(-0.5), power(0.5)))
     }
 }
 
