@@ -199,7 +199,7 @@ fn covariance(a: &[&[[f64; 2]]], b: &[&[[f64; 2]]], length_m: f64) -> Mat<f64> {
 }
 
 /// Share of the errors' variance that is noise. Of frames with small and with large signatures, the median squared
-/// errors e and signatures s give e^2 = n + m s^2, and n / (n + m s^2) at the median s.
+/// errors e and signatures s give e^2 = n + m s^2, and n / (n + m s^2) at the median s. `frames` are projected.
 fn noise_share(sums: &Sums<'_>, frames: &Mat<f64>, alpha: &Mat<f64>, own: &[f64]) -> f64 {
     let rank = alpha.ncols();
     let mut squares: Vec<(f64, f64)> = (0..sums.len())
@@ -269,11 +269,11 @@ impl Learned {
         let inverse = factor.inverse();
         let single: Vec<&[[f64; 2]]> = positions_m.iter().map(std::slice::from_ref).collect();
         let to_map = covariance(&single, &sums.touches_m, shape.length_m);
-        let alpha = &inverse * (&sums.frames * &basis);
+        let projected = &sums.frames * &basis;
+        let alpha = &inverse * &projected;
         let own: Vec<f64> = (0..sums.len()).map(|i| inverse[(i, i)]).collect();
-        let noise_share = noise_share(sums, &(&sums.frames * &basis), &alpha, &own);
         Ok(Self {
-            noise_share,
+            noise_share: noise_share(sums, &projected, &alpha, &own),
             signatures: &to_map * &alpha,
             influence: single_precision((&inverse * to_map.transpose()).as_ref()),
             own,
