@@ -52,8 +52,8 @@ const CLEARLY: f64 = 3.0;
 const MOST_SWEEPS: usize = 4;
 /// Minimum error of the map, relative to the typical strength at a place.
 const MAP_ERROR: f64 = 0.1;
-/// If the map explains less than `MOST_NOISE` of the median poke, frames are mostly noise, and a first touch must be as
-/// strong as a further one. Up to the share `WEAK` of the pokes may then be too weak.
+/// If the map explains less than `MOST_NOISE` of the median poke, frames are mostly noise, and a first touch needs as
+/// much evidence as a further one. Up to the share `WEAK` of the pokes may then be too weak.
 const MOST_NOISE: f64 = 0.5;
 const WEAK: f64 = 0.1;
 
@@ -78,8 +78,6 @@ pub struct Superposition {
     shapes: Vec<f32>,
     /// Strength at which a map finds the typical poke near each position that it was not taught, in median pokes.
     typical: Vec<f64>,
-    /// Number of noises in a frame: 2 in the sum of two.
-    noises: f64,
     /// Minimum evidence for each of several touches, in standard deviations.
     least_further: f64,
     /// The same of a single touch.
@@ -175,7 +173,6 @@ impl Superposition {
             typical: learned.typical(&map, &alpha, &sums, &positions_m),
             map,
             positions_m,
-            noises: 1.0,
             weights: weights.iter().map(|weight| weight / typical).collect(),
             least_further: 0.0,
             least_first: 0.0,
@@ -298,8 +295,8 @@ impl Superposition {
         products(&self.map.signatures, self.map.rank, &scratch.projected, &mut scratch.along);
     }
 
-    /// Puts the touches found so far and one more into the trial. Returns the least evidence for one of them. `None` if
-    /// nothing more fits.
+    /// Puts the touches found so far and one more into the trial. Returns the evidence for the least certain of them, or
+    /// `None` if nothing more fits.
     fn try_another(&self, scratch: &mut SuperpositionScratch) -> Option<f64> {
         scratch.trial.clone_from(&scratch.parts);
         let found = self.best(scratch, usize::MAX)?;
@@ -328,7 +325,7 @@ impl Superposition {
         let (part, noise) = (&trial[number], self.map.noise_share);
         let (strength, typical) = (part.share, self.typical[part.index]);
         let map_error = (MAP_ERROR * typical).powi(2) * (noise + (1.0 - noise) * gain * gain);
-        let without = self.noises * noise * self.map.error_variance / square(part) + map_error;
+        let without = noise * self.map.error_variance / square(part) + map_error;
         let with = without + typical * typical;
         let ratio = strength.powi(2) / without - (strength - typical).powi(2) / with - (with / without).ln();
         ratio.max(0.0).sqrt()
@@ -436,9 +433,9 @@ impl Superposition {
                 let Some(other) = others.copied().find(|&other| are_apart(number, other)) else { continue };
                 self.map.leave_out(&alpha, learned, other);
                 let sum: Vec<f64> = frame.iter().zip(labelled[other].frame).map(|(a, b)| a + b).collect();
-                self.noises = 2.0;
+                // A sum of two frames has the noise of both.
+                self.map.error_variance *= 2.0;
                 let (_, evidence) = self.least_evidence(&sum, 2, &mut scratch)?;
-                self.noises = 1.0;
                 left_out.further.push(Judged { touches: 2, evidence, weight: 1.0 });
             }
         }

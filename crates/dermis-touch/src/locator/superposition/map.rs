@@ -199,17 +199,10 @@ fn covariance(a: &[&[[f64; 2]]], b: &[&[[f64; 2]]], length_m: f64) -> Mat<f64> {
 }
 
 /// Share of the errors' variance that is noise. Of frames with small and with large signatures, the median squared
-/// errors e and signatures s give e^2 = n + m s^2, and n / (n + m s^2) at the median s. `frames` are projected.
-fn noise_share(sums: &Sums<'_>, frames: &Mat<f64>, alpha: &Mat<f64>, own: &[f64]) -> f64 {
-    let rank = alpha.ncols();
-    let mut squares: Vec<(f64, f64)> = (0..sums.len())
-        .map(|i| {
-            let error = |r: usize| alpha[(i, r)] / own[i];
-            let square =
-                |of: &dyn Fn(usize) -> f64| sums.scales[i].powi(2) * (0..rank).map(|r| of(r).powi(2)).sum::<f64>();
-            (square(&|r| frames[(i, r)] - error(r)), square(&error))
-        })
-        .collect();
+/// errors e and signatures s give e^2 = n + m s^2, and n / (n + m s^2) at the median s. `scales` are as in [`Sums`].
+fn noise_share(scales: &[f64], signatures: &Mat<f64>, errors: &Mat<f64>) -> f64 {
+    let square = |of: &Mat<f64>, i: usize| scales[i].powi(2) * of.row(i).iter().map(|value| value * value).sum::<f64>();
+    let mut squares: Vec<(f64, f64)> = (0..scales.len()).map(|i| (square(signatures, i), square(errors, i))).collect();
     squares.sort_by(|a, b| a.0.total_cmp(&b.0));
     let medians = |some: &[(f64, f64)]| {
         let (signatures, errors): (Vec<f64>, Vec<f64>) = some.iter().copied().unzip();
@@ -271,16 +264,18 @@ impl Learned {
         let to_map = covariance(&single, &sums.touches_m, shape.length_m);
         let projected = &sums.frames * &basis;
         let alpha = &inverse * &projected;
-        let own: Vec<f64> = (0..sums.len()).map(|i| inverse[(i, i)]).collect();
-        Ok(Self {
-            noise_share: noise_share(sums, &projected, &alpha, &own),
+        let mut learned = Self {
+            noise_share: 0.0,
             signatures: &to_map * &alpha,
             influence: single_precision((&inverse * to_map.transpose()).as_ref()),
-            own,
+            own: (0..sums.len()).map(|i| inverse[(i, i)]).collect(),
             places: sums.places_of_one(positions_m),
             basis,
             alpha,
-        })
+        };
+        let errors = learned.errors(&(0..sums.len()).collect::<Vec<_>>());
+        learned.noise_share = noise_share(&sums.scales, &(projected - &errors), &errors);
+        Ok(learned)
     }
 
     /// Strength, in median pokes, that the map of the other frames finds for the typical touch near each position. It
