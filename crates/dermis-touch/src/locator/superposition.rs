@@ -295,7 +295,7 @@ impl Superposition {
         products(&self.map.signatures, self.map.rank, &scratch.projected, &mut scratch.along);
     }
 
-    /// Puts the touches found so far and one more into the trial. Returns the evidence for the least certain of them, or
+    /// Puts the touches found so far and one more into the trial. Returns the evidence for the least certain one, or
     /// `None` if nothing more fits.
     fn try_another(&self, scratch: &mut SuperpositionScratch) -> Option<f64> {
         scratch.trial.clone_from(&scratch.parts);
