@@ -4,9 +4,12 @@ mod memory;
 mod pause;
 mod proposals;
 mod superfluous;
+mod work;
 
 pub use self::memory::Memory;
 use self::pause::{GROWN, Pause};
+pub use self::work::Allowance;
+use self::work::{MOST_WORK, Work};
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press, PressFit};
 
@@ -20,16 +23,11 @@ const LEAST_SIGNIFICANT: f64 = 2.0;
 const MOST_LOAD: f64 = 4.0;
 /// The first press is looked for only if the gain of the matched filter reaches this share of the squared threshold.
 const PROMISING: f64 = 0.6;
-/// Largest number of operations spent on one frame: some 60 ms. It is counted rather than timed, so that replays
-/// agree.
-const MOST_WORK: f64 = 4e8;
-/// The same for the search for presses that have ended.
+/// Largest number of operations of a search for presses that have ended.
 const MOST_WORK_GONE: f64 = 2e8;
 /// Share of the work within which the presses of the last frame must explain the next. If something else touches the
 /// skin, fits that start from them wander, and would use up the work for a search.
 const FOLLOWED: f64 = 0.5;
-/// Time that an operation takes on one core, nanoseconds.
-const OPERATION_NS: f64 = 0.15;
 /// Least evidence of a quick fit, as a share of the threshold, that is worth a full one. Of 1,499 full fits of one to
 /// three presses on gel, foam and liquid, the one that gained most rose from 0.72 to the threshold.
 const LIKELY: f64 = 0.7;
@@ -59,13 +57,7 @@ pub struct Estimator {
     negative: bool,
     memory: Memory,
     is_unhurried: bool,
-    /// Operations spent, and the most that may be spent.
-    spent: f64,
-    allowance: f64,
-    /// Rest of the allowance, if it bounds the current explanation.
-    left: Option<f64>,
-    /// Most operations of the current part of an explanation.
-    most: f64,
+    work: Work,
     /// Quick fits of joint sets to the current frame, and the size of the largest set proposed so far.
     sets: Vec<Explanation>,
     searched: usize,
@@ -88,10 +80,7 @@ impl Estimator {
             negative,
             memory: Memory::nothing(),
             is_unhurried: false,
-            spent: 0.0,
-            allowance: f64::INFINITY,
-            left: None,
-            most: f64::INFINITY,
+            work: Work::unbounded(),
             sets: Vec::new(),
             searched: 0,
         }
@@ -102,7 +91,7 @@ impl Estimator {
     pub fn copy(&self) -> Option<Self> {
         let fit = self.fit.copy()?;
         let memory = self.memory.clone();
-        Some(Self { fit, memory, spent: 0.0, allowance: f64::INFINITY, left: None, sets: Vec::new(), ..*self })
+        Some(Self { fit, memory, work: Work::unbounded(), sets: Vec::new(), ..*self })
     }
 
     /// Memory of the frames so far.
@@ -123,31 +112,6 @@ impl Estimator {
     /// Continues with another fit, which weighs the channels differently.
     pub fn set_fit(&mut self, fit: Box<dyn PressFit>) {
         self.fit = fit;
-    }
-
-    /// About how long the explanations since the last call took, nanoseconds; 0 if fits are quick.
-    pub fn spent_ns(&mut self) -> u64 {
-        let operations = std::mem::take(&mut self.spent) + self.fit.work();
-        self.fit.set_most_work(MOST_WORK);
-        (OPERATION_NS * operations) as u64
-    }
-
-    /// Allows this many operations until the next call of [`Estimator::spent_ns`], if they are fewer than it allows
-    /// itself. [`Estimator::is_out_of_work`] tells whether they sufficed.
-    pub fn allow(&mut self, operations: f64) {
-        self.allowance = operations;
-    }
-
-    /// True if the last explanation ended early because of [`Estimator::allow`].
-    pub fn is_out_of_work(&self) -> bool {
-        self.left.is_some_and(|left| self.fit.work() > left)
-    }
-
-    fn allow_work(&mut self, most: f64) {
-        self.spent += self.fit.work();
-        self.left = Some(self.allowance - self.spent).filter(|left| *left < most);
-        self.most = self.left.unwrap_or(most);
-        self.fit.set_most_work(self.most);
     }
 
     /// Forgets the last frame: the next is unrelated to it.
@@ -180,7 +144,7 @@ impl Estimator {
     /// Explains a frame (model volts); `None` if it cannot be fitted. `hints` are presses to try first if the last
     /// frame had none.
     pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
-        self.allow_work(MOST_WORK);
+        self.begin(FOLLOWED * MOST_WORK, self.work.allowance.to_follow);
         let null = self.fit.take_frame(frame)?;
         self.forget_sets();
         let nothing = || Explanation { presses: Vec::new(), cost: null };
@@ -188,30 +152,25 @@ impl Estimator {
         if self.have_gone(&last, &null) {
             last.clear();
         }
-        // An allowance for the frame is no longer than either part.
-        let has_parts = !last.is_empty() && self.left.is_none();
-        if has_parts {
-            self.allow_work(FOLLOWED * MOST_WORK);
-        }
         let mut best = self.followed(&last, &null).unwrap_or_else(nothing);
-        if has_parts {
-            let work = self.fit.work();
-            if work > self.most && !best.cost.is_explained() {
-                best = nothing();
-            }
-            self.allow_work((MOST_WORK - work).max(0.0));
+        let work = self.fit.work();
+        if work > self.work.most && self.work.left.is_none() && !best.cost.is_explained() {
+            best = nothing();
         }
         // Something else may touch the skin now, and the presses of the last frame are a poor start for it.
         let has_jumped = best.presses.iter().any(|p| last.iter().all(|q| p.distance_m(q) > q.radius_m));
         let is_poor_start = !best.presses.is_empty() && (has_jumped || self.is_worse(&best.cost));
-        // The gain of a first press is that over the whole frame, not over what the last fit left.
-        self.fit.fit_nothing()?;
-        let afresh = is_poor_start.then(|| self.grown(nothing(), &null, hints));
-        let afresh = afresh.filter(|afresh| !afresh.presses.is_empty());
-        if afresh.as_ref().is_none_or(|afresh| !afresh.cost.is_explained()) {
-            best = self.grown(best, &null, hints);
+        if is_poor_start || self.most_supported(&best.cost, best.presses.is_empty()) > 0 {
+            self.begin_part((MOST_WORK - work).max(0.0), self.work.allowance.to_search);
+            // The gain of a first press is that over the whole frame, not over what the last fit left.
+            self.fit.fit_nothing()?;
+            let afresh = is_poor_start.then(|| self.grown(nothing(), &null, hints));
+            let afresh = afresh.filter(|afresh| !afresh.presses.is_empty());
+            if afresh.as_ref().is_none_or(|afresh| !afresh.cost.is_explained()) {
+                best = self.grown(best, &null, hints);
+            }
+            best = afresh.filter(|afresh| self.score(afresh) < self.score(&best)).unwrap_or(best);
         }
-        best = afresh.filter(|afresh| self.score(afresh) < self.score(&best)).unwrap_or(best);
         self.memory.left = best.cost.residual;
         // Contacts with a plate saturate: no press is too hard for the model.
         if best.presses.is_empty() && !null.is_noise() && !self.fit.is_joint() {
@@ -225,7 +184,7 @@ impl Estimator {
     /// Follows the presses of the last frame in another frame, without a search for further ones. `None` without any,
     /// or if the frame cannot be fitted.
     pub fn follow(&mut self, frame: &[f64]) -> Option<Estimate> {
-        self.allow_work(MOST_WORK);
+        self.begin(MOST_WORK, self.work.allowance.to_follow);
         let null = self.fit.take_frame(frame)?;
         let last = std::mem::take(&mut self.memory.last);
         let best = self.followed(&last, &null)?;
@@ -295,7 +254,7 @@ impl Estimator {
     /// Explains the frame of the last [`Estimator::explain`] again, also allowing presses with a negative load:
     /// presses that are part of the baseline and have ended. Keeps nothing for the next frame.
     pub fn explain_with_gone(&mut self) -> Option<Estimate> {
-        self.allow_work(MOST_WORK_GONE);
+        self.begin(MOST_WORK_GONE, self.work.allowance.to_search);
         let negative = std::mem::replace(&mut self.negative, true);
         let estimate = self.explain_from_nothing();
         self.negative = negative;
@@ -393,8 +352,9 @@ impl Estimator {
     /// before the first fit; one press split in two; or the hints.
     fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press], most_added: usize) -> Option<Explanation> {
         let mut found: Vec<Explanation> = Vec::new();
+        let mut has_ended_early = false;
         if self.fit.is_joint() {
-            self.propose_sets(best, most_added, &mut found);
+            has_ended_early = self.propose_sets(best, most_added, &mut found);
             found.retain(|more| !self.is_hopeless(more));
         } else {
             self.fit.linearise_about(&best.presses);
@@ -422,6 +382,7 @@ impl Estimator {
                 break;
             }
         }
+        self.work.is_cut_short |= has_ended_early && most.is_none() && self.work.left.is_some();
         most
     }
 

@@ -16,7 +16,7 @@ mod spots;
 mod whitening;
 
 pub use anchor::Anchor;
-pub use estimator::{Estimate, Estimator, Memory};
+pub use estimator::{Allowance, Estimate, Estimator, Memory};
 pub use evidence::Evidence;
 pub use plates::{PlateFit, PlateLaw, PlateModel, PlateOptions};
 pub use press::{Cost, Effort, Footprint, MOST_NOISE, Press, PressFit};

@@ -32,13 +32,16 @@ const NO_BETTER: f64 = 0.9;
 
 impl Estimator {
     /// Proposes sets of presses that act together, with more presses than an explanation has: present ones, or else
-    /// those that have ended. Both in one set would explain a cut as well.
-    pub(super) fn propose_sets(&mut self, best: &Explanation, most_added: usize, found: &mut Vec<Explanation>) {
+    /// those that have ended. Both in one set would explain a cut as well. True if there was no time to propose all.
+    pub(super) fn propose_sets(&mut self, best: &Explanation, most_added: usize, found: &mut Vec<Explanation>) -> bool {
         let sizes = best.presses.len() + 1..=best.presses.len().saturating_add(most_added);
         let mut least_left = f64::INFINITY;
         for k in 0.. {
-            let is_late = !found.is_empty() && self.fit.work() > PROPOSED_SETS * self.most;
-            if k == self.sets.len() && (is_late || !self.find_set(&sizes)) {
+            let is_late = !found.is_empty() && self.fit.work() > PROPOSED_SETS * self.work.most;
+            if k == self.sets.len() && is_late {
+                return true;
+            }
+            if k == self.sets.len() && !self.find_set(&sizes) {
                 break;
             }
             let more = self.sets[k].clone();
@@ -56,6 +59,7 @@ impl Estimator {
             }
             least_left = least_left.min(left);
         }
+        false
     }
 
     /// Adds the next larger joint set of one of these sizes. False if there is none, or it cannot be fitted.
@@ -137,7 +141,7 @@ impl Estimator {
 
     /// True if one of these explains the frame, and the search for others has taken long enough.
     fn is_enough(&self, found: &[Explanation]) -> bool {
-        self.fit.work() > PROPOSED * self.most && self.is_one_explained(found)
+        self.fit.work() > PROPOSED * self.work.most && self.is_one_explained(found)
     }
 
     /// Adds one press after the other to an explanation, and moves all of them after each addition. They are fitted
