@@ -119,6 +119,8 @@ pub struct SuperpositionScratch {
     columns: Columns,
     parts: Vec<Part>,
     trial: Vec<Part>,
+    /// Strength of the best single touch, relative to that which is typical at its place.
+    gain: f64,
 }
 
 /// Inner products of all signatures with those of the positions tried in a frame.
@@ -308,24 +310,25 @@ impl Superposition {
                 break;
             }
         }
-        let evidence = (0..scratch.trial.len()).map(|number| self.evidence(&scratch.trial, number));
+        // The best single touch tells how strong the frame is. Halves of it, if it is split, are weaker.
+        if let [alone] = scratch.trial[..] {
+            scratch.gain = alone.share / self.typical[alone.index];
+            return Some(self.evidence(&alone, 1.0));
+        }
+        let evidence = scratch.trial.iter().map(|part| self.evidence(part, scratch.gain));
         Some(evidence.fold(f64::INFINITY, f64::min))
     }
 
-    /// Evidence that a part of the trial is a touch, in standard deviations: (2 ln b)^1/2, with b how many times as
-    /// probable its strength a is with a touch as without, 0 if it isn't. Without a touch, a is the noise and the map's
-    /// error, a ~ N(0, v). With one, it is about the strength t that is typical at its place, a ~ N(t, v + t^2). The
-    /// map's error is `MAP_ERROR` of t. It grows with the strongest other part, as far as errors aren't noise.
-    fn evidence(&self, trial: &[Part], number: usize) -> f64 {
-        let square = |part: &Part| f64::from(self.map.squares[part.index]);
-        let energy = |part: &&Part| part.share * part.share * square(part);
-        let others = trial.iter().enumerate().filter(|(other, _)| *other != number).map(|(_, part)| part);
-        let strongest = others.max_by(|a, b| energy(a).total_cmp(&energy(b)));
-        let gain = strongest.map_or(1.0, |part| (part.share / self.typical[part.index]).max(1.0));
-        let (part, noise) = (&trial[number], self.map.noise_share);
+    /// Evidence that a part is a touch, in standard deviations: (2 ln b)^1/2, with b how many times as probable its
+    /// strength a is with a touch as without, 0 if it isn't. Without a touch, a is the noise and the map's error,
+    /// a ~ N(0, v). With one, it is about the strength t that is typical at its place, a ~ N(t, v + t^2). The map's
+    /// error is `MAP_ERROR` of t at the typical strength. As far as errors aren't noise, they grow and fall with the
+    /// `gain`: the frame's strength in typical touches.
+    fn evidence(&self, part: &Part, gain: f64) -> f64 {
+        let noise = self.map.noise_share;
         let (strength, typical) = (part.share, self.typical[part.index]);
         let map_error = (MAP_ERROR * typical).powi(2) * (noise + (1.0 - noise) * gain * gain);
-        let without = noise * self.map.error_variance / square(part) + map_error;
+        let without = noise * self.map.error_variance / f64::from(self.map.squares[part.index]) + map_error;
         let with = without + typical * typical;
         let ratio = strength.powi(2) / without - (strength - typical).powi(2) / with - (with / without).ln();
         ratio.max(0.0).sqrt()
