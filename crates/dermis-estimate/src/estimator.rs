@@ -114,6 +114,35 @@ impl Estimator {
         self.fit = fit;
     }
 
+    /// About how long the explanations since the last call took, nanoseconds; 0 if fits are quick.
+    pub fn spent_ns(&mut self) -> u64 {
+        let spent_ns = self.work.take_spent_ns(self.fit.work());
+        self.fit.set_most_work(MOST_WORK);
+        spent_ns
+    }
+
+    /// Allows these operations until the next call of [`Estimator::spent_ns`], if they are fewer than it allows
+    /// itself. [`Estimator::is_out_of_work`] tells whether they sufficed.
+    pub fn allow(&mut self, allowance: Allowance) {
+        self.work.allowance = allowance;
+    }
+
+    /// True if the last explanation ended early because of [`Estimator::allow`].
+    pub fn is_out_of_work(&self) -> bool {
+        self.work.is_out(self.fit.work())
+    }
+
+    /// Begins an explanation of at most this many operations, and no more than are allowed.
+    fn begin(&mut self, most: f64, allowed: f64) {
+        self.begin_part(most, allowed);
+        self.work.is_cut_short = false;
+    }
+
+    fn begin_part(&mut self, most: f64, allowed: f64) {
+        self.work.begin_part(self.fit.work(), most, allowed);
+        self.fit.set_most_work(self.work.most);
+    }
+
     /// Forgets the last frame: the next is unrelated to it.
     pub fn forget(&mut self) {
         self.memory = Memory::nothing();

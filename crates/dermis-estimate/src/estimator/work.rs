@@ -1,7 +1,5 @@
 //! The operations that an explanation may take.
 
-use super::Estimator;
-
 /// Largest number of operations spent on one frame: some 60 ms. It is counted rather than timed, so that replays
 /// agree.
 pub(super) const MOST_WORK: f64 = 4e8;
@@ -43,39 +41,23 @@ impl Work {
         let allowance = Allowance::of(f64::INFINITY);
         Self { spent: 0.0, allowance, left: None, is_cut_short: false, most: f64::INFINITY }
     }
-}
 
-impl Estimator {
-    /// About how long the explanations since the last call took, nanoseconds; 0 if fits are quick.
-    pub fn spent_ns(&mut self) -> u64 {
-        let operations = std::mem::take(&mut self.work.spent) + self.fit.work();
-        self.fit.set_most_work(MOST_WORK);
-        (OPERATION_NS * operations) as u64
+    /// True if the explanation left something out because of the allowance. `operations` are those of the current part.
+    pub fn is_out(&self, operations: f64) -> bool {
+        self.is_cut_short || self.left.is_some_and(|left| operations > left)
     }
 
-    /// Allows these operations until the next call of [`Estimator::spent_ns`], if they are fewer than it allows
-    /// itself. [`Estimator::is_out_of_work`] tells whether they sufficed.
-    pub fn allow(&mut self, allowance: Allowance) {
-        self.work.allowance = allowance;
+    /// Begins the next part of an explanation, of at most `most` operations, and no more than the rest of those
+    /// `allowed`. `operations` are those of the part that ends.
+    pub fn begin_part(&mut self, operations: f64, most: f64, allowed: f64) {
+        self.is_cut_short = self.is_out(operations);
+        self.spent += operations;
+        self.left = Some((allowed - self.spent).max(0.0)).filter(|left| *left < most);
+        self.most = self.left.unwrap_or(most);
     }
 
-    /// True if the last explanation ended early because of [`Estimator::allow`].
-    pub fn is_out_of_work(&self) -> bool {
-        self.work.is_cut_short || self.work.left.is_some_and(|left| self.fit.work() > left)
-    }
-
-    /// Begins an explanation of at most this many operations, and no more than are allowed.
-    pub(super) fn begin(&mut self, most: f64, allowed: f64) {
-        self.begin_part(most, allowed);
-        self.work.is_cut_short = false;
-    }
-
-    /// Begins the next part of an explanation.
-    pub(super) fn begin_part(&mut self, most: f64, allowed: f64) {
-        self.work.is_cut_short = self.is_out_of_work();
-        self.work.spent += self.fit.work();
-        self.work.left = Some((allowed - self.work.spent).max(0.0)).filter(|left| *left < most);
-        self.work.most = self.work.left.unwrap_or(most);
-        self.fit.set_most_work(self.work.most);
+    /// About how long the operations since the last call took, nanoseconds. `operations` are those of the current part.
+    pub fn take_spent_ns(&mut self, operations: f64) -> u64 {
+        (OPERATION_NS * (std::mem::take(&mut self.spent) + operations)) as u64
     }
 }
