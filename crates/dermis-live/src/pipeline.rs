@@ -89,7 +89,7 @@ struct Buffers {
 #[derive(Debug, Default)]
 struct Timing {
     latencies: StageLatencies,
-    /// Frames stamped before this waited while the operator was built, which happens once; they are not timed.
+    /// Frames are timed from the first baseline on, but not those stamped before this: they waited for the operator.
     timed_from_ns: u64,
     frames: u64,
     /// Events on the skin are timed by the device's clock if it has one, so that a replay at another speed gives the
@@ -216,7 +216,7 @@ impl Pipeline {
         }
         // Waiting is measured by the host's clock alone, since the device's may have another origin and rate.
         let waited = Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns));
-        if frame.host_monotonic_ns >= self.timing.timed_from_ns {
+        if is_ready && frame.host_monotonic_ns >= self.timing.timed_from_ns {
             self.timing.latencies.queue.record(waited);
             self.timing.latencies.total.record(waited + start.elapsed());
         }
