@@ -109,7 +109,9 @@ fn parquet_files_with_one_wrong_byte() {
             for byte in [0, 1, 47, 127, 255] {
                 let mut content = whole.clone();
                 content[at] = byte;
-                let _ = decode(format, &content, Path::new("made.bin"));
+                if let Err(error) = decode(format, &content, Path::new("made.bin")) {
+                    assert!(error.to_string().starts_with("made.bin"), "{error}");
+                }
             }
         }
     }

@@ -37,12 +37,13 @@ impl Estimator {
         let sizes = best.presses.len() + 1..=best.presses.len().saturating_add(most_added);
         let mut least_left = f64::INFINITY;
         for k in 0.. {
-            let is_late = !found.is_empty() && self.fit.work() > PROPOSED_SETS * self.work.most;
-            if k == self.sets.len() && is_late {
-                return true;
-            }
-            if k == self.sets.len() && !self.find_set(&sizes) {
-                break;
+            if k == self.sets.len() {
+                if !found.is_empty() && self.fit.work() > PROPOSED_SETS * self.work.most {
+                    return true;
+                }
+                if !self.find_set(&sizes) {
+                    break;
+                }
             }
             let more = self.sets[k].clone();
             if !sizes.contains(&more.presses.len()) {

@@ -115,40 +115,35 @@ fn few_frames_frames_of_other_lengths_and_frames_without_touches_are_refused() {
     assert!(learned().explain(&[f64::NAN; CHANNELS], &mut scratch).is_err());
 }
 
+/// Numbers of 200 single touches of this strength that count as one, of pairs apart, and of those that count as two.
+fn counted(map: &Superposition, strength: f64, seed: usize) -> [usize; 3] {
+    let mut scratch = SuperpositionScratch::default();
+    let (mut single, mut pairs, mut double) = (0, 0, 0);
+    for number in 0..200 {
+        let [a, b] = [0, 1].map(|touch| place(seed + 2 * number + touch));
+        let count = |touches: &[([f64; 2], f64)], scratch: &mut SuperpositionScratch| {
+            map.explain(&frame(touches, seed + 40_000 + number), scratch).unwrap().len()
+        };
+        single += usize::from(count(&[(a, strength)], &mut scratch) == 1);
+        if squared_distance(a, b).sqrt() > 0.05 {
+            pairs += 1;
+            double += usize::from(count(&[(a, strength), (b, strength)], &mut scratch) == 2);
+        }
+    }
+    [single, pairs, double]
+}
+
 #[test]
 fn a_touch_much_stronger_than_the_pokes_is_one_and_two_are_two() {
     // The map's errors grow with the touch: without that, 158 single touches and 31 of 46 pairs are counted right.
-    let (map, mut scratch) = (learned(), SuperpositionScratch::default());
-    let (mut single, mut pairs, mut double) = (0, 0, 0);
-    for number in 0..200 {
-        let [a, b] = [place(30_000 + 2 * number), place(30_001 + 2 * number)];
-        let count = |touches: &[([f64; 2], f64)], scratch: &mut SuperpositionScratch| {
-            map.explain(&frame(touches, 70_000 + number), scratch).unwrap().len()
-        };
-        single += usize::from(count(&[(a, 8.0)], &mut scratch) == 1);
-        if squared_distance(a, b).sqrt() > 0.05 {
-            pairs += 1;
-            double += usize::from(count(&[(a, 8.0), (b, 8.0)], &mut scratch) == 2);
-        }
-    }
+    let [single, pairs, double] = counted(&learned(), 8.0, 30_000);
     assert!(single >= 180 && 10 * double >= 8 * pairs, "{single} of 200, {double} of {pairs}");
 }
 
 #[test]
 fn two_touches_lighter_than_the_pokes_are_two() {
     // The map's errors fall with the frame: without that, 7 of 55 pairs are counted right.
-    let (map, mut scratch) = (learned_from(|poke| 1.0 + 0.5 * dither(90_000 + poke)), SuperpositionScratch::default());
-    let (mut single, mut pairs, mut double) = (0, 0, 0);
-    for number in 0..200 {
-        let [a, b] = [place(40_000 + 2 * number), place(40_001 + 2 * number)];
-        let count = |touches: &[([f64; 2], f64)], scratch: &mut SuperpositionScratch| {
-            map.explain(&frame(touches, 80_000 + number), scratch).unwrap().len()
-        };
-        single += usize::from(count(&[(a, 0.25)], &mut scratch) == 1);
-        if squared_distance(a, b).sqrt() > 0.05 {
-            pairs += 1;
-            double += usize::from(count(&[(a, 0.25), (b, 0.25)], &mut scratch) == 2);
-        }
-    }
+    let map = learned_from(|poke| 1.0 + 0.5 * dither(90_000 + poke));
+    let [single, pairs, double] = counted(&map, 0.25, 40_000);
     assert!(single >= 195 && 10 * double >= 3 * pairs, "{single} of 200, {double} of {pairs}");
 }
