@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crate::{DeviceError, Frame, Layout, Source, SourceEvent};
+use crate::{DeviceError, Frame, Layout, RealTime, Source, SourceEvent};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, bounded};
 
 /// How long the thread waits for a frame between checks of the stop flag.
@@ -48,6 +48,7 @@ pub struct Acquisition {
     free: Sender<Frame>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<Result<(), DeviceError>>>,
+    is_instrument: bool,
     layout: Layout,
     name: String,
 }
@@ -96,10 +97,14 @@ impl Acquisition {
             let _ = free.try_send(Frame::with_capacity(channels));
         }
         let shared = Arc::new(Shared::default());
-        let (layout, name) = (source.layout().clone(), source.name().to_string());
+        let (layout, name, is_instrument) =
+            (source.layout().clone(), source.name().to_string(), source.is_instrument());
         let watched = shared.clone();
-        let thread = std::thread::spawn(move || read(source.as_mut(), &filled, &empty, &watched, wait));
-        Self { frames, free, shared, thread: Some(thread), layout, name }
+        let thread = std::thread::spawn(move || {
+            let _real_time = is_instrument.then(RealTime::request);
+            read(source.as_mut(), &filled, &empty, &watched, wait)
+        });
+        Self { frames, free, shared, thread: Some(thread), is_instrument, layout, name }
     }
 
     /// Layout of the frames.
@@ -110,6 +115,11 @@ impl Acquisition {
     /// Name of the source.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// As for [`Source::is_instrument`].
+    pub fn is_instrument(&self) -> bool {
+        self.is_instrument
     }
 
     /// Returns the next frame, after waiting at most `timeout`.

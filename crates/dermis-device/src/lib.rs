@@ -32,6 +32,7 @@
 //! | [`FrameTable`], [`read`], [`ReadOptions`], [`FileSpec`] | finite recordings; reading files; `frames.csv#0..60` |
 //! | [`instruments`] | formats of files and streams, one module each |
 //! | [`SourceSelector`], [`open_stream`], [`open_wire`], [`stream`] | live instruments by name, ports, sockets |
+//! | [`RealTime`] | priority of the threads between an instrument and its touches |
 //! | [`Playback`], [`write_atomic`] | tables played as sources; files written atomically |
 //!
 //! Decoders take bytes and return values, so they can be tested without a file system. Only [`read`] takes bytes from
@@ -50,6 +51,7 @@ mod open;
 mod place;
 mod playback;
 mod read_options;
+mod real_time;
 mod select;
 mod selector;
 mod source;
@@ -67,6 +69,7 @@ pub use open::{open_sciospec, open_stream, open_stream_greeted, open_wire};
 pub use place::{Place, partial_name, remember, rename_new};
 pub use playback::{Pacing, Playback, Repeat};
 pub use read_options::{Frequencies, ReadOptions};
+pub use real_time::{RealTime, leave_real_time};
 pub use select::{FileSpec, FrameItem, FrameSelect};
 pub use selector::{Instrument, SerialName, SourceSelector};
 pub use source::{Counters, Source, SourceEvent};

@@ -33,6 +33,12 @@ pub trait Source: Send {
     /// Numbers of delivered, lost and bad frames since the source was opened.
     fn counters(&self) -> Counters;
 
+    /// True if frames come from hardware as it measures. The threads that take them to touches then ask for
+    /// real-time priority.
+    fn is_instrument(&self) -> bool {
+        false
+    }
+
     /// Reason why no frames arrive, in words, if known: a device that doesn't answer, or a lost connection.
     fn problem(&self) -> Option<String> {
         None

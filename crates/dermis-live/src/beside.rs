@@ -1,11 +1,13 @@
 //! Background work that takes longer than a frame. The frame from which its result counts is fixed, in the frames'
 //! own time, when the work starts. A replay at any speed on any machine therefore gives the same results as the live
-//! run. If a frame is due before the work is done, it waits, and the wait is counted. The exception is patient work on
-//! frames of an instrument: it takes effect later, and a log message says so. Otherwise the instrument's frames would
-//! be lost for as long as the work takes.
+//! run. If a frame is due before the work is done, it waits, and the wait is counted. The exception are frames of an
+//! instrument, which do not wait: late work takes effect with the first frame after it is done, and a log message says
+//! so. Otherwise a busy machine would delay touches, and lose frames.
 
 #[cfg(not(target_family = "wasm"))]
 use crossbeam_channel::{Receiver, Sender};
+#[cfg(not(target_family = "wasm"))]
+use dermis_device::leave_real_time;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(target_family = "wasm"))]
@@ -19,8 +21,6 @@ use std::{
 /// Niceness of threads for work in the background: they get a quarter of a core that others want.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 5;
-/// Patient work that is late for an instrument's frames is asked for again after this time, nanoseconds.
-const AGAIN_NS: u64 = 1_000_000_000;
 
 #[cfg(not(target_family = "wasm"))]
 thread_local! {
@@ -44,6 +44,7 @@ static STARTER: LazyLock<Sender<Job>> = LazyLock::new(|| {
     let (send, jobs) = crossbeam_channel::unbounded::<Job>();
     let warn = |error| tracing::warn!("the system refuses a thread for work in the background: {error}");
     let started = thread::Builder::new().spawn(move || {
+        leave_real_time();
         // On Linux, each thread has a niceness of its own.
         #[cfg(target_os = "linux")]
         let _ = rustix::process::nice(NICENESS);
@@ -90,6 +91,7 @@ struct UnderWay<T> {
     due_ns: u64,
     outcome: Outcome<T>,
     wanted: Wanted,
+    is_late: bool,
 }
 
 /// Result of work: from a thread, or computed at once if there are no threads (in a page).
@@ -171,16 +173,17 @@ impl<T: Send + 'static> Beside<T> {
         let wanted = Wanted::default();
         let told = wanted.clone();
         let outcome = Outcome::of(self.is_patient, move || work(&told));
-        self.under_way = Some(UnderWay { due_ns, outcome, wanted });
+        self.under_way = Some(UnderWay { due_ns, outcome, wanted, is_late: false });
     }
 
     /// The result, in the first frame at or after its due time.
     pub fn take(&mut self, time_ns: u64) -> Option<T> {
-        let may_be_late = self.is_patient && self.is_live;
-        let late = |work: &&mut UnderWay<T>| may_be_late && time_ns >= work.due_ns && !work.outcome.is_there();
-        if let Some(work) = self.under_way.as_mut().filter(late) {
-            tracing::info!("work in the background is late, and takes effect later than in a replay");
-            work.due_ns = time_ns.saturating_add(AGAIN_NS);
+        let is_late = |work: &&mut UnderWay<T>| time_ns >= work.due_ns && !work.outcome.is_there();
+        if let Some(work) = self.under_way.as_mut().filter(|_| self.is_live).filter(is_late) {
+            if !std::mem::replace(&mut work.is_late, true) {
+                tracing::info!("work in the background is late, and takes effect later than in a replay");
+            }
+            return None;
         }
         let UnderWay { outcome, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
         if !outcome.is_there() {
@@ -234,17 +237,17 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_an_instrument_do_not_wait_for_patient_work() {
+    fn frames_of_an_instrument_do_not_wait() {
         let (send, receive) = channel::<()>();
-        let mut late = Beside::patient();
+        let mut late = Beside::new();
         late.set_live(true);
         late.begin(100, move |_| receive.recv().ok().map(|()| 1));
-        assert_eq!((late.take(100), late.waits()), (None, 0));
+        assert_eq!((late.take(100), late.take(101), late.waits()), (None, None, 0));
         send.send(()).unwrap();
         while !late.under_way.as_ref().unwrap().outcome.is_there() {
             std::thread::yield_now();
         }
-        assert_eq!((late.take(99 + AGAIN_NS), late.take(100 + AGAIN_NS)), (None, Some(1)));
+        assert_eq!((late.take(99), late.take(102)), (None, Some(1)));
     }
 
     #[test]

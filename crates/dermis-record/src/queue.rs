@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, select};
-use dermis_device::Frame;
+use dermis_device::{Frame, leave_real_time};
 use dermis_skin::FileError;
 use dermis_touch::ReferenceRecord;
 
@@ -149,6 +149,7 @@ impl RecorderHandle {
             shared: shared_there,
         };
         let thread = thread::Builder::new().name("dermis-recorder".to_owned()).spawn(move || {
+            leave_real_time();
             let result = writer.run();
             drop::<Sender<()>>(ending);
             result

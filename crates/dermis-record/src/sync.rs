@@ -7,6 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use dermis_device::leave_real_time;
+
 /// Calls a sync function at a limited rate.
 #[derive(Debug)]
 pub(super) struct Syncer {
@@ -30,6 +32,7 @@ impl Syncer {
         let failed = Arc::new(Mutex::new(None));
         let told = failed.clone();
         let thread = thread::Builder::new().name("sync recording".to_owned()).spawn(move || {
+            leave_real_time();
             for () in asked {
                 if let Err(error) = sync() {
                     told.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);

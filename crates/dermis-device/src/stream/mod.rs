@@ -26,7 +26,7 @@ pub use serial::{Port, SerialConnect, ports};
 pub use session::StreamOptions;
 pub use tcp::TcpConnect;
 
-use crate::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};
+use crate::{Counters, DeviceError, Frame, Layout, RealTime, Source, SourceEvent};
 
 /// A live instrument as a [`Source`].
 ///
@@ -68,6 +68,7 @@ impl StreamSource {
         thread::Builder::new()
             .name(format!("read {name}"))
             .spawn(move || {
+                let _real_time = RealTime::request();
                 session::run(connect, dialogue, inbox, options);
                 // The source may be gone already.
                 let _ = ending.try_send(());
@@ -112,6 +113,10 @@ impl Source for StreamSource {
 
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn is_instrument(&self) -> bool {
+        true
     }
 
     fn next_frame(&mut self, frame: &mut Frame, timeout: Duration) -> Result<SourceEvent, DeviceError> {

@@ -34,6 +34,7 @@ impl Pipeline {
         self.prepared = Arc::new(prepared);
         (reconstructor.imager, reconstructor.refinement) = (imager, refinement);
         self.operators = Operators::after(self.operators.waits());
+        self.pass_on_live();
         self.match_baseline(at)?;
         let State::Running(running) = &mut self.state else { return Ok(()) };
         running.reconstructor.leave_out(&self.prepared, &[], &running.reference.noise)?;

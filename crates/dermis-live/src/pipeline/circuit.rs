@@ -34,6 +34,7 @@ impl Pipeline {
         running.reconstructor.placement = Some(PlacementFinder::Matched(Box::new(finder)));
         running.reconstructor.interrupt(time_ns);
         self.operators = Operators::after(self.operators.waits());
+        self.pass_on_live();
         self.match_baseline(at)?;
         let left_out = self.health.as_ref().map_or(&[][..], |health| health.left_out());
         let State::Running(running) = &mut self.state else { return Ok(()) };

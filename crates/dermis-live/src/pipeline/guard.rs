@@ -7,6 +7,7 @@ use dermis_touch::{ReferenceOrigin, ReferenceRecord};
 
 use super::Pipeline;
 use super::baselines::GONE_REASON;
+use super::state::State;
 use crate::Error;
 use crate::clock::FrameAnomalies;
 use crate::stages::guard::{GuardStage, SeenFrame};
@@ -36,15 +37,30 @@ impl Pipeline {
 
     /// States whether frames come from an instrument, in real time, rather than from a file or a twin, which may run at
     /// any speed. The guard then sees frames that queued up on the way, by the device's clock. Work in the background
-    /// that takes seconds and is late takes effect later, instead of keeping frames waiting.
+    /// that is late takes effect later, instead of keeping frames waiting.
     pub fn set_live(&mut self, is_live: bool) {
         if let Some(guard) = &mut self.guard {
             guard.watch_lag(is_live);
         }
+        self.choices.is_live = is_live;
+        self.pass_on_live();
+    }
+
+    /// Tells all work in the background whether frames come from an instrument. Call it when parts were made anew.
+    pub(super) fn pass_on_live(&mut self) {
+        let is_live = self.choices.is_live;
+        self.errors.set_live(is_live);
+        self.operators.coming.set_live(is_live);
         if let Some(building) = &mut self.building {
             building.set_live(is_live);
         }
-        self.errors.set_live(is_live);
+        if let Some(circuit) = &mut self.circuit {
+            circuit.set_live(is_live);
+        }
+        match &mut self.state {
+            State::Starting(starting) => starting.refinement.set_live(is_live),
+            State::Running(running) => running.reconstructor.refinement.set_live(is_live),
+        }
     }
 
     pub(super) fn judge(&mut self, frame: &Frame, anomalies: FrameAnomalies, now_ns: u64) -> Option<GuardReport> {

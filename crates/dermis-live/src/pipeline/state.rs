@@ -28,7 +28,7 @@ pub(super) enum State {
 pub(super) struct Starting {
     /// The operator, if it does not depend on the baseline.
     imager: Option<Imager>,
-    refinement: Refinement,
+    pub refinement: Refinement,
 }
 
 /// The reference that frames are compared with, and the reconstructor that turns them into touches.
@@ -44,6 +44,8 @@ pub(super) struct Choices {
     pub calibration: Option<Calibration>,
     pub hyperparameter: Option<f64>,
     pub forces: Option<ForceCalibration>,
+    /// Frames come from an instrument.
+    pub is_live: bool,
 }
 
 impl Starting {

@@ -103,6 +103,11 @@ impl CircuitStage {
         Err(Error::Frames { what, expected, got: format!("{} channels", prepared.channels()) })
     }
 
+    /// States whether frames come from an instrument, which doesn't wait for a search.
+    pub fn set_live(&mut self, is_live: bool) {
+        self.coming.set_live(is_live);
+    }
+
     /// Number of frames that waited for a search.
     pub fn waits(&self) -> u64 {
         self.coming.waits()

@@ -206,6 +206,11 @@ impl SpotStage {
         self.sets.clear();
     }
 
+    /// States whether frames come from an instrument, which doesn't wait for searches.
+    pub(crate) fn set_live(&mut self, is_live: bool) {
+        self.search.set_live(is_live);
+    }
+
     /// Number of frames that had to wait for a search.
     pub(crate) fn waits(&self) -> u64 {
         self.search.waits()

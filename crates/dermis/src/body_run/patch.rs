@@ -8,7 +8,7 @@ use crate::error::Error;
 use crossbeam_channel::{Receiver, SendTimeoutError, Sender};
 use dermis_body::{Body, SpatialTouch, Wrench, trusted_force};
 use dermis_device::acquire::{Acquisition, Next};
-use dermis_device::{Frame, HostStamp};
+use dermis_device::{Frame, HostStamp, RealTime};
 use dermis_live::latency::RecentLatencies;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::skin_frame::SkinFrame;
@@ -125,6 +125,7 @@ impl PatchThread {
     pub fn run(mut self) {
         let (health, loads) = (self.health.clone(), self.loads.clone());
         let _told = Panicking { health, loads, number: self.number };
+        let _real_time = self.acquisition.is_instrument().then(RealTime::request);
         let name = self.body.patches[self.number].name.clone();
         let state = match self.follow() {
             Ok(()) => PatchState::Ended,

@@ -106,34 +106,64 @@ impl CrackModel {
         let half_m = 0.5 * crack.length_m;
         let (sin, cos) = crack.direction_rad.sin_cos();
         let count = self.drives + self.patterns;
-        scratch.modes.clear();
-        scratch.modes.resize(count, [0.0; TERMS]);
+        let CrackScratch { normals, modes, jumps } = scratch;
+        normals.resize(count, 0.0);
+        modes.clear();
+        modes.resize(count, [0.0; TERMS]);
         for (x, weight, values) in &self.points {
             let along = half_m * x;
             let place = [crack.centre_m[0] + along * cos, crack.centre_m[1] + along * sin];
             let Some(corners) = self.corners(place) else { return false };
-            for (index, modes) in scratch.modes.iter_mut().enumerate() {
-                let mut normal = 0.0;
-                for &(pixel, share) in &corners {
-                    let [x, y] = self.fields[pixel * count + index];
-                    normal += share * (cos * y - sin * x);
-                }
-                for (mode, value) in modes.iter_mut().zip(values) {
-                    *mode += weight * value * normal;
+            normals.fill(0.0);
+            for (pixel, share) in corners {
+                let (along_x, along_y) = (-share * sin, share * cos);
+                for (normal, [x, y]) in normals.iter_mut().zip(&self.fields[pixel * count..][..count]) {
+                    *normal += along_x * x + along_y * y;
                 }
             }
+            let shares = values.map(|value| weight * value);
+            for (modes, normal) in modes.iter_mut().zip(&*normals) {
+                modes.iter_mut().zip(shares).for_each(|(mode, share)| *mode += share * normal);
+            }
         }
-        // The modes hold (pi/2) e_k.
-        let mut system = self.overlap;
-        for (row, entries) in system.iter_mut().enumerate() {
-            entries.iter_mut().for_each(|entry| *entry *= crack.joined_per_m);
-            entries[row] += std::f64::consts::PI * (row + 1) as f64 / (4.0 * half_m);
+        // The modes hold (pi/2) e_k. The system of an open cut is diagonal.
+        let diagonal: [f64; TERMS] =
+            std::array::from_fn(|row| std::f64::consts::PI * (row + 1) as f64 / (4.0 * half_m));
+        jumps.clear();
+        if crack.joined_per_m == 0.0 {
+            let jump = |modes: &[f64; TERMS]| std::array::from_fn(|k| modes[k] / diagonal[k]);
+            jumps.extend(modes[..self.drives].iter().map(jump));
+        } else {
+            let mut system = self.overlap.map(|row| row.map(|entry| entry * crack.joined_per_m));
+            (0..TERMS).for_each(|k| system[k][k] += diagonal[k]);
+            jumps.extend(modes[..self.drives].iter().map(|modes| solve(system, *modes)));
         }
-        scratch.jumps.clear();
-        scratch.jumps.extend(scratch.modes[..self.drives].iter().map(|modes| solve(system, *modes)));
         for (value, [drive, pattern]) in response.iter_mut().zip(&self.channels) {
-            let (jump, modes) = (&scratch.jumps[*drive as usize], &scratch.modes[self.drives + *pattern as usize]);
+            let (jump, modes) = (&jumps[*drive as usize], &modes[self.drives + *pattern as usize]);
             *value = self.sheet_s * half_m * jump.iter().zip(modes).map(|(c, e)| c * e).sum::<f64>();
+        }
+        true
+    }
+
+    /// Change of every channel due to a short open cut at a place, per squared half length, model volts per square
+    /// metre: with normal n, `s pi (n E) (n E')`. Into `responses` go the factors of `n_x^2`, `n_x n_y` and `n_y^2`.
+    /// False if the place is outside the skin.
+    pub(super) fn respond_short(&self, place: Point, responses: &mut [Vec<f64>; 3]) -> bool {
+        let Some(corners) = self.corners(place) else { return false };
+        let count = self.drives + self.patterns;
+        let mut fields = vec![[0.0; 2]; count];
+        for (pixel, share) in corners {
+            for (field, [x, y]) in fields.iter_mut().zip(&self.fields[pixel * count..][..count]) {
+                (field[0], field[1]) = (field[0] + share * x, field[1] + share * y);
+            }
+        }
+        let factor = self.sheet_s * std::f64::consts::PI;
+        responses.iter_mut().for_each(|response| response.clear());
+        for [drive, pattern] in &self.channels {
+            let ([x, y], [u, v]) = (fields[*drive as usize], fields[self.drives + *pattern as usize]);
+            for (response, product) in responses.iter_mut().zip([x * u, x * v + y * u, y * v]) {
+                response.push(factor * product);
+            }
         }
         true
     }
@@ -163,8 +193,9 @@ impl CrackModel {
         if total < 0.2 {
             return None;
         }
-        corners.iter_mut().for_each(|corner| corner.1 /= total);
-        Some(corners)
+        // Outside there is no field, not even for a share of zero.
+        let (inside, _) = *corners.iter().find(|corner| corner.1 > 0.0)?;
+        Some(corners.map(|(pixel, share)| if share > 0.0 { (pixel, share / total) } else { (inside, 0.0) }))
     }
 }
 
@@ -178,6 +209,8 @@ fn balanced(pattern: &Pattern, electrodes: usize) -> Pattern {
 /// Working memory for responses.
 #[derive(Debug, Default)]
 pub struct CrackScratch {
+    /// Normal fields at one point.
+    normals: Vec<f64>,
     modes: Vec<[f64; TERMS]>,
     jumps: Vec<[f64; TERMS]>,
 }

@@ -90,10 +90,8 @@ impl HealingMonitor {
             inner_product(&response, &open) / square
         });
         let left_at = left_at.collect();
-        let about = ABOUT_M.iter().map(|radius_m| rise_response(prepared, crack, *radius_m));
-        let middle = Crack { length_m: 0.0, ..*crack };
-        let round = ROUND_M.iter().map(|radius_m| rise_response(prepared, &middle, *radius_m));
-        let rises = about.chain(round).collect();
+        let mut rises = rise_responses(prepared, crack, &ABOUT_M);
+        rises.extend(rise_responses(prepared, &Crack { length_m: 0.0, ..*crack }, &ROUND_M));
         let state = Healing { id, left: 1.0, joined: 0.0, rise: 0.0, settled: true };
         let fitted = vec![0.0; open.len()];
         self.watched.push(Watched { state, open, rises, left_at, history: Vec::new(), fitted });
@@ -195,18 +193,30 @@ fn joining(step: f64) -> f64 {
     LEAST_JOINED_PER_M * STEP.powf(step)
 }
 
-/// Change of every channel per relative rise of conductivity within a distance of the cut, model volts.
-fn rise_response(prepared: &Prepared, crack: &Crack, radius_m: f64) -> Vec<f64> {
+/// Changes of every channel per relative rise of conductivity within each of these distances of the cut, in ascending
+/// order, model volts.
+fn rise_responses(prepared: &Prepared, crack: &Crack, radii_m: &[f64]) -> Vec<Vec<f64>> {
     let (sin, cos) = crack.direction_rad.sin_cos();
-    let within: Vec<usize> = (0..prepared.basis.positions.len())
-        .filter(|&pixel| {
-            let [x, y, _] = prepared.basis.positions[pixel];
-            let (dx, dy) = (x - crack.centre_m[0], y - crack.centre_m[1]);
-            let along = ((dx * cos + dy * sin).abs() - 0.5 * crack.length_m).max(0.0);
-            (dy * cos - dx * sin).hypot(along) <= radius_m
-        })
-        .collect();
-    (0..prepared.channels()).map(|c| within.iter().map(|&pixel| prepared.jacobian.row(c)[pixel]).sum()).collect()
+    // Pixels between one distance and the next.
+    let mut rings = vec![Vec::new(); radii_m.len()];
+    for (pixel, [x, y, _]) in prepared.basis.positions.iter().enumerate() {
+        let (dx, dy) = (x - crack.centre_m[0], y - crack.centre_m[1]);
+        let along = ((dx * cos + dy * sin).abs() - 0.5 * crack.length_m).max(0.0);
+        let distance_m = (dy * cos - dx * sin).hypot(along);
+        if let Some(ring) = radii_m.iter().position(|radius_m| distance_m <= *radius_m) {
+            rings[ring].push(pixel);
+        }
+    }
+    let mut responses = vec![vec![0.0; prepared.channels()]; radii_m.len()];
+    for channel in 0..prepared.channels() {
+        let row = prepared.jacobian.row(channel);
+        let mut sum = 0.0;
+        for (response, ring) in responses.iter_mut().zip(&rings) {
+            sum += ring.iter().map(|&pixel| row[pixel]).sum::<f64>();
+            response[channel] = sum;
+        }
+    }
+    responses
 }
 
 /// Weighted least squares in three columns, the second optional. Returns the factors and the cost.

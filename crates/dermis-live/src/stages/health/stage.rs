@@ -202,8 +202,9 @@ impl HealthStage {
         let judged = JudgedFrame { at: frame.at, difference, unexplained: residuals, is_touched: frame.is_touched };
         let changed = self.monitor.judge(&judged, is_explained)?;
         self.moved.clear();
+        // The kind of a fault may change while the channels stay the same.
+        let leaves_out_others = changed && self.note_left_out();
         if changed {
-            self.note_left_out();
             for channel in self.monitor.recovered().iter().map(|&c| c as usize) {
                 let agreeing = std::mem::replace(&mut self.agreeing[channel], f64::NAN);
                 // A channel that reads what it should by its old baseline keeps it. Under a touch, it is restored only
@@ -227,13 +228,19 @@ impl HealthStage {
         } else {
             Sight::Clear
         };
-        let left_out = changed.then_some(&self.left_out[..]);
+        let left_out = leaves_out_others.then_some(&self.left_out[..]);
         Ok(HealthDecision { excluded, left_out, moved: &self.moved, sight })
     }
 
-    fn note_left_out(&mut self) {
-        self.left_out.clear();
-        self.left_out.extend((0..).zip(self.monitor.declared()).filter(|(_, declared)| **declared).map(|(c, _)| c));
+    /// Takes the channels to exclude from the monitor. True if they have changed.
+    fn note_left_out(&mut self) -> bool {
+        let declared = || (0..).zip(self.monitor.declared()).filter(|(_, declared)| **declared).map(|(c, _)| c);
+        let has_changed = !declared().eq(self.left_out.iter().copied());
+        if has_changed {
+            self.left_out.clear();
+            self.left_out.extend(declared());
+        }
+        has_changed
     }
 }
 
