@@ -196,9 +196,7 @@ impl Imager {
                 elements.set_noise(noise);
                 elements.noise_of_pixels()?
             }
-            (None, Some(missing)) => {
-                missing.noise_deviation(&self.operator, noise).into_iter().map(|sigma| sigma as f32).collect()
-            }
+            (None, Some(missing)) => missing.noise_deviation(&self.operator, noise),
             (None, None) => pixel_noise(&self.operator, noise),
         };
         Ok(())

@@ -63,29 +63,31 @@ impl MissingChannels {
 
     /// Standard deviation of each unknown in the image without these channels, given the noise standard deviation of
     /// each channel: that of `X_r + X_M F`, where F fills in the missing channels.
-    pub fn noise_deviation(&self, operator: &Operator, noise: &[f64]) -> Vec<f64> {
+    pub fn noise_deviation(&self, operator: &Operator, noise: &[f64]) -> Vec<f32> {
         let matrix = &operator.matrix;
-        // Process a block of rows at a time, so that freshly written values are still in the cache when read.
+        // Single precision suffices for noise, and takes half the time. Process a block of rows at a time, so that
+        // freshly written values are still in the cache when read.
+        let fill = Mat::from_fn(self.missing.len(), self.present.len(), |row, column| self.fill[(row, column)] as f32);
         let mut deviation = Vec::with_capacity(matrix.nrows());
         let mut block = Mat::zeros(ROWS_AT_ONCE, self.present.len());
         let mut missing = Mat::zeros(ROWS_AT_ONCE, self.missing.len());
         for start in (0..matrix.nrows()).step_by(ROWS_AT_ONCE) {
             let rows = ROWS_AT_ONCE.min(matrix.nrows() - start);
-            let take = |to: &mut Mat<f64>, channels: &[u32]| {
+            let take = |to: &mut Mat<f32>, channels: &[u32]| {
                 for (column, &channel) in channels.iter().enumerate() {
                     let from = &matrix.col_as_slice(channel as usize)[start..start + rows];
-                    to.col_as_slice_mut(column)[..rows].copy_from_slice(from);
+                    to.col_as_slice_mut(column).iter_mut().zip(from).for_each(|(to, from)| *to = *from as f32);
                 }
             };
             take(&mut block, &self.present);
             take(&mut missing, &self.missing);
-            matmul(&mut block, Accum::Add, &missing, &self.fill, 1.0, Par::Seq);
+            matmul(&mut block, Accum::Add, &missing, &fill, 1.0, Par::Seq);
             let mut variance = [0.0; ROWS_AT_ONCE];
             for (column, &channel) in block.col_iter().zip(&self.present) {
-                let sigma = noise[channel as usize];
+                let sigma = noise[channel as usize] as f32;
                 variance.iter_mut().zip(column.iter()).for_each(|(sum, value)| *sum += (value * sigma).powi(2));
             }
-            deviation.extend(variance[..rows].iter().map(|sum| sum.sqrt()));
+            deviation.extend(variance[..rows].iter().map(|sum: &f32| sum.sqrt()));
         }
         deviation
     }
@@ -169,7 +171,8 @@ mod tests {
             for (row, found) in left.iter().enumerate() {
                 let variance = |(k, c): (usize, &usize)| (expected.matrix[(row, k)] * noise[*c]).powi(2);
                 let expected: f64 = present.iter().enumerate().map(variance).sum::<f64>().sqrt();
-                assert!((found - expected).abs() < 1e-10, "{count} missing: {found} {expected}");
+                // Single precision, and some cancellation.
+                assert!((f64::from(*found) - expected).abs() < 1e-5 * expected, "{count} missing: {found} {expected}");
             }
         }
     }
