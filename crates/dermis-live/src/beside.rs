@@ -1,8 +1,8 @@
 //! Background work that takes longer than a frame. The frame from which its result counts is fixed, in the frames'
 //! own time, when the work starts. A replay at any speed on any machine therefore gives the same results as the live
-//! run. If a frame is due before the work is done, it waits, and the wait is counted. The exception are frames of an
-//! instrument, which do not wait: late work takes effect with the first frame after it is done, and a log message says
-//! so. Otherwise a busy machine would delay touches, and lose frames.
+//! run. If a frame is due before the work is done, it waits, and the wait is counted. Frames of an instrument do not
+//! wait: late work takes effect with the first frame after it is done, and a log message says so. Otherwise a busy
+//! machine would delay touches, and lose frames.
 
 #[cfg(not(target_family = "wasm"))]
 use crossbeam_channel::{Receiver, Sender};
@@ -105,10 +105,10 @@ struct Outcome<T>(
 impl<T: Send + 'static> Outcome<T> {
     fn of(is_patient: bool, work: impl FnOnce() -> Option<T> + Send + 'static) -> Self {
         let (tell, told) = crossbeam_channel::bounded(1);
+        let tell = Tell(tell);
         let job = move || {
             IS_PATIENT.set(is_patient);
-            // Nobody waits for work that is no longer wanted.
-            let _ = tell.send(catch_unwind(AssertUnwindSafe(work)));
+            tell.tell(catch_unwind(AssertUnwindSafe(work)));
         };
         // If the system refused the starter its thread, the job is dropped, and has no result.
         let _ = STARTER.send(Box::new(job));
@@ -120,8 +120,27 @@ impl<T: Send + 'static> Outcome<T> {
     }
 
     fn wait(self) -> Option<T> {
-        // If the work panicked, propagate its panic. If the system refused a thread, there is no result.
+        // If the work panicked, propagate its panic.
         self.0.recv().ok()?.unwrap_or_else(|panic| resume_unwind(panic))
+    }
+}
+
+/// Tells the result of work. If the work is dropped because the system refuses a thread, it tells that there is none.
+#[cfg(not(target_family = "wasm"))]
+struct Tell<T>(Sender<thread::Result<Option<T>>>);
+
+#[cfg(not(target_family = "wasm"))]
+impl<T> Tell<T> {
+    fn tell(&self, result: thread::Result<Option<T>>) {
+        // Only the first result fits, and nobody waits for that of work that is no longer wanted.
+        let _ = self.0.try_send(result);
+    }
+}
+
+#[cfg(not(target_family = "wasm"))]
+impl<T> Drop for Tell<T> {
+    fn drop(&mut self) {
+        self.tell(Ok(None));
     }
 }
 
@@ -248,6 +267,19 @@ mod tests {
             std::thread::yield_now();
         }
         assert_eq!((late.take(99), late.take(102)), (None, Some(1)));
+    }
+
+    #[test]
+    fn dropped_work_has_no_result() {
+        let (tell, told) = crossbeam_channel::bounded(1);
+        let wanted = Wanted::default();
+        let under_way = UnderWay { due_ns: 100, outcome: Outcome(told), wanted, is_late: false };
+        let mut beside = Beside::<i32>::new();
+        beside.under_way = Some(under_way);
+        beside.set_live(true);
+        assert!(beside.take(100).is_none() && beside.is_under_way());
+        drop(Tell(tell));
+        assert!(beside.take(100).is_none() && !beside.is_under_way());
     }
 
     #[test]

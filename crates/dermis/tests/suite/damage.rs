@@ -6,7 +6,7 @@ use dermis_device::{Frame, HostStamp, Layout};
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
-use dermis_live::stages::damage::{CrackModel, ProposalReason, estimate_cut};
+use dermis_live::stages::damage::{Crack, CrackModel, CrackScratch, ProposalReason, estimate_cut};
 use dermis_skin::Skin;
 use dermis_touch::damage::{Damage, DamageEvent, DamageShape, DamageState};
 use dermis_touch::{ReferenceOrigin, Touch};
@@ -350,6 +350,27 @@ fn cuts_are_measured_by_their_fields() {
             "{middle_mm:?}: off {off_mm:.2} mm, {longer_mm:.2} mm longer"
         );
     }
+}
+
+#[test]
+fn cuts_near_a_round_rim_have_an_effect() {
+    let prepared = Prepared::new(Skin::open("hydrogel-disc").unwrap()).unwrap();
+    assert!(CrackModel::applies_to(&prepared));
+    let model = CrackModel::new(&prepared).unwrap();
+    let (mut scratch, mut response) = (CrackScratch::default(), vec![0.0; model.channel_count()]);
+    let mut inside = 0;
+    for k in 0..360 {
+        let (sin, cos) = f64::to_radians(f64::from(k)).sin_cos();
+        let at_m = prepared.half_width_m() * (0.9 + 0.0003 * f64::from(k));
+        let (centre_m, direction_rad) = ([at_m * cos, at_m * sin], f64::from(k));
+        let crack = Crack { centre_m, length_m: 4e-3, direction_rad, joined_per_m: 0.0 };
+        if model.respond(&crack, &mut scratch, &mut response) {
+            inside += 1;
+            assert!(response.iter().all(|value| value.is_finite()), "{crack:?}");
+        }
+    }
+    // The rest leaves the skin.
+    assert!((100..360).contains(&inside), "{inside}");
 }
 
 #[test]
