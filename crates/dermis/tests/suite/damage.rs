@@ -354,7 +354,7 @@ fn cuts_are_measured_by_their_fields() {
 
 #[test]
 fn cuts_near_a_round_rim_have_an_effect() {
-    let prepared = Prepared::new(Skin::open("hydrogel-disc").unwrap()).unwrap();
+    let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
     assert!(CrackModel::applies_to(&prepared));
     let model = CrackModel::new(&prepared).unwrap();
     let (mut scratch, mut response) = (CrackScratch::default(), vec![0.0; model.channel_count()]);
