@@ -83,15 +83,16 @@ mod system {
     pub fn leave() {}
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
 mod tests {
-    use rustix::process::{getpriority_process, nice};
-    use thread_priority::{NormalThreadSchedulePolicy, ThreadSchedulePolicy, thread_schedule_policy};
-
-    use super::*;
-
+    #[cfg(target_os = "linux")]
     #[test]
     fn a_thread_returns_to_its_own_priority_and_new_ones_can() {
+        use rustix::process::{getpriority_process, nice};
+        use thread_priority::{NormalThreadSchedulePolicy, ThreadSchedulePolicy, thread_schedule_policy};
+
+        use super::{RealTime, leave_real_time};
+
         std::thread::spawn(|| {
             let ordinary = Ok(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other));
             nice(3).unwrap();

@@ -33,6 +33,8 @@ pub(crate) struct HealthStage {
     agreeing: Vec<f64>,
     /// Channels excluded permanently, for the operator.
     left_out: Vec<u32>,
+    /// The operator does not know them yet.
+    is_left_out_new: bool,
     moved: Vec<(usize, f64)>,
     /// Consecutive doubtful frames.
     doubtful_frames: usize,
@@ -89,6 +91,7 @@ impl HealthStage {
             unexplained: vec![0.0; count],
             agreeing: vec![f64::NAN; count],
             left_out: Vec::with_capacity(count),
+            is_left_out_new: false,
             moved: Vec::with_capacity(count),
             doubtful_frames: 0,
         })
@@ -202,9 +205,9 @@ impl HealthStage {
         let judged = JudgedFrame { at: frame.at, difference, unexplained: residuals, is_touched: frame.is_touched };
         let changed = self.monitor.judge(&judged, is_explained)?;
         self.moved.clear();
-        // The kind of a fault may change while the channels stay the same.
-        let leaves_out_others = changed && self.note_left_out();
         if changed {
+            // The kind of a fault may change while the channels stay the same.
+            self.is_left_out_new |= self.note_left_out();
             for channel in self.monitor.recovered().iter().map(|&c| c as usize) {
                 let agreeing = std::mem::replace(&mut self.agreeing[channel], f64::NAN);
                 // A channel that reads what it should by its old baseline keeps it. Under a touch, it is restored only
@@ -228,7 +231,9 @@ impl HealthStage {
         } else {
             Sight::Clear
         };
-        let left_out = leaves_out_others.then_some(&self.left_out[..]);
+        // Channels of an electrode are found faulty one after another. Until they all are, no image needs the operator.
+        let is_due = sight == Sight::Clear && std::mem::take(&mut self.is_left_out_new);
+        let left_out = is_due.then_some(&self.left_out[..]);
         Ok(HealthDecision { excluded, left_out, moved: &self.moved, sight })
     }
 
