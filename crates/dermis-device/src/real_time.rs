@@ -14,7 +14,8 @@ impl RealTime {
     /// Asks for real-time priority (`SCHED_RR`, the lowest level), so that the thread runs as soon as it has something
     /// to do. Without it, a frame waits for up to two milliseconds while other threads use all cores. Linux grants it
     /// to root, and to users with an `rtprio` limit; other systems are not asked. On a single core it is not used,
-    /// since a stream that is too fast would leave nothing for other threads.
+    /// since a stream that is too fast would leave nothing for other threads. A process that was started with another
+    /// policy, as by `chrt`, keeps that.
     ///
     /// New threads inherit it from the thread that starts them: call [`leave_real_time`] in those.
     #[must_use]
@@ -54,8 +55,11 @@ mod system {
 
     const REAL_TIME: ThreadSchedulePolicy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::RoundRobin);
 
+    const ORDINARY: ThreadSchedulePolicy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+
     pub fn enter() -> bool {
-        set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, REAL_TIME).is_ok()
+        thread_schedule_policy() == Ok(ORDINARY)
+            && set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, REAL_TIME).is_ok()
     }
 
     pub fn leave() {
@@ -63,12 +67,11 @@ mod system {
             return;
         }
         // With the policy, the library sets a niceness. It must be the one that the user chose.
-        let ordinary = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
         let niceness = getpriority_process(None).unwrap_or(0);
         let priorities = (0..=u8::from(ThreadPriorityValue::MAX)).filter_map(|value| value.try_into().ok());
-        let as_nice = |priority: &ThreadPriority| priority.to_posix(ordinary) == Ok(niceness);
+        let as_nice = |priority: &ThreadPriority| priority.to_posix(ORDINARY) == Ok(niceness);
         let priority = priorities.map(ThreadPriority::Crossplatform).find(as_nice).unwrap_or(ThreadPriority::Min);
-        if let Err(error) = set_thread_priority_and_policy(thread_native_id(), priority, ordinary) {
+        if let Err(error) = set_thread_priority_and_policy(thread_native_id(), priority, ORDINARY) {
             tracing::warn!("a thread keeps its real-time priority: {error:?}");
         }
     }
@@ -98,7 +101,7 @@ mod tests {
             nice(3).unwrap();
             let own = getpriority_process(None).unwrap();
             let real_time = RealTime::request();
-            // Whether the system grants it depends on the user.
+            // Not every user may have it.
             assert_eq!(thread_schedule_policy() != ordinary, real_time.is_granted());
             let inherited = std::thread::spawn(move || {
                 leave_real_time();

@@ -125,7 +125,7 @@ impl<T: Send + 'static> Outcome<T> {
     }
 }
 
-/// Tells the result of work. If the work is dropped because the system refuses a thread, it tells that there is none.
+/// Sends the result of work, or that there is none if the work is dropped because the system refuses a thread.
 #[cfg(not(target_family = "wasm"))]
 struct Tell<T>(Sender<thread::Result<Option<T>>>);
 
@@ -173,6 +173,11 @@ impl<T: Send + 'static> Beside<T> {
     /// States whether frames come from an instrument, which doesn't wait.
     pub fn set_live(&mut self, is_live: bool) {
         self.is_live = is_live;
+    }
+
+    /// True if frames come from an instrument.
+    pub fn is_live(&self) -> bool {
+        self.is_live
     }
 
     /// Number of frames that had to wait for a result.

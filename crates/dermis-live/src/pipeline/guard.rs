@@ -46,7 +46,7 @@ impl Pipeline {
         self.pass_on_live();
     }
 
-    /// Tells all work in the background whether frames come from an instrument. Call it when parts were made anew.
+    /// Tells all background work whether frames come from an instrument. Call it after replacing any of it.
     pub(super) fn pass_on_live(&mut self) {
         let is_live = self.choices.is_live;
         self.errors.set_live(is_live);

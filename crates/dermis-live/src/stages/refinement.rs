@@ -49,8 +49,6 @@ struct Presses {
     drift: Drift,
     /// The fit under changed weights, made in the background: it takes tens of milliseconds on a large skin.
     coming: Beside<Result<AgedFit, Error>>,
-    /// Frames come from an instrument.
-    is_live: bool,
     /// Share of a press's energy left unexplained because the skin differs from its file.
     built_share: f64,
     evidence: Evidence,
@@ -87,7 +85,6 @@ impl Presses {
             left_out: Vec::new(),
             drift: Drift::new(prepared),
             coming: Beside::patient(),
-            is_live: false,
             built_share: 0.0,
             indenter_m: None,
             evidence: Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma },
@@ -101,7 +98,7 @@ impl Presses {
         let (fit, _) = self.fit()?;
         let mut fresh = SpotStage::new(prepared, fit, self.model.membrane_pa());
         fresh.set_built_share(self.built_share);
-        fresh.set_live(self.is_live);
+        fresh.set_live(self.coming.is_live());
         self.stage = Some(Box::new(fresh));
         Ok(())
     }
@@ -341,7 +338,6 @@ impl Refinement {
     /// States whether frames come from an instrument, which doesn't wait for models, weights or searches.
     pub(crate) fn set_live(&mut self, is_live: bool) {
         let By::Presses(presses) = &mut self.by else { return };
-        presses.is_live = is_live;
         presses.coming.set_live(is_live);
         if let Some(cut) = &mut presses.cut {
             cut.coming.set_live(is_live);

@@ -106,23 +106,18 @@ impl CrackModel {
         let half_m = 0.5 * crack.length_m;
         let (sin, cos) = crack.direction_rad.sin_cos();
         let count = self.drives + self.patterns;
-        let CrackScratch { normals, modes, jumps } = scratch;
-        normals.resize(count, 0.0);
+        let CrackScratch { fields, modes, jumps } = scratch;
         modes.clear();
         modes.resize(count, [0.0; TERMS]);
         for (x, weight, values) in &self.points {
             let along = half_m * x;
             let place = [crack.centre_m[0] + along * cos, crack.centre_m[1] + along * sin];
-            let Some(corners) = self.corners(place) else { return false };
-            normals.fill(0.0);
-            for (pixel, share) in corners {
-                let (along_x, along_y) = (-share * sin, share * cos);
-                for (normal, [x, y]) in normals.iter_mut().zip(&self.fields[pixel * count..][..count]) {
-                    *normal += along_x * x + along_y * y;
-                }
+            if !self.fields_at(place, fields) {
+                return false;
             }
             let shares = values.map(|value| weight * value);
-            for (modes, normal) in modes.iter_mut().zip(&*normals) {
+            for (modes, [x, y]) in modes.iter_mut().zip(&*fields) {
+                let normal = cos * y - sin * x;
                 modes.iter_mut().zip(shares).for_each(|(mode, share)| *mode += share * normal);
             }
         }
@@ -148,14 +143,15 @@ impl CrackModel {
     /// Change of every channel due to a short open cut at a place, per squared half length, model volts per square
     /// metre: with normal n, `s pi (n E) (n E')`. Into `responses` go the factors of `n_x^2`, `n_x n_y` and `n_y^2`.
     /// False if the place is outside the skin.
-    pub(super) fn respond_short(&self, place: Point, responses: &mut [Vec<f64>; 3]) -> bool {
-        let Some(corners) = self.corners(place) else { return false };
-        let count = self.drives + self.patterns;
-        let mut fields = vec![[0.0; 2]; count];
-        for (pixel, share) in corners {
-            for (field, [x, y]) in fields.iter_mut().zip(&self.fields[pixel * count..][..count]) {
-                (field[0], field[1]) = (field[0] + share * x, field[1] + share * y);
-            }
+    pub(super) fn respond_short(
+        &self,
+        place: Point,
+        scratch: &mut CrackScratch,
+        responses: &mut [Vec<f64>; 3],
+    ) -> bool {
+        let fields = &mut scratch.fields;
+        if !self.fields_at(place, fields) {
+            return false;
         }
         let factor = self.sheet_s * std::f64::consts::PI;
         responses.iter_mut().for_each(|response| response.clear());
@@ -163,6 +159,20 @@ impl CrackModel {
             let ([x, y], [u, v]) = (fields[*drive as usize], fields[self.drives + *pattern as usize]);
             for (response, product) in responses.iter_mut().zip([x * u, x * v + y * u, y * v]) {
                 response.push(factor * product);
+            }
+        }
+        true
+    }
+
+    /// The fields at a point, into `fields`. False if it is outside the skin.
+    fn fields_at(&self, place: Point, fields: &mut Vec<[f64; 2]>) -> bool {
+        let Some(corners) = self.corners(place) else { return false };
+        let count = self.drives + self.patterns;
+        fields.clear();
+        fields.resize(count, [0.0; 2]);
+        for (pixel, share) in corners {
+            for (field, [x, y]) in fields.iter_mut().zip(&self.fields[pixel * count..][..count]) {
+                (field[0], field[1]) = (field[0] + share * x, field[1] + share * y);
             }
         }
         true
@@ -209,8 +219,8 @@ fn balanced(pattern: &Pattern, electrodes: usize) -> Pattern {
 /// Working memory for responses.
 #[derive(Debug, Default)]
 pub struct CrackScratch {
-    /// Normal fields at one point.
-    normals: Vec<f64>,
+    /// Fields at one point.
+    fields: Vec<[f64; 2]>,
     modes: Vec<[f64; TERMS]>,
     jumps: Vec<[f64; TERMS]>,
 }

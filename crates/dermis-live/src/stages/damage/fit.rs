@@ -122,31 +122,22 @@ struct Fitter<'a> {
 impl Fitter<'_> {
     /// Starting points within `reach_m` of a place, the most promising first: for centres and directions on a grid,
     /// the short cut that explains most, which fits linearly.
-    fn starts(&self, near_m: Point, reach_m: f64, joined_per_m: f64) -> Vec<Crack> {
-        let whitened = |values: &[f64]| -> Vec<f64> {
-            let white = |(value, weight): (&f64, &f64)| if *weight > 0.0 { weight * value } else { 0.0 };
-            values.iter().zip(&self.weights).map(white).collect()
-        };
-        let rest = whitened(self.data.rest);
-        let square = inner_product(&rest, &rest);
-        let without_rest = |values: &[f64]| {
-            let mut values = whitened(values);
-            let share = if square > 0.0 { inner_product(&values, &rest) / square } else { 0.0 };
-            values.iter_mut().zip(&rest).for_each(|(value, rest)| *value -= share * rest);
-            values
-        };
-        let data = without_rest(self.data.difference);
+    fn starts(&mut self, near_m: Point, reach_m: f64, joined_per_m: f64) -> Vec<Crack> {
+        let mut data = self.data.difference.to_vec();
+        self.whiten(&mut data);
         let mut starts = Vec::new();
         let mut responses: [Vec<f64>; 3] = Default::default();
         for (row, column) in (-3..=3).flat_map(|row| (-3..=3).map(move |column| (row, column))) {
             let place = |middle_m: f64, step: i32| middle_m + reach_m * f64::from(step) / 3.0;
             let centre_m = [place(near_m[0], column), place(near_m[1], row)];
-            if !self.data.model.respond_short(centre_m, &mut responses) {
+            if !self.data.model.respond_short(centre_m, &mut self.scratch, &mut responses) {
                 continue;
             }
-            let white = responses.each_ref().map(|response| without_rest(response));
-            let along = white.each_ref().map(|response| inner_product(response, &data));
-            let products = white.each_ref().map(|a| white.each_ref().map(|b| inner_product(a, b)));
+            for response in &mut responses {
+                self.whiten(response);
+            }
+            let along = responses.each_ref().map(|response| inner_product(response, &data));
+            let products = responses.each_ref().map(|a| responses.each_ref().map(|b| inner_product(a, b)));
             for turn in 0..6 {
                 let direction_rad = std::f64::consts::PI * f64::from(turn) / 6.0;
                 let (sin, cos) = direction_rad.sin_cos();
@@ -166,26 +157,32 @@ impl Fitter<'_> {
         starts.into_iter().map(|(_, crack)| crack).collect()
     }
 
+    /// Whitens changes of the channels and removes the best uniform change, whose share of the resting voltages it
+    /// returns.
+    fn whiten(&self, values: &mut [f64]) -> f64 {
+        let (mut cross, mut square) = (0.0, 0.0);
+        for ((value, weight), rest) in values.iter_mut().zip(&self.weights).zip(self.data.rest) {
+            *value = if *weight > 0.0 { weight * *value } else { 0.0 };
+            let rest = weight * rest;
+            cross += *value * rest;
+            square += rest * rest;
+        }
+        let uniform = if square > 0.0 { cross / square } else { 0.0 };
+        for ((value, weight), rest) in values.iter_mut().zip(&self.weights).zip(self.data.rest) {
+            *value -= uniform * weight * rest;
+        }
+        uniform
+    }
+
     /// Whitened residual of a cut after removing the best uniform change, into `residual`.
     fn residual(&mut self, crack: &Crack, residual: &mut Vec<f64>) -> Option<Misfit> {
         residual.resize(self.data.difference.len(), 0.0);
         if !self.data.model.respond(crack, &mut self.scratch, residual) {
             return None;
         }
-        let (mut cross, mut square) = (0.0, 0.0);
-        for (channel, value) in residual.iter_mut().enumerate() {
-            let weight = self.weights[channel];
-            *value = if weight > 0.0 { weight * (self.data.difference[channel] - *value) } else { 0.0 };
-            let rest = weight * self.data.rest[channel];
-            cross += *value * rest;
-            square += rest * rest;
-        }
-        let uniform = if square > 0.0 { cross / square } else { 0.0 };
-        let mut cost = 0.0;
-        for (channel, value) in residual.iter_mut().enumerate() {
-            *value -= uniform * self.weights[channel] * self.data.rest[channel];
-            cost += *value * *value;
-        }
+        residual.iter_mut().zip(self.data.difference).for_each(|(value, difference)| *value = difference - *value);
+        let uniform = self.whiten(residual);
+        let cost = residual.iter().map(|value| value * value).sum();
         Some(Misfit { cost, uniform })
     }
 
