@@ -199,6 +199,9 @@ impl Estimator {
                 best = self.grown(best, &null, hints);
             }
             best = afresh.filter(|afresh| self.score(afresh) < self.score(&best)).unwrap_or(best);
+        } else if best.cost.is_explained() {
+            // Further steps would have changed little.
+            self.work.left = None;
         }
         self.memory.left = best.cost.residual;
         // Contacts with a plate saturate: no press is too hard for the model.
@@ -330,7 +333,10 @@ impl Estimator {
     fn sureness(&self, press: &Press, of: &Explanation, null: &Cost) -> f64 {
         match of.presses.len() {
             1 => Evidence::of(null, &of.cost, true),
-            _ => press.significance() / Evidence::correlation(&of.cost).sqrt(),
+            _ => {
+                let by_place = if self.fit.is_joint() { press.radius_m / press.place_sigma_m() } else { 0.0 };
+                press.significance().max(by_place) / Evidence::correlation(&of.cost).sqrt()
+            }
         }
     }
 

@@ -9,6 +9,7 @@ mod fit;
 mod law;
 mod model;
 mod pressure;
+mod profile;
 mod weighing;
 
 pub use fit::PlateFit;

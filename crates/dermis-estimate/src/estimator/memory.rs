@@ -14,9 +14,11 @@ pub struct Memory {
     pub(super) first: Pause,
     pub(super) gone: Pause,
     pub(super) further: Pause,
-    /// Presses that explained a frame together, and those of them that it clearly needed.
+    /// Presses that explained a frame together.
     pub(super) together: Vec<Press>,
-    pub(super) needed: Vec<Press>,
+    /// Those of them that it clearly needed, by their places in the list, and how far they may change until that has to
+    /// be tested again: in radii, and in the logarithm of the strength.
+    pub(super) needed: Vec<(usize, f64)>,
 }
 
 impl Memory {

@@ -1,6 +1,6 @@
 //! Removes the presses that an explanation doesn't need.
 
-use super::{Estimator, Explanation, Memory, SAME, is_near};
+use super::{Estimator, Explanation, Memory, SAME};
 use crate::evidence::Evidence;
 use crate::press::{Cost, Effort, Press};
 
@@ -9,6 +9,9 @@ const LEAST_APART: f64 = 1.0;
 /// A press whose own significance, or its evidence by quick fits, exceeds the threshold by this factor is kept without
 /// a full refit that leaves it out.
 const CLEARLY: f64 = 2.0;
+/// A press that is known to be needed is tested again at the latest when it has moved by this many radii, or its
+/// strength has changed by this factor of e.
+const MOST_CHANGE: f64 = 1.0;
 /// A press without a definite place may stay among several if more than this share of the frame is left unexplained
 /// without it. Largest standard deviation of its position, and largest radius, in typical radii: drift that is taken
 /// for a press is weak beside a true one, or wide.
@@ -61,6 +64,9 @@ impl Estimator {
             };
             if is_needed && overlaps.is_none() {
                 if sureness >= 0.0 {
+                    if !is_first {
+                        self.remember_needed(worst, &of, support);
+                    }
                     break;
                 }
                 needed.push(worst);
@@ -83,33 +89,47 @@ impl Estimator {
     }
 
     /// True if quick fits leave no doubt that the frame needs all presses of an explanation, not just these others
-    /// without the worst. The full response would take several times as long. The answer holds for as long as the
-    /// presses stay where and as strong as they are, and explain as much.
+    /// without the worst. The full response would take several times as long. The answer holds as long as the frame is
+    /// explained as well and the presses change little. The larger the evidence, the more they may change.
     fn is_clearly_needed(&mut self, worst: usize, of: &Explanation, others: &[Press]) -> bool {
         if others.is_empty() || !self.fit.has_quick_fit() {
             return false;
         }
-        let Memory { together, needed, .. } = &self.memory;
-        let is_among = |press: &Press, some: &[Press]| some.iter().any(|known| is_unchanged(press, known));
-        let are_together =
-            together.len() == of.presses.len() && of.presses.iter().all(|press| is_among(press, together));
-        let is_known = are_together && is_among(&of.presses[worst], needed);
-        if is_known && !self.is_worse(&of.cost) {
+        if self.is_known_to_be_needed(worst, of) && !self.is_worse(&of.cost) {
             return true;
         }
         self.fit.linearise_about(&of.presses);
         let costs = [&of.presses, others].map(|presses| self.fit.fit(presses, Effort::Quick));
         self.fit.linearise_about(&[]);
         let [Some(all), Some(fewer)] = costs else { return false };
-        let is_needed = Evidence::of(&fewer, &all, false) >= CLEARLY * self.evidence.hold;
-        if is_needed && !is_known {
-            if !are_together {
-                self.memory.together.clone_from(&of.presses);
-                self.memory.needed.clear();
-            }
-            self.memory.needed.push(of.presses[worst]);
+        let evidence = Evidence::of(&fewer, &all, false);
+        let is_needed = evidence >= CLEARLY * self.evidence.hold;
+        if is_needed {
+            self.remember_needed(worst, of, evidence);
         }
         is_needed
+    }
+
+    /// Remembers that a frame needed the worst of these presses, with this evidence.
+    fn remember_needed(&mut self, worst: usize, of: &Explanation, evidence: f64) {
+        let change = (SAME * evidence / self.evidence.hold).min(MOST_CHANGE);
+        let Memory { together, needed, .. } = &mut self.memory;
+        let known = counterparts(&of.presses, together, SAME).unwrap_or_else(|| {
+            together.clone_from(&of.presses);
+            needed.clear();
+            (0..together.len()).collect()
+        });
+        needed.retain(|(other, _)| *other != known[worst]);
+        needed.push((known[worst], change));
+    }
+
+    /// True if a frame with almost the same presses needed the worst of these.
+    fn is_known_to_be_needed(&self, worst: usize, of: &Explanation) -> bool {
+        let Memory { together, needed, .. } = &self.memory;
+        let is_it = |&(known, change): &(usize, f64)| {
+            counterparts(&of.presses, together, change).is_some_and(|places| places[worst] == known)
+        };
+        needed.iter().any(is_it)
     }
 
     /// The weaker of two presses that overlap.
@@ -126,7 +146,13 @@ impl Estimator {
     }
 }
 
-/// True if one press is another, of about the same strength.
-fn is_unchanged(press: &Press, known: &Press) -> bool {
-    is_near(press, known) && (press.load / known.load).ln().abs() < SAME
+/// Where the presses are among others: in place of which each has changed by no more than this, in radii and in the
+/// logarithm of the strength. `None` if any has changed by more.
+fn counterparts(presses: &[Press], others: &[Press], change: f64) -> Option<Vec<usize>> {
+    let is_it = |press: &Press, other: &Press| {
+        let ratio = press.strength() / other.strength();
+        press.distance_m(other) < change * other.radius_m && ratio > 0.0 && ratio.ln().abs() < change
+    };
+    let place = |press: &Press| others.iter().position(|other| is_it(press, other));
+    if presses.len() == others.len() { presses.iter().map(place).collect() } else { None }
 }

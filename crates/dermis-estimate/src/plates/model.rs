@@ -8,6 +8,7 @@ use dermis_tomo::mesh::{PixelGrid, Point, distance};
 
 use super::law::{Conductance, PlateLaw};
 use super::pressure::{Field, OF_PRESS, Pressed, normal, normal_exactly};
+use super::profile::Profile;
 use crate::press::{Effort, Press};
 
 /// Largest change of a logarithm in one step.
@@ -26,24 +27,27 @@ const MOST_TYPICAL: f64 = 6.0;
 /// Least number of presses that this area allows for.
 const FEWEST: usize = 3;
 /// Operations of a solution and its derivatives: at least, per cell in contact, and per cell cubed. The last is for
-/// the factorisation, in single precision. Fitted to the times of 22,000 solutions of up to 220 cells.
+/// the factorisation, in single precision. Fitted to the times of 18,000 solutions of up to 340 cells.
 const LEAST_WORK: f64 = 7e4;
-const WORK_PER_CELL: f64 = 7e3;
-const WORK_PER_CUBED_CELL: f64 = 0.05;
+const WORK_PER_CELL: f64 = 5e3;
+const WORK_PER_CUBED_CELL: f64 = 0.03;
 /// Bisections for the radius of a contact: to a millionth of it.
 const HALVINGS: usize = 20;
 
-/// The contact that some presses make on one of the sheets, and the points under them with the derivative of their
-/// conductance per area with respect to the pressure.
+/// The contact that some presses make on one of the sheets.
 #[derive(Clone, Debug)]
 pub(super) struct Made {
     effort: Effort,
-    /// Indices of the presses, and the sign of their contact in the sum.
-    presses: Vec<usize>,
+    /// Sign of the contact in the sum.
     sign: f64,
     contact: PlateContact,
-    slopes: Vec<(usize, f64)>,
+    /// For each of the presses, by index, the points under it with the derivatives of their conductance per area by its
+    /// parameters.
+    moves: Vec<(usize, Vec<Moves>)>,
 }
+
+/// A point, and the derivatives of its conductance per area by the parameters of a press, S/m^2 per unit.
+type Moves = (usize, [f64; OF_PRESS]);
 
 /// Sizes of presses on plates. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -215,63 +219,81 @@ impl PlateModel {
         if presses.is_empty() {
             return Ok(None);
         }
-        let (mut contacts, mut slopes) = (Vec::new(), Vec::new());
-        // Most points are under the full pressure of one press.
-        let (mut known_pa, mut known) = (f64::NAN, [0.0; 2]);
-        for (point, pressure_pa) in self.pressures(&presses.iter().map(|&k| &all[k]).collect::<Vec<_>>(), effort) {
-            if pressure_pa != known_pa {
-                (known_pa, known) = (pressure_pa, self.conductance.at(pressure_pa));
-            }
-            let [conductance, slope] = known;
-            if conductance > 0.0 {
-                contacts.push((point, conductance));
-                slopes.push((point, slope));
-            }
-        }
+        let (contacts, moves) = self.conductances(all, &presses, effort);
         // Presses as large as the skin would take the time of many frames.
         let area_m2: f64 = contacts.iter().map(|(point, _)| self.sheet(effort).points()[*point].area_m2).sum();
         if area_m2 > MOST_TYPICAL * PI * self.options.typical_radius_m.powi(2) * presses.len().max(FEWEST) as f64 {
             return Err(EitError::Contact { radius_m: (area_m2 / PI).sqrt(), conductance_s_per_m2: 0.0 });
         }
         let contact = self.sheet(effort).contact(&contacts)?;
-        Ok((!contact.is_open()).then_some(Made { effort, presses, sign, contact, slopes }))
+        Ok((!contact.is_open()).then_some(Made { effort, sign, contact, moves }))
     }
 
-    /// The points under presses at which they make contact, and few others, with their pressure, pascal.
-    fn pressures(&self, presses: &[&Pressed], effort: Effort) -> Vec<(usize, f64)> {
+    /// The points at which some of the presses make contact, with their conductance per area (S/m^2), and with the
+    /// derivatives of it for each press.
+    fn conductances(
+        &self,
+        all: &[Pressed],
+        presses: &[usize],
+        effort: Effort,
+    ) -> (Vec<(usize, f64)>, Vec<(usize, Vec<Moves>)>) {
+        let field = |&k: &usize| Field::new(&all[k], self.law().spread_m);
+        let fields: Vec<Field> = presses.iter().map(field).collect();
+        // Faint pressures make contact only where they add to another's.
+        let contact_m: Vec<f64> = fields.iter().map(|field| field.reach_above_m(self.conductance.faint_pa())).collect();
+        let are_apart = |a: usize, b: usize| {
+            let distance_m = distance(all[presses[a]].position_m, all[presses[b]].position_m);
+            distance_m > contact_m[a] + fields[b].reach_m() && distance_m > contact_m[b] + fields[a].reach_m()
+        };
         let sheet = self.sheet(effort);
-        let fields: Vec<Field> = presses.iter().map(|press| Field::new(press, self.law().spread_m)).collect();
-        let mut found: Vec<(usize, f64)> = Vec::new();
-        for (k, (press, field)) in presses.iter().zip(&fields).enumerate() {
-            // Faint pressures make contact only where they add to another's.
-            let contact_m = field.reach_above_m(self.conductance.faint_pa());
-            let is_alone = (0..presses.len()).filter(|&other| other != k).all(|other| {
-                distance(presses[other].position_m, press.position_m) > contact_m + fields[other].reach_m()
-            });
-            let reach_m = if is_alone { contact_m } else { field.reach_m() };
-            for range in sheet.points_near(press.position_m, reach_m) {
-                let points = &sheet.points()[range.clone()];
-                found.reserve(points.len());
-                for (point, at) in range.zip(points) {
-                    let pressure_pa = field.pressure_at(at.position_m);
-                    if pressure_pa > 0.0 {
-                        found.push((point, pressure_pa));
+        let (mut contacts, mut moves) = (Vec::new(), Vec::new());
+        if (1..fields.len()).all(|a| (0..a).all(|b| are_apart(a, b))) {
+            for ((&k, field), &contact_m) in presses.iter().zip(&fields).zip(&contact_m) {
+                let profile = Profile::new(&all[k], field, contact_m, &self.conductance);
+                let mut of_press = Vec::new();
+                for range in sheet.points_near(all[k].position_m, contact_m) {
+                    for (point, at) in range.clone().zip(&sheet.points()[range]) {
+                        if let Some((conductance, by)) = profile.at(at.position_m) {
+                            contacts.push((point, conductance));
+                            of_press.push((point, by));
+                        }
                     }
                 }
+                moves.push((k, of_press));
             }
+            return (contacts, moves);
         }
-        if presses.len() == 1 {
-            return found;
+        let mut pressures: Vec<(usize, f64)> = Vec::new();
+        for (&k, field) in presses.iter().zip(&fields) {
+            for point in sheet.points_near(all[k].position_m, field.reach_m()).flatten() {
+                let pressure_pa = field.pressure_at(sheet.points()[point].position_m);
+                pressures.extend((pressure_pa > 0.0).then_some((point, pressure_pa)));
+            }
         }
         // Pressures add up where presses overlap. The stable sort is quick, since the points of each press are in
         // order.
-        found.sort_by_key(|(point, _)| *point);
-        found.dedup_by(|(point, pressure), (kept, sum)| {
+        pressures.sort_by_key(|(point, _)| *point);
+        pressures.dedup_by(|(point, pressure), (kept, sum)| {
             let is_same = point == kept;
             *sum += if is_same { *pressure } else { 0.0 };
             is_same
         });
-        found
+        let mut slopes = Vec::new();
+        for (point, pressure_pa) in pressures {
+            let [conductance, slope] = self.conductance.at(pressure_pa);
+            if conductance > 0.0 {
+                contacts.push((point, conductance));
+                slopes.push((point, slope));
+            }
+        }
+        for (&k, field) in presses.iter().zip(&fields) {
+            let moved = |&(point, slope): &(usize, f64)| {
+                let by = field.derivatives_at(sheet.points()[point].position_m)?;
+                Some((point, by.map(|value| slope * value)))
+            };
+            moves.push((k, slopes.iter().filter_map(moved).collect()));
+        }
+        (contacts, moves)
     }
 
     /// Operations that solving for these contacts takes.
@@ -292,19 +314,12 @@ impl PlateModel {
     /// Derivatives of the channels with respect to the parameters of each press, volts: one column after the other.
     pub(super) fn derivatives(&self, presses: &[Pressed], made: &[Made]) -> Vec<Vec<f64>> {
         let mut columns = vec![vec![0.0; self.channels()]; OF_PRESS * presses.len()];
-        for Made { effort, presses: of, sign, contact, slopes } in made {
-            let sheet = self.sheet(*effort);
-            for &k in of {
-                let field = Field::new(&presses[k], self.law().spread_m);
-                let moved = |&(point, slope): &(usize, f64)| {
-                    let by = field.derivatives_at(sheet.points()[point].position_m)?;
-                    Some((point, by.map(|value| sign * slope * value)))
-                };
-                let moves: Vec<(usize, [f64; OF_PRESS])> = slopes.iter().filter_map(moved).collect();
-                let jacobian = sheet.derivatives(contact, &moves);
+        for Made { effort, sign, contact, moves } in made {
+            for (k, moves) in moves {
+                let jacobian = self.sheet(*effort).derivatives(contact, moves);
                 for (parameter, column) in columns[OF_PRESS * k..].iter_mut().take(OF_PRESS).enumerate() {
                     let of_parameter = jacobian.iter().skip(parameter).step_by(OF_PRESS);
-                    column.iter_mut().zip(of_parameter).for_each(|(sum, value)| *sum += value);
+                    column.iter_mut().zip(of_parameter).for_each(|(sum, value)| *sum += sign * value);
                 }
             }
         }

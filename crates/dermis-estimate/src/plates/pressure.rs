@@ -99,6 +99,16 @@ impl Field {
         self.radius_m - u * self.spread_m
     }
 
+    /// Distance from the centre up to which the pressure is full, metres.
+    pub fn core_m(&self) -> f64 {
+        self.square_core.sqrt()
+    }
+
+    /// Pressure at a distance from the centre beyond the full pressure, pascal.
+    pub fn pressure_across(&self, distance_m: f64) -> f64 {
+        self.pressure_pa * normal((self.radius_m - distance_m) * self.per_spread)[0]
+    }
+
     /// Offset from the centre, and its square.
     #[inline]
     fn offset(&self, place_m: Point) -> ([f64; 2], f64) {
@@ -113,7 +123,7 @@ impl Field {
         if square <= self.square_core {
             self.pressure_pa
         } else if square <= self.square_reach {
-            self.pressure_pa * normal((self.radius_m - square.sqrt()) * self.per_spread)[0]
+            self.pressure_across(square.sqrt())
         } else {
             0.0
         }

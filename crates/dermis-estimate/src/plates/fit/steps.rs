@@ -2,7 +2,7 @@
 
 use dermis_tomo::inner_product;
 use dermis_tomo::least_squares::{
-    Error, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
+    Error, NormalEquations, Outcome, Params, Problem, Progress, Scratch, Tolerances, Trial, minimise,
 };
 
 use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
@@ -29,8 +29,11 @@ impl PlateFit {
         let mut solver = Scratch::new(OF_PRESS * self.at.presses.len());
         let params = Params::until_settled(DAMPING, steps);
         let mut way = FitUnderWay { fit: &mut *self, tried: None };
-        minimise(&mut way, &params, &mut solver).ok()?;
-        way.linearise(&mut solver.equations).ok()?;
+        let info = minimise(&mut way, &params, &mut solver).ok()?;
+        // The last step of a fit that has settled is too short to change its covariances.
+        if info.outcome != Outcome::Settled {
+            way.linearise(&mut solver.equations).ok()?;
+        }
         let cost = self.cost();
         self.find_covariances(&mut solver, &cost);
         Some(cost)
