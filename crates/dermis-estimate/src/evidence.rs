@@ -57,6 +57,12 @@ impl Evidence {
         1.0 + Self::left_beyond_noise(cost)
     }
 
+    /// What a fit has left, of which the part beyond the noise counts once for each reading that shares a shape of the
+    /// model error.
+    pub(crate) fn left_in_shapes(cost: &Cost) -> f64 {
+        cost.freedom * (1.0 + Self::readings_per_shape(cost) * Self::left_beyond_noise(cost))
+    }
+
     /// Further inflation for positions. The residual beyond the noise counts as correlated error of the model, up to
     /// what presses usually leave.
     pub(crate) fn place_scale(cost: &Cost) -> f64 {

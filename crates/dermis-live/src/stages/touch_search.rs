@@ -4,12 +4,12 @@
 use dermis_estimate::{Allowance, Estimate, Estimator, MOST_NOISE, Memory, Press};
 use dermis_touch::{Contact, ContactStrength};
 
-/// Most operations within a frame. A search for one press on most sandwiches takes fewer, some 0.7 ms on one core.
+/// Most operations within a frame. A search for one press on most sandwiches takes fewer, some 0.5 ms on one core.
 /// Three that move are followed with twice as many.
-pub(super) const AT_ONCE: Allowance = Allowance { to_follow: 1e7, to_search: 5e6 };
+pub(super) const AT_ONCE: Allowance = Allowance { to_follow: 7e6, to_search: 3.5e6 };
 /// The first searches in the background: most operations, which suffice for three presses on most sandwiches, and the
 /// delay after which they take effect, nanoseconds. At up to 60 frames per second, that is by the next frame.
-const SOON: Allowance = Allowance::of(7e7);
+const SOON: Allowance = Allowance::of(5e7);
 const SOON_NS: u64 = 15_000_000;
 /// Delay after which longer searches take effect, nanoseconds. They take up to 150 ms on one slow core.
 const LATER_NS: u64 = 160_000_000;

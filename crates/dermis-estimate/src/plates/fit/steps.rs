@@ -6,6 +6,7 @@ use dermis_tomo::least_squares::{
 };
 
 use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
+use crate::evidence::Evidence;
 use crate::plates::model::LONGEST_LOG;
 use crate::plates::pressure::{OF_PRESS, Pressed};
 use crate::press::{Cost, Effort};
@@ -16,7 +17,8 @@ const DAMPING: f64 = 1e-3;
 /// than ten times this.
 const CONVERGED: f64 = 2e-3;
 /// A fit has also converged when a step lowers the residual by less than this share of it, or of the model's own error.
-/// If the residual is noise, in some 200 readings, that is 0.2 of a squared standard deviation.
+/// If the residual is noise, in some 200 readings, that is 0.2 of a squared standard deviation. Errors of the model
+/// come in few shapes, so that they weigh more.
 const NO_BETTER: f64 = 1e-3;
 /// The same for a fit that only compares explanations. A full fit follows where it matters.
 const QUICK_NO_BETTER: f64 = 0.02;
@@ -128,8 +130,11 @@ impl Problem for FitUnderWay<'_> {
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
         let PlateFit { error_share, frame, at, .. } = &*self.fit;
-        let left = progress.after.max(error_share * inner_product(frame, frame));
-        let no_better = if at.effort == Effort::Full { NO_BETTER } else { QUICK_NO_BETTER };
-        progress.moved < CONVERGED || progress.before - progress.after < no_better * left
+        let (no_better, left) = match at.effort {
+            Effort::Quick => (QUICK_NO_BETTER, progress.after),
+            Effort::Full => (NO_BETTER, Evidence::left_in_shapes(&self.fit.cost_of(at))),
+        };
+        let least_gain = no_better * left.max(error_share * inner_product(frame, frame));
+        progress.moved < CONVERGED || progress.before - progress.after < least_gain
     }
 }
