@@ -333,6 +333,7 @@ impl Estimator {
     fn sureness(&self, press: &Press, of: &Explanation, null: &Cost) -> f64 {
         match of.presses.len() {
             1 => Evidence::of(null, &of.cost, true),
+            // Contacts that saturate have a vague strength, but only a press that the frame needs has a definite place.
             _ => {
                 let by_place = if self.fit.is_joint() { press.radius_m / press.place_sigma_m() } else { 0.0 };
                 press.significance().max(by_place) / Evidence::correlation(&of.cost).sqrt()

@@ -360,8 +360,6 @@ impl Pipeline {
             reconstructor.leave_out(&self.prepared, left_out, &reference.noise)?;
             self.damage.iter_mut().for_each(|damage| damage.set_noise(reconstructor.imager.noise_image()));
             self.levels.iter_mut().for_each(|levels| levels.set_noise(reconstructor.imager.noise_image()));
-            // That took as long as an image with its touches, which the next frame gets.
-            return Ok(Sight::Doubtful);
         }
         Ok(sight)
     }

@@ -41,13 +41,21 @@ pub(super) struct Made {
     /// Sign of the contact in the sum.
     sign: f64,
     contact: PlateContact,
-    /// For each of the presses, by index, the points under it with the derivatives of their conductance per area by its
-    /// parameters.
+    /// See [`Touched::moves`].
     moves: Vec<(usize, Vec<Moves>)>,
 }
 
 /// A point, and the derivatives of its conductance per area by the parameters of a press, S/m^2 per unit.
 type Moves = (usize, [f64; OF_PRESS]);
+
+/// The points under presses at which they make contact.
+#[derive(Default)]
+struct Touched {
+    /// With their conductance per area, S/m^2.
+    points: Vec<(usize, f64)>,
+    /// For each press, by its index.
+    moves: Vec<(usize, Vec<Moves>)>,
+}
 
 /// Sizes of presses on plates. SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -219,81 +227,82 @@ impl PlateModel {
         if presses.is_empty() {
             return Ok(None);
         }
-        let (contacts, moves) = self.conductances(all, &presses, effort);
+        let Touched { points, moves } = self.touched(all, &presses, effort);
         // Presses as large as the skin would take the time of many frames.
-        let area_m2: f64 = contacts.iter().map(|(point, _)| self.sheet(effort).points()[*point].area_m2).sum();
+        let area_m2: f64 = points.iter().map(|(point, _)| self.sheet(effort).points()[*point].area_m2).sum();
         if area_m2 > MOST_TYPICAL * PI * self.options.typical_radius_m.powi(2) * presses.len().max(FEWEST) as f64 {
             return Err(EitError::Contact { radius_m: (area_m2 / PI).sqrt(), conductance_s_per_m2: 0.0 });
         }
-        let contact = self.sheet(effort).contact(&contacts)?;
+        let contact = self.sheet(effort).contact(&points)?;
         Ok((!contact.is_open()).then_some(Made { effort, sign, contact, moves }))
     }
 
-    /// The points at which some of the presses make contact, with their conductance per area (S/m^2), and with the
-    /// derivatives of it for each press.
-    fn conductances(
-        &self,
-        all: &[Pressed],
-        presses: &[usize],
-        effort: Effort,
-    ) -> (Vec<(usize, f64)>, Vec<(usize, Vec<Moves>)>) {
-        let field = |&k: &usize| Field::new(&all[k], self.law().spread_m);
-        let fields: Vec<Field> = presses.iter().map(field).collect();
+    /// The contact under some of the presses before it is solved for.
+    fn touched(&self, all: &[Pressed], presses: &[usize], effort: Effort) -> Touched {
+        let field = |&k: &usize| (k, Field::new(&all[k], self.law().spread_m));
+        let fields: Vec<(usize, Field)> = presses.iter().map(field).collect();
         // Faint pressures make contact only where they add to another's.
-        let contact_m: Vec<f64> = fields.iter().map(|field| field.reach_above_m(self.conductance.faint_pa())).collect();
+        let contact_m: Vec<f64> =
+            fields.iter().map(|(_, field)| field.reach_above_m(self.conductance.faint_pa())).collect();
         let are_apart = |a: usize, b: usize| {
             let distance_m = distance(all[presses[a]].position_m, all[presses[b]].position_m);
-            distance_m > contact_m[a] + fields[b].reach_m() && distance_m > contact_m[b] + fields[a].reach_m()
+            distance_m > contact_m[a] + fields[b].1.reach_m() && distance_m > contact_m[b] + fields[a].1.reach_m()
         };
+        if !(1..fields.len()).all(|a| (0..a).all(|b| are_apart(a, b))) {
+            return self.touched_together(all, &fields, effort);
+        }
         let sheet = self.sheet(effort);
-        let (mut contacts, mut moves) = (Vec::new(), Vec::new());
-        if (1..fields.len()).all(|a| (0..a).all(|b| are_apart(a, b))) {
-            for ((&k, field), &contact_m) in presses.iter().zip(&fields).zip(&contact_m) {
-                let profile = Profile::new(&all[k], field, contact_m, &self.conductance);
-                let mut of_press = Vec::new();
-                for range in sheet.points_near(all[k].position_m, contact_m) {
-                    for (point, at) in range.clone().zip(&sheet.points()[range]) {
-                        if let Some((conductance, by)) = profile.at(at.position_m) {
-                            contacts.push((point, conductance));
-                            of_press.push((point, by));
-                        }
+        let mut touched = Touched::default();
+        for ((k, field), contact_m) in fields.iter().zip(contact_m) {
+            let profile = Profile::new(&all[*k], field, contact_m, &self.conductance);
+            let mut moves = Vec::new();
+            for range in sheet.points_near(all[*k].position_m, contact_m) {
+                for (point, at) in range.clone().zip(&sheet.points()[range]) {
+                    if let Some((conductance, by)) = profile.at(at.position_m) {
+                        touched.points.push((point, conductance));
+                        moves.push((point, by));
                     }
                 }
-                moves.push((k, of_press));
             }
-            return (contacts, moves);
+            touched.moves.push((*k, moves));
         }
+        touched
+    }
+
+    /// As [`PlateModel::touched`], where presses overlap: their pressures add up.
+    fn touched_together(&self, all: &[Pressed], fields: &[(usize, Field)], effort: Effort) -> Touched {
+        let sheet = self.sheet(effort);
         let mut pressures: Vec<(usize, f64)> = Vec::new();
-        for (&k, field) in presses.iter().zip(&fields) {
-            for point in sheet.points_near(all[k].position_m, field.reach_m()).flatten() {
+        for (k, field) in fields {
+            for point in sheet.points_near(all[*k].position_m, field.reach_m()).flatten() {
                 let pressure_pa = field.pressure_at(sheet.points()[point].position_m);
                 pressures.extend((pressure_pa > 0.0).then_some((point, pressure_pa)));
             }
         }
-        // Pressures add up where presses overlap. The stable sort is quick, since the points of each press are in
-        // order.
+        // The stable sort is quick, since the points of each press are in order.
         pressures.sort_by_key(|(point, _)| *point);
         pressures.dedup_by(|(point, pressure), (kept, sum)| {
             let is_same = point == kept;
             *sum += if is_same { *pressure } else { 0.0 };
             is_same
         });
+        let mut touched = Touched::default();
         let mut slopes = Vec::new();
         for (point, pressure_pa) in pressures {
             let [conductance, slope] = self.conductance.at(pressure_pa);
             if conductance > 0.0 {
-                contacts.push((point, conductance));
+                touched.points.push((point, conductance));
                 slopes.push((point, slope));
             }
         }
-        for (&k, field) in presses.iter().zip(&fields) {
+        for (k, field) in fields {
             let moved = |&(point, slope): &(usize, f64)| {
                 let by = field.derivatives_at(sheet.points()[point].position_m)?;
                 Some((point, by.map(|value| slope * value)))
             };
-            moves.push((k, slopes.iter().filter_map(moved).collect()));
+            touched.moves.push((*k, slopes.iter().filter_map(moved).collect()));
         }
-        (contacts, moves)
+        touched
     }
 
     /// Operations that solving for these contacts takes.

@@ -57,6 +57,8 @@ pub(crate) struct SpotStage {
     built_share: f64,
     /// Images join presses.
     is_joint: bool,
+    /// No frame has been explained. Its weights took as long as a search, which begins in the background.
+    is_new: bool,
     /// A search that takes longer than a frame.
     search: Beside<Searched>,
     /// Its result, if it was due before contacts were known.
@@ -113,6 +115,7 @@ impl SpotStage {
         let estimator = Estimator::new(fit, evidence, touch.both_signs);
         Self {
             is_joint,
+            is_new: true,
             search: Beside::new(),
             due: None,
             found: Vec::new(),
@@ -331,8 +334,10 @@ impl SpotStage {
             self.estimator.allow(AT_ONCE);
         }
         let memory = self.estimator.memory().clone();
+        let is_new = std::mem::take(&mut self.is_new);
         let explained = match self.search.is_under_way() {
             true => Explained::Later(self.estimator.follow(difference)),
+            false if is_new => Explained::Later(None),
             false => self.explain(difference),
         };
         let Explained::Later(so_far) = explained else {
