@@ -57,8 +57,7 @@ impl Evidence {
         1.0 + Self::left_beyond_noise(cost)
     }
 
-    /// What a fit has left, of which the part beyond the noise counts once for each reading that shares a shape of the
-    /// model error.
+    /// What a fit has left. The part beyond the noise weighs as much more as readings share a shape of the model error.
     pub(crate) fn left_in_shapes(cost: &Cost) -> f64 {
         cost.freedom * (1.0 + Self::readings_per_shape(cost) * Self::left_beyond_noise(cost))
     }

@@ -358,6 +358,7 @@ impl Pipeline {
         // With no channel left there is no operator: frames are blind until a channel recovers.
         if let Some(left_out) = left_out.filter(|left_out| left_out.len() < reference.noise.len()) {
             reconstructor.leave_out(&self.prepared, left_out, &reference.noise)?;
+            reconstructor.refinement.postpone();
             self.damage.iter_mut().for_each(|damage| damage.set_noise(reconstructor.imager.noise_image()));
             self.levels.iter_mut().for_each(|levels| levels.set_noise(reconstructor.imager.noise_image()));
         }

@@ -146,8 +146,8 @@ impl Estimator {
     }
 }
 
-/// Where the presses are among others: in place of which each has changed by no more than this, in radii and in the
-/// logarithm of the strength. `None` if any has changed by more.
+/// The place of each press among others, from which it has changed by no more than this, in radii and in the logarithm
+/// of the strength. `None` if any has changed by more.
 fn counterparts(presses: &[Press], others: &[Press], change: f64) -> Option<Vec<usize>> {
     let is_it = |press: &Press, other: &Press| {
         let ratio = press.strength() / other.strength();

@@ -279,6 +279,11 @@ impl Refinement {
         Ok(())
     }
 
+    /// See [`SpotStage::postpone`].
+    pub(crate) fn postpone(&mut self) {
+        self.stage().into_iter().for_each(SpotStage::postpone);
+    }
+
     /// Resets to the initial state with this noise of the channels (model volts), for another skin of the same kind:
     /// all channels count, and nothing is remembered.
     ///

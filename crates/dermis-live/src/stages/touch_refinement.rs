@@ -57,8 +57,8 @@ pub(crate) struct SpotStage {
     built_share: f64,
     /// Images join presses.
     is_joint: bool,
-    /// No frame has been explained. Its weights took as long as a search, which begins in the background.
-    is_new: bool,
+    /// See [`SpotStage::postpone`].
+    is_postponed: bool,
     /// A search that takes longer than a frame.
     search: Beside<Searched>,
     /// Its result, if it was due before contacts were known.
@@ -115,7 +115,7 @@ impl SpotStage {
         let estimator = Estimator::new(fit, evidence, touch.both_signs);
         Self {
             is_joint,
-            is_new: true,
+            is_postponed: false,
             search: Beside::new(),
             due: None,
             found: Vec::new(),
@@ -212,6 +212,11 @@ impl SpotStage {
     /// States whether frames come from an instrument, which doesn't wait for searches.
     pub(crate) fn set_live(&mut self, is_live: bool) {
         self.search.set_live(is_live);
+    }
+
+    /// The time for the current frame is used up: where images join presses, its search takes place in the background.
+    pub(crate) fn postpone(&mut self) {
+        self.is_postponed = true;
     }
 
     /// Number of frames that had to wait for a search.
@@ -334,10 +339,10 @@ impl SpotStage {
             self.estimator.allow(AT_ONCE);
         }
         let memory = self.estimator.memory().clone();
-        let is_new = std::mem::take(&mut self.is_new);
+        let is_postponed = std::mem::take(&mut self.is_postponed);
         let explained = match self.search.is_under_way() {
             true => Explained::Later(self.estimator.follow(difference)),
-            false if is_new => Explained::Later(None),
+            false if is_postponed => Explained::Later(None),
             false => self.explain(difference),
         };
         let Explained::Later(so_far) = explained else {
