@@ -57,7 +57,8 @@ impl Evidence {
         1.0 + Self::left_beyond_noise(cost)
     }
 
-    /// What a fit has left. The part beyond the noise weighs as much more as readings share a shape of the model error.
+    /// Residual of a fit, with the part beyond the noise multiplied by the number of readings that share one shape of
+    /// the model error.
     pub(crate) fn left_in_shapes(cost: &Cost) -> f64 {
         cost.freedom * (1.0 + Self::readings_per_shape(cost) * Self::left_beyond_noise(cost))
     }

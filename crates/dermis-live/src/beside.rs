@@ -125,7 +125,7 @@ impl<T: Send + 'static> Outcome<T> {
     }
 }
 
-/// Sends the result of work, or that there is none if the work is dropped because the system refuses a thread.
+/// Sends the result of work. If the work is dropped, because the system refuses a thread, sends that there is none.
 #[cfg(not(target_family = "wasm"))]
 struct Tell<T>(Sender<thread::Result<Option<T>>>);
 

@@ -146,8 +146,8 @@ impl Estimator {
     }
 }
 
-/// The place of each press among others, from which it has changed by no more than this, in radii and in the logarithm
-/// of the strength. `None` if any has changed by more.
+/// Matches presses to others: for each, the index of one that is at most `change` radii away and differs by at most
+/// `change` in the logarithm of the strength. `None` if any press has no match.
 fn counterparts(presses: &[Press], others: &[Press], change: f64) -> Option<Vec<usize>> {
     let is_it = |press: &Press, other: &Press| {
         let ratio = press.strength() / other.strength();

@@ -214,7 +214,8 @@ impl SpotStage {
         self.search.set_live(is_live);
     }
 
-    /// The time for the current frame is used up: where images join presses, its search takes place in the background.
+    /// Starts the next search in the background, because the current frame has already taken long. Only where images
+    /// join presses: other searches are quick.
     pub(crate) fn postpone(&mut self) {
         self.is_postponed = true;
     }
