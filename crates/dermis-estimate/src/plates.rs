@@ -6,10 +6,12 @@
 //! potentials of the plates adjust ([`dermis_tomo::eit::contacts::PlatedSheet`]).
 
 mod fit;
+mod force;
 mod law;
 mod model;
 mod pressure;
 mod profile;
+mod reported;
 mod weighing;
 
 pub use fit::PlateFit;

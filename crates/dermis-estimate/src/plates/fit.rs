@@ -9,6 +9,7 @@ use dermis_tomo::inner_product;
 use dermis_tomo::least_squares::{NormalEquations, Scratch};
 use dermis_tomo::mesh::{Point, distance};
 
+use super::force::Alike;
 use super::model::{Made, PlateModel, SizePrior};
 use super::pressure::{OF_PRESS, Pressed, turned};
 use super::weighing::Weighing;
@@ -22,14 +23,10 @@ const LOG_RADIUS: usize = 3;
 const STEPS: usize = 15;
 /// Largest number of steps of a fit that only compares explanations.
 const QUICK_STEPS: usize = 8;
-/// Error of the force as a share of it, from the meshes, on twins of three skins with patches.
-const FORCE_SHARE: f64 = 0.09;
 /// Radii from which joint sets may be fitted, relative to the typical one. Wider presses would explain much of a cut.
 const STARTING_RADII: [f64; 2] = [1.0, 1.4];
 /// Work per operation of a search for joint sets: it takes longer than those of factorisations.
 const WORK_OF_SETS: f64 = 1.5;
-/// Logarithms of pressure and radius that differ by less are those of the same press, converted there and back.
-const ROUNDING: f64 = 1e-6;
 /// Number of proposals for one more press.
 const PROPOSALS: usize = 3;
 /// Distance of these proposals from each other, in typical radii.
@@ -50,17 +47,44 @@ pub struct PlateFit {
     at: State,
     /// Presses evaluated for [`PressFit::left_by`]: a fit may start from them.
     evaluated: Option<State>,
-    /// Full fits to the last frame, with the changes of the channels by them, volts.
-    changes: Vec<(Vec<Pressed>, Vec<f64>)>,
+    /// Full fits to the last frame.
+    fitted: Vec<Fitted>,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
-    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
-    /// same effect on the channels, so these errors weigh more on a force than on a position.
-    inflation: f64,
+    doubt: Doubt,
     /// Operations spent on this frame, and the most that may be.
     work: f64,
     most_work: f64,
     /// The search for presses that act together.
     joint: Option<PatchSets>,
+}
+
+/// Uncertainties of a fit besides its covariances.
+#[derive(Clone, Debug)]
+struct Doubt {
+    /// Factor on all variances by what the fit has left.
+    left_scale: f64,
+    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
+    /// same effect on the channels, so these errors weigh more on a force than on a position.
+    inflation: f64,
+    /// Changes of the logarithms of pressure and radius of each press by the step that would come next.
+    to_go: Vec<[f64; 2]>,
+}
+
+impl Default for Doubt {
+    fn default() -> Self {
+        Self { left_scale: 1.0, inflation: 1.0, to_go: Vec::new() }
+    }
+}
+
+/// A full fit to the last frame.
+#[derive(Clone, Debug)]
+struct Fitted {
+    /// As reported.
+    reported: Vec<Press>,
+    presses: Vec<Pressed>,
+    /// Change of the channels, volts.
+    change: Vec<f64>,
+    doubt: Doubt,
 }
 
 /// Presses with what they explain.
@@ -97,9 +121,9 @@ impl PlateFit {
             frame: Vec::new(),
             at: State::nothing(Vec::new()),
             evaluated: None,
-            changes: Vec::new(),
+            fitted: Vec::new(),
             covariances: Vec::new(),
-            inflation: 1.0,
+            doubt: Doubt::default(),
             work: 0.0,
             most_work: f64::INFINITY,
             joint: None,
@@ -130,21 +154,27 @@ impl PlateFit {
         Some(State { effort, presses, contacts, change, residual })
     }
 
-    /// Force of a press and its standard deviation, newtons: `ln F = ln p + ln A(R)`, with p and R functions of the
-    /// reported load and radius. `None` for a press that has ended.
-    fn force_n(&self, press: &Press, pressed: &Pressed) -> Option<[f64; 2]> {
-        let (_, [[a, b], [c, d]]) = self.model.reported(pressed.log_pressure, pressed.log_radius);
-        let by_radius = self.model.log_force_by_log_radius(pressed);
-        let determinant = a * d - b * c;
-        let by_load = (d - by_radius * c) / determinant / press.load;
-        let by_log_radius = (a * by_radius - b) / determinant;
-        let covariance = &press.covariance;
-        let variance = by_load * by_load * covariance[2][2]
-            + 2.0 * by_load * by_log_radius * covariance[2][3]
-            + by_log_radius * by_log_radius * covariance[3][3];
-        let force_n = self.model.force_n(pressed);
-        let sigma_n = force_n * (self.inflation * variance.max(0.0)).sqrt().hypot(FORCE_SHARE);
-        (!pressed.has_ended && force_n.is_finite() && sigma_n.is_finite()).then_some([force_n, sigma_n])
+    /// Force of a press and its standard deviation, newtons, with this prior. `to_go` is its part of [`Doubt::to_go`].
+    /// `None` for a press that has ended.
+    fn force_n(
+        &self,
+        press: &Press,
+        pressed: Pressed,
+        prior: &SizePrior,
+        doubt: &Doubt,
+        to_go: [f64; 2],
+    ) -> Option<[f64; 2]> {
+        // Covariance of the logarithms of load and radius, without what the fit has left.
+        let by = [press.load.recip(), 1.0];
+        let covariance =
+            [0, 1].map(|j| [0, 1].map(|k| by[j] * by[k] * press.covariance[2 + j][2 + k] / doubt.left_scale));
+        let alike = Alike::new(self.model.conductance(), prior, pressed, &covariance, to_go, doubt.inflation)?;
+        if pressed.has_ended { None } else { alike.force_n() }
+    }
+
+    /// The last full fit to this frame that found these presses, with their places in it.
+    fn fit_of(&self, presses: &[Press]) -> Option<(&Fitted, Vec<usize>)> {
+        self.fitted.iter().rev().find_map(|fitted| Some((fitted, fitted.places(presses)?)))
     }
 
     fn cost(&self) -> Cost {
@@ -165,7 +195,7 @@ impl PlateFit {
         let n = OF_PRESS * self.at.presses.len();
         let Scratch { equations, factor, step } = solver;
         let scale = Evidence::left_scale(cost);
-        self.inflation = Evidence::model_scale(cost);
+        (self.doubt.left_scale, self.doubt.inflation) = (scale, Evidence::model_scale(cost));
         self.covariances.clear();
         self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
         for column in 0..n {
@@ -192,7 +222,7 @@ impl PressFit for PlateFit {
         self.volts.extend_from_slice(frame);
         self.work = 0.0;
         self.evaluated = None;
-        self.changes.clear();
+        self.fitted.clear();
         self.fit_nothing()
     }
 
@@ -209,7 +239,12 @@ impl PressFit for PlateFit {
         let steps = if effort == Effort::Full { STEPS } else { QUICK_STEPS };
         let cost = self.improve(steps)?;
         if effort == Effort::Full {
-            self.changes.push((self.at.presses.clone(), self.at.change.clone()));
+            self.fitted.push(Fitted {
+                reported: self.presses(),
+                presses: self.at.presses.clone(),
+                change: self.at.change.clone(),
+                doubt: self.doubt.clone(),
+            });
         }
         Some(cost)
     }
@@ -262,7 +297,8 @@ impl PressFit for PlateFit {
 
     fn presses(&self) -> Vec<Press> {
         let press = |(pressed, covariance): (&Pressed, &[[f64; OF_PRESS]; OF_PRESS])| {
-            let ([log_load, log_radius], by) = self.model.reported(pressed.log_pressure, pressed.log_radius);
+            let ([log_load, log_radius], by) =
+                self.model.conductance().reported(pressed.log_pressure, pressed.log_radius);
             let load = if pressed.has_ended { -log_load.exp() } else { log_load.exp() };
             // x and y stay; load and radius follow from pressure and radius of the disc.
             let mut turn = [[0.0; OF_PRESS]; OF_PRESS];
@@ -324,8 +360,9 @@ impl PressFit for PlateFit {
             frame: Vec::new(),
             at: State::nothing(Vec::new()),
             evaluated: None,
-            changes: Vec::new(),
+            fitted: Vec::new(),
             covariances: Vec::new(),
+            doubt: Doubt::default(),
             joint: None,
             ..*self
         }))
@@ -397,36 +434,49 @@ impl PressFit for PlateFit {
     fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
         // A frame tells pressure and radius of an indenter apart only roughly. The fit with its radius given serves its
         // force alone: other objects touch the skin, too.
-        let prior = std::mem::replace(&mut self.prior, self.model.prior(self.indenter_m));
+        let given = self.model.prior(self.indenter_m);
+        let prior = std::mem::replace(&mut self.prior, given);
         let is_refitted = self.indenter_m.is_some() && self.fit(presses, Effort::Full).is_some();
         self.prior = prior;
         let refitted = if is_refitted { self.presses() } else { presses.to_vec() };
-        let footprint = |(press, refitted): (&Press, &Press)| Footprint {
-            radius_m: self.model.contact_radius_m(&self.model.pressed(press)),
-            force_n: self.force_n(refitted, &self.model.pressed(refitted)),
+        let prior = if is_refitted { &given } else { &prior };
+        let conductance = self.model.conductance();
+        let pressed = |press: &Press| match self.fit_of(std::slice::from_ref(press)) {
+            Some((fitted, places)) => fitted.presses[places[0]],
+            None => self.model.pressed(press),
+        };
+        let footprint = |(press, refitted): (&Press, &Press)| {
+            let (doubt, to_go) = match self.fit_of(std::slice::from_ref(refitted)) {
+                Some((Fitted { doubt, .. }, places)) => {
+                    (doubt, doubt.to_go.get(places[0]).copied().unwrap_or_default())
+                }
+                None => (&self.doubt, [0.0; 2]),
+            };
+            Footprint {
+                radius_m: conductance.contact_radius_m(&pressed(press)),
+                force_n: self.force_n(refitted, pressed(refitted), prior, doubt, to_go),
+            }
         };
         presses.iter().zip(&refitted).map(footprint).collect()
     }
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
-        let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
-        if let Some((_, change)) = self.changes.iter().find(|(fitted, _)| are_same(fitted, &presses)) {
-            volts.clone_from(change);
+        let is_of = |fitted: &&Fitted| fitted.presses.len() == presses.len() && fitted.places(presses).is_some();
+        if let Some(fitted) = self.fitted.iter().find(is_of) {
+            volts.clone_from(&fitted.change);
             return;
         }
+        let presses: Vec<Pressed> = presses.iter().map(|press| self.model.pressed(press)).collect();
         let contacts = self.model.contacts(&presses, Effort::Full).unwrap_or_default();
         self.model.change(&contacts, volts);
     }
 }
 
-/// True if presses are the same in any order, but for rounding errors.
-fn are_same(some: &[Pressed], others: &[Pressed]) -> bool {
-    let is_near = |a: f64, b: f64| (a - b).abs() < ROUNDING;
-    let is_same = |a: &Pressed, b: &Pressed| {
-        a.position_m == b.position_m
-            && a.has_ended == b.has_ended
-            && is_near(a.log_pressure, b.log_pressure)
-            && is_near(a.log_radius, b.log_radius)
-    };
-    some.len() == others.len() && some.iter().all(|a| others.iter().any(|b| is_same(a, b)))
+impl Fitted {
+    /// Places of some presses among those fitted, in any order; `None` if one of them is not the same.
+    fn places(&self, presses: &[Press]) -> Option<Vec<usize>> {
+        let is_same =
+            |a: &Press, b: &Press| a.position_m == b.position_m && a.load == b.load && a.radius_m == b.radius_m;
+        presses.iter().map(|press| self.reported.iter().position(|fitted| is_same(fitted, press))).collect()
+    }
 }

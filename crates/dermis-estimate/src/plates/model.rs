@@ -1,13 +1,14 @@
 //! The change of the channels by presses on plates, and the press as reported.
 
 use std::f64::consts::PI;
+use std::ops::Range;
 
 use dermis_tomo::eit::EitError;
 use dermis_tomo::eit::contacts::{ContactPatch, PatchSearch, PatchSets, PlateContact, PlatedSheet};
 use dermis_tomo::mesh::{PixelGrid, Point, distance};
 
 use super::law::{Conductance, PlateLaw};
-use super::pressure::{Field, OF_PRESS, Pressed, normal, normal_exactly};
+use super::pressure::{Field, OF_PRESS, Pressed};
 use super::profile::Profile;
 use crate::press::{Effort, Press};
 
@@ -18,8 +19,6 @@ const LOG_DEVIATIONS: [f64; 2] = [1.0, 0.35];
 const LOG_INDENTER: f64 = 0.02;
 /// Pressures beyond this many deviations from the usual one are not tried: contact is saturated, or open.
 const MOST_DEVIATIONS: f64 = 4.0;
-/// Number of rings over which a contact is integrated.
-const RINGS: usize = 48;
 /// Number of steps from a reported press to the parameters of the fit.
 const INVERSE_STEPS: usize = 30;
 /// Largest area in contact, in areas of a typical press per press.
@@ -31,9 +30,6 @@ const FEWEST: usize = 3;
 const LEAST_WORK: f64 = 7e4;
 const WORK_PER_CELL: f64 = 5e3;
 const WORK_PER_CUBED_CELL: f64 = 0.03;
-/// Bisections for the radius of a contact: to a millionth of it.
-const HALVINGS: usize = 20;
-
 /// The contact that some presses make on one of the sheets.
 #[derive(Clone, Debug)]
 pub(super) struct Made {
@@ -41,20 +37,29 @@ pub(super) struct Made {
     /// Sign of the contact in the sum.
     sign: f64,
     contact: PlateContact,
-    /// See [`Touched::moves`].
+    /// For each press, by its index: derivatives of the conductances of the cells in contact by its parameters.
     moves: Vec<(usize, Vec<Moves>)>,
 }
 
-/// A point, and the derivatives of its conductance per area by the parameters of a press, S/m^2 per unit.
-type Moves = (usize, [f64; OF_PRESS]);
+/// Derivatives of the conductance of a cell by the parameters of a press, siemens per unit.
+type Moves = [f64; OF_PRESS];
 
-/// The points under presses at which they make contact.
-#[derive(Default)]
+/// The contact under presses.
 struct Touched {
-    /// With their conductance per area, S/m^2.
-    points: Vec<(usize, f64)>,
-    /// For each press, by its index.
+    /// Conductance of each cell, siemens.
+    conductance_s: Vec<f64>,
+    /// For each press, by its index: the derivatives for each cell.
     moves: Vec<(usize, Vec<Moves>)>,
+    /// Area in contact, m^2.
+    area_m2: f64,
+}
+
+impl Touched {
+    fn nothing(sheet: &PlatedSheet, presses: impl Iterator<Item = usize>) -> Self {
+        let cells = sheet.cell_count();
+        let moves = presses.map(|k| (k, vec![[0.0; OF_PRESS]; cells])).collect();
+        Self { conductance_s: vec![0.0; cells], moves, area_m2: 0.0 }
+    }
 }
 
 /// Sizes of presses on plates. SI units.
@@ -148,6 +153,11 @@ impl PlateModel {
         Some(self.search.as_ref()?.look(sets)?.iter().map(|patch| patch.position_m).collect())
     }
 
+    /// Conductance of the contact by pressure.
+    pub(super) fn conductance(&self) -> &Conductance {
+        &self.conductance
+    }
+
     /// The law of contact.
     pub(super) fn law(&self) -> &PlateLaw {
         self.conductance.law()
@@ -227,82 +237,79 @@ impl PlateModel {
         if presses.is_empty() {
             return Ok(None);
         }
-        let Touched { points, moves } = self.touched(all, &presses, effort);
+        let Touched { conductance_s, moves, area_m2 } = self.touched(all, &presses, effort);
         // Presses as large as the skin would take the time of many frames.
-        let area_m2: f64 = points.iter().map(|(point, _)| self.sheet(effort).points()[*point].area_m2).sum();
         if area_m2 > MOST_TYPICAL * PI * self.options.typical_radius_m.powi(2) * presses.len().max(FEWEST) as f64 {
             return Err(EitError::Contact { radius_m: (area_m2 / PI).sqrt(), conductance_s_per_m2: 0.0 });
         }
-        let contact = self.sheet(effort).contact(&points)?;
+        let contact = self.sheet(effort).contact(&conductance_s)?;
+        let moves = moves.into_iter().map(|(k, moves)| (k, contact.of_cells(&moves))).collect();
         Ok((!contact.is_open()).then_some(Made { effort, sign, contact, moves }))
     }
 
     /// The contact under some of the presses before it is solved for.
     fn touched(&self, all: &[Pressed], presses: &[usize], effort: Effort) -> Touched {
-        let field = |&k: &usize| (k, Field::new(&all[k], self.law().spread_m));
-        let fields: Vec<(usize, Field)> = presses.iter().map(field).collect();
+        let fields: Vec<Field> = presses.iter().map(|&k| Field::new(&all[k], self.law().spread_m)).collect();
         // Faint pressures make contact only where they add to another's.
-        let contact_m: Vec<f64> =
-            fields.iter().map(|(_, field)| field.reach_above_m(self.conductance.faint_pa())).collect();
+        let faint_pa = self.conductance.faint_pa();
+        let contact_m: Vec<f64> = fields.iter().map(|field| field.reach_above_m(faint_pa)).collect();
         let are_apart = |a: usize, b: usize| {
             let distance_m = distance(all[presses[a]].position_m, all[presses[b]].position_m);
-            distance_m > contact_m[a] + fields[b].1.reach_m() && distance_m > contact_m[b] + fields[a].1.reach_m()
+            distance_m > contact_m[a] + fields[b].reach_m() && distance_m > contact_m[b] + fields[a].reach_m()
         };
-        if !(1..fields.len()).all(|a| (0..a).all(|b| are_apart(a, b))) {
-            return self.touched_together(all, &fields, effort);
-        }
         let sheet = self.sheet(effort);
-        let mut touched = Touched::default();
-        for ((k, field), contact_m) in fields.iter().zip(contact_m) {
+        let mut touched = Touched::nothing(sheet, presses.iter().copied());
+        if !(1..fields.len()).all(|a| (0..a).all(|b| are_apart(a, b))) {
+            self.touch_together(&mut touched, all, &fields, sheet);
+            return touched;
+        }
+        let Touched { conductance_s, moves, area_m2 } = &mut touched;
+        for (((k, moves), field), contact_m) in moves.iter_mut().zip(&fields).zip(contact_m) {
             let profile = Profile::new(&all[*k], field, contact_m, &self.conductance);
-            let mut moves = Vec::new();
             for range in sheet.points_near(all[*k].position_m, contact_m) {
-                for (point, at) in range.clone().zip(&sheet.points()[range]) {
-                    if let Some((conductance, by)) = profile.at(at.position_m) {
-                        touched.points.push((point, conductance));
-                        moves.push((point, by));
+                for point in &sheet.points()[range] {
+                    if let Some((conductance, by)) = profile.at(point.position_m) {
+                        let cell = point.cell as usize;
+                        conductance_s[cell] += point.area_m2 * conductance;
+                        moves[cell].iter_mut().zip(by).for_each(|(sum, value)| *sum += point.area_m2 * value);
+                        *area_m2 += point.area_m2;
                     }
                 }
             }
-            touched.moves.push((*k, moves));
         }
         touched
     }
 
-    /// As [`PlateModel::touched`], where presses overlap: their pressures add up.
-    fn touched_together(&self, all: &[Pressed], fields: &[(usize, Field)], effort: Effort) -> Touched {
-        let sheet = self.sheet(effort);
-        let mut pressures: Vec<(usize, f64)> = Vec::new();
-        for (k, field) in fields {
-            for point in sheet.points_near(all[*k].position_m, field.reach_m()).flatten() {
-                let pressure_pa = field.pressure_at(sheet.points()[point].position_m);
-                pressures.extend((pressure_pa > 0.0).then_some((point, pressure_pa)));
+    /// Adds the contact of presses that overlap: their pressures add up.
+    fn touch_together(&self, touched: &mut Touched, all: &[Pressed], fields: &[Field], sheet: &PlatedSheet) {
+        let Touched { conductance_s, moves, area_m2 } = touched;
+        // Where all of them are below this pressure, their sum makes no contact.
+        let least_pa = self.conductance.faint_pa() / fields.len() as f64;
+        let near = |((k, _), field): (&(usize, Vec<Moves>), &Field)| {
+            sheet.points_near(all[*k].position_m, field.reach_above_m(least_pa)).collect::<Vec<_>>()
+        };
+        let mut ranges: Vec<Range<usize>> = moves.iter().zip(fields).flat_map(near).collect();
+        ranges.sort_unstable_by_key(|range| range.start);
+        let mut done = 0;
+        for range in ranges {
+            let range = range.start.max(done)..range.end.max(done);
+            done = range.end;
+            for point in &sheet.points()[range] {
+                let pressure_pa: f64 = fields.iter().map(|field| field.pressure_at(point.position_m)).sum();
+                let [conductance, slope] = self.conductance.at(pressure_pa);
+                if conductance == 0.0 {
+                    continue;
+                }
+                let cell = point.cell as usize;
+                conductance_s[cell] += point.area_m2 * conductance;
+                *area_m2 += point.area_m2;
+                for ((_, moves), field) in moves.iter_mut().zip(fields) {
+                    let by = field.derivatives_at(point.position_m).unwrap_or_default();
+                    let scale = point.area_m2 * slope;
+                    moves[cell].iter_mut().zip(by).for_each(|(sum, value)| *sum += scale * value);
+                }
             }
         }
-        // The stable sort is quick, since the points of each press are in order.
-        pressures.sort_by_key(|(point, _)| *point);
-        pressures.dedup_by(|(point, pressure), (kept, sum)| {
-            let is_same = point == kept;
-            *sum += if is_same { *pressure } else { 0.0 };
-            is_same
-        });
-        let mut touched = Touched::default();
-        let mut slopes = Vec::new();
-        for (point, pressure_pa) in pressures {
-            let [conductance, slope] = self.conductance.at(pressure_pa);
-            if conductance > 0.0 {
-                touched.points.push((point, conductance));
-                slopes.push((point, slope));
-            }
-        }
-        for (k, field) in fields {
-            let moved = |&(point, slope): &(usize, f64)| {
-                let by = field.derivatives_at(sheet.points()[point].position_m)?;
-                Some((point, by.map(|value| slope * value)))
-            };
-            touched.moves.push((*k, slopes.iter().filter_map(moved).collect()));
-        }
-        touched
     }
 
     /// Operations that solving for these contacts takes.
@@ -335,78 +342,10 @@ impl PlateModel {
         columns
     }
 
-    /// Logarithms of the load and the radius of a press as reported: those of a Gaussian spot of the same conductance
-    /// and second moment. Frames determine the conductance far better than pressure and size of the indenter. The rows
-    /// of the derivatives by both logarithms of the press are those of the reported ones.
-    pub(super) fn reported(&self, log_pressure: f64, log_radius: f64) -> ([f64; 2], [[f64; 2]; 2]) {
-        let (pressure_pa, disc_m, spread_m) = (log_pressure.exp(), log_radius.exp(), self.law().spread_m);
-        let reach_m = disc_m + Field::REACH * spread_m;
-        // The conductance and its second moment, each followed by its derivatives by both logarithms.
-        let (mut total, mut second) = ([f64::MIN_POSITIVE, 0.0, 0.0], [0.0; 3]);
-        for k in 0..RINGS {
-            let share_of_reach = (k as f64 + 0.5) / RINGS as f64;
-            let at_m = reach_m * share_of_reach;
-            let [share, density] = normal((disc_m - at_m) / spread_m);
-            let [g, slope] = self.conductance.at(pressure_pa * share);
-            if g == 0.0 {
-                continue;
-            }
-            // Rings move outwards as the disc grows.
-            let moved_m = disc_m * share_of_reach;
-            let by_pressure = slope * pressure_pa * share;
-            let by_radius = slope * pressure_pa * density * (disc_m - moved_m) / spread_m;
-            let ring = [at_m * g, at_m * by_pressure, at_m * by_radius + moved_m * g];
-            let square = at_m * at_m;
-            let ring_square = [ring[0], ring[1], ring[2] + 2.0 * moved_m * g].map(|value| square * value);
-            for j in 0..3 {
-                total[j] += ring[j];
-                second[j] += ring_square[j];
-            }
-        }
-        // A spot exp(-d^2 / (2 r^2)) has the second moment 2 r^2 and the integral 2 pi r^2.
-        let square = (0.5 * second[0] / total[0]).max(f64::MIN_POSITIVE);
-        let load = total[0] * reach_m / RINGS as f64 / (square * self.law().saturation_s_per_m2);
-        let relative = |sums: [f64; 3], j: usize| if sums[0] > 0.0 { sums[j] / sums[0] } else { 0.0 };
-        let of_square = [1, 2].map(|j| relative(second, j) - relative(total, j));
-        let of_load = [relative(total, 1) - of_square[0], relative(total, 2) + disc_m / reach_m - of_square[1]];
-        ([load.ln(), 0.5 * square.ln()], [of_load, of_square.map(|slope| 0.5 * slope)])
-    }
-
-    /// Force under a press, newtons: the integral of its pressure, `p pi ((R^2 + s^2) Phi(R/s) + R s phi(R/s))` with
-    /// the normal distribution Phi and its density phi.
-    pub(super) fn force_n(&self, press: &Pressed) -> f64 {
-        let (radius_m, spread_m) = (press.log_radius.exp(), self.law().spread_m);
-        let [below, density] = normal_exactly(radius_m / spread_m);
-        let area_m2 = PI * ((radius_m * radius_m + spread_m * spread_m) * below + radius_m * spread_m * density);
-        press.log_pressure.exp() * area_m2
-    }
-
-    /// Radius at which the contact under a press is half that in its middle, metres.
-    pub(super) fn contact_radius_m(&self, press: &Pressed) -> f64 {
-        let field = Field::new(press, self.law().spread_m);
-        let middle_pa = field.pressure_at(press.position_m);
-        let half = 0.5 * self.conductance.at(middle_pa)[0];
-        let at = |distance_m: f64| field.pressure_at([press.position_m[0] + distance_m, press.position_m[1]]);
-        let is_more = |distance_m: f64| self.conductance.at(at(distance_m))[0] > half;
-        let (mut low, mut high) = (0.0, field.reach_m());
-        for _ in 0..HALVINGS {
-            let middle = 0.5 * (low + high);
-            if is_more(middle) { low = middle } else { high = middle }
-        }
-        0.5 * (low + high)
-    }
-
-    /// Derivative of the logarithm of the force with respect to the logarithm of the radius.
-    pub(super) fn log_force_by_log_radius(&self, press: &Pressed) -> f64 {
-        let h = 1e-4;
-        let at = |step: f64| self.force_n(&Pressed { log_radius: press.log_radius + step, ..*press }).ln();
-        (at(h) - at(-h)) / (2.0 * h)
-    }
-
     /// Load and radius (metres) reported of a proposed press.
     pub(super) fn reported_typical(&self) -> [f64; 2] {
         let PlateOptions { typical_pa, typical_radius_m, .. } = self.options;
-        self.reported(typical_pa.ln(), typical_radius_m.ln()).0.map(f64::exp)
+        self.conductance.reported(typical_pa.ln(), typical_radius_m.ln()).0.map(f64::exp)
     }
 
     /// The press in the parameters of the fit, within their limits, by Newton's method on both logarithms.
@@ -415,7 +354,7 @@ impl PlateModel {
         let has_ended = press.load < 0.0;
         let mut at = Pressed { has_ended, ..self.typical(press.position_m) };
         for _ in 0..INVERSE_STEPS {
-            let (reported, [[a, b], [c, d]]) = self.reported(at.log_pressure, at.log_radius);
+            let (reported, [[a, b], [c, d]]) = self.conductance.reported(at.log_pressure, at.log_radius);
             let off = [wanted[0] - reported[0], wanted[1] - reported[1]];
             if off.iter().all(|off| off.abs() < 1e-9) {
                 break;
@@ -460,7 +399,7 @@ impl PlateModel {
 /// disc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SizePrior {
-    middle: [f64; 2],
+    pub middle: [f64; 2],
     pub deviations: [f64; 2],
 }
 

@@ -104,9 +104,10 @@ impl Field {
         self.square_core.sqrt()
     }
 
-    /// Pressure at a distance from the centre beyond the full pressure, pascal.
-    pub fn pressure_across(&self, distance_m: f64) -> f64 {
-        self.pressure_pa * normal((self.radius_m - distance_m) * self.per_spread)[0]
+    /// Pressure at a distance from the centre beyond the full pressure (pascal), and its derivative by that distance.
+    pub fn pressure_across(&self, distance_m: f64) -> (f64, f64) {
+        let [below, density] = normal((self.radius_m - distance_m) * self.per_spread);
+        (self.pressure_pa * below, -self.pressure_pa * density * self.per_spread)
     }
 
     /// Offset from the centre, and its square.
@@ -123,7 +124,7 @@ impl Field {
         if square <= self.square_core {
             self.pressure_pa
         } else if square <= self.square_reach {
-            self.pressure_across(square.sqrt())
+            self.pressure_across(square.sqrt()).0
         } else {
             0.0
         }
@@ -139,11 +140,9 @@ impl Field {
             return None;
         }
         let distance_m = square.sqrt();
-        let [below, density] = normal((self.radius_m - distance_m) * self.per_spread);
-        let pressure = self.pressure_pa * below;
-        let density = self.pressure_pa * density * self.per_spread;
-        let along = density / distance_m.max(1e-9);
-        Some([along * off[0], along * off[1], pressure, density * self.radius_m])
+        let (pressure, outwards) = self.pressure_across(distance_m);
+        let along = -outwards / distance_m.max(1e-9);
+        Some([along * off[0], along * off[1], pressure, -outwards * self.radius_m])
     }
 }
 

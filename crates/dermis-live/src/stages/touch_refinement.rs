@@ -214,8 +214,8 @@ impl SpotStage {
         self.search.set_live(is_live);
     }
 
-    /// Starts the next search in the background, because the current frame has already taken long. Only where images
-    /// join presses: other searches are quick.
+    /// If the current frame needs a search, it is made in the background, because the frame has already taken long.
+    /// Only where images join presses: other searches are quick.
     pub(crate) fn postpone(&mut self) {
         self.is_postponed = true;
     }
@@ -284,6 +284,7 @@ impl SpotStage {
                 self.show(time_ns, explained, imager, lowest, contacts);
                 self.pace.keep(time_ns, 0, if self.shown.is_empty() { &[] } else { contacts });
                 self.found.clear();
+                self.is_postponed = false;
                 return;
             }
         }
@@ -296,6 +297,7 @@ impl SpotStage {
             self.pace.keep(time_ns, busy_ns, if self.shown.is_empty() { &[] } else { contacts });
         }
         self.found.clear();
+        self.is_postponed = false;
     }
 
     /// True if presses explain so much of a frame that they are shown.
@@ -340,10 +342,9 @@ impl SpotStage {
             self.estimator.allow(AT_ONCE);
         }
         let memory = self.estimator.memory().clone();
-        let is_postponed = std::mem::take(&mut self.is_postponed);
         let explained = match self.search.is_under_way() {
             true => Explained::Later(self.estimator.follow(difference)),
-            false if is_postponed => Explained::Later(None),
+            false if self.is_postponed => Explained::Later(None),
             false => self.explain(difference),
         };
         let Explained::Later(so_far) = explained else {

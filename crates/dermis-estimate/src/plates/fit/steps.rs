@@ -7,21 +7,25 @@ use dermis_tomo::least_squares::{
 
 use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
 use crate::evidence::Evidence;
-use crate::plates::model::LONGEST_LOG;
+use crate::plates::model::{LONGEST_LOG, SizePrior};
 use crate::plates::pressure::{OF_PRESS, Pressed};
 use crate::press::{Cost, Effort};
 
-/// Initial damping.
+/// Initial damping. Frames determine pressure and radius together a thousand times better than either alone, so this
+/// stops fits early along that direction. [`super::Doubt::to_go`] remembers what is left of the way.
 const DAMPING: f64 = 1e-3;
 /// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
 /// than ten times this.
 const CONVERGED: f64 = 2e-3;
-/// A fit has also converged when a step lowers the residual by less than this share of it, or of the model's own error.
+/// A fit has also converged when a step lowers the residual by less than this share of it, or of [`OF_ENERGY`].
 /// If the residual is noise, in some 200 readings, that is 0.2 of a squared standard deviation. Errors of the model
 /// come in few shapes, so that they weigh more.
 const NO_BETTER: f64 = 1e-3;
 /// The same for a fit that only compares explanations. A full fit follows where it matters.
 const QUICK_NO_BETTER: f64 = 0.02;
+/// Share of a frame's energy that counts like its residual there: more precise fits take long and move no press. Forces
+/// are found from the step that is left.
+const OF_ENERGY: f64 = 5e-4;
 /// Largest move in one step, in radii.
 const LONGEST: f64 = 0.5;
 
@@ -30,13 +34,20 @@ impl PlateFit {
     pub(super) fn improve(&mut self, steps: usize) -> Option<Cost> {
         let mut solver = Scratch::new(OF_PRESS * self.at.presses.len());
         let params = Params::until_settled(DAMPING, steps);
-        let mut way = FitUnderWay { fit: &mut *self, tried: None };
+        let mut way = FitUnderWay { fit: &mut *self, tried: None, columns: Vec::new() };
         let info = minimise(&mut way, &params, &mut solver).ok()?;
         // The last step of a fit that has settled is too short to change its covariances.
-        if info.outcome != Outcome::Settled {
+        if info.outcome == Outcome::Settled {
+            way.slopes(&way.fit.at, &mut solver.equations.right);
+        } else {
             way.linearise(&mut solver.equations).ok()?;
         }
         let cost = self.cost();
+        let Scratch { equations, factor, step } = &mut solver;
+        self.doubt.to_go.clear();
+        if equations.solve_damped(0.0, factor, step) {
+            self.doubt.to_go.extend(step.chunks_exact(OF_PRESS).map(|step| [step[LOG_PRESSURE], step[LOG_RADIUS]]));
+        }
         self.find_covariances(&mut solver, &cost);
         Some(cost)
     }
@@ -46,11 +57,26 @@ impl PlateFit {
 struct FitUnderWay<'a> {
     fit: &'a mut PlateFit,
     tried: Option<State>,
+    /// Whitened derivatives of the channels at the last linearisation.
+    columns: Vec<Vec<f64>>,
 }
 
 impl FitUnderWay<'_> {
     fn cost_of(&self, state: &State) -> f64 {
         state.residual.iter().map(|v| v * v).sum::<f64>() + self.fit.prior.penalty(&state.presses)
+    }
+
+    /// Writes the slopes of half the cost, downwards, with the derivatives of the last linearisation.
+    fn slopes(&self, state: &State, right: &mut [f64]) {
+        for (value, column) in right.iter_mut().zip(&self.columns) {
+            *value = inner_product(column, &state.residual);
+        }
+        for (press, right) in state.presses.iter().zip(right.chunks_exact_mut(OF_PRESS)) {
+            let SizePrior { deviations, .. } = self.fit.prior;
+            let [of_pressure, of_radius] = self.fit.prior.off(press);
+            right[LOG_PRESSURE] -= of_pressure / deviations[0];
+            right[LOG_RADIUS] -= of_radius / deviations[1];
+        }
     }
 }
 
@@ -67,32 +93,26 @@ impl Problem for FitUnderWay<'_> {
 
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Error> {
         let PlateFit { model, weighing, prior, at, .. } = &*self.fit;
-        let columns: Vec<Vec<f64>> = model
-            .derivatives(&at.presses, &at.contacts)
-            .iter()
-            .map(|column| {
-                let mut whitened = Vec::new();
-                weighing.whitening.apply(column, &mut whitened);
-                whitened
-            })
-            .collect();
-        let n = columns.len();
-        let NormalEquations { normal, right } = equations;
+        let whitened = |column: &Vec<f64>| {
+            let mut whitened = Vec::new();
+            weighing.whitening.apply(column, &mut whitened);
+            whitened
+        };
+        self.columns = model.derivatives(&at.presses, &at.contacts).iter().map(whitened).collect();
+        let n = self.columns.len();
         for a in 0..n {
-            right[a] = inner_product(&columns[a], &at.residual);
             for b in 0..=a {
-                let value = inner_product(&columns[a], &columns[b]);
-                (normal[a * n + b], normal[b * n + a]) = (value, value);
+                let value = inner_product(&self.columns[a], &self.columns[b]);
+                (equations.normal[a * n + b], equations.normal[b * n + a]) = (value, value);
             }
         }
-        for (k, press) in at.presses.iter().enumerate() {
-            let priors = [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.off(press)).zip(prior.deviations);
-            for ((parameter, off), deviation) in priors {
+        for k in 0..at.presses.len() {
+            for (parameter, deviation) in [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.deviations) {
                 let at = OF_PRESS * k + parameter;
-                normal[at * n + at] += deviation.powi(-2);
-                right[at] -= off / deviation;
+                equations.normal[at * n + at] += deviation.powi(-2);
             }
         }
+        self.slopes(at, &mut equations.right);
         Ok(true)
     }
 
@@ -103,12 +123,13 @@ impl Problem for FitUnderWay<'_> {
             let radius_m = press.log_radius.exp();
             let distance_m = step[0].hypot(step[1]);
             let longest_m = LONGEST * radius_m.max(model.law().spread_m);
-            let share = if distance_m > longest_m { longest_m / distance_m } else { 1.0 };
-            let log = |change: f64| change.clamp(-LONGEST_LOG, LONGEST_LOG);
+            let share = (longest_m / distance_m).min(1.0);
+            // A step shortened in only one of the logarithms would leave the direction that frames hardly determine.
+            let log_share = (LONGEST_LOG / step[LOG_PRESSURE].abs().max(step[LOG_RADIUS].abs())).min(1.0);
             let next = model.limited(Pressed {
                 position_m: [press.position_m[0] + share * step[0], press.position_m[1] + share * step[1]],
-                log_pressure: press.log_pressure + log(step[LOG_PRESSURE]),
-                log_radius: press.log_radius + log(step[LOG_RADIUS]),
+                log_pressure: press.log_pressure + log_share * step[LOG_PRESSURE],
+                log_radius: press.log_radius + log_share * step[LOG_RADIUS],
                 has_ended: press.has_ended,
             });
             let logs = (next.log_pressure - press.log_pressure).abs().max((next.log_radius - press.log_radius).abs());
@@ -129,12 +150,12 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
-        let PlateFit { error_share, frame, at, .. } = &*self.fit;
+        let PlateFit { frame, at, .. } = &*self.fit;
         let (no_better, left) = match at.effort {
             Effort::Quick => (QUICK_NO_BETTER, progress.after),
             Effort::Full => (NO_BETTER, Evidence::left_in_shapes(&self.fit.cost_of(at))),
         };
-        let least_gain = no_better * left.max(error_share * inner_product(frame, frame));
+        let least_gain = no_better * left.max(OF_ENERGY * inner_product(frame, frame));
         progress.moved < CONVERGED || progress.before - progress.after < least_gain
     }
 }

@@ -10,9 +10,10 @@ use crate::eit::{EitError, ForwardModel};
 use crate::mesh::Point;
 
 /// Each triangle is divided into the square of this many equal parts to find the plates above it.
-const DIVISIONS: usize = 6;
-/// The parts in each quarter of a triangle that are under the same plate become one point.
-const QUARTERS: usize = 2;
+const DIVISIONS: usize = 8;
+/// Those in the same of the square of this many larger parts, under the same plate, become one point. With 2 instead of
+/// 4, the channels are so rough in the radius of a press that fits end far from the best pressure.
+const PARTS: usize = 4;
 /// Contacts below this share of the largest are left out: they carry no current.
 const LEAST_CONTACT: f64 = 1e-9;
 
@@ -24,7 +25,7 @@ pub struct PlatePoint {
     /// Area, m^2.
     pub area_m2: f64,
     /// The cell that it belongs to.
-    cell: u32,
+    pub cell: u32,
 }
 
 /// A point before the cells are known: with its plate, and the shares of the corners around it.
@@ -71,6 +72,11 @@ impl PlateContact {
     /// Number of cells in contact. Solving takes a time that grows with its cube.
     pub fn cell_count(&self) -> usize {
         self.cells.len()
+    }
+
+    /// Values of the cells in contact, from those of all cells.
+    pub fn of_cells<T: Copy>(&self, of_all: &[T]) -> Vec<T> {
+        self.cells.iter().map(|&cell| of_all[cell as usize]).collect()
     }
 
     /// True if nothing is in contact.
@@ -129,6 +135,11 @@ impl PlatedSheet {
         self.plates.iter().all(|plate| *plate == self.plates[0])
     }
 
+    /// Number of cells, whether in contact or not.
+    pub fn cell_count(&self) -> usize {
+        self.plates.len()
+    }
+
     /// All points at which the sheet can make contact.
     pub fn points(&self) -> &[PlatePoint] {
         &self.points
@@ -150,17 +161,11 @@ impl PlatedSheet {
         })
     }
 
-    /// Solves for these contacts: points (as indices in [`PlatedSheet::points`]) with their conductance per area,
-    /// S/m^2.
+    /// Solves for these contacts: the conductance of each cell to its plate, siemens.
     ///
     /// # Errors
     /// A conductance that is not finite.
-    pub fn contact(&self, contacts: &[(usize, f64)]) -> Result<PlateContact, EitError> {
-        let mut conductance_s = vec![0.0; self.plates.len()];
-        for &(point, conductance) in contacts {
-            let PlatePoint { area_m2, cell, .. } = self.points[point];
-            conductance_s[cell as usize] += area_m2 * conductance;
-        }
+    pub fn contact(&self, conductance_s: &[f64]) -> Result<PlateContact, EitError> {
         let largest = conductance_s.iter().copied().fold(0.0, f64::max);
         let touches = |cell: &u32| conductance_s[*cell as usize] > LEAST_CONTACT * largest;
         let cells: Vec<u32> = (0..self.plates.len() as u32).filter(touches).collect();
@@ -174,21 +179,13 @@ impl PlatedSheet {
         Ok(PlateContact { change_v, cells, touched })
     }
 
-    /// Derivatives of the channels with respect to four parameters, channels x parameters, row-major. `moves` are
-    /// points with the derivatives of their conductance per area, S/m^2 per unit of each parameter.
-    pub fn derivatives(&self, contact: &PlateContact, moves: &[(usize, [f64; OF_PRESS])]) -> Vec<f64> {
+    /// Derivatives of the channels with respect to four parameters, channels x parameters, row-major. `moves` are the
+    /// derivatives of the conductances of the cells in contact, siemens per unit of each parameter.
+    pub fn derivatives(&self, contact: &PlateContact, moves: &[[f64; OF_PRESS]]) -> Vec<f64> {
         let cells = &contact.cells;
-        let mut of_cells = vec![[0.0; OF_PRESS]; cells.len()];
-        for (point, by) in moves {
-            let PlatePoint { area_m2, cell, .. } = self.points[*point];
-            // Cells whose contact is too faint to carry a current have no row.
-            if let Ok(row) = cells.binary_search(&cell) {
-                of_cells[row].iter_mut().zip(by).for_each(|(sum, value)| *sum += area_m2 * value);
-            }
-        }
         let mut jacobian = vec![0.0; self.channels() * OF_PRESS];
         let (mut rows, mut relative) = (Vec::with_capacity(cells.len()), Vec::with_capacity(cells.len()));
-        for (row, (moves, conductance)) in of_cells.iter().zip(&contact.touched.conductance_s).enumerate() {
+        for (row, (moves, conductance)) in moves.iter().zip(&contact.touched.conductance_s).enumerate() {
             if moves.iter().any(|value| *value != 0.0) {
                 rows.push(row);
                 relative.push(moves.map(|value| value / conductance));
@@ -208,8 +205,8 @@ fn parts_under_plates(model: &ForwardModel, order: &[usize], plate_at: impl Fn(P
     order.iter().enumerate().for_each(|(at, &node)| place[node] = at as u32);
     let shares = subtriangles();
     let mut parts = Vec::new();
-    // Area and moments of the corners' shares of each quarter under each plate.
-    let mut of_triangle: BTreeMap<(usize, u32), [f64; 5]> = BTreeMap::new();
+    // Area and moments of the corners' shares of each larger part under each plate.
+    let mut of_triangle: BTreeMap<([usize; 3], u32), [f64; 5]> = BTreeMap::new();
     for (nodes, measure) in mesh.elements().zip(mesh.measures()) {
         let &[a, b, c] = nodes else { continue };
         let corners = [a, b, c].map(|node| mesh.nodes()[node as usize]);
@@ -218,7 +215,7 @@ fn parts_under_plates(model: &ForwardModel, order: &[usize], plate_at: impl Fn(P
             let [x, y] = [0, 1].map(|axis| (0..3).map(|k| share[k] * corners[k][axis]).sum::<f64>());
             let Some(plate) = plate_at([x, y]) else { continue };
             let area = measure / shares.len() as f64;
-            let part = of_triangle.entry((quarter(share), plate)).or_default();
+            let part = of_triangle.entry((larger_part(share), plate)).or_default();
             let added = [x, y, share[0], share[1], share[2]];
             part.iter_mut().zip(added).for_each(|(sum, value)| *sum += area * value);
         }
@@ -268,9 +265,9 @@ impl Columns {
     }
 }
 
-/// Number of the quarter of a triangle that contains these barycentric coordinates.
-fn quarter(share: &[f64; 3]) -> usize {
-    share.iter().position(|value| *value > 1.0 / QUARTERS as f64).unwrap_or(3)
+/// The larger part of a triangle that contains these barycentric coordinates.
+fn larger_part(share: &[f64; 3]) -> [usize; 3] {
+    share.map(|value| (PARTS as f64 * value) as usize)
 }
 
 /// Barycentric coordinates of the centroids of a triangle's equal parts.

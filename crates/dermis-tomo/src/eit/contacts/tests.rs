@@ -147,20 +147,29 @@ fn nonsense_is_refused() {
     assert_eq!(norm(&sheet.change_v(&[patch(500.0, 0.0, 5.0)]).unwrap()), 0.0, "off the skin nothing is touched");
 }
 
+/// Integral over each cell of a plated sheet.
+fn over_cells(sheet: &PlatedSheet, density: impl Fn(Point) -> f64) -> Vec<f64> {
+    let mut sums = vec![0.0; sheet.cell_count()];
+    for PlatePoint { position_m, area_m2, cell } in sheet.points() {
+        sums[*cell as usize] += area_m2 * density(*position_m);
+    }
+    sums
+}
+
 #[test]
 fn plates_are_separate_floating_electrodes() {
     let model = ForwardModel::new(body(2e-3), protocol()).unwrap();
     let sheet_s = vec![SHEET_S; model.body().mesh.element_count()];
     let plated = |plate_at: &dyn Fn(Point) -> Option<u32>| PlatedSheet::new(&model, &sheet_s, plate_at).unwrap();
     let patches = [patch(-18.0, 5.0, 9.0), patch(16.0, -4.0, 9.0)];
-    let conductance = |sheet: &PlatedSheet| -> Vec<(usize, f64)> {
+    let conductance = |sheet: &PlatedSheet| {
         let covers = |p: &ContactPatch, at: Point| {
             let off_m = distance(at, p.position_m);
             // Blurred over a node's size, as the patches of a sandwich are.
             ((p.radius_m - off_m) / 2e-3 + 0.5).clamp(0.0, 1.0)
         };
         let share = |at| patches.iter().map(|p| covers(p, at)).fold(0.0, f64::max);
-        sheet.points().iter().map(|point| 600.0 * share(point.position_m)).enumerate().collect()
+        over_cells(sheet, |at| 600.0 * share(at))
     };
     let separate = plated(&|at| Some(u32::from(at[0] > 0.0)));
     let apart = separate.contact(&conductance(&separate)).unwrap().change_v;
@@ -183,17 +192,16 @@ fn derivatives_of_plates_agree_with_differences() {
     };
     let sheet = PlatedSheet::new(&model, &sheet_s, stripe).unwrap();
     // A bump of contact that moves in x and grows.
-    let conductance = |x_m: f64, log: f64| -> Vec<(usize, f64)> {
-        let of = |point: &PlatePoint| {
-            let square = (point.position_m[0] - x_m).powi(2) + point.position_m[1].powi(2);
-            log.exp() * 300.0 * (-square / 2e-4).exp()
-        };
-        sheet.points().iter().map(of).enumerate().collect()
+    let density = |at: Point, x_m: f64, log: f64| {
+        let square = (at[0] - x_m).powi(2) + at[1].powi(2);
+        log.exp() * 300.0 * (-square / 2e-4).exp()
     };
-    let contacts = conductance(3e-3, 0.0);
-    let at = sheet.contact(&contacts).unwrap();
-    let by_x = |point: usize| (sheet.points()[point].position_m[0] - 3e-3) / 1e-4;
-    let moves: Vec<_> = contacts.iter().map(|&(point, g)| (point, [g * by_x(point), 0.0, g, 0.0])).collect();
+    let conductance = |x_m: f64, log: f64| over_cells(&sheet, |at| density(at, x_m, log));
+    let by_log = conductance(3e-3, 0.0);
+    let at = sheet.contact(&by_log).unwrap();
+    let by_x = over_cells(&sheet, |at| density(at, 3e-3, 0.0) * (at[0] - 3e-3) / 1e-4);
+    let moves: Vec<[f64; 4]> = by_x.into_iter().zip(by_log).map(|(x, log)| [x, 0.0, log, 0.0]).collect();
+    let moves = at.of_cells(&moves);
     let jacobian = sheet.derivatives(&at, &moves);
     // Steps over which rounding errors of single precision are small.
     for (parameter, [x, log]) in [(0, [1e-4, 0.0]), (2, [0.0, 1e-2])] {
