@@ -12,8 +12,8 @@ const HALVINGS: usize = 20;
 
 impl Conductance {
     /// Logarithms of the load and the radius of a press as reported: those of a Gaussian spot of the same conductance
-    /// and second moment. Frames determine the conductance far better than pressure and size of the indenter. The rows
-    /// of the derivatives by both logarithms of the press are those of the reported ones.
+    /// and second moment. Frames determine the conductance far better than pressure and size of the indenter. The
+    /// derivatives have a row for each of them, and columns for the logarithms of pressure and radius.
     pub(super) fn reported(&self, log_pressure: f64, log_radius: f64) -> ([f64; 2], [[f64; 2]; 2]) {
         let (pressure_pa, disc_m, spread_m) = (log_pressure.exp(), log_radius.exp(), self.law().spread_m);
         let edge_m = Field::REACH * spread_m;

@@ -11,7 +11,7 @@ use crate::mesh::Point;
 
 /// Each triangle is divided into the square of this many equal parts to find the plates above it.
 const DIVISIONS: usize = 8;
-/// Those in the same of the square of this many larger parts, under the same plate, become one point. With 2 instead of
+/// They are joined into the square of this many larger parts, with one point for each plate above one. With 2 instead of
 /// 4, the channels are so rough in the radius of a press that fits end far from the best pressure.
 const PARTS: usize = 4;
 /// Contacts below this share of the largest are left out: they carry no current.
