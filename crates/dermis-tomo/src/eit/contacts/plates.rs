@@ -11,8 +11,8 @@ use crate::mesh::Point;
 
 /// Each triangle is divided into the square of this many equal parts to find the plates above it.
 const DIVISIONS: usize = 8;
-/// They are joined into the square of this many larger parts, with one point for each plate above one. With 2 instead of
-/// 4, the channels are so rough in the radius of a press that fits end far from the best pressure.
+/// They are joined into the square of this many larger parts, with one point for each plate above one. With 2 instead
+/// of 4, the channels are so rough in the radius of a press that fits end far from the best pressure.
 const PARTS: usize = 4;
 /// Contacts below this share of the largest are left out: they carry no current.
 const LEAST_CONTACT: f64 = 1e-9;
