@@ -172,9 +172,9 @@ impl PlateFit {
         if pressed.has_ended { None } else { alike.force_n() }
     }
 
-    /// The last full fit to this frame that found these presses, with their places in it.
-    fn fit_of(&self, presses: &[Press]) -> Option<(&Fitted, Vec<usize>)> {
-        self.fitted.iter().rev().find_map(|fitted| Some((fitted, fitted.places(presses)?)))
+    /// The last full fit to this frame that found this press, with its place in it.
+    fn fit_of(&self, press: &Press) -> Option<(&Fitted, usize)> {
+        self.fitted.iter().rev().find_map(|fitted| Some((fitted, fitted.place(press)?)))
     }
 
     fn cost(&self) -> Cost {
@@ -441,28 +441,25 @@ impl PressFit for PlateFit {
         let refitted = if is_refitted { self.presses() } else { presses.to_vec() };
         let prior = if is_refitted { &given } else { &prior };
         let conductance = self.model.conductance();
-        let pressed = |press: &Press| match self.fit_of(std::slice::from_ref(press)) {
-            Some((fitted, places)) => fitted.presses[places[0]],
-            None => self.model.pressed(press),
-        };
         let footprint = |(press, refitted): (&Press, &Press)| {
-            let (doubt, to_go) = match self.fit_of(std::slice::from_ref(refitted)) {
-                Some((Fitted { doubt, .. }, places)) => {
-                    (doubt, doubt.to_go.get(places[0]).copied().unwrap_or_default())
-                }
-                None => (&self.doubt, [0.0; 2]),
+            let radius_m = match self.fit_of(press) {
+                Some((fitted, place)) => conductance.contact_radius_m(&fitted.presses[place]),
+                None => conductance.contact_radius_m(&self.model.pressed(press)),
             };
-            Footprint {
-                radius_m: conductance.contact_radius_m(&pressed(press)),
-                force_n: self.force_n(refitted, pressed(refitted), prior, doubt, to_go),
-            }
+            let (pressed, doubt, to_go) = match self.fit_of(refitted) {
+                Some((Fitted { presses, doubt, .. }, place)) => (presses[place], doubt, doubt.to_go[place]),
+                None => (self.model.pressed(refitted), &self.doubt, [0.0; 2]),
+            };
+            Footprint { radius_m, force_n: self.force_n(refitted, pressed, prior, doubt, to_go) }
         };
         presses.iter().zip(&refitted).map(footprint).collect()
     }
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
-        let is_of = |fitted: &&Fitted| fitted.presses.len() == presses.len() && fitted.places(presses).is_some();
-        if let Some(fitted) = self.fitted.iter().find(is_of) {
+        let found = |fitted: &&Fitted| {
+            fitted.presses.len() == presses.len() && presses.iter().all(|press| fitted.place(press).is_some())
+        };
+        if let Some(fitted) = self.fitted.iter().find(found) {
             volts.clone_from(&fitted.change);
             return;
         }
@@ -473,10 +470,10 @@ impl PressFit for PlateFit {
 }
 
 impl Fitted {
-    /// Places of some presses among those fitted, in any order; `None` if one of them is not the same.
-    fn places(&self, presses: &[Press]) -> Option<Vec<usize>> {
-        let is_same =
-            |a: &Press, b: &Press| a.position_m == b.position_m && a.load == b.load && a.radius_m == b.radius_m;
-        presses.iter().map(|press| self.reported.iter().position(|fitted| is_same(fitted, press))).collect()
+    /// Place of a press among those fitted.
+    fn place(&self, press: &Press) -> Option<usize> {
+        self.reported.iter().position(|fitted| {
+            fitted.position_m == press.position_m && fitted.load == press.load && fitted.radius_m == press.radius_m
+        })
     }
 }

@@ -23,7 +23,7 @@ const RADIUS_STEPS: usize = 2;
 const LONGEST: f64 = 0.3;
 
 /// A 2x2 matrix of the logarithms of load and radius, or of pressure and radius.
-pub(super) type Square = [[f64; 2]; 2];
+type Square = [[f64; 2]; 2];
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
@@ -34,7 +34,7 @@ fn product(matrix: &Square, b: [f64; 2]) -> [f64; 2] {
 }
 
 /// `None` if the matrix is singular.
-pub(super) fn inverse([[a, b], [c, d]]: &Square) -> Option<Square> {
+fn inverse([[a, b], [c, d]]: &Square) -> Option<Square> {
     let determinant = a * d - b * c;
     let inverse = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];
     inverse.iter().flatten().all(|value| value.is_finite()).then_some(inverse)
@@ -46,8 +46,9 @@ pub(super) struct Alike<'a> {
     conductance: &'a Conductance,
     prior: &'a SizePrior,
     fitted: Pressed,
-    /// Logarithms of its reported load and radius.
+    /// Logarithms of its reported load and radius, and their derivatives by those of pressure and radius.
     reported: [f64; 2],
+    by_size: Square,
     /// Slope of the log-likelihood there, and its curvature downwards, by the reported logarithms.
     slope: [f64; 2],
     curvature: Square,
@@ -69,7 +70,8 @@ impl<'a> Alike<'a> {
         let (all, back) = (inverse(covariance)?, inverse(&by_size)?);
         // The covariance, and the slope that follows from it and the step to go, include the prior.
         let column = |k: usize| [back[0][k], back[1][k]];
-        let precision = [[prior.deviations[0].powi(-2), 0.0], [0.0, prior.deviations[1].powi(-2)]];
+        let [of_pressure, of_radius] = prior.precisions();
+        let precision = [[of_pressure, 0.0], [0.0, of_radius]];
         let of_prior = |j: usize, k: usize| dot(column(j), product(&precision, column(k)));
         let mut curvature = [0, 1].map(|j| [0, 1].map(|k| (all[j][k] - of_prior(j, k)) / inflation));
         // Rounding errors may leave it slightly indefinite.
@@ -78,11 +80,10 @@ impl<'a> Alike<'a> {
         let most = (curvature[0][0] * curvature[1][1]).sqrt();
         let mixed = curvature[0][1].clamp(-most, most);
         (curvature[0][1], curvature[1][0]) = (mixed, mixed);
-        let off = prior.off(&fitted);
-        let of_prior = [0, 1].map(|k| off[k] / prior.deviations[k]);
+        let of_prior = prior.slopes(&fitted);
         let of_all = product(&all, product(&by_size, to_go));
         let slope = [0, 1].map(|k| (of_all[k] + dot(column(k), of_prior)) / inflation);
-        Some(Self { conductance, prior, fitted, reported, slope, curvature })
+        Some(Self { conductance, prior, fitted, reported, by_size, slope, curvature })
     }
 
     /// Logarithm of the density at a pressure, and the press with the most probable radius there, searched from this
@@ -98,12 +99,10 @@ impl<'a> Alike<'a> {
             let likelihood = dot(self.slope, off) - 0.5 * dot(off, bent);
             density = likelihood - 0.5 * (of_pressure * of_pressure + of_radius * of_radius);
             let by_radius = [by_size[0][1], by_size[1][1]];
-            let deviation = self.prior.deviations[1];
-            let curvature = dot(by_radius, product(&self.curvature, by_radius)) + deviation.powi(-2);
             if step < RADIUS_STEPS {
-                let slope = dot(self.slope, by_radius) - dot(bent, by_radius) - of_radius / deviation;
-                let change = (slope / curvature).clamp(-LONGEST, LONGEST);
-                press.log_radius += change;
+                let curvature = dot(by_radius, product(&self.curvature, by_radius)) + self.prior.precisions()[1];
+                let slope = dot(self.slope, by_radius) - dot(bent, by_radius) - self.prior.slopes(&press)[1];
+                press.log_radius += (slope / curvature).clamp(-LONGEST, LONGEST);
             }
         }
         (density, press)
@@ -111,10 +110,10 @@ impl<'a> Alike<'a> {
 
     /// Standard deviation of the logarithm of the pressure, near the fitted press.
     fn log_deviation(&self) -> Option<f64> {
-        let (_, by_size) = self.conductance.reported(self.fitted.log_pressure, self.fitted.log_radius);
-        let column = |k: usize| [by_size[0][k], by_size[1][k]];
+        let column = |k: usize| [self.by_size[0][k], self.by_size[1][k]];
+        let precisions = self.prior.precisions();
         let entry = |j: usize, k: usize| {
-            let of_prior = if j == k { self.prior.deviations[k].powi(-2) } else { 0.0 };
+            let of_prior = if j == k { precisions[k] } else { 0.0 };
             dot(column(j), product(&self.curvature, column(k))) + of_prior
         };
         let covariance = inverse(&[0, 1].map(|j| [0, 1].map(|k| entry(j, k))))?;

@@ -64,16 +64,28 @@ impl Cubic {
     fn between(law: &PlateLaw, number: u64) -> Self {
         let (from, to) = (at_knot(number), at_knot(number + 1));
         let (width, [low, low_slope], [high, high_slope]) = (to - from, law.share(from), law.share(to));
-        let (rise, a, b) = (high - low, width * low_slope, width * high_slope);
-        Self { from, steepness: width.recip(), coefficients: [low, a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise] }
+        let coefficients = hermite([low, width * low_slope], [high, width * high_slope]);
+        Self { from, steepness: width.recip(), coefficients }
     }
 
     /// Value and derivative.
     fn at(&self, x: f64) -> [f64; 2] {
-        let t = (x - self.from) * self.steepness;
-        let [a, b, c, d] = self.coefficients;
-        [a + t * (b + t * (c + t * d)), (b + t * (2.0 * c + 3.0 * t * d)) * self.steepness]
+        let [value, slope] = cubic_at(&self.coefficients, (x - self.from) * self.steepness);
+        [value, slope * self.steepness]
     }
+}
+
+/// Coefficients `a + b t + c t^2 + d t^3` of Hermite's cubic between two knots, at t = 0 and 1, from the value and the
+/// derivative by t at each.
+pub(super) fn hermite([low, a]: [f64; 2], [high, b]: [f64; 2]) -> [f64; 4] {
+    let rise = high - low;
+    [low, a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise]
+}
+
+/// Value of a cubic, and its derivative by t.
+#[inline]
+pub(super) fn cubic_at([a, b, c, d]: &[f64; 4], t: f64) -> [f64; 2] {
+    [a + t * (b + t * (c + t * d)), b + t * (2.0 * c + 3.0 * t * d)]
 }
 
 /// The number of the last knot at or below a positive value.

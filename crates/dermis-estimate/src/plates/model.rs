@@ -412,6 +412,17 @@ impl SizePrior {
         [0, 1].map(|k| (logs[k] - self.middle[k]) / self.deviations[k])
     }
 
+    /// Slopes of half the penalty by both logarithms.
+    pub fn slopes(&self, press: &Pressed) -> [f64; 2] {
+        let off = self.off(press);
+        [0, 1].map(|k| off[k] / self.deviations[k])
+    }
+
+    /// Curvatures of half the penalty by both logarithms.
+    pub fn precisions(&self) -> [f64; 2] {
+        self.deviations.map(|deviation| deviation.powi(-2))
+    }
+
     /// Penalty of pressures and radii.
     pub fn penalty(&self, presses: &[Pressed]) -> f64 {
         presses.iter().flat_map(|press| self.off(press)).map(|off| off * off).sum()

@@ -2,7 +2,7 @@
 
 use dermis_tomo::mesh::Point;
 
-use super::law::Conductance;
+use super::law::{Conductance, cubic_at, hermite};
 use super::pressure::{Field, OF_PRESS, Pressed};
 
 /// Steps of the profile between the full pressure and the edge of the contact. Between them the conductance follows
@@ -20,16 +20,16 @@ pub(super) struct Profile {
     square_from: f64,
     square_to: f64,
     steps_per_m2: f64,
-    knots: [Knot; STEPS + 1],
+    steps: [Step; STEPS],
 }
 
-/// Contact at one distance from the centre.
+/// Contact between two distances from the centre.
 #[derive(Clone, Copy, Debug)]
-struct Knot {
-    conductance: f64,
-    /// Change of the conductance over one step outwards.
-    slope: f64,
-    by_log_pressure: f64,
+struct Step {
+    /// Cubic of the conductance.
+    conductance: [f64; 4],
+    /// Derivative by the logarithm of the pressure at the inner distance, and its change over the step.
+    by_log_pressure: [f64; 2],
 }
 
 impl Profile {
@@ -37,18 +37,23 @@ impl Profile {
     pub fn new(press: &Pressed, field: &Field, contact_m: f64, conductance: &Conductance) -> Self {
         let (square_from, square_to) = (field.core_m().powi(2), contact_m.max(0.0).powi(2));
         let step_m2 = (square_to - square_from).max(0.0) / STEPS as f64;
+        // Conductance, its change over one step outwards, and its derivative by the logarithm of the pressure.
         let knot = |k: usize| {
             let distance_m = (square_from + k as f64 * step_m2).sqrt();
             let (pressure_pa, outwards) = field.pressure_across(distance_m);
             let [conductance, by_pressure] = conductance.at(pressure_pa);
-            let slope = by_pressure * outwards * step_m2 / (2.0 * distance_m);
-            Knot { conductance, slope, by_log_pressure: by_pressure * pressure_pa }
+            ([conductance, by_pressure * outwards * step_m2 / (2.0 * distance_m)], by_pressure * pressure_pa)
         };
-        let mut knots = std::array::from_fn(knot);
+        let mut knots: [_; STEPS + 1] = std::array::from_fn(knot);
         if square_from == 0.0 {
             // A pressure with a tip in the middle has no slope by the squared distance there.
-            knots[0].slope = knots[1].conductance - knots[0].conductance;
+            knots[0].0[1] = knots[1].0[0] - knots[0].0[0];
         }
+        let step = |k: usize| {
+            let ((low, by_low), (high, by_high)) = (knots[k], knots[k + 1]);
+            Step { conductance: hermite(low, high), by_log_pressure: [by_low, by_high - by_low] }
+        };
+        let steps = std::array::from_fn(step);
         let steps_per_m2 = step_m2.max(f64::MIN_POSITIVE).recip();
         Self {
             centre_m: press.position_m,
@@ -56,7 +61,7 @@ impl Profile {
             square_from,
             square_to,
             steps_per_m2,
-            knots,
+            steps,
         }
     }
 
@@ -66,8 +71,8 @@ impl Profile {
         let off = [place_m[0] - self.centre_m[0], place_m[1] - self.centre_m[1]];
         let square = off[0] * off[0] + off[1] * off[1];
         if square <= self.square_from {
-            let Knot { conductance, by_log_pressure, .. } = self.knots[0];
-            return (conductance > 0.0).then_some((conductance, [0.0, 0.0, by_log_pressure, 0.0]));
+            let Step { conductance: [conductance, ..], by_log_pressure: [by_pressure, _] } = self.steps[0];
+            return (conductance > 0.0).then_some((conductance, [0.0, 0.0, by_pressure, 0.0]));
         }
         if square >= self.square_to {
             return None;
@@ -75,14 +80,10 @@ impl Profile {
         let at = (square - self.square_from) * self.steps_per_m2;
         let k = (at as usize).min(STEPS - 1);
         let t = at - k as f64;
-        let (low, high) = (&self.knots[k], &self.knots[k + 1]);
-        let rise = high.conductance - low.conductance;
-        let (square_term, cubic_term) =
-            (3.0 * rise - 2.0 * low.slope - high.slope, low.slope + high.slope - 2.0 * rise);
-        let conductance = low.conductance + t * (low.slope + t * (square_term + t * cubic_term));
-        let slope = low.slope + t * (2.0 * square_term + 3.0 * t * cubic_term);
+        let Step { conductance, by_log_pressure: [low, rise] } = &self.steps[k];
+        let [conductance, slope] = cubic_at(conductance, t);
         let inwards = -2.0 * slope * self.steps_per_m2;
-        let by_pressure = low.by_log_pressure + t * (high.by_log_pressure - low.by_log_pressure);
+        let by_pressure = low + t * rise;
         // The pressure depends on the difference of radius and distance.
         let by_radius = inwards * square.sqrt() * self.radius_m;
         (conductance > 0.0).then_some((conductance, [inwards * off[0], inwards * off[1], by_pressure, by_radius]))

@@ -7,7 +7,7 @@ use dermis_tomo::least_squares::{
 
 use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
 use crate::evidence::Evidence;
-use crate::plates::model::{LONGEST_LOG, SizePrior};
+use crate::plates::model::LONGEST_LOG;
 use crate::plates::pressure::{OF_PRESS, Pressed};
 use crate::press::{Cost, Effort};
 
@@ -44,10 +44,11 @@ impl PlateFit {
         }
         let cost = self.cost();
         let Scratch { equations, factor, step } = &mut solver;
-        self.doubt.to_go.clear();
-        if equations.solve_damped(0.0, factor, step) {
-            self.doubt.to_go.extend(step.chunks_exact(OF_PRESS).map(|step| [step[LOG_PRESSURE], step[LOG_RADIUS]]));
+        if !equations.solve_damped(0.0, factor, step) {
+            step.fill(0.0);
         }
+        self.doubt.to_go.clear();
+        self.doubt.to_go.extend(step.chunks_exact(OF_PRESS).map(|step| [step[LOG_PRESSURE], step[LOG_RADIUS]]));
         self.find_covariances(&mut solver, &cost);
         Some(cost)
     }
@@ -72,10 +73,9 @@ impl FitUnderWay<'_> {
             *value = inner_product(column, &state.residual);
         }
         for (press, right) in state.presses.iter().zip(right.chunks_exact_mut(OF_PRESS)) {
-            let SizePrior { deviations, .. } = self.fit.prior;
-            let [of_pressure, of_radius] = self.fit.prior.off(press);
-            right[LOG_PRESSURE] -= of_pressure / deviations[0];
-            right[LOG_RADIUS] -= of_radius / deviations[1];
+            let [of_pressure, of_radius] = self.fit.prior.slopes(press);
+            right[LOG_PRESSURE] -= of_pressure;
+            right[LOG_RADIUS] -= of_radius;
         }
     }
 }
@@ -107,9 +107,9 @@ impl Problem for FitUnderWay<'_> {
             }
         }
         for k in 0..at.presses.len() {
-            for (parameter, deviation) in [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.deviations) {
+            for (parameter, precision) in [LOG_PRESSURE, LOG_RADIUS].into_iter().zip(prior.precisions()) {
                 let at = OF_PRESS * k + parameter;
-                equations.normal[at * n + at] += deviation.powi(-2);
+                equations.normal[at * n + at] += precision;
             }
         }
         self.slopes(at, &mut equations.right);
