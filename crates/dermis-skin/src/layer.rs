@@ -331,6 +331,11 @@ impl SheetLayer {
     pub fn response_per_kpa(&self) -> f64 {
         0.01 * self.pressure_percent_per_kpa - self.gauge_factor / self.modulus_kpa
     }
+
+    /// `smoothing_mm`, or its default.
+    pub fn spread_mm(&self) -> f64 {
+        self.smoothing_mm.unwrap_or((0.5 * self.thickness_mm).max(0.5))
+    }
 }
 
 impl SandwichLayer {

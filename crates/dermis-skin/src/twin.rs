@@ -32,7 +32,8 @@ pub struct TwinSettings {
     /// Healing of a sandwich's sheet under heat. If left out, the sheet can be cut but does not heal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub healing: Option<Healing>,
-    /// Edge length of the twin's elements. Default: derived from the skin's size and layer.
+    /// Edge length of the twin's elements. Default: derived from the skin's size, its layer and the size of a
+    /// fingertip.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element_mm: Option<f64>,
     /// Edge length of the twin's elements at electrodes. Default: derived from the electrode size.

@@ -17,10 +17,6 @@ use crate::physics::{ContactCell, PatchLayout, PatchedSheet};
 use crate::twin::Frontend;
 use crate::wiring::superpose;
 
-/// Maximum number of contact cells. Each interacts with each: 8000 cells make a matrix of 512 MB, and twice that
-/// while all are in contact.
-const MOST_CELLS: f64 = 8000.0;
-
 /// Description of a skin of sheet and patches. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatchedOptions {
@@ -50,9 +46,9 @@ impl PatchedOptions {
         check_positive("sheet_s", self.sheet_s)?;
         self.patches.check()?;
         self.layer.check()?;
-        let cells = self.patches.cells_on(&self.layer.outline);
-        let expected = "at most 8000 (512 MB of memory): a larger patches pitch_m or fewer cells_per_side";
-        check("contact cells on the sheet", cells, 0.0, MOST_CELLS, expected)
+        let cells = self.patches.cells_on(&self.layer.outline).round();
+        let expected = "at most 8000 (512 MB of memory): patches with a larger pitch, or fewer cells_per_side";
+        check("contact cells on the sheet", cells, 0.0, PatchLayout::MOST_CELLS, expected)
     }
 }
 

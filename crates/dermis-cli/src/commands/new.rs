@@ -160,6 +160,9 @@ fn ask<T>(
     }
 }
 
+/// Number of patches that a new skin has at most: the twin's presses act on several cells of each.
+const MOST_PATCHES: f64 = 800.0;
+
 /// An outline, millimetres.
 #[derive(Clone, Debug, PartialEq)]
 enum Outline {
@@ -216,6 +219,17 @@ impl Outline {
         }
     }
 
+    fn area_mm2(&self) -> f64 {
+        match self {
+            Self::Disc(mm) => 0.25 * std::f64::consts::PI * mm * mm,
+            Self::Rectangle(width, height) => width * height,
+            Self::Polygon(corners) => {
+                let next = corners.iter().cycle().skip(1);
+                0.5 * corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - b[0] * a[1]).sum::<f64>().abs()
+            }
+        }
+    }
+
     fn perimeter_mm(&self) -> f64 {
         match self {
             Self::Disc(mm) => std::f64::consts::PI * mm,
@@ -251,9 +265,14 @@ fn instrument(text: &str) -> Result<Option<String>, UsageError> {
     }
 }
 
+/// Side of a patch with its gap, millimetres: 10, or more on skins that would have more than [`MOST_PATCHES`].
+fn patch_pitch_mm(outline: &Outline) -> f64 {
+    (outline.area_mm2() / MOST_PATCHES).sqrt().ceil().max(10.0)
+}
+
 /// The line for the layer, its description, and the imaging settings it needs.
-fn layer_lines(layer: LayerName) -> [&'static str; 3] {
-    match layer {
+fn layer_lines(layer: LayerName, outline: &Outline) -> [String; 3] {
+    let lines = match layer {
         LayerName::Gel => [
             "# Salted gelatin or hydrogel. Measure a bar of it: conductivity = length / (resistance x width x thickness).\n\
              # Pressing thins it, by the pressure over the modulus.",
@@ -272,21 +291,29 @@ fn layer_lines(layer: LayerName) -> [&'static str; 3] {
             "{ kind = \"sandwich\", thickness_mm = 1.0, conductivity_s_per_m = 5.0 }",
             "",
         ],
-        LayerName::Patches => [
-            "# A conducting sheet under a gap and separate patches of metal that touch it where pressed.",
-            "{ kind = \"patches\", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = 10.0, gap_mm = 1.0 }",
-            "",
-        ],
+        LayerName::Patches => {
+            let pitch_mm = patch_pitch_mm(outline);
+            let gap_mm = 0.1 * pitch_mm;
+            return [
+                "# A conducting sheet under a gap and separate patches of metal that touch it where pressed.".into(),
+                format!(
+                    "{{ kind = \"patches\", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = {pitch_mm:?}, \
+                     gap_mm = {gap_mm:.1} }}"
+                ),
+                String::new(),
+            ];
+        }
         LayerName::Liquid => [
             "# Salt water in a tray under a stretched membrane; pressing makes it shallower. 0.1 S/m is 0.5 g of salt per litre.",
             "{ kind = \"liquid\", depth_mm = 10.0, conductivity_s_per_m = 0.1 }",
             "# Depth and salt differ from the file's: each channel is scaled by its own baseline.\ngain = \"channel\"\n",
         ],
-    }
+    };
+    lines.map(str::to_owned)
 }
 
 fn skin_file(name: &str, outline: &Outline, count: u32, layer: LayerName, instrument: Option<&str>) -> String {
-    let [about_layer, layer_line, imaging] = layer_lines(layer);
+    let [about_layer, layer_line, imaging] = layer_lines(layer, outline);
     let words = format!("{layer:?}").to_lowercase();
     let title = format!("{name}: {words}, {}, {count} electrodes", outline.in_words());
     let pitch_mm = outline.perimeter_mm() / f64::from(count);

@@ -10,7 +10,7 @@ use dermis_tomo::least_squares::{NormalEquations, Scratch};
 use dermis_tomo::mesh::{Point, distance};
 
 use super::force::Alike;
-use super::model::{Made, PlateModel, SizePrior};
+use super::model::{Made, PlateModel, PlateOptions, SizePrior};
 use super::pressure::{OF_PRESS, Pressed, turned};
 use super::weighing::Weighing;
 use crate::evidence::Evidence;
@@ -23,8 +23,8 @@ const LOG_RADIUS: usize = 3;
 const STEPS: usize = 15;
 /// Largest number of steps of a fit that only compares explanations.
 const QUICK_STEPS: usize = 8;
-/// Radii from which joint sets may be fitted, relative to the typical one. Wider presses would explain much of a cut.
-const STARTING_RADII: [f64; 2] = [1.0, 1.4];
+/// Radii from which joint sets may be fitted, relative to the usual one. Wider presses would explain much of a cut.
+const STARTING_RADII: [f64; 2] = [0.75, 1.05];
 /// Work per operation of a search for joint sets: it takes longer than those of factorisations.
 const WORK_OF_SETS: f64 = 1.5;
 /// Number of proposals for one more press.
@@ -391,7 +391,8 @@ impl PressFit for PlateFit {
 
     fn resized(&mut self, presses: Vec<Press>) -> Vec<Press> {
         let mut best: Option<(f64, Vec<Press>, State)> = None;
-        for share in STARTING_RADII {
+        let PlateOptions { typical_radius_m, usual_radius_m, .. } = self.model.options;
+        for share in STARTING_RADII.map(|share| share * usual_radius_m / typical_radius_m) {
             let scaled: Vec<Press> =
                 presses.iter().map(|press| Press { radius_m: share * press.radius_m, ..*press }).collect();
             let pressed = scaled.iter().map(|press| self.model.pressed(press)).collect();

@@ -7,7 +7,7 @@ use dermis_tomo::mesh::Outline;
 use dermis_touch::Contact;
 
 use crate::prepare::Prepared;
-use crate::stages::plates::fits_contacts;
+use crate::stages::plates::{coarseness, element_m, fits_contacts};
 
 /// Error of touches that only the image places, and of touches in frames that their fit doesn't explain: a share of
 /// half the shorter side, as one sigma per coordinate. The skin file can override it.
@@ -29,17 +29,27 @@ struct Refined {
 }
 
 /// Liquids under a membrane, which spreads the load; in shares of half the shorter side.
-const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0037, within: 0.21, fades: 0.08 };
+const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0045, within: 0.21, fades: 0.08 };
 /// Sandwiches, in shares of half the shorter side.
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
-/// Contacts with patches, in pitches. This is the error of the meshes.
-const CONTACTS: f64 = 0.025;
+/// Contacts with patches, in sizes of the elements for fits: 0.04 to 0.14 on twins of ten skins.
+const CONTACTS: f64 = 0.1;
 /// Smooth spots on patches, in pitches. A patch conducts as a whole, and the rim cuts some of them.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
 /// Sheets, in shares of half the shorter side, and near the rim in radii of the touch: fields are steep there, and a
 /// spot differs in shape from the indenter.
 const SHEET_EVERYWHERE: f64 = 0.001;
-const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.1, fades: 0.63 };
+/// Number of electrodes from which this error grows, with the square of the number: electrodes that are close together
+/// see more of a touch's shape. On twins of six gels and foams with 20 to 32 electrodes, it was 0.0016 to 0.003 up to
+/// three radii from the rim.
+const CLOSE_ELECTRODES: f64 = 16.0;
+const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.4, fades: 0.63 };
+/// A layer that spreads pressure over most of a touch makes it look like a spot. The error at the rim then falls
+/// linearly with the ratio of spread to radius, down to the least share of it. On twins of nine gels and foams, it fell
+/// from 0.067 at a ratio of 0.43 to 0.01 at 0.78.
+const SHAPED: f64 = 2.4;
+const SPREAD: f64 = 1.2;
+const LEAST_SHAPED: f64 = 0.15;
 /// Open tanks, in the same units: the surface takes the shape of the indenter, whose edge differs from a spot's near
 /// the wall.
 const TANK_EVERYWHERE: f64 = 0.0005;
@@ -57,6 +67,11 @@ impl Refined {
     fn times(self, unit: f64) -> Self {
         let Self { everywhere, at_rim, within, fades } = self;
         Self { everywhere: unit * everywhere, at_rim: unit * at_rim, within: unit * within, fades: unit * fades }
+    }
+
+    /// Multiplies the errors.
+    fn multiplied(self, factor: f64) -> Self {
+        Self { everywhere: factor * self.everywhere, at_rim: factor * self.at_rim, ..self }
     }
 
     /// Variance at a distance from the rim.
@@ -81,8 +96,15 @@ enum OfRefined {
     Alike(f64),
     /// Depends on the position; lengths in metres.
     ByPlace(Outline, Refined),
-    /// Depends on position and radius, with lengths in radii, plus a variance in m^2 common to all.
-    ByRadius(Outline, Refined, f64),
+    /// Depends on position and radius, with lengths in radii.
+    ByRadius {
+        outline: Outline,
+        of_radius: Refined,
+        /// Variance common to all, m^2.
+        everywhere_m2: f64,
+        /// Length over which the layer spreads pressure, metres.
+        spread_m: f64,
+    },
 }
 
 impl ModelError {
@@ -94,8 +116,11 @@ impl ModelError {
         }
         let by_image = both(BY_IMAGE * half_width_m);
         let by_place = |refined: Refined, unit_m: f64| OfRefined::ByPlace(skin.outline(), refined.times(unit_m));
-        let by_radius = |refined: Refined, everywhere: f64| {
-            OfRefined::ByRadius(skin.outline(), refined, (everywhere * half_width_m).powi(2))
+        let by_radius = |of_radius: Refined, everywhere: f64, spread_m: f64| OfRefined::ByRadius {
+            outline: skin.outline(),
+            of_radius,
+            everywhere_m2: (everywhere * half_width_m).powi(2),
+            spread_m,
         };
         let refined = match &skin.frontend.layer {
             Layer::Elements(_) => {
@@ -106,13 +131,14 @@ impl ModelError {
                 });
             }
             _ if !skin.fits_touches() => return by_image,
-            Layer::Sandwich(_) => by_place(SANDWICH, half_width_m),
-            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE),
-            Layer::Sheet(_) => by_radius(SHEET_AT_RIM, SHEET_EVERYWHERE),
-            Layer::Liquid(_) => by_place(MEMBRANE, half_width_m),
-            Layer::Patches(layer) if fits_contacts(prepared) => {
-                OfRefined::Alike((CONTACTS * 1e-3 * layer.pitch_mm).powi(2))
+            Layer::Sandwich(_) => by_place(SANDWICH.multiplied(coarseness(skin)), half_width_m),
+            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE, 0.0),
+            Layer::Sheet(layer) => {
+                let close = (skin.electrode_shapes().len() as f64 / CLOSE_ELECTRODES).max(1.0);
+                by_radius(SHEET_AT_RIM, SHEET_EVERYWHERE * close.powi(2), 1e-3 * layer.spread_mm())
             }
+            Layer::Liquid(_) => by_place(MEMBRANE, half_width_m),
+            Layer::Patches(_) if fits_contacts(prepared) => OfRefined::Alike((CONTACTS * element_m(skin)).powi(2)),
             Layer::Patches(layer) => by_place(PATCHES, 1e-3 * layer.pitch_mm),
         };
         Self { refined, ..by_image }
@@ -124,8 +150,10 @@ impl ModelError {
         match &self.refined {
             OfRefined::Alike(variance_m2) => *variance_m2,
             OfRefined::ByPlace(outline, refined) => refined.variance(outline.inside_by_m(contact.centroid_m)),
-            OfRefined::ByRadius(outline, refined, variance_m2) => {
-                variance_m2 + refined.times(radius_m).variance(outline.inside_by_m(contact.centroid_m))
+            OfRefined::ByRadius { outline, of_radius, everywhere_m2, spread_m } => {
+                let shape = (SHAPED * (1.0 - SPREAD * spread_m / radius_m)).clamp(LEAST_SHAPED, 1.0);
+                let of_place = of_radius.times(radius_m).multiplied(shape);
+                everywhere_m2 + of_place.variance(outline.inside_by_m(contact.centroid_m))
             }
         }
     }
@@ -173,7 +201,7 @@ mod tests {
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
         // Half the shorter side is 87 mm. 4 mm from the rim is near it.
         near(of("ionic-disc", 0.0, Some(4.0)), 0.0609);
-        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 0.7_f64.hypot(3.7));
+        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 0.7_f64.hypot(4.5));
         near(of("ionic-disc", 0.0, None), 1.305);
         // A tank of 200 mm: near its wall, the error is proportional to the touch's radius.
         near(of("pyeidors-tank", 0.0, Some(5.0)), 0.05);

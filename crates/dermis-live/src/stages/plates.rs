@@ -18,15 +18,19 @@ use crate::stages::spot_model::{LARGEST_RADIUS, MOST_SPOTS, SMALLEST_RADIUS, TYP
 const PATCHES_ERROR: f64 = 0.0005;
 /// The same under one plate, on twins of six skins: 0 to 0.00016.
 const SANDWICH_ERROR: f64 = 1e-4;
-/// Number of elements of the mesh for fits.
-const ELEMENTS: usize = 4000;
-/// Number of elements of the mesh on which explanations are compared.
-const COARSE_ELEMENTS: usize = 1500;
-/// Number of elements for fits under patches, whose edges the mesh doesn't follow: with 4,000, forces on a rectangle of
-/// 200 mm x 100 mm are off by 14 % instead of 9 %.
-const ELEMENTS_UNDER_PATCHES: usize = 6000;
-/// Largest number of channels for fits of contact with patches. Skins with more keep smooth spots.
+/// Number of elements of the mesh for fits, at least and at most.
+const ELEMENTS: [f64; 2] = [4000.0, 8000.0];
+/// The same under patches, whose edges the mesh doesn't follow: with 4,000, forces on a rectangle of 200 mm x 100 mm
+/// are off by 14 % instead of 9 %.
+const ELEMENTS_UNDER_PATCHES: [f64; 2] = [6000.0, 8000.0];
+/// Elements that a square with the side of a usual press's radius should have. With 8 on a sandwich of 435 mm x
+/// 174 mm, a twin leaves 15 times as much of a press unexplained as with 26 on one of 120 mm.
+const ELEMENTS_UNDER_PRESS: f64 = 25.0;
+/// Number of elements of the mesh on which explanations are compared, where that for fits has its least number.
+const COARSE_ELEMENTS: f64 = 1500.0;
+/// Largest numbers of channels, and of patches, for fits of contact with patches. Skins with more keep smooth spots.
 const MOST_CHANNELS: usize = 2000;
+const MOST_PATCHES: f64 = 2000.0;
 /// Contact under presses as they are proposed, as a share of the saturated contact.
 const PROPOSED_CONTACT: f64 = 0.8;
 /// Distance between the positions at which presses are proposed, on patches, in pitches.
@@ -83,9 +87,34 @@ pub(crate) struct Plates {
 pub(crate) fn fits_contacts(prepared: &Prepared) -> bool {
     match &prepared.skin.frontend.layer {
         Layer::Sandwich(_) => true,
-        Layer::Patches(_) => may_look_beyond(prepared) && prepared.channels() <= MOST_CHANNELS,
+        Layer::Patches(layer) => {
+            let patches = prepared.skin.outline().area_m2() / (1e-3 * layer.pitch_mm).powi(2);
+            may_look_beyond(prepared) && prepared.channels() <= MOST_CHANNELS && patches <= MOST_PATCHES
+        }
         Layer::Sheet(_) | Layer::Liquid(_) | Layer::Elements(_) => false,
     }
+}
+
+fn elements_for_fits(skin: &Skin) -> [f64; 2] {
+    if matches!(skin.frontend.layer, Layer::Patches(_)) { ELEMENTS_UNDER_PATCHES } else { ELEMENTS }
+}
+
+/// Number of elements that resolves a usual press.
+fn wanted_elements(skin: &Skin) -> f64 {
+    ELEMENTS_UNDER_PRESS * skin.outline().area_m2() / skin.fingertip_m().powi(2)
+}
+
+/// Size of the elements for fits, metres.
+pub(crate) fn element_m(skin: &Skin) -> f64 {
+    let [least, most] = elements_for_fits(skin);
+    (skin.outline().area_m2() / wanted_elements(skin).clamp(least, most)).sqrt()
+}
+
+/// Area of the elements for fits, relative to the largest that resolve a usual press; at least 1. The error of channels
+/// and places grows with it.
+pub(crate) fn coarseness(skin: &Skin) -> f64 {
+    let [_, most] = elements_for_fits(skin);
+    (wanted_elements(skin) / most).max(1.0)
 }
 
 impl Plates {
@@ -156,8 +185,14 @@ impl Plates {
     /// # Errors
     /// A mesh that cannot be made, or contacts that cannot be solved.
     pub fn model(&self, cuts: &[SheetCut], go_on: impl Fn() -> bool) -> Result<Option<PlateModel>, Error> {
-        let fine = if self.squares.is_some() { ELEMENTS_UNDER_PATCHES } else { ELEMENTS };
-        self.model_on([COARSE_ELEMENTS, fine], cuts, go_on)
+        self.model_on(self.elements(), cuts, go_on)
+    }
+
+    /// Numbers of elements that a coarse and a fine mesh should have.
+    fn elements(&self) -> [usize; 2] {
+        let [least, most] = elements_for_fits(&self.skin);
+        let fine = wanted_elements(&self.skin).clamp(least, most);
+        [COARSE_ELEMENTS * fine / least, fine].map(|count| count as usize)
     }
 
     fn model_on(
@@ -167,6 +202,7 @@ impl Plates {
         go_on: impl Fn() -> bool,
     ) -> Result<Option<PlateModel>, Error> {
         let law = self.law();
+        let error_share = if self.squares.is_some() { PATCHES_ERROR } else { SANDWICH_ERROR };
         let typical_radius_m = TYPICAL_RADIUS * self.half_width_m;
         let options = PlateOptions {
             typical_radius_m,
@@ -178,7 +214,7 @@ impl Plates {
                 .squares
                 .map_or(2.0 * PROPOSED_SHARE * self.half_width_m, |squares| PROPOSED_EVERY * squares.pitch_m),
             most_presses: MOST_SPOTS,
-            error_share: if self.squares.is_some() { PATCHES_ERROR } else { SANDWICH_ERROR },
+            error_share: error_share * coarseness(&self.skin).powi(2),
         };
         let mut sheets = Vec::new();
         for elements in elements {
@@ -269,16 +305,16 @@ mod tests {
             PlateFit::new(Arc::new(model), &deviations, &[]).channels_of(&presses, &mut volts);
             volts
         };
-        let fine = ELEMENTS_UNDER_PATCHES;
+        let [coarse, fine] = plates.elements();
         // On two equal sheets, the corrections of the presses alone cancel, and all are solved together.
         let together = change([fine, fine]);
         let error = |volts: &[f64]| {
             let off: f64 = volts.iter().zip(&together).map(|(a, b)| (a - b).powi(2)).sum();
             (off / together.iter().map(|v| v * v).sum::<f64>()).sqrt()
         };
-        let (coarse, apart) = (error(&change([COARSE_ELEMENTS; 2])), error(&change([COARSE_ELEMENTS, fine])));
-        println!("the coarse sheet is off by {coarse:.4}, its correction by {apart:.5}");
+        let (alone, apart) = (error(&change([coarse; 2])), error(&change([coarse, fine])));
+        println!("the coarse sheet is off by {alone:.4}, its correction by {apart:.5}");
         // The share of the error of the fine mesh itself: the first order in 1 over the number of elements.
-        assert!(apart < 0.1 * coarse, "{apart} {coarse}");
+        assert!(apart < 0.1 * alone, "{apart} {alone}");
     }
 }

@@ -15,8 +15,9 @@ const LEAST_SHARE: f64 = 0.05;
 /// presses on patches of 10 mm seem up to 30 % weaker than with five, and with seven up to 10 % stronger.
 const FINE: usize = 5;
 const MOST_FINE_CELLS: f64 = 6000.0;
-/// Number of cells along the side of a patch on skins with more patches.
+/// Numbers of cells along the side of a patch on skins with more patches, and with too many for that.
 const COARSE: usize = 3;
+const COARSEST: usize = 2;
 
 /// Square patches on a regular pitch, centred on the sheet's bounding box.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,6 +32,10 @@ pub struct PatchLayout {
 }
 
 impl PatchLayout {
+    /// Maximum number of contact cells. Each interacts with each: 8000 cells make a matrix of 512 MB, and twice that
+    /// while all are in contact.
+    pub const MOST_CELLS: f64 = 8000.0;
+
     /// Side length of a contact cell, metres.
     pub fn cell_m(&self) -> f64 {
         (self.pitch_m - self.gap_m) / self.cells_per_side as f64
@@ -38,9 +43,9 @@ impl PatchLayout {
 
     /// Number of cells along the side of a patch that a sheet with this outline affords.
     pub fn natural_cells(pitch_m: f64, gap_m: f64, outline: &Outline) -> usize {
-        let affords =
-            |&cells_per_side: &usize| Self { pitch_m, gap_m, cells_per_side }.cells_on(outline) <= MOST_FINE_CELLS;
-        (COARSE..=FINE).rev().find(affords).unwrap_or(COARSE)
+        let cells = |cells_per_side: usize| Self { pitch_m, gap_m, cells_per_side }.cells_on(outline);
+        let fine = (COARSE..=FINE).rev().find(|&count| cells(count) <= MOST_FINE_CELLS);
+        fine.unwrap_or(if cells(COARSE) <= Self::MOST_CELLS { COARSE } else { COARSEST })
     }
 
     /// Approximate number of contact cells on a sheet, including those cut by its rim.

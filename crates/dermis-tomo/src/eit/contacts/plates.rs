@@ -14,6 +14,12 @@ const DIVISIONS: usize = 8;
 /// They are joined into the square of this many larger parts, with one point for each plate above one. With 2 instead
 /// of 4, the channels are so rough in the radius of a press that fits end far from the best pressure.
 const PARTS: usize = 4;
+/// Least numbers of cells along each side of a plate: of a few plates, and of many, which would take too much memory.
+/// Current that enters a plate through one cell has no other cell to leave it: presses on patches smaller than an element
+/// would have no effect.
+const LEAST_CELLS: [usize; 2] = [3, 2];
+/// Number of plates up to which they are few.
+const FEW_PLATES: usize = 900;
 /// Contacts below this share of the largest are left out: they carry no current.
 const LEAST_CONTACT: f64 = 1e-9;
 
@@ -37,7 +43,7 @@ struct Part {
 }
 
 /// A sheet under separate plates, prepared for any contacts. Current flows between sheet and plates in cells: parts of
-/// one plate about as large as the sheet's elements. A cell sees the mean potential of the sheet under it.
+/// one plate, no larger than about one of the sheet's elements. A cell sees the mean potential of the sheet under it.
 #[derive(Debug)]
 pub struct PlatedSheet {
     /// The sheet, with its cells in place of nodes.
@@ -228,7 +234,7 @@ fn parts_under_plates(model: &ForwardModel, order: &[usize], plate_at: impl Fn(P
     parts
 }
 
-/// The cell of each part: squares of about this size, which divide the extent of each plate evenly.
+/// The cell of each part: squares of at most about this size, which divide the extent of each plate evenly.
 fn cells_of(parts: &[Part], size_m: f64) -> Vec<u32> {
     let mut extents: BTreeMap<u32, [[f64; 2]; 2]> = BTreeMap::new();
     for Part { position_m, plate, .. } in parts {
@@ -238,11 +244,12 @@ fn cells_of(parts: &[Part], size_m: f64) -> Vec<u32> {
             extent[1][axis] = extent[1][axis].max(*at);
         }
     }
+    let least = LEAST_CELLS[usize::from(extents.len() > FEW_PLATES)] as f64;
     let key = |part: &Part| {
         let [low, high] = extents[&part.plate];
         let [column, row] = [0, 1].map(|axis| {
             let length_m = high[axis] - low[axis];
-            let count = (length_m / size_m).ceil().max(1.0);
+            let count = (length_m / size_m).ceil().max(least);
             let share = (part.position_m[axis] - low[axis]) / length_m.max(f64::MIN_POSITIVE);
             (share * count).min(count - 1.0) as u32
         });
