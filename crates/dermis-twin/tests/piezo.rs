@@ -195,7 +195,7 @@ fn bad_input_is_refused() {
     let mut options = piezo_square();
     options.patches.pitch_m = 2e-3;
     let error = refused(options);
-    assert!(error.starts_with("contact cells on the sheet: 5") && error.contains("larger patches pitch_m"), "{error}");
+    assert!(error.starts_with("contact cells on the sheet: 5") && error.contains("larger pitch"), "{error}");
     let error = refused(PatchedOptions { sheet_s: -1.0, ..piezo_disc() });
     assert_eq!(error, "sheet_s: -1 refused; expected positive and finite");
 }
