@@ -23,7 +23,7 @@ const ELEMENTS: [f64; 2] = [4000.0, 8000.0];
 /// The same under patches, whose edges the mesh doesn't follow: with 4,000, forces on a rectangle of 200 mm x 100 mm
 /// are off by 14 % instead of 9 %.
 const ELEMENTS_UNDER_PATCHES: [f64; 2] = [6000.0, 8000.0];
-/// Elements that a square with the side of a usual press's radius should have. With 8 on a sandwich of 435 mm x
+/// Elements that a square with the side of a usual press's radius should have. With 6 on a sandwich of 435 mm x
 /// 174 mm, a twin leaves 15 times as much of a press unexplained as with 26 on one of 120 mm.
 const ELEMENTS_UNDER_PRESS: f64 = 25.0;
 /// Number of elements of the mesh on which explanations are compared, where that for fits has its least number.
