@@ -270,9 +270,19 @@ fn patch_pitch_mm(outline: &Outline) -> f64 {
     (outline.area_mm2() / MOST_PATCHES).sqrt().ceil().max(10.0)
 }
 
-/// The line for the layer, its description, and the imaging settings it needs.
-fn layer_lines(layer: LayerName, outline: &Outline) -> [String; 3] {
-    let lines = match layer {
+/// The line for patches on a skin with this outline.
+fn patches_line(outline: &Outline) -> String {
+    let pitch_mm = patch_pitch_mm(outline);
+    let gap_mm = 0.1 * pitch_mm;
+    format!(
+        "{{ kind = \"patches\", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = {pitch_mm:?}, \
+         gap_mm = {gap_mm:.1} }}"
+    )
+}
+
+/// The description of the layer, its line, and the imaging settings it needs. `patches` is the line for patches.
+fn layer_lines(layer: LayerName, patches: &str) -> [&str; 3] {
+    match layer {
         LayerName::Gel => [
             "# Salted gelatin or hydrogel. Measure a bar of it: conductivity = length / (resistance x width x thickness).\n\
              # Pressing thins it, by the pressure over the modulus.",
@@ -292,28 +302,19 @@ fn layer_lines(layer: LayerName, outline: &Outline) -> [String; 3] {
             "",
         ],
         LayerName::Patches => {
-            let pitch_mm = patch_pitch_mm(outline);
-            let gap_mm = 0.1 * pitch_mm;
-            return [
-                "# A conducting sheet under a gap and separate patches of metal that touch it where pressed.".into(),
-                format!(
-                    "{{ kind = \"patches\", thickness_mm = 1.0, conductivity_s_per_m = 5.0, pitch_mm = {pitch_mm:?}, \
-                     gap_mm = {gap_mm:.1} }}"
-                ),
-                String::new(),
-            ];
+            ["# A conducting sheet under a gap and separate patches of metal that touch it where pressed.", patches, ""]
         }
         LayerName::Liquid => [
             "# Salt water in a tray under a stretched membrane; pressing makes it shallower. 0.1 S/m is 0.5 g of salt per litre.",
             "{ kind = \"liquid\", depth_mm = 10.0, conductivity_s_per_m = 0.1 }",
             "# Depth and salt differ from the file's: each channel is scaled by its own baseline.\ngain = \"channel\"\n",
         ],
-    };
-    lines.map(str::to_owned)
+    }
 }
 
 fn skin_file(name: &str, outline: &Outline, count: u32, layer: LayerName, instrument: Option<&str>) -> String {
-    let [about_layer, layer_line, imaging] = layer_lines(layer, outline);
+    let patches = patches_line(outline);
+    let [about_layer, layer_line, imaging] = layer_lines(layer, &patches);
     let words = format!("{layer:?}").to_lowercase();
     let title = format!("{name}: {words}, {}, {count} electrodes", outline.in_words());
     let pitch_mm = outline.perimeter_mm() / f64::from(count);

@@ -95,7 +95,8 @@ pub(crate) fn fits_contacts(prepared: &Prepared) -> bool {
     }
 }
 
-fn elements_for_fits(skin: &Skin) -> [f64; 2] {
+/// Least and largest number of elements for fits.
+fn limits_of_elements(skin: &Skin) -> [f64; 2] {
     if matches!(skin.frontend.layer, Layer::Patches(_)) { ELEMENTS_UNDER_PATCHES } else { ELEMENTS }
 }
 
@@ -104,16 +105,21 @@ fn wanted_elements(skin: &Skin) -> f64 {
     ELEMENTS_UNDER_PRESS * skin.outline().area_m2() / skin.fingertip_m().powi(2)
 }
 
+/// Number of elements for fits.
+fn elements_for_fits(skin: &Skin) -> f64 {
+    let [least, most] = limits_of_elements(skin);
+    wanted_elements(skin).clamp(least, most)
+}
+
 /// Size of the elements for fits, metres.
 pub(crate) fn element_m(skin: &Skin) -> f64 {
-    let [least, most] = elements_for_fits(skin);
-    (skin.outline().area_m2() / wanted_elements(skin).clamp(least, most)).sqrt()
+    (skin.outline().area_m2() / elements_for_fits(skin)).sqrt()
 }
 
 /// Area of the elements for fits, relative to the largest that resolve a usual press; at least 1. The error of channels
 /// and places grows with it.
 pub(crate) fn coarseness(skin: &Skin) -> f64 {
-    let [_, most] = elements_for_fits(skin);
+    let [_, most] = limits_of_elements(skin);
     (wanted_elements(skin) / most).max(1.0)
 }
 
@@ -190,8 +196,7 @@ impl Plates {
 
     /// Numbers of elements that a coarse and a fine mesh should have.
     fn elements(&self) -> [usize; 2] {
-        let [least, most] = elements_for_fits(&self.skin);
-        let fine = wanted_elements(&self.skin).clamp(least, most);
+        let ([least, _], fine) = (limits_of_elements(&self.skin), elements_for_fits(&self.skin));
         [COARSE_ELEMENTS * fine / least, fine].map(|count| count as usize)
     }
 

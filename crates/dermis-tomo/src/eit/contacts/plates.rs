@@ -14,9 +14,9 @@ const DIVISIONS: usize = 8;
 /// They are joined into the square of this many larger parts, with one point for each plate above one. With 2 instead
 /// of 4, the channels are so rough in the radius of a press that fits end far from the best pressure.
 const PARTS: usize = 4;
-/// Least numbers of cells along each side of a plate: of a few plates, and of many, which would take too much memory.
-/// Current that enters a plate through one cell has no other cell to leave it: presses on patches smaller than an element
-/// would have no effect.
+/// Least number of cells along each side of a plate, on skins with up to [`FEW_PLATES`] plates and with more, where
+/// memory would run out. Current that enters a plate through its only cell cannot leave it: presses on patches smaller
+/// than an element would have no effect.
 const LEAST_CELLS: [usize; 2] = [3, 2];
 /// Number of plates up to which they are few.
 const FEW_PLATES: usize = 900;
