@@ -19,5 +19,5 @@ pub use anchor::Anchor;
 pub use estimator::{Allowance, Estimate, Estimator, Memory};
 pub use evidence::Evidence;
 pub use plates::{PlateFit, PlateLaw, PlateModel, PlateOptions};
-pub use press::{Cost, Effort, Footprint, MOST_NOISE, Press, PressFit};
+pub use press::{BuiltVariance, Cost, Effort, Footprint, MOST_NOISE, Press, PressFit};
 pub use spots::SpotFit;

@@ -43,6 +43,15 @@ impl Press {
     }
 }
 
+/// Variances at one press because the skin is not as drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BuiltVariance {
+    /// Of the relative response to the press.
+    pub gain: f64,
+    /// Of the relative effect of its force, by the contact law.
+    pub law: f64,
+}
+
 /// Footprint of a press.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
@@ -207,8 +216,8 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
         1.0
     }
 
-    /// Footprints of the presses that explain the frame taken.
-    fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
+    /// Footprints of the presses that explain the frame taken, and the errors at each of a skin that is not as drawn.
+    fn footprints(&mut self, presses: &[Press], _built: &[BuiltVariance]) -> Vec<Footprint> {
         presses.iter().map(|press| Footprint { radius_m: press.radius_m, force_n: None }).collect()
     }
 

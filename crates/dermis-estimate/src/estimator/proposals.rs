@@ -1,6 +1,6 @@
 //! Proposes sets of presses that may explain a frame better than an explanation does.
 
-use std::f64::consts::PI;
+use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
 use super::{Estimator, Explanation};
@@ -10,17 +10,16 @@ use crate::press::{Effort, Press};
 const LOOKAHEAD: usize = 3;
 /// Largest number of times that each press of a set is moved before they are fitted together.
 const MOST_ROUNDS: usize = 3;
-/// Initial radius of the halves of a split press, in its radii.
-const HALF_RADIUS: f64 = 0.7;
-/// Number of directions in which a press is split, and initial distance of each half from its centre, in its radii.
+/// Number of directions in which a press is split, and initial distance of each part from its centre, in its radii.
 const DIRECTIONS: usize = 4;
 const SPLIT_RADII: f64 = 1.2;
 /// Once proposals have taken this share of the work, one that explains the frame is enough.
 const PROPOSED: f64 = 0.25;
 /// Joint sets are proposed until they have taken this share of the work. The rest is for full fits of the best.
 const PROPOSED_SETS: f64 = 0.6;
-/// Only the strongest presses are split, at most this many.
+/// Only the strongest presses are split, at most this many, into at most this many parts.
 const MOST_SPLIT: usize = 3;
+const MOST_PARTS: usize = 3;
 /// A joint set that leaves more than this share of a streamed frame doesn't explain it.
 const HOPELESS: f64 = 0.5;
 /// A single press whose quick fit leaves less than this share is fitted in full before larger sets are tried.
@@ -127,10 +126,13 @@ impl Estimator {
         if !self.is_one_explained(found) {
             self.propose_together(best, room, found);
         }
-        for k in 0..best.presses.len().min(MOST_SPLIT) {
-            for direction in 0..DIRECTIONS {
-                if let Some(starts) = self.split(&best.presses, k, direction) {
-                    found.extend(self.fitted(&starts, Effort::Quick));
+        // With few electrodes, three presses may look like one wide one, and two explain no more than it does.
+        for parts in 2..=MOST_PARTS.min(1 + room) {
+            for k in 0..best.presses.len().min(MOST_SPLIT) {
+                for direction in 0..DIRECTIONS {
+                    if let Some(starts) = self.split(&best.presses, k, parts, direction) {
+                        found.extend(self.fitted(&starts, Effort::Quick));
+                    }
                 }
             }
         }
@@ -223,21 +225,23 @@ impl Estimator {
         self.fit.seek(self.negative)
     }
 
-    /// Splits one press in a direction; `None` if a half would be off the skin.
-    fn split(&self, presses: &[Press], k: usize, direction: usize) -> Option<Vec<Press>> {
+    /// Splits one press into equal parts around its centre, the first in a direction; `None` if a part would be off the
+    /// skin.
+    fn split(&self, presses: &[Press], k: usize, parts: usize, direction: usize) -> Option<Vec<Press>> {
         let press = presses[k];
-        let angle = PI * direction as f64 / DIRECTIONS as f64;
         let reach = SPLIT_RADII * press.radius_m;
-        let [dx, dy] = [reach * angle.cos(), reach * angle.sin()];
-        let [x, y] = press.position_m;
-        let halves = [[x + dx, y + dy], [x - dx, y - dy]];
-        if presses.len() >= self.fit.most_presses() || halves.iter().any(|place| !self.fit.is_inside(*place)) {
-            return None;
-        }
-        let half = |position_m| Press { position_m, radius_m: HALF_RADIUS * press.radius_m, ..press };
+        let part = |number: usize| {
+            // Directions that differ by a turn of one part are the same.
+            let turns = (number as f64 + direction as f64 / DIRECTIONS as f64) / parts as f64;
+            let (sine, cosine) = (TAU * turns).sin_cos();
+            let position_m = [press.position_m[0] + reach * cosine, press.position_m[1] + reach * sine];
+            // Together, they have the area of the press.
+            Press { position_m, radius_m: press.radius_m / (parts as f64).sqrt(), ..press }
+        };
         let mut starts = presses.to_vec();
-        starts[k] = half(halves[0]);
-        starts.push(half(halves[1]));
-        Some(starts)
+        starts[k] = part(0);
+        starts.extend((1..parts).map(part));
+        let is_possible = starts.len() <= self.fit.most_presses();
+        (is_possible && starts.iter().all(|start| self.fit.is_inside(start.position_m))).then_some(starts)
     }
 }

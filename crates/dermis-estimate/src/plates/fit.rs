@@ -9,12 +9,12 @@ use dermis_tomo::inner_product;
 use dermis_tomo::least_squares::{NormalEquations, Scratch};
 use dermis_tomo::mesh::{Point, distance};
 
-use super::force::Alike;
+use super::force::{Alike, PressDoubt};
 use super::model::{Made, PlateModel, PlateOptions, SizePrior};
 use super::pressure::{OF_PRESS, Pressed, turned};
 use super::weighing::Weighing;
 use crate::evidence::Evidence;
-use crate::press::{Cost, Effort, Footprint, Press, PressFit};
+use crate::press::{BuiltVariance, Cost, Effort, Footprint, Press, PressFit};
 
 /// Places of the logarithms of pressure and radius among the parameters of a press.
 const LOG_PRESSURE: usize = 2;
@@ -63,16 +63,12 @@ pub struct PlateFit {
 struct Doubt {
     /// Factor on all variances by what the fit has left.
     left_scale: f64,
-    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
-    /// same effect on the channels, so these errors weigh more on a force than on a position.
-    inflation: f64,
-    /// Changes of the logarithms of pressure and radius of each press by the step that would come next.
-    to_go: Vec<[f64; 2]>,
+    of_presses: Vec<PressDoubt>,
 }
 
 impl Default for Doubt {
     fn default() -> Self {
-        Self { left_scale: 1.0, inflation: 1.0, to_go: Vec::new() }
+        Self { left_scale: 1.0, of_presses: Vec::new() }
     }
 }
 
@@ -154,22 +150,23 @@ impl PlateFit {
         Some(State { effort, presses, contacts, change, residual })
     }
 
-    /// Force of a press and its standard deviation, newtons, with this prior. `to_go` is its part of [`Doubt::to_go`].
-    /// `None` for a press that has ended.
+    /// Force of a press and its standard deviation, newtons, with this prior. `left_scale` is that of its fit. `None`
+    /// for a press that has ended.
     fn force_n(
         &self,
         press: &Press,
         pressed: Pressed,
         prior: &SizePrior,
-        doubt: &Doubt,
-        to_go: [f64; 2],
+        left_scale: f64,
+        doubt: &PressDoubt,
     ) -> Option<[f64; 2]> {
         // Covariance of the logarithms of load and radius, without what the fit has left.
         let by = [press.load.recip(), 1.0];
-        let covariance =
-            [0, 1].map(|j| [0, 1].map(|k| by[j] * by[k] * press.covariance[2 + j][2 + k] / doubt.left_scale));
-        let alike = Alike::new(self.model.conductance(), prior, pressed, &covariance, to_go, doubt.inflation)?;
-        if pressed.has_ended { None } else { alike.force_n() }
+        let covariance = [0, 1].map(|j| [0, 1].map(|k| by[j] * by[k] * press.covariance[2 + j][2 + k] / left_scale));
+        let alike = Alike::new(self.model.conductance(), prior, pressed, &covariance, doubt)?;
+        // The law's pressures and its conductances are unknown independently.
+        let widened = |[force_n, sigma_n]: [f64; 2]| [force_n, sigma_n.hypot(force_n * doubt.built.law.sqrt())];
+        if pressed.has_ended { None } else { alike.force_n().map(widened) }
     }
 
     /// The last full fit to this frame that found this press, with its place in it.
@@ -195,7 +192,7 @@ impl PlateFit {
         let n = OF_PRESS * self.at.presses.len();
         let Scratch { equations, factor, step } = solver;
         let scale = Evidence::left_scale(cost);
-        (self.doubt.left_scale, self.doubt.inflation) = (scale, Evidence::model_scale(cost));
+        self.doubt.left_scale = scale;
         self.covariances.clear();
         self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
         for column in 0..n {
@@ -432,7 +429,7 @@ impl PressFit for PlateFit {
         Evidence::place_scale(cost)
     }
 
-    fn footprints(&mut self, presses: &[Press]) -> Vec<Footprint> {
+    fn footprints(&mut self, presses: &[Press], built: &[BuiltVariance]) -> Vec<Footprint> {
         // A frame tells pressure and radius of an indenter apart only roughly. The fit with its radius given serves its
         // force alone: other objects touch the skin, too.
         let given = self.model.prior(self.indenter_m);
@@ -442,18 +439,21 @@ impl PressFit for PlateFit {
         let refitted = if is_refitted { self.presses() } else { presses.to_vec() };
         let prior = if is_refitted { &given } else { &prior };
         let conductance = self.model.conductance();
-        let footprint = |(press, refitted): (&Press, &Press)| {
+        let footprint = |((press, refitted), built): ((&Press, &Press), &BuiltVariance)| {
             let radius_m = match self.fit_of(press) {
                 Some((fitted, place)) => conductance.contact_radius_m(&fitted.presses[place]),
                 None => conductance.contact_radius_m(&self.model.pressed(press)),
             };
-            let (pressed, doubt, to_go) = match self.fit_of(refitted) {
-                Some((Fitted { presses, doubt, .. }, place)) => (presses[place], doubt, doubt.to_go[place]),
-                None => (self.model.pressed(refitted), &self.doubt, [0.0; 2]),
+            let (pressed, left_scale, doubt) = match self.fit_of(refitted) {
+                Some((Fitted { presses, doubt, .. }, place)) => {
+                    (presses[place], doubt.left_scale, doubt.of_presses[place])
+                }
+                None => (self.model.pressed(refitted), self.doubt.left_scale, PressDoubt::default()),
             };
-            Footprint { radius_m, force_n: self.force_n(refitted, pressed, prior, doubt, to_go) }
+            let doubt = PressDoubt { built: *built, ..doubt };
+            Footprint { radius_m, force_n: self.force_n(refitted, pressed, prior, left_scale, &doubt) }
         };
-        presses.iter().zip(&refitted).map(footprint).collect()
+        presses.iter().zip(&refitted).zip(built).map(footprint).collect()
     }
 
     fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {

@@ -5,6 +5,7 @@
 use super::law::Conductance;
 use super::model::SizePrior;
 use super::pressure::Pressed;
+use crate::press::BuiltVariance;
 
 /// Error of the force as a share of it, from the meshes, on twins of three skins with patches.
 const FORCE_SHARE: f64 = 0.09;
@@ -40,6 +41,34 @@ fn inverse([[a, b], [c, d]]: &Square) -> Option<Square> {
     inverse.iter().flatten().all(|value| value.is_finite()).then_some(inverse)
 }
 
+/// The nearest matrix without negative curvature: rounding errors may leave a little.
+fn definite([[a, b], [_, c]]: Square) -> Square {
+    let (a, c) = (a.max(0.0), c.max(0.0));
+    let most = (a * c).sqrt();
+    let b = b.clamp(-most, most);
+    [[a, b], [b, c]]
+}
+
+/// What a fit says of a press besides its covariance.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PressDoubt {
+    /// Factor on all variances by errors of the model. Radius and pressure of an indenter have nearly the same effect
+    /// on the channels, so these errors weigh more on a force than on a position.
+    pub inflation: f64,
+    /// Changes of the logarithms of pressure and radius by the step that would come next.
+    pub to_go: [f64; 2],
+    /// Products of the whitened change of the channels with its derivatives by these logarithms.
+    pub by_gain: [f64; 2],
+    /// Errors of a skin that is not as drawn.
+    pub built: BuiltVariance,
+}
+
+impl Default for PressDoubt {
+    fn default() -> Self {
+        Self { inflation: 1.0, to_go: [0.0; 2], by_gain: [0.0; 2], built: BuiltVariance::default() }
+    }
+}
+
 /// The presses that look like a fitted one, with their probability: the likelihood is normal in the logarithms of the
 /// reported load and radius, and the prior in those of pressure and radius.
 pub(super) struct Alike<'a> {
@@ -55,17 +84,16 @@ pub(super) struct Alike<'a> {
 }
 
 impl<'a> Alike<'a> {
-    /// The presses that look like a fitted one, given the covariance of its reported logarithms by noise and prior, and
-    /// the changes of the logarithms of its pressure and radius that would lead to the most probable press. Errors of
-    /// the model count as noise of `inflation` times the variance. `None` without a covariance.
+    /// The presses that look like a fitted one, given the covariance of its reported logarithms by noise and prior.
+    /// `None` without a covariance.
     pub fn new(
         conductance: &'a Conductance,
         prior: &'a SizePrior,
         fitted: Pressed,
         covariance: &Square,
-        to_go: [f64; 2],
-        inflation: f64,
+        doubt: &PressDoubt,
     ) -> Option<Self> {
+        let &PressDoubt { inflation, to_go, by_gain, built } = doubt;
         let (reported, by_size) = conductance.reported(fitted.log_pressure, fitted.log_radius);
         let (all, back) = (inverse(covariance)?, inverse(&by_size)?);
         // The covariance, and the slope that follows from it and the step to go, include the prior.
@@ -73,17 +101,26 @@ impl<'a> Alike<'a> {
         let [of_pressure, of_radius] = prior.precisions();
         let precision = [[of_pressure, 0.0], [0.0, of_radius]];
         let of_prior = |j: usize, k: usize| dot(column(j), product(&precision, column(k)));
-        let mut curvature = [0, 1].map(|j| [0, 1].map(|k| (all[j][k] - of_prior(j, k)) / inflation));
-        // Rounding errors may leave it slightly indefinite.
-        curvature[0][0] = curvature[0][0].max(0.0);
-        curvature[1][1] = curvature[1][1].max(0.0);
-        let most = (curvature[0][0] * curvature[1][1]).sqrt();
-        let mixed = curvature[0][1].clamp(-most, most);
-        (curvature[0][1], curvature[1][0]) = (mixed, mixed);
+        let curvature = definite([0, 1].map(|j| [0, 1].map(|k| (all[j][k] - of_prior(j, k)) / inflation)));
         let of_prior = prior.slopes(&fitted);
         let of_all = product(&all, product(&by_size, to_go));
         let slope = [0, 1].map(|k| (of_all[k] + dot(column(k), of_prior)) / inflation);
-        Some(Self { conductance, prior, fitted, reported, by_size, slope, curvature })
+        let by_gain = [0, 1].map(|k| dot(column(k), by_gain) / inflation);
+        let along_gain = inverse(&curvature).map_or([0.0; 2], |covariance| product(&covariance, by_gain));
+        let alike = Self { conductance, prior, fitted, reported, by_size, slope, curvature };
+        // Another gain looks like a step that keeps the shape of the response; another law, like another load.
+        Some(alike.with_error(along_gain, built.gain).with_error([1.0, 0.0], built.law))
+    }
+
+    /// The same with an unknown error along this direction of the reported logarithms, by Woodbury's identity.
+    fn with_error(mut self, along: [f64; 2], variance: f64) -> Self {
+        let bent = product(&self.curvature, along);
+        let share = variance / (1.0 + variance * dot(along, bent).max(0.0));
+        let to_go = dot(along, self.slope);
+        let less = |j: usize, k: usize| self.curvature[j][k] - share * bent[j] * bent[k];
+        self.slope = [0, 1].map(|k| self.slope[k] - share * to_go * bent[k]);
+        self.curvature = definite([0, 1].map(|j| [0, 1].map(|k| less(j, k))));
+        self
     }
 
     /// Logarithm of the density at a pressure, and the press with the most probable radius there, searched from this
@@ -188,7 +225,8 @@ mod tests {
         };
         let covariance = inverse(&[0, 1].map(|j| [0, 1].map(|k| precision(j, k)))).unwrap();
         let reported = [0, 1].map(|j| [0, 1].map(|k| dot(by_size[j], product(&covariance, by_size[k]))));
-        Alike::new(&conductance, &PRIOR, press, &reported, to_go, 1.0).unwrap().force_n().unwrap()
+        let doubt = PressDoubt { to_go, ..PressDoubt::default() };
+        Alike::new(&conductance, &PRIOR, press, &reported, &doubt).unwrap().force_n().unwrap()
     }
 
     fn press(log_pressure: f64, log_radius: f64) -> Pressed {

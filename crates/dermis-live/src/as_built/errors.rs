@@ -49,7 +49,7 @@ pub(crate) fn error_table(
     WorkshopError { places_m, spacing_m, squares, misfit_2: 1.0, law }
 }
 
-/// Variances of x^2, x y, y^2 (m^2) and of the relative load that the changes make in a fit with these derivatives, and
+/// Variances of x^2, x y, y^2 (m^2) and of the relative strength that the changes make in a fit with these derivatives, and
 /// the share of the energy that remains.
 fn apparent(derivatives: &Mat<f64>, changes: &Mat<f64>) -> [f64; 5] {
     let channels = changes.nrows().max(1) as f64;
@@ -67,5 +67,6 @@ fn apparent(derivatives: &Mat<f64>, changes: &Mat<f64>) -> [f64; 5] {
     let product = |a: usize, b: usize| (0..found.ncols()).map(|k| found[(a, k)] * found[(b, k)]).sum::<f64>();
     let left = changes - derivatives * &found;
     let share = left.squared_norm_l2() / derivatives.col(LOAD).squared_norm_l2().max(f64::MIN_POSITIVE);
-    [product(0, 0), product(0, 1), product(1, 1), product(LOAD, LOAD), share]
+    let strength = product(LOAD, LOAD) + 4.0 * product(LOAD, RADIUS) + 4.0 * product(RADIUS, RADIUS);
+    [product(0, 0), product(0, 1), product(1, 1), strength, share]
 }

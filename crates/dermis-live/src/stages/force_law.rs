@@ -12,7 +12,7 @@
 
 use std::f64::consts::PI;
 
-use dermis_estimate::Press;
+use dermis_estimate::{BuiltVariance, Press};
 use dermis_skin::{Layer, SheetLayer};
 use dermis_touch::force::ForceReading;
 
@@ -62,8 +62,8 @@ impl ForceLaw {
     }
 
     /// The force; `None` if the press changes the skin in a way that the law excludes. `largest` is the largest change
-    /// that such a press makes per unit of load: 1 on a sheet.
-    pub fn read(&self, press: &Press, largest: f64, polarity: f64) -> Option<ForceReading> {
+    /// that such a press makes per unit of load: 1 on a sheet. `built` are the errors of a skin that is not as drawn.
+    pub fn read(&self, press: &Press, largest: f64, polarity: f64, built: &BuiltVariance) -> Option<ForceReading> {
         let largest = if matches!(self, Self::Membrane { .. }) { largest } else { 1.0 };
         let response = polarity * press.load * largest;
         let bounded = response.clamp(RESPONSES[0], RESPONSES[1]);
@@ -78,7 +78,8 @@ impl ForceLaw {
         // The nearer the press is to saturation, the more an error of the response changes the force.
         let less_n = self.force_n(area_m2, (1.0 - STEP) * bounded, largest);
         let steepness = ((1.0 - less_n / force_n) / STEP).max(1.0);
-        let share = steepness * press.significance().recip().hypot(self.share());
+        let share = steepness * press.significance().recip().hypot(self.share()).hypot(built.gain.sqrt());
+        let share = share.hypot(built.law.sqrt());
         Some(ForceReading::FromLaw { force_n, sigma_n: share * force_n })
     }
 
@@ -110,6 +111,8 @@ fn logarithms(u: f64) -> f64 {
 mod tests {
     use super::*;
 
+    const AS_DRAWN: BuiltVariance = BuiltVariance { gain: 0.0, law: 0.0 };
+
     #[test]
     fn the_integral_is_the_dilogarithm() {
         // Abramowitz and Stegun 27.7: Li2(1/2) = pi^2 / 12 - ln^2 2 / 2, and Li2(-1) = -pi^2 / 12.
@@ -122,15 +125,16 @@ mod tests {
         let press = Press { radius_m: 5e-3, load: 1e-4, ..Press::default() };
         // A gel of 60 kPa: du = -p / E over the spot.
         let gel = ForceLaw::Sheet { per_pa: -1.0 / 60e3 };
-        let force_n = gel.read(&press, 1.0, -1.0).and_then(ForceReading::nearest_n).unwrap();
+        let force_n = gel.read(&press, 1.0, -1.0, &AS_DRAWN).and_then(ForceReading::nearest_n).unwrap();
         assert!((force_n / (2.0 * PI * 25e-6 * 1e-4 * 60e3) - 1.0).abs() < 1e-3, "{force_n}");
-        assert!(gel.read(&press, 1.0, 1.0).is_none());
+        assert!(gel.read(&press, 1.0, 1.0, &AS_DRAWN).is_none());
     }
 
     #[test]
     fn a_press_that_saturates_the_skin_has_the_least_force_that_does() {
         let gel = ForceLaw::Sheet { per_pa: -1.0 / 60e3 };
-        let read = |load: f64| gel.read(&Press { radius_m: 5e-3, load, ..Press::default() }, 1.0, -1.0).unwrap();
+        let read =
+            |load: f64| gel.read(&Press { radius_m: 5e-3, load, ..Press::default() }, 1.0, -1.0, &AS_DRAWN).unwrap();
         let ForceReading::Saturated { from_n } = read(1.9) else { panic!("saturated") };
         assert_eq!(read(40.0), ForceReading::Saturated { from_n });
         let ForceReading::FromLaw { force_n, sigma_n } = read(1.8) else { panic!("by the law") };

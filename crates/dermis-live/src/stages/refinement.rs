@@ -49,8 +49,8 @@ struct Presses {
     drift: Drift,
     /// The fit under changed weights, made in the background: it takes tens of milliseconds on a large skin.
     coming: Beside<Result<AgedFit, Error>>,
-    /// Share of a press's energy left unexplained because the skin differs from its file.
-    built_share: f64,
+    /// Errors of the model because the skin differs from its file.
+    built: Option<BuiltError>,
     evidence: Evidence,
     /// Radius of the indenter, if it is known, metres.
     indenter_m: Option<f64>,
@@ -85,7 +85,7 @@ impl Presses {
             left_out: Vec::new(),
             drift: Drift::new(prepared),
             coming: Beside::patient(),
-            built_share: 0.0,
+            built: None,
             indenter_m: None,
             evidence: Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma },
             cut: plates.map(|plates| CutModels { plates, cuts: Vec::new(), coming: Beside::patient() }),
@@ -97,7 +97,7 @@ impl Presses {
         self.drift.forget();
         let (fit, _) = self.fit()?;
         let mut fresh = SpotStage::new(prepared, fit, self.model.membrane_pa());
-        fresh.set_built_share(self.built_share);
+        fresh.set_built(self.built.clone());
         fresh.set_live(self.coming.is_live());
         self.stage = Some(Box::new(fresh));
         Ok(())
@@ -189,9 +189,8 @@ impl Refinement {
     /// Accounts for the skin's deviation from its file.
     pub(crate) fn set_built(&mut self, built: Option<&BuiltError>) {
         if let By::Presses(presses) = &mut self.by {
-            presses.built_share = built.map_or(0.0, BuiltError::unexplained);
-            let share = presses.built_share;
-            presses.stage.iter_mut().for_each(|stage| stage.set_built_share(share));
+            presses.built = built.cloned();
+            presses.stage.iter_mut().for_each(|stage| stage.set_built(built.cloned()));
         }
     }
 

@@ -2,7 +2,7 @@
 
 mod explanation;
 
-use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, PressFit};
+use dermis_estimate::{Anchor, BuiltVariance, Estimate, Estimator, Evidence, Press, PressFit};
 use dermis_skin::Layer;
 use dermis_tomo::mesh::{PixelGrid, Point, distance};
 use dermis_touch::force::ForceReading;
@@ -21,6 +21,7 @@ use crate::stages::press_peaks::{Peaks, Remains};
 use crate::stages::spot_model::{MOST_SPOTS, TYPICAL_RADIUS};
 use crate::stages::touch_search::{AT_ONCE, Explained, InVain, Pause, Searched};
 use crate::stages::touch_search::{doubt, is_outstanding};
+use crate::stages::workshop_error::BuiltError;
 
 /// Keep the image's contact in place of a press that leaves more than this share of its frame unexplained and is
 /// further from the contact than this share of half the shorter side. On patches, whose edges the model doesn't know,
@@ -53,8 +54,8 @@ pub(crate) struct SpotStage {
     /// Index of each pixel among the image's unknowns; `None` outside.
     unknowns: Vec<Option<u32>>,
     typical_radius_m: f64,
-    /// Share of a press's energy that the model leaves because the skin is not as drawn.
-    built_share: f64,
+    /// Errors of the model because the skin is not as drawn.
+    built: Option<BuiltError>,
     /// Images join presses.
     is_joint: bool,
     /// See [`SpotStage::postpone`].
@@ -135,7 +136,7 @@ impl SpotStage {
             grid,
             unknowns,
             typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
-            built_share: 0.0,
+            built: None,
             explained: if pitch_m.is_some() { PATCHES_EXPLAINED } else { EXPLAINED },
             far_m: pitch_m.map_or(FAR * prepared.half_width_m(), |pitch_m| FAR_PITCHES * pitch_m),
             hints: Vec::with_capacity(MOST_SPOTS),
@@ -161,10 +162,10 @@ impl SpotStage {
         self.estimator.take_time();
     }
 
-    /// Sets the share of a press's energy that the model leaves because the skin is not as drawn.
-    pub(crate) fn set_built_share(&mut self, share: f64) {
-        self.built_share = share;
-        self.estimator.fit_mut().set_error_beyond(share);
+    /// Accounts for the errors of a skin that is not as drawn.
+    pub(crate) fn set_built(&mut self, built: Option<BuiltError>) {
+        self.estimator.fit_mut().set_error_beyond(built.as_ref().map_or(0.0, BuiltError::unexplained));
+        self.built = built;
     }
 
     /// Continues with a fit that weighs the channels differently, for a fresh or an aged baseline.
@@ -173,7 +174,8 @@ impl SpotStage {
         self.estimator.set_fit(fit);
         self.explained_part.0.clear();
         self.ended.presses.clear();
-        self.estimator.fit_mut().set_error_beyond(self.built_share);
+        let built = self.built.take();
+        self.set_built(built);
     }
 
     /// The part of the last frame explained by the presses reported (model volts); `None` without any.
@@ -404,8 +406,12 @@ impl SpotStage {
         self.of_image.append(contacts);
         // In a tank, weak presses may be side lobes of a strong one.
         let strongest = estimate.presses.first().map_or(0.0, Press::strength);
-        let footprints = self.estimator.fit_mut().footprints(&estimate.presses);
-        for ((press, sigma), footprint) in estimate.presses.iter().zip(&estimate.evidence).zip(footprints) {
+        let built = |press: &Press| {
+            self.built.as_ref().map_or_else(BuiltVariance::default, |built| built.variance(press.position_m))
+        };
+        let built: Vec<BuiltVariance> = estimate.presses.iter().map(built).collect();
+        let footprints = self.estimator.fit_mut().footprints(&estimate.presses, &built);
+        for (k, (press, footprint)) in estimate.presses.iter().zip(footprints).enumerate() {
             if self.is_tank && press.strength() / strongest < LOBE {
                 continue;
             }
@@ -426,7 +432,7 @@ impl SpotStage {
             let of_image = nearest.filter(|_| !self.is_joint);
             let area_m2 = of_image.map_or(std::f64::consts::PI * footprint.radius_m.powi(2), |contact| contact.area_m2);
             let by_contact = footprint.force_n.map(|[force_n, sigma_n]| ForceReading::FromLaw { force_n, sigma_n });
-            let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity));
+            let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity, &built[k]));
             let c = &press.covariance;
             let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
             if !self.is_joint
@@ -441,7 +447,7 @@ impl SpotStage {
             }
             contacts.push(Contact {
                 covariance_m2: [0, 1].map(|row| [0, 1].map(|column| estimate.place_scale * c[row][column])),
-                significance: *sigma,
+                significance: estimate.evidence[k],
                 radius_m: Some(footprint.radius_m),
                 force: by_contact.or_else(by_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),

@@ -311,14 +311,11 @@ fn missed_frames(frames_per_s: f64) -> u32 {
     ((GONE_S * frames_per_s).floor() as u32).saturating_sub(1).clamp(1, 3)
 }
 
-/// Adds the errors of a skin as built to a contact's place and force.
+/// Adds the errors of a skin as built to a contact's place.
 fn widen(contact: &mut Contact, built: &BuiltError) {
     let covariance = built.covariance_m2(contact.centroid_m);
     for (row, added) in contact.covariance_m2.iter_mut().zip(covariance) {
         row.iter_mut().zip(added).for_each(|(value, added)| *value += added);
-    }
-    if let Some(ForceReading::FromLaw { force_n, sigma_n }) = &mut contact.force {
-        *sigma_n = sigma_n.hypot(*force_n * built.load_variance(contact.centroid_m).sqrt());
     }
 }
 

@@ -98,8 +98,10 @@ fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
         .map(|place| {
             let mut mean = [0.0; 5];
             for (errors, _) in &drawn {
-                let [x, y, load, _, left] = errors[place];
-                let squares = [x * x, x * y, y * y, load * load, left];
+                let [x, y, load, radius, left] = errors[place];
+                // Opposite errors of load and radius cancel in the strength of a press.
+                let strength = load + 2.0 * radius;
+                let squares = [x * x, x * y, y * y, strength * strength, left];
                 mean.iter_mut().zip(squares).for_each(|(mean, square)| *mean += square / count);
             }
             mean

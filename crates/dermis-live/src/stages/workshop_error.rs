@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use dermis_estimate::BuiltVariance;
 use dermis_tomo::mesh::Point;
 use serde::{Deserialize, Serialize};
 
@@ -15,11 +16,12 @@ const MOST_MISFIT: f64 = 5.0;
 pub struct WorkshopError {
     pub(crate) places_m: Vec<Point>,
     pub(crate) spacing_m: f64,
-    /// Means of x^2, x y and y^2 (m^2), of the squared relative load, and of the unexplained share of the energy.
+    /// Means of x^2, x y and y^2 (m^2), of the squared relative strength (load times squared radius), and of the
+    /// unexplained share of the energy.
     pub(crate) squares: Vec<[f64; 5]>,
     /// Mean squared misfit of the members' baselines.
     pub(crate) misfit_2: f64,
-    /// Variance of the relative load due to the contact law.
+    /// Variance of the relative effect of a force, by the contact law.
     pub(crate) law: f64,
 }
 
@@ -44,9 +46,9 @@ impl BuiltError {
         [[xx, xy], [xy, yy]]
     }
 
-    /// Variance of the relative load.
-    pub fn load_variance(&self, place_m: Point) -> f64 {
-        self.scale * self.ensemble.at(place_m)[3] + self.ensemble.law
+    /// Variances at a press.
+    pub fn variance(&self, place_m: Point) -> BuiltVariance {
+        BuiltVariance { gain: self.scale * self.ensemble.at(place_m)[3], law: self.ensemble.law }
     }
 
     /// Share of the energy of a press that the nominal model leaves unexplained, on average over the skin.
@@ -63,7 +65,7 @@ impl WorkshopError {
         0.5 * (xx + yy)
     }
 
-    /// The same errors with a factor on the variances of position and load.
+    /// The same errors with a factor on the variances of position and strength.
     pub(crate) fn scaled(mut self, factor: f64) -> Self {
         self.squares.iter_mut().flat_map(|squares| &mut squares[..4]).for_each(|square| *square *= factor);
         self

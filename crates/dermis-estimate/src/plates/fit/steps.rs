@@ -7,12 +7,13 @@ use dermis_tomo::least_squares::{
 
 use super::{LOG_PRESSURE, LOG_RADIUS, PlateFit, State};
 use crate::evidence::Evidence;
+use crate::plates::force::PressDoubt;
 use crate::plates::model::LONGEST_LOG;
 use crate::plates::pressure::{OF_PRESS, Pressed};
-use crate::press::{Cost, Effort};
+use crate::press::{BuiltVariance, Cost, Effort};
 
 /// Initial damping. Frames determine pressure and radius together a thousand times better than either alone, so this
-/// stops fits early along that direction. [`super::Doubt::to_go`] remembers what is left of the way.
+/// stops fits early along that direction. [`PressDoubt::to_go`] remembers what is left of the way.
 const DAMPING: f64 = 1e-3;
 /// A fit has converged when no press moves by more than this share of its radius, and no logarithm changes by more
 /// than ten times this.
@@ -42,13 +43,22 @@ impl PlateFit {
         } else {
             way.linearise(&mut solver.equations).ok()?;
         }
+        let columns = way.columns;
         let cost = self.cost();
         let Scratch { equations, factor, step } = &mut solver;
         if !equations.solve_damped(0.0, factor, step) {
             step.fill(0.0);
         }
-        self.doubt.to_go.clear();
-        self.doubt.to_go.extend(step.chunks_exact(OF_PRESS).map(|step| [step[LOG_PRESSURE], step[LOG_RADIUS]]));
+        let explained: Vec<f64> = self.frame.iter().zip(&self.at.residual).map(|(frame, left)| frame - left).collect();
+        let inflation = Evidence::model_scale(&cost);
+        let doubt = |(step, columns): (&[f64], &[Vec<f64>])| PressDoubt {
+            inflation,
+            to_go: [LOG_PRESSURE, LOG_RADIUS].map(|parameter| step[parameter]),
+            by_gain: [LOG_PRESSURE, LOG_RADIUS].map(|parameter| inner_product(&columns[parameter], &explained)),
+            built: BuiltVariance::default(),
+        };
+        let parts = step.chunks_exact(OF_PRESS).zip(columns.chunks_exact(OF_PRESS));
+        self.doubt.of_presses = parts.map(doubt).collect();
         self.find_covariances(&mut solver, &cost);
         Some(cost)
     }
