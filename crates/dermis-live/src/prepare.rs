@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
-use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
+use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, Solution, diagnose_order};
 use dermis_tomo::inner_product;
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
 use dermis_tomo::mesh::{ElectrodedMesh, PixelGrid, PixelMap, Point, distance};
@@ -143,6 +143,17 @@ impl Prepared {
     /// Sheet conductance of every element at rest, siemens.
     pub(crate) fn conductances_s(&self) -> Vec<f64> {
         conductances_s(&self.skin, &self.body, self.built.as_deref())
+    }
+
+    /// Volts per relative change of each element's conductance: channels x elements.
+    ///
+    /// # Errors
+    /// A skin that cannot be solved.
+    pub(crate) fn element_sensitivities(&self) -> Result<Jacobian, Error> {
+        let sigma = self.conductances_s();
+        let (_, mut jacobian) = solved(&self.skin, &self.body, &self.protocol, &sigma, |solution| solution.jacobian())?;
+        times_columns(&mut jacobian, &sigma);
+        Ok(jacobian)
     }
 
     /// How the skin was built, if that is known.
@@ -299,24 +310,41 @@ fn electric_model(
 ) -> Result<(Vec<f64>, Jacobian), Error> {
     let conductance = skin.sheet_conductance_s();
     let sigma = conductances_s(skin, body, build);
-    let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
-    let solution = model.solve(&sigma)?;
-    let (voltages, mut jacobian) = match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
-        None => (solution.voltages(), solution.jacobian_to_pixels(map)),
-        Some(circuit) => {
-            let response = circuit.readout().response(&solution, conductance)?;
-            let effective = ForwardModel::new(body.mesh.clone(), response.effective)?;
-            (response.voltages, effective.solve(&sigma)?.jacobian_to_pixels(map))
-        }
-    };
+    let (voltages, mut jacobian) = solved(skin, body, protocol, &sigma, |solution| solution.jacobian_to_pixels(map))?;
     let local: Vec<f64> = match build {
         None => vec![conductance; jacobian.columns],
         Some(build) => map.inside_centres_m().iter().map(|at| conductance * build.conductivity(*at)).collect(),
     };
-    for row in jacobian.values.chunks_exact_mut(local.len().max(1)) {
-        row.iter_mut().zip(&local).for_each(|(value, local)| *value *= local);
-    }
+    times_columns(&mut jacobian, &local);
     Ok((voltages, jacobian))
+}
+
+/// Voltages at rest and sensitivities of a sheet with these conductances of its elements, with the readout circuit if
+/// it is known.
+fn solved(
+    skin: &Skin,
+    body: &SkinBody,
+    protocol: &Protocol,
+    sigma: &[f64],
+    sensitivities: impl Fn(&Solution<'_>) -> Jacobian,
+) -> Result<(Vec<f64>, Jacobian), Error> {
+    let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
+    let solution = model.solve(sigma)?;
+    Ok(match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
+        None => (solution.voltages(), sensitivities(&solution)),
+        Some(circuit) => {
+            let response = circuit.readout().response(&solution, skin.sheet_conductance_s())?;
+            let effective = ForwardModel::new(body.mesh.clone(), response.effective)?;
+            (response.voltages, sensitivities(&effective.solve(sigma)?))
+        }
+    })
+}
+
+/// Multiplies each column by a factor.
+fn times_columns(jacobian: &mut Jacobian, factors: &[f64]) {
+    for row in jacobian.values.chunks_exact_mut(factors.len().max(1)) {
+        row.iter_mut().zip(factors).for_each(|(value, factor)| *value *= factor);
+    }
 }
 
 /// A mesh of the sheet as drawn with its electrodes where they are as built, and the conductance of its elements,

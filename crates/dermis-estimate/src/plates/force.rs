@@ -246,6 +246,50 @@ mod tests {
     }
 
     #[test]
+    fn a_skin_that_is_not_as_drawn_makes_the_force_of_a_saturated_contact_uncertain() {
+        let conductance = Conductance::new(LAW);
+        let (deviation, error) = (1e-4_f64, 0.02);
+        let share = |press: Pressed, of_gain: bool| {
+            let (_, by_size) = conductance.reported(press.log_pressure, press.log_radius);
+            let column = |k: usize| [by_size[0][k], by_size[1][k]];
+            let precision = |j: usize, k: usize| {
+                let of_prior = if j == k { PRIOR.deviations[k].powi(-2) } else { 0.0 };
+                dot(column(j), column(k)) / deviation.powi(2) + of_prior
+            };
+            let covariance = inverse(&[0, 1].map(|j| [0, 1].map(|k| precision(j, k)))).unwrap();
+            let reported = [0, 1].map(|j| [0, 1].map(|k| dot(by_size[j], product(&covariance, by_size[k]))));
+            // Two channels that are the reported logarithms over their deviation. Only the load's is not zero, so another
+            // gain is another load.
+            let by_gain = [0, 1].map(|k| column(k)[0] / deviation.powi(2));
+            let [gain, law] = if of_gain { [error * error, 0.0] } else { [0.0, error * error] };
+            let doubt = PressDoubt { by_gain, built: BuiltVariance { gain, law }, ..PressDoubt::default() };
+            let alike = Alike::new(&conductance, &PRIOR, press, &reported, &doubt).unwrap();
+            let [force, sigma] = alike.force_n().unwrap();
+            sigma / force
+        };
+        for log_pressure in [10.2, 11.3, 12.0] {
+            let press = press(log_pressure, -4.8);
+            // The force along a change of the load alone.
+            let (_, by_size) = conductance.reported(press.log_pressure, press.log_radius);
+            let back = inverse(&by_size).unwrap();
+            let moved = |step: f64| {
+                let [of_pressure, of_radius] = [back[0][0], back[1][0]].map(|slope| step * slope);
+                conductance.force_n(&Pressed {
+                    log_pressure: press.log_pressure + of_pressure,
+                    log_radius: press.log_radius + of_radius,
+                    ..press
+                })
+            };
+            let steepness = (moved(1e-3) / moved(-1e-3)).ln() / 2e-3;
+            let expected = (steepness * error).hypot(FORCE_SHARE);
+            for of_gain in [false, true] {
+                let share = share(press, of_gain);
+                assert!((share / expected - 1.0).abs() < 0.1, "{log_pressure} {of_gain}: {share} {expected}");
+            }
+        }
+    }
+
+    #[test]
     fn without_frames_the_force_is_a_usual_one_within_the_prior() {
         // The radius is that of the prior's middle at every pressure, so the force follows the pressure: log-normal,
         // with its median at the middle.

@@ -28,21 +28,23 @@ struct Refined {
     fades: f64,
 }
 
-/// Liquids under a membrane, which spreads the load; in shares of half the shorter side.
-const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0045, within: 0.21, fades: 0.08 };
+/// Number of electrodes from which model errors grow, with the square of the number: electrodes that are close together
+/// see more of a touch's shape. On twins of six gels and foams with 20 to 32 electrodes, the error of sheets was 0.0016
+/// to 0.003 of half the shorter side up to three radii from the rim; on twins of three liquids with 32, it was 0.004 to
+/// 0.006 near the rim.
+const CLOSE_ELECTRODES: f64 = 16.0;
+/// Liquids under a membrane, which spreads the load; in shares of half the shorter side. The error at the rim is that
+/// of 16 electrodes.
+const MEMBRANE: Refined = Refined { everywhere: 0.0004, at_rim: 0.0014, within: 0.21, fades: 0.15 };
 /// Sandwiches, in shares of half the shorter side.
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
 /// Contacts with patches, in sizes of the elements for fits: 0.04 to 0.14 on twins of ten skins.
 const CONTACTS: f64 = 0.1;
 /// Smooth spots on patches, in pitches. A patch conducts as a whole, and the rim cuts some of them.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
-/// Sheets, in shares of half the shorter side, and near the rim in radii of the touch: fields are steep there, and a
-/// spot differs in shape from the indenter.
-const SHEET_EVERYWHERE: f64 = 0.001;
-/// Number of electrodes from which this error grows, with the square of the number: electrodes that are close together
-/// see more of a touch's shape. On twins of six gels and foams with 20 to 32 electrodes, it was 0.0016 to 0.003 up to
-/// three radii from the rim.
-const CLOSE_ELECTRODES: f64 = 16.0;
+/// Sheets with 16 electrodes, in radii of a fingertip, and near the rim in radii of the touch: fields are steep there,
+/// and a spot differs in shape from the indenter.
+const SHEET_EVERYWHERE: f64 = 0.006;
 const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.4, fades: 0.63 };
 /// A layer that spreads pressure over most of a touch makes it look like a spot. The error at the rim then falls
 /// linearly with the ratio of spread to radius, down to the least share of it. On twins of nine gels and foams, it fell
@@ -50,8 +52,8 @@ const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 
 const SHAPED: f64 = 2.4;
 const SPREAD: f64 = 1.2;
 const LEAST_SHAPED: f64 = 0.15;
-/// Open tanks, in the same units: the surface takes the shape of the indenter, whose edge differs from a spot's near
-/// the wall.
+/// Open tanks, in shares of half the shorter side, and near the wall in radii of the touch: the surface takes the shape
+/// of the indenter, whose edge differs from a spot's there.
 const TANK_EVERYWHERE: f64 = 0.0005;
 const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
 
@@ -116,12 +118,13 @@ impl ModelError {
         }
         let by_image = both(BY_IMAGE * half_width_m);
         let by_place = |refined: Refined, unit_m: f64| OfRefined::ByPlace(skin.outline(), refined.times(unit_m));
-        let by_radius = |of_radius: Refined, everywhere: f64, spread_m: f64| OfRefined::ByRadius {
+        let by_radius = |of_radius: Refined, everywhere_m: f64, spread_m: f64| OfRefined::ByRadius {
             outline: skin.outline(),
             of_radius,
-            everywhere_m2: (everywhere * half_width_m).powi(2),
+            everywhere_m2: everywhere_m.powi(2),
             spread_m,
         };
+        let close = (skin.electrode_shapes().len() as f64 / CLOSE_ELECTRODES).max(1.0).powi(2);
         let refined = match &skin.frontend.layer {
             Layer::Elements(_) => {
                 let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
@@ -132,12 +135,12 @@ impl ModelError {
             }
             _ if !skin.fits_touches() => return by_image,
             Layer::Sandwich(_) => by_place(SANDWICH.multiplied(coarseness(skin)), half_width_m),
-            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE, 0.0),
+            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE * half_width_m, 0.0),
             Layer::Sheet(layer) => {
-                let close = (skin.electrode_shapes().len() as f64 / CLOSE_ELECTRODES).max(1.0);
-                by_radius(SHEET_AT_RIM, SHEET_EVERYWHERE * close.powi(2), 1e-3 * layer.spread_mm())
+                let everywhere_m = SHEET_EVERYWHERE * close * skin.fingertip_m();
+                by_radius(SHEET_AT_RIM, everywhere_m, 1e-3 * layer.spread_mm())
             }
-            Layer::Liquid(_) => by_place(MEMBRANE, half_width_m),
+            Layer::Liquid(_) => by_place(Refined { at_rim: close * MEMBRANE.at_rim, ..MEMBRANE }, half_width_m),
             Layer::Patches(_) if fits_contacts(prepared) => OfRefined::Alike((CONTACTS * element_m(skin)).powi(2)),
             Layer::Patches(layer) => by_place(PATCHES, 1e-3 * layer.pitch_mm),
         };
@@ -200,8 +203,9 @@ mod tests {
         };
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
         // Half the shorter side is 87 mm. 4 mm from the rim is near it.
-        near(of("ionic-disc", 0.0, Some(4.0)), 0.0609);
-        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 0.7_f64.hypot(4.5));
+        let fading = (-(1.0_f64 - 0.21) / 0.15).exp();
+        near(of("ionic-disc", 0.0, Some(4.0)), 0.087 * 0.4_f64.hypot(1.4 * fading));
+        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 0.4_f64.hypot(1.4));
         near(of("ionic-disc", 0.0, None), 1.305);
         // A tank of 200 mm: near its wall, the error is proportional to the touch's radius.
         near(of("pyeidors-tank", 0.0, Some(5.0)), 0.05);

@@ -4,7 +4,7 @@ use dermis_skin::Layer;
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane as ThinMembrane, MembraneSpec};
-use dermis_tomo::mesh::Point;
+use dermis_tomo::mesh::{Mesh, Point};
 use faer::Mat;
 
 use crate::Error;
@@ -42,7 +42,7 @@ pub(crate) fn spot_model_under(
     let jacobian = prepared.jacobian.as_mat();
     let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
     let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
-    let response = membrane.map(|membrane| &pressed * &membrane.spread);
+    let response = membrane.map(|membrane| membrane.response(prepared)).transpose()?;
     let positions: Vec<Point> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
     let (half_width, pixel_m) = (prepared.half_width_m(), prepared.map.grid().pixel_m);
     let options = SpotOptions {
@@ -127,6 +127,8 @@ pub(crate) struct Membrane {
     /// spot in the middle makes 1 there. The liquid's weight narrows dents that are wider than `sqrt(T / rho |gz|)`,
     /// 78 mm for water under 60 N/m; the depth is only a scale factor.
     pub spread: Mat<f64>,
+    /// This unit over metres per pascal.
+    unit: f64,
     /// Pressure of a load of amplitude 1, pascal.
     pub pressure_pa: f64,
 }
@@ -137,37 +139,14 @@ impl Membrane {
     /// # Errors
     /// A membrane that cannot be solved.
     pub(crate) fn of(prepared: &Prepared) -> Result<Option<Self>, Error> {
+        let Some(mut membrane) = thin_membrane(prepared)? else { return Ok(None) };
         let Layer::Liquid(layer) = &prepared.skin.frontend.layer else { return Ok(None) };
-        if layer.tension_n_per_m <= 0.0 {
-            return Ok(None);
-        }
         let mesh = &prepared.body.mesh.mesh;
-        // Gravity along the skin changes the rest shape, not the response.
-        let spec = MembraneSpec {
-            tension_n_per_m: layer.tension_n_per_m,
-            density_kg_per_m3: layer.density_kg_per_m3,
-            gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
-        };
-        // A membrane too slack to hold the liquid beneath it must be held in some other way; ignore the weight, as only
-        // the shape of the response is needed.
-        let weightless = MembraneSpec { density_kg_per_m3: 0.0, ..spec };
-        let mut membrane = ThinMembrane::new(mesh, spec).or_else(|_| ThinMembrane::new(mesh, weightless))?;
         let pixels = prepared.map.inside_count();
-        let mut loads = vec![vec![0.0; mesh.nodes().len()]; pixels];
-        for (element, nodes) in mesh.elements().enumerate() {
-            for (pixel, share) in prepared.map.overlaps_of_element(element) {
-                let force = share * mesh.measures()[element] / nodes.len() as f64;
-                nodes.iter().for_each(|&node| loads[pixel][node as usize] += force);
-            }
-        }
         let mut spread = Mat::zeros(pixels, pixels);
-        for (column, load) in loads.iter().enumerate() {
+        for (column, load) in pixel_loads(prepared).iter().enumerate() {
             membrane.deflect(load);
-            let at = membrane.deflection_m();
-            let per_element: Vec<f64> = mesh
-                .elements()
-                .map(|nodes| nodes.iter().map(|&node| at[node as usize]).sum::<f64>() / nodes.len() as f64)
-                .collect();
+            let per_element = means(mesh, membrane.deflection_m());
             let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
             for (row, value) in prepared.map.to_inside(&per_element).map_err(named)?.into_iter().enumerate() {
                 spread[(row, column)] = value;
@@ -178,7 +157,94 @@ impl Membrane {
         let middle: Vec<f64> = prepared.basis.positions.iter().map(centre).collect();
         let shape = &spread * faer::ColRef::from_slice(&middle);
         let largest = shape.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        let pressure_pa = 1e-3 * layer.depth_mm / largest;
-        Ok(Some(Self { spread: faer::Scale(1.0 / largest) * spread, pressure_pa }))
+        let (unit, pressure_pa) = (1.0 / largest, 1e-3 * layer.depth_mm / largest);
+        Ok(Some(Self { spread: faer::Scale(unit) * spread, unit, pressure_pa }))
+    }
+
+    /// Change of the channels by a load on each pixel, in the direction of presses: channels x pixels, volts. Near the
+    /// rim, dents and sensitivities change so much within a pixel that their averages would misplace a press by up to
+    /// 1 % of half the shorter side. They are multiplied on the mesh. The membrane is self-adjoint, so its deflection
+    /// under the sensitivities of a channel gives all responses of that channel.
+    fn response(&self, prepared: &Prepared) -> Result<Mat<f64>, Error> {
+        let mut response = Mat::zeros(prepared.channels(), prepared.map.inside_count());
+        let Some(mut membrane) = thin_membrane(prepared)? else { return Ok(response) };
+        let (sensitivities, mesh) = (prepared.element_sensitivities()?, &prepared.body.mesh.mesh);
+        let unit = prepared.skin.imaging.polarity.sign() * self.unit;
+        let mut load = vec![0.0; mesh.nodes().len()];
+        for channel in 0..prepared.channels() {
+            load.fill(0.0);
+            for (nodes, volts) in mesh.elements().zip(sensitivities.row(channel)) {
+                nodes.iter().for_each(|&node| load[node as usize] += unit * volts / nodes.len() as f64);
+            }
+            membrane.deflect(&load);
+            for (element, mean) in means(mesh, membrane.deflection_m()).into_iter().enumerate() {
+                for (pixel, share) in prepared.map.overlaps_of_element(element) {
+                    response[(channel, pixel)] += share * mesh.measures()[element] * mean;
+                }
+            }
+        }
+        Ok(response)
+    }
+}
+
+/// The membrane of a skin on its mesh; `None` without one.
+fn thin_membrane(prepared: &Prepared) -> Result<Option<ThinMembrane>, Error> {
+    let Layer::Liquid(layer) = &prepared.skin.frontend.layer else { return Ok(None) };
+    if layer.tension_n_per_m <= 0.0 {
+        return Ok(None);
+    }
+    let mesh = &prepared.body.mesh.mesh;
+    // Gravity along the skin changes the rest shape, not the response.
+    let spec = MembraneSpec {
+        tension_n_per_m: layer.tension_n_per_m,
+        density_kg_per_m3: layer.density_kg_per_m3,
+        gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
+    };
+    // A membrane too slack to hold the liquid beneath it must be held in some other way; ignore the weight, as only the
+    // shape of the response is needed.
+    let weightless = MembraneSpec { density_kg_per_m3: 0.0, ..spec };
+    Ok(Some(ThinMembrane::new(mesh, spec).or_else(|_| ThinMembrane::new(mesh, weightless))?))
+}
+
+/// Nodal forces by a pressure of 1 on each inside pixel.
+fn pixel_loads(prepared: &Prepared) -> Vec<Vec<f64>> {
+    let mesh = &prepared.body.mesh.mesh;
+    let mut loads = vec![vec![0.0; mesh.nodes().len()]; prepared.map.inside_count()];
+    for (element, nodes) in mesh.elements().enumerate() {
+        for (pixel, share) in prepared.map.overlaps_of_element(element) {
+            let force = share * mesh.measures()[element] / nodes.len() as f64;
+            nodes.iter().for_each(|&node| loads[pixel][node as usize] += force);
+        }
+    }
+    loads
+}
+
+/// Mean of a nodal value over each element.
+fn means(mesh: &Mesh, of_nodes: &[f64]) -> Vec<f64> {
+    mesh.elements().map(|nodes| nodes.iter().map(|&n| of_nodes[n as usize]).sum::<f64>() / nodes.len() as f64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Skin;
+
+    #[test]
+    fn responses_to_loads_are_those_of_the_dents_that_they_make() {
+        let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
+        let membrane = Membrane::of(&prepared).unwrap().unwrap();
+        let response = membrane.response(&prepared).unwrap();
+        let sensitivities = prepared.element_sensitivities().unwrap();
+        let (mut thin, loads) = (thin_membrane(&prepared).unwrap().unwrap(), pixel_loads(&prepared));
+        let largest = (0..response.ncols()).map(|pixel| response.col(pixel).norm_max()).fold(0.0, f64::max);
+        for pixel in (0..loads.len()).step_by(97) {
+            thin.deflect(&loads[pixel]);
+            let dents = means(&prepared.body.mesh.mesh, thin.deflection_m());
+            for channel in (0..prepared.channels()).step_by(13) {
+                let volts: f64 = sensitivities.row(channel).iter().zip(&dents).map(|(volts, dent)| volts * dent).sum();
+                let volts = prepared.skin.imaging.polarity.sign() * membrane.unit * volts;
+                assert!((response[(channel, pixel)] - volts).abs() < 1e-9 * largest, "{channel} {pixel}");
+            }
+        }
     }
 }
