@@ -46,9 +46,9 @@ impl Press {
 /// Variances at one press because the skin is not as drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BuiltVariance {
-    /// Of the relative response to the press.
+    /// Of the relative response of the channels.
     pub gain: f64,
-    /// Of the relative effect of its force, by the contact law.
+    /// Of the relative change of the layer under a given pressure.
     pub law: f64,
 }
 

@@ -258,8 +258,8 @@ mod tests {
             };
             let covariance = inverse(&[0, 1].map(|j| [0, 1].map(|k| precision(j, k)))).unwrap();
             let reported = [0, 1].map(|j| [0, 1].map(|k| dot(by_size[j], product(&covariance, by_size[k]))));
-            // Two channels that are the reported logarithms over their deviation. Only the load's is not zero, so another
-            // gain is another load.
+            // Two channels that are the reported logarithms over their deviation. Only the load's is not zero, so that
+            // another gain is another load.
             let by_gain = [0, 1].map(|k| column(k)[0] / deviation.powi(2));
             let [gain, law] = if of_gain { [error * error, 0.0] } else { [0.0, error * error] };
             let doubt = PressDoubt { by_gain, built: BuiltVariance { gain, law }, ..PressDoubt::default() };

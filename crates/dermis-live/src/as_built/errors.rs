@@ -49,8 +49,8 @@ pub(crate) fn error_table(
     WorkshopError { places_m, spacing_m, squares, misfit_2: 1.0, law }
 }
 
-/// Variances of x^2, x y, y^2 (m^2) and of the relative strength that the changes make in a fit with these derivatives, and
-/// the share of the energy that remains.
+/// Variances of x^2, x y, y^2 (m^2) and of the relative strength that the changes make in a fit with these derivatives,
+/// and the share of the energy that remains.
 fn apparent(derivatives: &Mat<f64>, changes: &Mat<f64>) -> [f64; 5] {
     let channels = changes.nrows().max(1) as f64;
     let mut normal = derivatives.transpose() * derivatives;

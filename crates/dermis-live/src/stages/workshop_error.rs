@@ -21,7 +21,7 @@ pub struct WorkshopError {
     pub(crate) squares: Vec<[f64; 5]>,
     /// Mean squared misfit of the members' baselines.
     pub(crate) misfit_2: f64,
-    /// Variance of the relative effect of a force, by the contact law.
+    /// Variance of the relative change of the layer under a given pressure.
     pub(crate) law: f64,
 }
 
