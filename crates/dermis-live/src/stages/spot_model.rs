@@ -6,8 +6,10 @@ use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane as ThinMembrane, MembraneSpec};
 use dermis_tomo::mesh::{Mesh, Point};
 use faer::Mat;
+use rayon::prelude::*;
 
 use crate::Error;
+use crate::beside::in_parallel;
 use crate::prepare::Prepared;
 
 /// Largest number of presses fitted to one frame.
@@ -139,19 +141,16 @@ impl Membrane {
     /// # Errors
     /// A membrane that cannot be solved.
     pub(crate) fn of(prepared: &Prepared) -> Result<Option<Self>, Error> {
-        let Some(mut membrane) = thin_membrane(prepared)? else { return Ok(None) };
         let Layer::Liquid(layer) = &prepared.skin.frontend.layer else { return Ok(None) };
         let mesh = &prepared.body.mesh.mesh;
-        let pixels = prepared.map.inside_count();
-        let mut spread = Mat::zeros(pixels, pixels);
-        for (column, load) in pixel_loads(prepared).iter().enumerate() {
-            membrane.deflect(load);
-            let per_element = means(mesh, membrane.deflection_m());
+        let dents = under_each(prepared, &pixel_loads(prepared), |deflection_m| {
             let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
-            for (row, value) in prepared.map.to_inside(&per_element).map_err(named)?.into_iter().enumerate() {
-                spread[(row, column)] = value;
-            }
+            prepared.map.to_inside(&means(mesh, deflection_m)).map_err(named)
+        })?;
+        if dents.is_empty() {
+            return Ok(None);
         }
+        let spread = Mat::from_fn(dents.len(), dents.len(), |row, column| dents[column][row]);
         let radius = TYPICAL_RADIUS * prepared.half_width_m();
         let centre = |p: &[f64; 3]| (-(p[0] * p[0] + p[1] * p[1]) / (2.0 * radius * radius)).exp();
         let middle: Vec<f64> = prepared.basis.positions.iter().map(centre).collect();
@@ -166,25 +165,49 @@ impl Membrane {
     /// 1 % of half the shorter side. They are multiplied on the mesh. The membrane is self-adjoint, so its deflection
     /// under the sensitivities of a channel gives all responses of that channel.
     fn response(&self, prepared: &Prepared) -> Result<Mat<f64>, Error> {
-        let mut response = Mat::zeros(prepared.channels(), prepared.map.inside_count());
-        let Some(mut membrane) = thin_membrane(prepared)? else { return Ok(response) };
         let (sensitivities, mesh) = (prepared.element_sensitivities()?, &prepared.body.mesh.mesh);
         let unit = prepared.skin.imaging.polarity.sign() * self.unit;
-        let mut load = vec![0.0; mesh.nodes().len()];
-        for channel in 0..prepared.channels() {
-            load.fill(0.0);
+        let load_of = |channel: usize| {
+            let mut load = vec![0.0; mesh.nodes().len()];
             for (nodes, volts) in mesh.elements().zip(sensitivities.row(channel)) {
                 nodes.iter().for_each(|&node| load[node as usize] += unit * volts / nodes.len() as f64);
             }
-            membrane.deflect(&load);
-            for (element, mean) in means(mesh, membrane.deflection_m()).into_iter().enumerate() {
+            load
+        };
+        let loads: Vec<Vec<f64>> = (0..prepared.channels()).map(load_of).collect();
+        let rows = under_each(prepared, &loads, |deflection_m| {
+            let mut row = vec![0.0; prepared.map.inside_count()];
+            for (element, mean) in means(mesh, deflection_m).into_iter().enumerate() {
                 for (pixel, share) in prepared.map.overlaps_of_element(element) {
-                    response[(channel, pixel)] += share * mesh.measures()[element] * mean;
+                    row[pixel] += share * mesh.measures()[element] * mean;
                 }
             }
-        }
-        Ok(response)
+            Ok(row)
+        })?;
+        Ok(Mat::from_fn(rows.len(), prepared.map.inside_count(), |channel, pixel| rows[channel][pixel]))
     }
+}
+
+/// What the membrane's deflection under each of these nodal loads comes to, in parallel. Empty without a membrane.
+fn under_each<T: Send>(
+    prepared: &Prepared,
+    loads: &[Vec<f64>],
+    of: impl Fn(&[f64]) -> Result<T, Error> + Send + Sync,
+) -> Result<Vec<T>, Error> {
+    let of_some = |loads: &[Vec<f64>]| {
+        let Some(mut membrane) = thin_membrane(prepared)? else { return Ok(Vec::new()) };
+        let under = |load: &Vec<f64>| {
+            membrane.deflect(load);
+            of(membrane.deflection_m())
+        };
+        loads.iter().map(under).collect()
+    };
+    // Each thread factors a membrane of its own.
+    let parts: Result<Vec<Vec<T>>, Error> = in_parallel(|| {
+        let count = loads.len().div_ceil(rayon::current_num_threads()).max(1);
+        loads.par_chunks(count).map(of_some).collect()
+    });
+    Ok(parts?.into_iter().flatten().collect())
 }
 
 /// The membrane of a skin on its mesh; `None` without one.
