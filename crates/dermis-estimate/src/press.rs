@@ -43,12 +43,12 @@ impl Press {
     }
 }
 
-/// Variances at one press because the skin is not as drawn.
+/// Errors at one press of a skin that is not as drawn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BuiltVariance {
-    /// Of the relative response of the channels.
+    /// Variance of the channels' relative response.
     pub gain: f64,
-    /// Of the relative change of the layer under a given pressure.
+    /// Variance of the layer's relative change under a given pressure.
     pub law: f64,
 }
 

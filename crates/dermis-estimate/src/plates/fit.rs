@@ -63,12 +63,15 @@ pub struct PlateFit {
 struct Doubt {
     /// Factor on all variances by what the fit has left.
     left_scale: f64,
+    /// Factor on the variances of forces by errors of the model. Radius and pressure of an indenter have nearly the
+    /// same effect on the channels, so these errors weigh more on a force than on a position.
+    inflation: f64,
     of_presses: Vec<PressDoubt>,
 }
 
 impl Default for Doubt {
     fn default() -> Self {
-        Self { left_scale: 1.0, of_presses: Vec::new() }
+        Self { left_scale: 1.0, inflation: 1.0, of_presses: Vec::new() }
     }
 }
 
@@ -150,22 +153,24 @@ impl PlateFit {
         Some(State { effort, presses, contacts, change, residual })
     }
 
-    /// Force of a press and its standard deviation, newtons, with this prior. `left_scale` is that of its fit. `None`
-    /// for a press that has ended.
+    /// Force of a press and its standard deviation, newtons, with this prior. `doubt` is that of its fit, `of_press` its
+    /// own part. `None` for a press that has ended.
     fn force_n(
         &self,
         press: &Press,
         pressed: Pressed,
         prior: &SizePrior,
-        left_scale: f64,
-        doubt: &PressDoubt,
+        (doubt, of_press): (&Doubt, PressDoubt),
+        built: BuiltVariance,
     ) -> Option<[f64; 2]> {
         // Covariance of the logarithms of load and radius, without what the fit has left.
         let by = [press.load.recip(), 1.0];
-        let covariance = [0, 1].map(|j| [0, 1].map(|k| by[j] * by[k] * press.covariance[2 + j][2 + k] / left_scale));
-        let alike = Alike::new(self.model.conductance(), prior, pressed, &covariance, doubt)?;
+        let covariance =
+            [0, 1].map(|j| [0, 1].map(|k| by[j] * by[k] * press.covariance[2 + j][2 + k] / doubt.left_scale));
+        let conductance = self.model.conductance();
+        let alike = Alike::new(conductance, prior, pressed, &covariance, doubt.inflation, of_press, built)?;
         // The law's pressures and its conductances are unknown independently.
-        let widened = |[force_n, sigma_n]: [f64; 2]| [force_n, sigma_n.hypot(force_n * doubt.built.law.sqrt())];
+        let widened = |[force_n, sigma_n]: [f64; 2]| [force_n, sigma_n.hypot(force_n * built.law.sqrt())];
         if pressed.has_ended { None } else { alike.force_n().map(widened) }
     }
 
@@ -192,7 +197,7 @@ impl PlateFit {
         let n = OF_PRESS * self.at.presses.len();
         let Scratch { equations, factor, step } = solver;
         let scale = Evidence::left_scale(cost);
-        self.doubt.left_scale = scale;
+        (self.doubt.left_scale, self.doubt.inflation) = (scale, Evidence::model_scale(cost));
         self.covariances.clear();
         self.covariances.resize(self.at.presses.len(), [[f64::INFINITY; OF_PRESS]; OF_PRESS]);
         for column in 0..n {
@@ -444,14 +449,11 @@ impl PressFit for PlateFit {
                 Some((fitted, place)) => conductance.contact_radius_m(&fitted.presses[place]),
                 None => conductance.contact_radius_m(&self.model.pressed(press)),
             };
-            let (pressed, left_scale, doubt) = match self.fit_of(refitted) {
-                Some((Fitted { presses, doubt, .. }, place)) => {
-                    (presses[place], doubt.left_scale, doubt.of_presses[place])
-                }
-                None => (self.model.pressed(refitted), self.doubt.left_scale, PressDoubt::default()),
+            let (pressed, doubt) = match self.fit_of(refitted) {
+                Some((Fitted { presses, doubt, .. }, place)) => (presses[place], (doubt, doubt.of_presses[place])),
+                None => (self.model.pressed(refitted), (&self.doubt, PressDoubt::default())),
             };
-            let doubt = PressDoubt { built: *built, ..doubt };
-            Footprint { radius_m, force_n: self.force_n(refitted, pressed, prior, left_scale, &doubt) }
+            Footprint { radius_m, force_n: self.force_n(refitted, pressed, prior, doubt, *built) }
         };
         presses.iter().zip(&refitted).zip(built).map(footprint).collect()
     }

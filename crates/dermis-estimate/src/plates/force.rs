@@ -49,24 +49,13 @@ fn definite([[a, b], [_, c]]: Square) -> Square {
     [[a, b], [b, c]]
 }
 
-/// What a fit says of a press besides its covariance.
-#[derive(Clone, Copy, Debug)]
+/// Uncertainties of one press besides its covariance.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PressDoubt {
-    /// Factor on all variances by errors of the model. Radius and pressure of an indenter have nearly the same effect
-    /// on the channels, so these errors weigh more on a force than on a position.
-    pub inflation: f64,
     /// Changes of the logarithms of pressure and radius by the step that would come next.
     pub to_go: [f64; 2],
     /// Products of the whitened change of the channels with its derivatives by these logarithms.
     pub by_gain: [f64; 2],
-    /// Errors of a skin that is not as drawn.
-    pub built: BuiltVariance,
-}
-
-impl Default for PressDoubt {
-    fn default() -> Self {
-        Self { inflation: 1.0, to_go: [0.0; 2], by_gain: [0.0; 2], built: BuiltVariance::default() }
-    }
 }
 
 /// The presses that look like a fitted one, with their probability: the likelihood is normal in the logarithms of the
@@ -85,15 +74,16 @@ pub(super) struct Alike<'a> {
 
 impl<'a> Alike<'a> {
     /// The presses that look like a fitted one, given the covariance of its reported logarithms by noise and prior.
-    /// `None` without a covariance.
+    /// Errors of the model count as noise of `inflation` times the variance. `None` without a covariance.
     pub fn new(
         conductance: &'a Conductance,
         prior: &'a SizePrior,
         fitted: Pressed,
         covariance: &Square,
-        doubt: &PressDoubt,
+        inflation: f64,
+        PressDoubt { to_go, by_gain }: PressDoubt,
+        built: BuiltVariance,
     ) -> Option<Self> {
-        let &PressDoubt { inflation, to_go, by_gain, built } = doubt;
         let (reported, by_size) = conductance.reported(fitted.log_pressure, fitted.log_radius);
         let (all, back) = (inverse(covariance)?, inverse(&by_size)?);
         // The covariance, and the slope that follows from it and the step to go, include the prior.
@@ -212,10 +202,11 @@ mod tests {
 
     const LAW: PlateLaw =
         PlateLaw { threshold_pa: 3e3, reference_pa: 6e4, exponent: 1.5, saturation_s_per_m2: 1500.0, spread_m: 1.5e-3 };
+    const AS_DRAWN: BuiltVariance = BuiltVariance { gain: 0.0, law: 0.0 };
     const PRIOR: SizePrior = SizePrior { middle: [11.3, -4.8], deviations: [1.0, 0.35] };
 
     /// The force if frames determine the reported logarithms with these deviations, and the prior is in it.
-    fn force_n(press: Pressed, deviations: [f64; 2], to_go: [f64; 2]) -> [f64; 2] {
+    fn force_n(press: Pressed, deviations: [f64; 2], doubt: PressDoubt, built: BuiltVariance) -> [f64; 2] {
         let conductance = Conductance::new(LAW);
         let (_, by_size) = conductance.reported(press.log_pressure, press.log_radius);
         let column = |k: usize| [by_size[0][k], by_size[1][k]];
@@ -225,8 +216,7 @@ mod tests {
         };
         let covariance = inverse(&[0, 1].map(|j| [0, 1].map(|k| precision(j, k)))).unwrap();
         let reported = [0, 1].map(|j| [0, 1].map(|k| dot(by_size[j], product(&covariance, by_size[k]))));
-        let doubt = PressDoubt { to_go, ..PressDoubt::default() };
-        Alike::new(&conductance, &PRIOR, press, &reported, &doubt).unwrap().force_n().unwrap()
+        Alike::new(&conductance, &PRIOR, press, &reported, 1.0, doubt, built).unwrap().force_n().unwrap()
     }
 
     fn press(log_pressure: f64, log_radius: f64) -> Pressed {
@@ -238,7 +228,7 @@ mod tests {
         let conductance = Conductance::new(LAW);
         for (log_pressure, log_radius) in [(10.2, -4.6), (11.3, -4.8), (11.0, -5.4)] {
             let press = press(log_pressure, log_radius);
-            let [force, sigma] = force_n(press, [1e-4, 1e-4], [0.0; 2]);
+            let [force, sigma] = force_n(press, [1e-4, 1e-4], PressDoubt::default(), AS_DRAWN);
             let exact = conductance.force_n(&press);
             assert!((force / exact - 1.0).abs() < 0.01, "{force} {exact}");
             assert!((sigma / force - FORCE_SHARE).abs() < 0.01, "{sigma} {force}");
@@ -249,24 +239,6 @@ mod tests {
     fn a_skin_that_is_not_as_drawn_makes_the_force_of_a_saturated_contact_uncertain() {
         let conductance = Conductance::new(LAW);
         let (deviation, error) = (1e-4_f64, 0.02);
-        let share = |press: Pressed, of_gain: bool| {
-            let (_, by_size) = conductance.reported(press.log_pressure, press.log_radius);
-            let column = |k: usize| [by_size[0][k], by_size[1][k]];
-            let precision = |j: usize, k: usize| {
-                let of_prior = if j == k { PRIOR.deviations[k].powi(-2) } else { 0.0 };
-                dot(column(j), column(k)) / deviation.powi(2) + of_prior
-            };
-            let covariance = inverse(&[0, 1].map(|j| [0, 1].map(|k| precision(j, k)))).unwrap();
-            let reported = [0, 1].map(|j| [0, 1].map(|k| dot(by_size[j], product(&covariance, by_size[k]))));
-            // Two channels that are the reported logarithms over their deviation. Only the load's is not zero, so that
-            // another gain is another load.
-            let by_gain = [0, 1].map(|k| column(k)[0] / deviation.powi(2));
-            let [gain, law] = if of_gain { [error * error, 0.0] } else { [0.0, error * error] };
-            let doubt = PressDoubt { by_gain, built: BuiltVariance { gain, law }, ..PressDoubt::default() };
-            let alike = Alike::new(&conductance, &PRIOR, press, &reported, &doubt).unwrap();
-            let [force, sigma] = alike.force_n().unwrap();
-            sigma / force
-        };
         for log_pressure in [10.2, 11.3, 12.0] {
             let press = press(log_pressure, -4.8);
             // The force along a change of the load alone.
@@ -282,9 +254,14 @@ mod tests {
             };
             let steepness = (moved(1e-3) / moved(-1e-3)).ln() / 2e-3;
             let expected = (steepness * error).hypot(FORCE_SHARE);
-            for of_gain in [false, true] {
-                let share = share(press, of_gain);
-                assert!((share / expected - 1.0).abs() < 0.1, "{log_pressure} {of_gain}: {share} {expected}");
+            // Two channels that are the reported logarithms over their deviation. Only the load's is not zero, so that
+            // another gain is another load.
+            let by_gain = [0, 1].map(|k| by_size[0][k] / deviation.powi(2));
+            let doubt = PressDoubt { by_gain, ..PressDoubt::default() };
+            for [gain, law] in [[error * error, 0.0], [0.0, error * error]] {
+                let [force, sigma] = force_n(press, [deviation; 2], doubt, BuiltVariance { gain, law });
+                let share = sigma / force;
+                assert!((share / expected - 1.0).abs() < 0.1, "{log_pressure} {gain} {law}: {share} {expected}");
             }
         }
     }
@@ -297,7 +274,8 @@ mod tests {
         let exact = Conductance::new(LAW).force_n(&usual);
         // From elsewhere too, if the step that is left leads to the middle.
         for (fitted, to_go) in [(usual, [0.0; 2]), (press(10.5, -4.7), [0.8, -0.1])] {
-            let [force, sigma] = force_n(fitted, [1e3, 1e3], to_go);
+            let doubt = PressDoubt { to_go, ..PressDoubt::default() };
+            let [force, sigma] = force_n(fitted, [1e3, 1e3], doubt, AS_DRAWN);
             assert!((force / exact - 1.0).abs() < 0.05, "{force} {exact}");
             // The root mean square of exp(z) - 1 for a normal z of deviation 1 is 2.26; the last 0.1 % are cut off.
             assert!((1.5..2.3).contains(&(sigma / force)), "{sigma} {force}");
@@ -307,7 +285,7 @@ mod tests {
     #[test]
     fn a_saturated_contact_leaves_the_force_open() {
         let [light, hard] = [10.2, 12.4].map(|log_pressure| {
-            let [force, sigma] = force_n(press(log_pressure, -4.8), [0.05, 0.01], [0.0; 2]);
+            let [force, sigma] = force_n(press(log_pressure, -4.8), [0.05, 0.01], PressDoubt::default(), AS_DRAWN);
             sigma / force
         });
         assert!(light < 0.15 && hard > 2.0 * light, "{light} {hard}");

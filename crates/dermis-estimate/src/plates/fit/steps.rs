@@ -10,7 +10,7 @@ use crate::evidence::Evidence;
 use crate::plates::force::PressDoubt;
 use crate::plates::model::LONGEST_LOG;
 use crate::plates::pressure::{OF_PRESS, Pressed};
-use crate::press::{BuiltVariance, Cost, Effort};
+use crate::press::{Cost, Effort};
 
 /// Initial damping. Frames determine pressure and radius together a thousand times better than either alone, so this
 /// stops fits early along that direction. [`PressDoubt::to_go`] remembers what is left of the way.
@@ -50,12 +50,9 @@ impl PlateFit {
             step.fill(0.0);
         }
         let explained: Vec<f64> = self.frame.iter().zip(&self.at.residual).map(|(frame, left)| frame - left).collect();
-        let inflation = Evidence::model_scale(&cost);
         let doubt = |(step, columns): (&[f64], &[Vec<f64>])| PressDoubt {
-            inflation,
             to_go: [LOG_PRESSURE, LOG_RADIUS].map(|parameter| step[parameter]),
             by_gain: [LOG_PRESSURE, LOG_RADIUS].map(|parameter| inner_product(&columns[parameter], &explained)),
-            built: BuiltVariance::default(),
         };
         let parts = step.chunks_exact(OF_PRESS).zip(columns.chunks_exact(OF_PRESS));
         self.doubt.of_presses = parts.map(doubt).collect();
