@@ -52,8 +52,8 @@ const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 
 const SHAPED: f64 = 2.4;
 const SPREAD: f64 = 1.2;
 const LEAST_SHAPED: f64 = 0.15;
-/// Open tanks, in shares of half the shorter side, and near the wall in radii of the touch: the surface takes the shape
-/// of the indenter, whose edge differs from a spot's there.
+/// Open tanks, in shares of half the shorter side, and near the wall in radii of the touch. The surface takes the shape
+/// of the indenter, which has a sharper edge than a spot.
 const TANK_EVERYWHERE: f64 = 0.0005;
 const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
 

@@ -131,6 +131,7 @@ pub(crate) struct Membrane {
     pub spread: Mat<f64>,
     /// This unit over metres per pascal.
     unit: f64,
+    spec: MembraneSpec,
     /// Pressure of a load of amplitude 1, pascal.
     pub pressure_pa: f64,
 }
@@ -142,28 +143,36 @@ impl Membrane {
     /// A membrane that cannot be solved.
     pub(crate) fn of(prepared: &Prepared) -> Result<Option<Self>, Error> {
         let Layer::Liquid(layer) = &prepared.skin.frontend.layer else { return Ok(None) };
-        let mesh = &prepared.body.mesh.mesh;
-        let dents = under_each(prepared, &pixel_loads(prepared), |deflection_m| {
-            let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
-            prepared.map.to_inside(&means(mesh, deflection_m)).map_err(named)
-        })?;
-        if dents.is_empty() {
+        if layer.tension_n_per_m <= 0.0 {
             return Ok(None);
         }
-        let spread = Mat::from_fn(dents.len(), dents.len(), |row, column| dents[column][row]);
+        // Gravity along the skin changes the rest shape, not the response.
+        let spec = MembraneSpec {
+            tension_n_per_m: layer.tension_n_per_m,
+            density_kg_per_m3: layer.density_kg_per_m3,
+            gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
+        };
+        let mesh = &prepared.body.mesh.mesh;
+        let spread = {
+            let dents = under_each(mesh, spec, &pixel_loads(prepared), |deflection_m| {
+                let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
+                prepared.map.to_inside(&means(mesh, deflection_m)).map_err(named)
+            })?;
+            Mat::from_fn(dents.len(), dents.len(), |row, column| dents[column][row])
+        };
         let radius = TYPICAL_RADIUS * prepared.half_width_m();
         let centre = |p: &[f64; 3]| (-(p[0] * p[0] + p[1] * p[1]) / (2.0 * radius * radius)).exp();
         let middle: Vec<f64> = prepared.basis.positions.iter().map(centre).collect();
         let shape = &spread * faer::ColRef::from_slice(&middle);
         let largest = shape.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         let (unit, pressure_pa) = (1.0 / largest, 1e-3 * layer.depth_mm / largest);
-        Ok(Some(Self { spread: faer::Scale(unit) * spread, unit, pressure_pa }))
+        Ok(Some(Self { spread: faer::Scale(unit) * spread, unit, spec, pressure_pa }))
     }
 
-    /// Change of the channels by a load on each pixel, in the direction of presses: channels x pixels, volts. Near the
-    /// rim, dents and sensitivities change so much within a pixel that their averages would misplace a press by up to
-    /// 1 % of half the shorter side. They are multiplied on the mesh. The membrane is self-adjoint, so its deflection
-    /// under the sensitivities of a channel gives all responses of that channel.
+    /// Change of the channels by a load on each pixel, in the direction of presses: channels x pixels, volts. Dents and
+    /// sensitivities are multiplied on the mesh. Both vary within a pixel near the rim: the product of their averages
+    /// misplaces presses by up to 1 % of half the shorter side. The membrane is self-adjoint, so its deflection under
+    /// the sensitivities of a channel gives all responses of that channel.
     fn response(&self, prepared: &Prepared) -> Result<Mat<f64>, Error> {
         let (sensitivities, mesh) = (prepared.element_sensitivities()?, &prepared.body.mesh.mesh);
         let unit = prepared.skin.imaging.polarity.sign() * self.unit;
@@ -175,7 +184,7 @@ impl Membrane {
             load
         };
         let loads: Vec<Vec<f64>> = (0..prepared.channels()).map(load_of).collect();
-        let rows = under_each(prepared, &loads, |deflection_m| {
+        let rows = under_each(mesh, self.spec, &loads, |deflection_m| {
             let mut row = vec![0.0; prepared.map.inside_count()];
             for (element, mean) in means(mesh, deflection_m).into_iter().enumerate() {
                 for (pixel, share) in prepared.map.overlaps_of_element(element) {
@@ -188,14 +197,15 @@ impl Membrane {
     }
 }
 
-/// What the membrane's deflection under each of these nodal loads comes to, in parallel. Empty without a membrane.
+/// Deflects a membrane by each of these nodal loads, in parallel, and evaluates every deflection.
 fn under_each<T: Send>(
-    prepared: &Prepared,
+    mesh: &Mesh,
+    spec: MembraneSpec,
     loads: &[Vec<f64>],
     of: impl Fn(&[f64]) -> Result<T, Error> + Send + Sync,
 ) -> Result<Vec<T>, Error> {
     let of_some = |loads: &[Vec<f64>]| {
-        let Some(mut membrane) = thin_membrane(prepared)? else { return Ok(Vec::new()) };
+        let mut membrane = factored(mesh, spec)?;
         let under = |load: &Vec<f64>| {
             membrane.deflect(load);
             of(membrane.deflection_m())
@@ -210,23 +220,11 @@ fn under_each<T: Send>(
     Ok(parts?.into_iter().flatten().collect())
 }
 
-/// The membrane of a skin on its mesh; `None` without one.
-fn thin_membrane(prepared: &Prepared) -> Result<Option<ThinMembrane>, Error> {
-    let Layer::Liquid(layer) = &prepared.skin.frontend.layer else { return Ok(None) };
-    if layer.tension_n_per_m <= 0.0 {
-        return Ok(None);
-    }
-    let mesh = &prepared.body.mesh.mesh;
-    // Gravity along the skin changes the rest shape, not the response.
-    let spec = MembraneSpec {
-        tension_n_per_m: layer.tension_n_per_m,
-        density_kg_per_m3: layer.density_kg_per_m3,
-        gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
-    };
-    // A membrane too slack to hold the liquid beneath it must be held in some other way; ignore the weight, as only the
-    // shape of the response is needed.
+/// A membrane, or one without its liquid's weight if it is too slack to hold that. It must then be held in some other
+/// way, and only the shape of its response is needed.
+fn factored(mesh: &Mesh, spec: MembraneSpec) -> Result<ThinMembrane, Error> {
     let weightless = MembraneSpec { density_kg_per_m3: 0.0, ..spec };
-    Ok(Some(ThinMembrane::new(mesh, spec).or_else(|_| ThinMembrane::new(mesh, weightless))?))
+    Ok(ThinMembrane::new(mesh, spec).or_else(|_| ThinMembrane::new(mesh, weightless))?)
 }
 
 /// Nodal forces by a pressure of 1 on each inside pixel.
@@ -258,11 +256,12 @@ mod tests {
         let membrane = Membrane::of(&prepared).unwrap().unwrap();
         let response = membrane.response(&prepared).unwrap();
         let sensitivities = prepared.element_sensitivities().unwrap();
-        let (mut thin, loads) = (thin_membrane(&prepared).unwrap().unwrap(), pixel_loads(&prepared));
+        let mesh = &prepared.body.mesh.mesh;
+        let (mut thin, loads) = (factored(mesh, membrane.spec).unwrap(), pixel_loads(&prepared));
         let largest = (0..response.ncols()).map(|pixel| response.col(pixel).norm_max()).fold(0.0, f64::max);
         for pixel in (0..loads.len()).step_by(97) {
             thin.deflect(&loads[pixel]);
-            let dents = means(&prepared.body.mesh.mesh, thin.deflection_m());
+            let dents = means(mesh, thin.deflection_m());
             for channel in (0..prepared.channels()).step_by(13) {
                 let volts: f64 = sensitivities.row(channel).iter().zip(&dents).map(|(volts, dent)| volts * dent).sum();
                 let volts = prepared.skin.imaging.polarity.sign() * membrane.unit * volts;

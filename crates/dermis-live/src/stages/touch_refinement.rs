@@ -174,8 +174,7 @@ impl SpotStage {
         self.estimator.set_fit(fit);
         self.explained_part.0.clear();
         self.ended.presses.clear();
-        let built = self.built.take();
-        self.set_built(built);
+        self.set_built(self.built.clone());
     }
 
     /// The part of the last frame explained by the presses reported (model volts); `None` without any.

@@ -376,12 +376,15 @@ fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
         .map(|(ring, angle)| [ring * angle.cos(), ring * angle.sin()])
         .collect();
     let mut presses = Presses::new("ionic-disc", &places, &[0.255, 0.57], 30);
+    let intact = mean(&presses.errors_mm(&[]));
+    assert!(intact <= 0.17, "{intact:.2} mm");
     for electrode in 0..16 {
         let errors = presses.errors_mm(&[electrode, (electrode + 2) % 16]);
         // Intact 0.15 mm; without channels at most 0.58, because dents are then fitted with the linear model. If the
         // image's peak is far off, the fit that explains the frame decides.
         let error = mean(&errors);
-        assert!(error <= 0.65, "without {electrode} and the next but one: {error:.2} mm");
+        // 3.5 times the largest error of the intact skin.
+        assert!(error <= 3.5 * 0.17, "without {electrode} and the next but one: {error:.2} mm");
         let largest = errors.iter().copied().fold(0.0, f64::max);
         assert!(largest < 9.0, "without {electrode} and the next but one: {largest:.1} mm off");
     }
