@@ -1,5 +1,6 @@
 //! Decides how many presses explain a frame.
 
+mod kept;
 mod memory;
 mod pause;
 mod proposals;
@@ -203,6 +204,9 @@ impl Estimator {
             // Further steps would have changed little.
             self.work.left = None;
         }
+        if best.presses.len() != last.len() {
+            best = self.kept(&best.presses).unwrap_or(best);
+        }
         self.memory.left = best.cost.residual;
         // Contacts with a plate saturate: no press is too hard for the model.
         if best.presses.is_empty() && !null.is_noise() && !self.fit.is_joint() {
@@ -232,6 +236,9 @@ impl Estimator {
         if last.is_empty() {
             return None;
         }
+        if let Some(kept) = self.kept(last) {
+            return Some(self.without_superfluous(kept, null));
+        }
         let has_moved = self.fit.left_by(last).is_some_and(|cost| self.is_worse(&cost));
         let moved = if has_moved {
             self.fit.linearise_about(last);
@@ -251,7 +258,8 @@ impl Estimator {
     fn have_gone(&mut self, last: &[Press], null: &Cost) -> bool {
         let little = PROMISING * self.evidence.hold.powi(2);
         let is_little = |cost: Cost| null.residual - cost.residual < little;
-        null.is_noise() && self.fit.fit_loads(last).is_some_and(is_little)
+        let is_little = null.is_noise() && self.fit.fit_loads(last).is_some_and(is_little);
+        is_little && !self.fit.presses().iter().any(|press| self.is_still_there(press))
     }
 
     /// True if this leaves clearly more than the last frame's explanation did.
@@ -325,7 +333,8 @@ impl Estimator {
     /// is vague even where their positions are definite.
     fn is_placed(&self, press: &Press, count: usize) -> bool {
         let is_strong = || self.fit.is_joint() || press.significance() >= LEAST_SIGNIFICANT;
-        press.place_sigma_m() <= MOST_SIGMA * self.fit.typical_radius_m() && (count == 1 || is_strong())
+        let is_definite = press.place_sigma_m() <= MOST_SIGMA * self.fit.typical_radius_m();
+        (is_definite || self.is_kept(press)) && (count == 1 || is_strong())
     }
 
     /// Significance of a press in an explanation, in standard deviations. For one press among several it comes from

@@ -144,6 +144,16 @@ pub trait PressFit: std::fmt::Debug + Send + Sync {
     /// Fits only the loads of presses, at fixed positions and radii.
     fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost>;
 
+    /// Fits presses with the full model, some of them at fixed positions and radii. Covariances are those without fixed
+    /// parameters. Also returns the amount by which a further step of all parameters would lower the residual.
+    fn fit_fixed(&mut self, starts: &[Press], fixed: &[bool]) -> Option<(Cost, f64)>;
+
+    /// Ratio of responses to presses in the last full fit to those on an unchanged skin: a sheet that has warmed up
+    /// conducts better, and the same press then changes its voltages less.
+    fn gain(&self) -> f64 {
+        1.0
+    }
+
     /// True if [`Effort::Quick`] and [`Effort::Full`] differ.
     fn has_quick_fit(&self) -> bool;
 

@@ -13,6 +13,10 @@ pub struct SpotFit {
     scratch: FitScratch,
     starts: Vec<Spot>,
     uniform: f64,
+    /// Relative change of the channels per uniform change of the skin, and the uniform change found by the last full
+    /// fit.
+    gain_of_uniform: f64,
+    last_uniform: f64,
     own_error_share: f64,
     error_share: f64,
     grid: PixelGrid,
@@ -21,13 +25,27 @@ pub struct SpotFit {
 
 impl SpotFit {
     /// A fit with this model, on the pixels of a grid (row by row) that are on the skin. `error_share` is the share
-    /// of the energy that the model leaves unexplained in a frame with typical presses.
-    pub fn new(model: SpotModel, grid: PixelGrid, inside: Vec<bool>, error_share: f64) -> Self {
+    /// of the energy that the model leaves unexplained in a frame with typical presses. `gain_of_uniform` is the relative
+    /// change of the channels per uniform change of the skin.
+    pub fn new(model: SpotModel, grid: PixelGrid, inside: Vec<bool>, error_share: f64, gain_of_uniform: f64) -> Self {
         let is_inside = |place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]);
         let filter = model.filter(is_inside);
         let scratch = model.scratch();
-        let own_error_share = error_share;
-        Self { model, filter, scratch, starts: Vec::new(), uniform: 0.0, own_error_share, error_share, grid, inside }
+        let (starts, own_error_share) = (Vec::new(), error_share);
+        let (uniform, last_uniform) = (0.0, 0.0);
+        Self {
+            model,
+            filter,
+            scratch,
+            starts,
+            uniform,
+            gain_of_uniform,
+            last_uniform,
+            own_error_share,
+            error_share,
+            grid,
+            inside,
+        }
     }
 
     fn cost(&self, outcome: &FitOutcome, presses: usize) -> Cost {
@@ -74,7 +92,11 @@ impl PressFit for SpotFit {
         self.starts.extend(starts.iter().map(spot));
         let outcome = match effort {
             Effort::Quick => self.model.fit_from(&self.starts, self.uniform, &mut self.scratch)?,
-            Effort::Full => self.model.fit_in_full(&self.starts, self.uniform, &mut self.scratch)?,
+            Effort::Full => {
+                let outcome = self.model.fit_in_full(&self.starts, self.uniform, &mut self.scratch)?;
+                self.last_uniform = outcome.uniform;
+                outcome
+            }
         };
         Some(self.cost(&outcome, starts.len()))
     }
@@ -97,6 +119,21 @@ impl PressFit for SpotFit {
         self.starts.extend(starts.iter().map(spot));
         let outcome = self.model.fit_amplitudes(&self.starts, &mut self.scratch)?;
         Some(self.cost(&outcome, starts.len()))
+    }
+
+    fn fit_fixed(&mut self, starts: &[Press], fixed: &[bool]) -> Option<(Cost, f64)> {
+        if self.scratch.is_out_of_work() {
+            return None;
+        }
+        self.starts.clear();
+        self.starts.extend(starts.iter().map(spot));
+        let (outcome, gain) = self.model.fit_fixed(&self.starts, fixed, self.uniform, &mut self.scratch)?;
+        self.last_uniform = outcome.uniform;
+        Some((self.cost(&outcome, starts.len()), gain))
+    }
+
+    fn gain(&self) -> f64 {
+        (self.gain_of_uniform * self.last_uniform).exp()
     }
 
     fn has_quick_fit(&self) -> bool {

@@ -37,6 +37,15 @@ impl NormalEquations {
         self.right.len()
     }
 
+    /// Fixes an unknown: its step will be 0.
+    pub fn fix(&mut self, unknown: usize) {
+        let n = self.unknowns();
+        for other in 0..n {
+            (self.normal[unknown * n + other], self.normal[other * n + unknown]) = (0.0, 0.0);
+        }
+        (self.normal[unknown * n + unknown], self.right[unknown]) = (1.0, 0.0);
+    }
+
     /// Solves with the diagonal increased by the damping's share of itself and by 1e-12 of its largest entry.
     /// `factor` must have room for the matrix. Returns false if the matrix is not positive definite; `step` is then
     /// meaningless.

@@ -8,6 +8,8 @@ use crate::press::Press;
 pub struct Memory {
     /// Presses of the last frame.
     pub(super) last: Vec<Press>,
+    /// Positions and radii that presses keep until they move.
+    pub(super) kept: Vec<Press>,
     /// Residual of the last frame.
     pub(super) left: f64,
     /// Pauses of the searches for first presses, for presses that have ended, and for further ones.
@@ -24,6 +26,7 @@ pub struct Memory {
 impl Memory {
     pub(super) fn nothing() -> Self {
         let (first, gone, further) = (Pause::over(), Pause::over(), Pause::over());
-        Self { last: Vec::new(), left: 0.0, first, gone, further, together: Vec::new(), needed: Vec::new() }
+        let (last, kept) = (Vec::new(), Vec::new());
+        Self { last, kept, left: 0.0, first, gone, further, together: Vec::new(), needed: Vec::new() }
     }
 }

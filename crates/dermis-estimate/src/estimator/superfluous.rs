@@ -57,7 +57,7 @@ impl Estimator {
             let Some(fewer) = fewer else { break };
             let support = Evidence::of(&fewer.cost, &of.cost, is_first);
             let is_needed = if sureness >= 0.0 {
-                support >= self.evidence.hold
+                support >= self.evidence.hold || self.is_still_there(&of.presses[worst])
             } else {
                 let is_much_left = fewer.cost.unexplained() > LEFT_WITHOUT;
                 is_much_left && support >= self.evidence.begin && self.may_be_vague(&of.presses[worst], &of)

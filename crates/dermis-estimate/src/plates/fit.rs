@@ -50,6 +50,10 @@ pub struct PlateFit {
     /// Full fits to the last frame.
     fitted: Vec<Fitted>,
     covariances: Vec<[[f64; OF_PRESS]; OF_PRESS]>,
+    /// Presses whose positions and radii are fixed.
+    fixed: Vec<bool>,
+    /// Amount by which a further step of all parameters would lower the residual.
+    gain_of_step: f64,
     doubt: Doubt,
     /// Operations spent on this frame, and the most that may be.
     work: f64,
@@ -122,6 +126,8 @@ impl PlateFit {
             evaluated: None,
             fitted: Vec::new(),
             covariances: Vec::new(),
+            fixed: Vec::new(),
+            gain_of_step: 0.0,
             doubt: Doubt::default(),
             work: 0.0,
             most_work: f64::INFINITY,
@@ -293,6 +299,13 @@ impl PressFit for PlateFit {
         Some(self.cost())
     }
 
+    fn fit_fixed(&mut self, starts: &[Press], fixed: &[bool]) -> Option<(Cost, f64)> {
+        self.fixed.extend_from_slice(fixed);
+        let cost = self.fit(starts, Effort::Full);
+        self.fixed.clear();
+        Some((cost?, self.gain_of_step))
+    }
+
     fn has_quick_fit(&self) -> bool {
         true
     }
@@ -366,6 +379,7 @@ impl PressFit for PlateFit {
             covariances: Vec::new(),
             doubt: Doubt::default(),
             joint: None,
+            fixed: Vec::new(),
             ..*self
         }))
     }

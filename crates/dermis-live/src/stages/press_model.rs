@@ -36,6 +36,8 @@ pub(super) enum PressModel {
         /// Pressure of a load of amplitude 1, if presses act through a membrane.
         membrane_pa: Option<f64>,
         error_share: f64,
+        /// Relative change of the channels per uniform change of the skin.
+        gain_of_uniform: f64,
         grid: PixelGrid,
         inside: Vec<bool>,
     },
@@ -62,6 +64,7 @@ impl PressModel {
         let whole = Box::new(spot_model_under(prepared, deviations, membrane.as_ref())?);
         Ok(Self::Spots {
             error_share: error_share(prepared, &whole),
+            gain_of_uniform: gain_of_uniform(prepared),
             whole,
             membrane_pa: membrane.map(|membrane| membrane.pressure_pa),
             grid: *prepared.map.grid(),
@@ -96,12 +99,12 @@ impl PressModel {
     pub fn fit(&self, weights: Weights, left_out: &[u32], indenter_m: Option<f64>) -> Result<Box<dyn PressFit>, Error> {
         let Weights { mut deviations, mut nuisances } = weights;
         match self {
-            Self::Spots { whole, error_share, grid, inside, .. } => {
+            Self::Spots { whole, error_share, gain_of_uniform, grid, inside, .. } => {
                 let model = match left_out {
                     [] => whole.marginalised(&deviations, &nuisances)?,
                     _ => whole.without(left_out, &deviations)?,
                 };
-                Ok(Box::new(SpotFit::new(model, *grid, inside.clone(), *error_share)))
+                Ok(Box::new(SpotFit::new(model, *grid, inside.clone(), *error_share, *gain_of_uniform)))
             }
             Self::Plates { model, uniform } => {
                 left_out.iter().for_each(|&channel| deviations[channel as usize] = f64::INFINITY);
@@ -111,6 +114,14 @@ impl PressModel {
             }
         }
     }
+}
+
+/// Relative change of the channels per uniform change of the skin.
+fn gain_of_uniform(prepared: &Prepared) -> f64 {
+    let uniform = prepared.jacobian.as_mat().row_iter().map(|row| row.iter().sum::<f64>());
+    let along: f64 = uniform.zip(&prepared.voltages).map(|(change, volts)| change * volts).sum();
+    let gain = along / prepared.voltages.iter().map(|volts| volts * volts).sum::<f64>();
+    if gain.is_finite() { gain } else { 0.0 }
 }
 
 /// Share of a frame's energy that the model of presses is known to leave unexplained.

@@ -170,6 +170,9 @@ impl SpotStage {
 
     /// Continues with a fit that weighs the channels differently, for a fresh or an aged baseline.
     pub(crate) fn set_fit(&mut self, fit: Box<dyn PressFit>, is_aged: bool) {
+        if is_aged && !self.is_aged {
+            self.anchors.iter_mut().for_each(Anchor::settle);
+        }
         self.is_aged = is_aged;
         self.estimator.set_fit(fit);
         self.explained_part.0.clear();
@@ -226,19 +229,22 @@ impl SpotStage {
         self.search.waits()
     }
 
-    /// Keeps presses at the position and radius from when the baseline was fresh, as long as the frame allows it.
-    fn hold(&mut self, presses: &mut [Press]) {
+    /// Learns where presses are. Once the baseline has aged, they keep their positions and radii until they move.
+    fn learn_positions(&mut self, presses: &[Press]) {
         self.anchors.retain(|anchor| presses.iter().any(|press| anchor.is_near(press)));
         for press in presses {
             match self.anchors.iter_mut().find(|anchor| anchor.is_near(press)) {
-                Some(anchor) if !self.is_aged => anchor.learn(press),
-                Some(anchor) => match anchor.hold(press) {
-                    Some(held) => *press = held,
-                    None => *anchor = Anchor::at(press),
-                },
+                Some(anchor) if self.is_aged && anchor.is_settled() => {
+                    if anchor.press().position_m != press.position_m {
+                        *anchor = Anchor::at(press);
+                    }
+                }
+                Some(anchor) => anchor.learn(press),
                 None => self.anchors.push(Anchor::at(press)),
             }
         }
+        let settled = self.anchors.iter().filter(|anchor| self.is_aged && anchor.is_settled());
+        self.estimator.keep(settled.map(Anchor::press));
     }
 
     /// Presses that are part of the baseline but have ended, once they have been missing for several frames.
@@ -361,8 +367,8 @@ impl SpotStage {
             self.estimator.set_memory(memory);
         }
         match so_far {
-            Some(mut estimate) => {
-                self.hold(&mut estimate.presses);
+            Some(estimate) => {
+                self.learn_positions(&estimate.presses);
                 self.show(time_ns, Explained::By(estimate, false), imager, lowest, contacts);
             }
             None if is_lost && !self.shown.is_empty() => self.pace.repeat(contacts),
@@ -410,12 +416,13 @@ impl SpotStage {
         };
         let built: Vec<BuiltVariance> = estimate.presses.iter().map(built).collect();
         let footprints = self.estimator.fit_mut().footprints(&estimate.presses, &built);
+        let gain = self.estimator.fit_mut().gain();
         for (k, (press, footprint)) in estimate.presses.iter().zip(footprints).enumerate() {
             if self.is_tank && press.strength() / strongest < LOBE {
                 continue;
             }
             self.estimator.fit_mut().channels_of(std::slice::from_ref(press), &mut self.volts);
-            let value = self.image_value(imager, press.position_m);
+            let value = self.image_value(imager, press.position_m) / gain;
             if value == 0.0 || !value.is_finite() {
                 continue;
             }
@@ -431,7 +438,8 @@ impl SpotStage {
             let of_image = nearest.filter(|_| !self.is_joint);
             let area_m2 = of_image.map_or(std::f64::consts::PI * footprint.radius_m.powi(2), |contact| contact.area_m2);
             let by_contact = footprint.force_n.map(|[force_n, sigma_n]| ForceReading::FromLaw { force_n, sigma_n });
-            let by_law = || self.law.and_then(|law| law.read(press, largest, self.polarity, &built[k]));
+            let unchanged = Press { load: press.load / gain, ..*press };
+            let by_law = || self.law.and_then(|law| law.read(&unchanged, largest, self.polarity, &built[k]));
             let c = &press.covariance;
             let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
             if !self.is_joint

@@ -55,7 +55,8 @@ pub enum Prior {
     },
     /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`,
     /// scaled to mean 1, and K as in [`Prior::Gaussian`]. This is NOSER, smoothed. Sensitivities below a thousandth
-    /// of their mean are raised to that value, so regions that hardly any channel sees stay small.
+    /// of their mean, or below 0.7 of their 5 % quantile, are raised to that value, so regions that hardly any channel
+    /// sees stay small.
     GaussianNoser {
         /// Correlation length, metres.
         correlation_length_m: f64,
@@ -146,12 +147,21 @@ impl Prior {
 /// outside them are hardly seen; permitting correspondingly large values there would let noise and model error fill
 /// them.
 const VISIBILITY_FLOOR: f64 = 1e-3;
+/// Minimum relative to the sensitivity that this share of the pixels falls below. Corners far from electrodes would
+/// otherwise be brighter than a press: with 8 electrodes on squares and rectangles, they were up to eight times as
+/// bright. The centre of a disc, which also sees little, is above it.
+const LEAST_VISIBLE: f64 = 0.7;
+const HARDLY_SEEN: f64 = 0.05;
 
-/// `diag(J'WJ)^exponent` for a diagonal W or none, with the sensitivity limited to that floor.
+/// `diag(J'WJ)^exponent` for a diagonal W or none, with the sensitivity limited to these floors.
 fn balance(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>, exponent: f64) -> Result<Vec<f64>, InverseError> {
     check_exponent(exponent)?;
     let sensitivity = visible(sensitivity(jacobian, weights));
-    let least = VISIBILITY_FLOOR * sensitivity.iter().sum::<f64>() / sensitivity.len().max(1) as f64;
+    let floor = VISIBILITY_FLOOR * sensitivity.iter().sum::<f64>() / sensitivity.len().max(1) as f64;
+    let mut sorted = sensitivity.clone();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let hardly_seen = sorted.get((HARDLY_SEEN * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
+    let least = floor.max(LEAST_VISIBLE * hardly_seen);
     Ok(sensitivity.into_iter().map(|d| d.max(least).powf(exponent)).collect())
 }
 

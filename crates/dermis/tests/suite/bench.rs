@@ -17,6 +17,8 @@ pub struct Bench {
     pub begun: usize,
     /// Largest value of the last image.
     pub strongest: f64,
+    /// The pixel with this value.
+    pub strongest_pixel: usize,
     frame: Frame,
     values: Vec<f64>,
     frames: u64,
@@ -31,7 +33,8 @@ impl Bench {
         let layout = Layout::Channels { count: prepared.channels() };
         let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
         let (touches, values, frame) = (Vec::new(), Vec::new(), Frame::default());
-        Self { twin, pipeline, touches, begun: 0, strongest: 0.0, frame, values, frames: 0, period_ns }
+        let (strongest, strongest_pixel) = (0.0, 0);
+        Self { twin, pipeline, touches, begun: 0, strongest, strongest_pixel, frame, values, frames: 0, period_ns }
     }
 
     /// The same after the frames that make the baseline.
@@ -49,10 +52,14 @@ impl Bench {
 
     /// Runs this many frames.
     pub fn run(&mut self, frames: usize) {
-        for _ in 0..frames {
-            self.twin.step((self.frames * self.period_ns) as f64 * 1e-9, &mut self.values).unwrap();
-            self.process();
-        }
+        (0..frames).for_each(|_| self.run_changed(|_, _| {}));
+    }
+
+    /// Runs a frame whose readings are changed by their channel.
+    pub fn run_changed(&mut self, change: impl Fn(usize, &mut f64)) {
+        self.twin.step((self.frames * self.period_ns) as f64 * 1e-9, &mut self.values).unwrap();
+        self.values.iter_mut().enumerate().for_each(|(channel, value)| change(channel, value));
+        self.process();
     }
 
     /// Processes the last readings again without solving the fields, as for a skin held still without noise.
@@ -63,7 +70,9 @@ impl Bench {
         let output = self.pipeline.process(&self.frame, time_ns).unwrap();
         self.touches = output.touches.to_vec();
         self.begun += output.touches.iter().filter(|touch| touch.phase == TouchPhase::Begin).count();
-        self.strongest = output.image.iter().filter(|v| v.is_finite()).fold(0.0, |most, v| most.max(f64::from(*v)));
+        let values = output.image.iter().map(|value| f64::from(*value)).enumerate();
+        let strongest = values.filter(|(_, value)| *value > 0.0).max_by(|a, b| a.1.total_cmp(&b.1));
+        (self.strongest_pixel, self.strongest) = strongest.unwrap_or_default();
         self.frames += 1;
     }
 

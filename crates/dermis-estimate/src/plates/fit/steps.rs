@@ -38,7 +38,8 @@ impl PlateFit {
         let mut way = FitUnderWay { fit: &mut *self, tried: None, columns: Vec::new() };
         let info = minimise(&mut way, &params, &mut solver).ok()?;
         // The last step of a fit that has settled is too short to change its covariances.
-        if info.outcome == Outcome::Settled {
+        let has_fixed = !std::mem::take(&mut way.fit.fixed).is_empty();
+        if info.outcome == Outcome::Settled && !has_fixed {
             way.slopes(&way.fit.at, &mut solver.equations.right);
         } else {
             way.linearise(&mut solver.equations).ok()?;
@@ -49,6 +50,7 @@ impl PlateFit {
         if !equations.solve_damped(0.0, factor, step) {
             step.fill(0.0);
         }
+        self.gain_of_step = inner_product(&equations.right, step);
         let explained: Vec<f64> = self.frame.iter().zip(&self.at.residual).map(|(frame, left)| frame - left).collect();
         let doubt = |(step, columns): (&[f64], &[Vec<f64>])| PressDoubt {
             to_go: [LOG_PRESSURE, LOG_RADIUS].map(|parameter| step[parameter]),
@@ -120,6 +122,9 @@ impl Problem for FitUnderWay<'_> {
             }
         }
         self.slopes(at, &mut equations.right);
+        for (press, _) in self.fit.fixed.iter().enumerate().filter(|(_, is_fixed)| **is_fixed) {
+            [0, 1, LOG_RADIUS].into_iter().for_each(|parameter| equations.fix(OF_PRESS * press + parameter));
+        }
         Ok(true)
     }
 

@@ -8,8 +8,8 @@ use crate::stages::touch_search::{AT_ONCE, Asked, Explained, Patience, Searched,
 impl SpotStage {
     /// The presses that explain a frame.
     pub(super) fn explain(&mut self, difference: &[f64]) -> Explained {
-        if let Some(mut rest) = self.explain_without_gone(difference) {
-            self.hold(&mut rest.presses);
+        if let Some(rest) = self.explain_without_gone(difference) {
+            self.learn_positions(&rest.presses);
             return Explained::By(rest, true);
         }
         let Some(estimate) = self.estimator.explain(difference, &self.hints) else { return Explained::Nothing };
@@ -109,8 +109,8 @@ impl SpotStage {
 
     /// The explanation of a frame from that by present presses and, if they were looked for, that by presses that have
     /// ended as well.
-    pub(super) fn concluded(&mut self, mut estimate: Estimate, with_gone: Option<Option<Estimate>>) -> Explained {
-        self.hold(&mut estimate.presses);
+    pub(super) fn concluded(&mut self, estimate: Estimate, with_gone: Option<Option<Estimate>>) -> Explained {
+        self.learn_positions(&estimate.presses);
         match with_gone.and_then(|with_gone| self.ended.judge(&estimate, with_gone)) {
             Some(rest) => Explained::By(rest, true),
             None => Explained::By(estimate, false),

@@ -361,15 +361,33 @@ impl SpotModel {
         cost.is_finite().then_some((moved, uniform, cost))
     }
 
+    /// The equations at the current state, with the derivatives of the linear model, in the memory of the solver.
+    fn equations_in_proportion(&self, uniform: f64, scratch: &mut FitScratch) -> Scratch {
+        let mut solver = std::mem::take(&mut scratch.solver);
+        solver.resize(OF_SPOT * scratch.state.len() + 1);
+        let looks_beyond = std::mem::replace(&mut scratch.looks_beyond, false);
+        self.normal_equations(uniform, scratch, &mut solver.equations);
+        scratch.looks_beyond = looks_beyond;
+        solver
+    }
+
+    /// Amount by which a step of all parameters from the current state would lower the cost, if the model were linear.
+    pub(super) fn gain_of_step(&self, uniform: f64, scratch: &mut FitScratch) -> f64 {
+        let mut solver = self.equations_in_proportion(uniform, scratch);
+        let Scratch { equations, factor, step } = &mut solver;
+        let gain = match equations.solve_damped(0.0, factor, step) {
+            true => equations.right.iter().zip(step.iter()).map(|(slope, step)| slope * step).sum(),
+            false => f64::INFINITY,
+        };
+        scratch.solver = solver;
+        gain
+    }
+
     /// Fills in the spots with their covariances: the inverse of the normal matrix, in which the frame counts less if
     /// the residual exceeds the noise by more than the noise's own uncertainty.
     pub(super) fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
         let parameters = OF_SPOT * scratch.state.len() + 1;
-        let mut solver = std::mem::take(&mut scratch.solver);
-        solver.resize(parameters);
-        let looks_beyond = std::mem::replace(&mut scratch.looks_beyond, false);
-        self.normal_equations(uniform, scratch, &mut solver.equations);
-        scratch.looks_beyond = looks_beyond;
+        let mut solver = self.equations_in_proportion(uniform, scratch);
         let FitScratch { state, spots, .. } = &mut *scratch;
         let Scratch { equations: NormalEquations { normal, right }, factor, .. } = &mut solver;
         // Errors of the model weaken the frame's information, not the priors.
@@ -433,6 +451,9 @@ impl Problem for FitUnderWay<'_> {
 
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, InverseError> {
         self.model.normal_equations(self.uniform, self.scratch, equations);
+        for (spot, _) in self.scratch.fixed.iter().enumerate().filter(|(_, is_fixed)| **is_fixed) {
+            [0, 1, 3].into_iter().for_each(|parameter| equations.fix(OF_SPOT * spot + parameter));
+        }
         Ok(true)
     }
 

@@ -17,6 +17,8 @@ pub struct FitScratch {
     pub(super) large: LargeScratch,
     pub(super) beyond: Beyond,
     pub(super) looks_beyond: bool,
+    /// Spots whose positions and radii are fixed.
+    pub(super) fixed: Vec<bool>,
     /// A response, in the combinations of the table.
     pub(super) tabulated: Vec<f32>,
     /// Response and derivatives of each spot.
@@ -66,6 +68,7 @@ impl SpotModel {
             large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch(length)),
             beyond: Beyond::new(length, most),
             looks_beyond: false,
+            fixed: Vec::with_capacity(most),
             tabulated: self.responses.scratch(),
             rows: vec![0.0; OF_SPOT * length * most],
             trial_rows: vec![0.0; OF_SPOT * length * most],

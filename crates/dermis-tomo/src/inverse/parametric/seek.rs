@@ -180,6 +180,24 @@ impl SpotModel {
         Some(outcome)
     }
 
+    /// Like [`SpotModel::fit_in_full`], with the positions and radii of some spots fixed. Also returns the amount by
+    /// which a step of all parameters would lower the whitened energy of the residual. Covariances are those without
+    /// fixed parameters.
+    pub fn fit_fixed(
+        &self,
+        starts: &[Spot],
+        fixed: &[bool],
+        uniform: f64,
+        scratch: &mut FitScratch,
+    ) -> Option<(FitOutcome, f64)> {
+        scratch.fixed.clear();
+        scratch.fixed.extend_from_slice(fixed);
+        let outcome = self.fit_in_full(starts, uniform, scratch);
+        scratch.fixed.clear();
+        let outcome = outcome?;
+        Some((outcome, self.gain_of_step(outcome.uniform, scratch)))
+    }
+
     /// Fits only the amplitudes of spots, at fixed positions and radii, to the frame of the last
     /// [`SpotModel::take_frame`], with the linear model. `None` as in [`SpotModel::fit_from`].
     pub fn fit_amplitudes(&self, starts: &[Spot], scratch: &mut FitScratch) -> Option<FitOutcome> {
