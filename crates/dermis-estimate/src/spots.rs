@@ -24,9 +24,9 @@ pub struct SpotFit {
 }
 
 impl SpotFit {
-    /// A fit with this model, on the pixels of a grid (row by row) that are on the skin. `error_share` is the share
-    /// of the energy that the model leaves unexplained in a frame with typical presses. `gain_of_uniform` is the relative
-    /// change of the channels per uniform change of the skin.
+    /// A fit with this model, on the pixels of a grid (row by row) that are on the skin. In a frame with typical
+    /// presses, the model leaves `error_share` of the energy unexplained. A uniform change of the skin changes all
+    /// channels by `gain_of_uniform` times as much, relatively.
     pub fn new(model: SpotModel, grid: PixelGrid, inside: Vec<bool>, error_share: f64, gain_of_uniform: f64) -> Self {
         let is_inside = |place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]);
         let filter = model.filter(is_inside);

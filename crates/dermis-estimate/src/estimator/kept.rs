@@ -10,9 +10,8 @@ use crate::press::Press;
 /// Gain of a step from the position and radius that a press keeps, in squared standard deviations, above which it has
 /// moved: noise exceeds it once in an hour at 25 frames per second (chi-squared with three degrees of freedom).
 const MOVED: f64 = 26.0;
-
 /// A press that keeps its position is there, whatever drift might explain, as long as its load is more than this share
-/// of what it was. On twenty skins, drift changed loads by 5 % at most in twelve minutes.
+/// of what it was. In twelve minutes of drift, loads on twenty skins changed by up to 5 %.
 const STILL_THERE: f64 = 0.5;
 
 impl Estimator {
@@ -22,15 +21,19 @@ impl Estimator {
         self.memory.kept.extend(kept);
     }
 
+    /// The press whose position this one keeps.
+    fn kept_by(&self, press: &Press) -> Option<&Press> {
+        self.memory.kept.iter().find(|kept| kept.position_m == press.position_m)
+    }
+
     /// True if a press keeps its position.
     pub(super) fn is_kept(&self, press: &Press) -> bool {
-        self.memory.kept.iter().any(|kept| kept.position_m == press.position_m)
+        self.kept_by(press).is_some()
     }
 
     /// True if a press keeps its position and most of its load.
     pub(super) fn is_still_there(&self, press: &Press) -> bool {
-        let is_it = |kept: &Press| kept.position_m == press.position_m && press.load / kept.load > STILL_THERE;
-        self.memory.kept.iter().any(is_it)
+        self.kept_by(press).is_some_and(|kept| press.load / kept.load > STILL_THERE)
     }
 
     /// The presses near these that keep their positions and radii, with the others. `None` without any, or if one has

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use dermis_estimate::{PlateFit, PlateModel, PressFit, SpotFit};
 use dermis_skin::Layer;
+use dermis_tomo::inner_product;
 use dermis_tomo::inverse::SpotModel;
 use dermis_tomo::mesh::PixelGrid;
 
@@ -11,7 +12,7 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::stages::drift::Weights;
 use crate::stages::plates::{Plates, SheetCut};
-use crate::stages::spot_model::{Membrane, spot_model_under};
+use crate::stages::spot_model::{Membrane, response_to_uniform, spot_model_under};
 
 /// Share of a frame's energy that the model of a press leaves unexplained, on twins. On gels, foams and liquids with 32
 /// electrodes it is up to 0.0017, near the rim. It grows with the square of their number, since electrodes that are
@@ -118,9 +119,8 @@ impl PressModel {
 
 /// Relative change of the channels per uniform change of the skin.
 fn gain_of_uniform(prepared: &Prepared) -> f64 {
-    let uniform = prepared.jacobian.as_mat().row_iter().map(|row| row.iter().sum::<f64>());
-    let along: f64 = uniform.zip(&prepared.voltages).map(|(change, volts)| change * volts).sum();
-    let gain = along / prepared.voltages.iter().map(|volts| volts * volts).sum::<f64>();
+    let volts = &prepared.voltages;
+    let gain = inner_product(&response_to_uniform(prepared), volts) / inner_product(volts, volts);
     if gain.is_finite() { gain } else { 0.0 }
 }
 

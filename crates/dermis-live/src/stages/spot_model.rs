@@ -43,7 +43,7 @@ pub(crate) fn spot_model_under(
     let polarity = prepared.skin.imaging.polarity.sign();
     let jacobian = prepared.jacobian.as_mat();
     let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
-    let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
+    let uniform = response_to_uniform(prepared);
     let response = membrane.map(|membrane| membrane.response(prepared)).transpose()?;
     let positions: Vec<Point> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
     let (half_width, pixel_m) = (prepared.half_width_m(), prepared.map.grid().pixel_m);
@@ -93,6 +93,11 @@ fn response_beyond(prepared: &Prepared) -> Result<(ChangeResponse, Mat<f64>), Er
     let operations = response.operations();
     let respond = move |changes: &[f64]| response.to(&nearest.iter().map(|&at| changes[at]).collect::<Vec<f64>>());
     Ok((ChangeResponse::new(operations, respond), jacobian))
+}
+
+/// Change of the channels per uniform relative change of the whole skin, volts.
+pub(super) fn response_to_uniform(prepared: &Prepared) -> Vec<f64> {
+    prepared.jacobian.as_mat().row_iter().map(|row| row.iter().sum()).collect()
 }
 
 /// True if fits can correct for large changes: no readout circuit lies between model and channels.

@@ -231,20 +231,18 @@ impl SpotStage {
 
     /// Learns where presses are. Once the baseline has aged, they keep their positions and radii until they move.
     fn learn_positions(&mut self, presses: &[Press]) {
+        let is_aged = self.is_aged;
+        let is_kept = |anchor: &Anchor| is_aged && anchor.is_settled();
         self.anchors.retain(|anchor| presses.iter().any(|press| anchor.is_near(press)));
         for press in presses {
             match self.anchors.iter_mut().find(|anchor| anchor.is_near(press)) {
-                Some(anchor) if self.is_aged && anchor.is_settled() => {
-                    if anchor.press().position_m != press.position_m {
-                        *anchor = Anchor::at(press);
-                    }
-                }
-                Some(anchor) => anchor.learn(press),
+                Some(anchor) if !is_kept(anchor) => anchor.learn(press),
+                Some(anchor) if anchor.press().position_m == press.position_m => {}
+                Some(anchor) => *anchor = Anchor::at(press),
                 None => self.anchors.push(Anchor::at(press)),
             }
         }
-        let settled = self.anchors.iter().filter(|anchor| self.is_aged && anchor.is_settled());
-        self.estimator.keep(settled.map(Anchor::press));
+        self.estimator.keep(self.anchors.iter().filter(|anchor| is_kept(anchor)).map(Anchor::press));
     }
 
     /// Presses that are part of the baseline but have ended, once they have been missing for several frames.

@@ -54,9 +54,8 @@ pub enum Prior {
         correlation_length_m: f64,
     },
     /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`,
-    /// scaled to mean 1, and K as in [`Prior::Gaussian`]. This is NOSER, smoothed. Sensitivities below a thousandth
-    /// of their mean, or below 0.7 of their 5 % quantile, are raised to that value, so regions that hardly any channel
-    /// sees stay small.
+    /// scaled to mean 1, and K as in [`Prior::Gaussian`]. This is NOSER, smoothed. Sensitivities have a floor, so that
+    /// regions which hardly any channel sees stay dark: a thousandth of the mean, and 0.7 of the 5 % quantile.
     GaussianNoser {
         /// Correlation length, metres.
         correlation_length_m: f64,

@@ -6,6 +6,7 @@ use super::large_changes::{LargeChanges, LargeScratch};
 use super::products::products;
 use super::scratch::FitScratch;
 use super::spot::{OF_SPOT, Spot, State};
+use crate::inner_product;
 use crate::inverse::InverseError;
 use crate::least_squares::{
     NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise, minimise, solve_factored,
@@ -376,7 +377,7 @@ impl SpotModel {
         let mut solver = self.equations_in_proportion(uniform, scratch);
         let Scratch { equations, factor, step } = &mut solver;
         let gain = match equations.solve_damped(0.0, factor, step) {
-            true => equations.right.iter().zip(step.iter()).map(|(slope, step)| slope * step).sum(),
+            true => inner_product(&equations.right, step),
             false => f64::INFINITY,
         };
         scratch.solver = solver;
