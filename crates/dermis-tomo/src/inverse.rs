@@ -32,7 +32,9 @@ pub use linear::{DataPrecision, LinearProblem, Operator};
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
 pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
-pub use parametric::{ChangeResponse, FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotOptions, SpotProposal};
+pub use parametric::{
+    ChangeResponse, FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotOptions, SpotProposal, SpotShape,
+};
 pub use prior::{ImageBasis, MOST_NESTED, Prior, PriorMatrix};
 pub use quantised_operator::QuantisedOperator;
 pub use self_calibration::{

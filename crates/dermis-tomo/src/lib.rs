@@ -40,6 +40,7 @@
 //! | [`membrane`] | a membrane under tension and pressure |
 //! | [`least_squares`], [`sparse`] | the damped least-squares loop of all fits; sparse factorisations |
 //! | [`quality`] | figures of merit of images |
+//! | [`normal`] | the normal distribution |
 //! | [`memory`] | the memory that solvers may use |
 //!
 //! Conventions: SI units throughout; frame of a flat skin: x right, y up, z out of the skin towards the viewer;
@@ -53,6 +54,7 @@ pub mod least_squares;
 pub mod membrane;
 pub mod memory;
 pub mod mesh;
+pub mod normal;
 pub mod quality;
 pub mod sparse;
 

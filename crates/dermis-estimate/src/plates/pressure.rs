@@ -1,9 +1,7 @@
 //! The pressure under presses, and the contact that it makes.
 
-use std::f64::consts::{FRAC_1_SQRT_2, TAU};
-use std::sync::LazyLock;
-
 use dermis_tomo::mesh::Point;
+use dermis_tomo::normal::{self, deviate_below, normal};
 
 /// Parameters of a press: x, y, logarithm of the pressure, logarithm of the radius.
 pub(super) const OF_PRESS: usize = 4;
@@ -33,33 +31,6 @@ pub(super) fn turned(
     std::array::from_fn(|a| std::array::from_fn(|b| product(a, b)))
 }
 
-/// Steps of the table of the normal distribution. Straight lines between them are off by at most 3e-6.
-const STEPS: usize = 1024;
-
-/// The normal distribution and its density from minus to plus [`Field::REACH`], in [`STEPS`] steps.
-static NORMAL: LazyLock<[[f64; 2]; STEPS + 1]> =
-    LazyLock::new(|| std::array::from_fn(|k| normal_exactly(Field::REACH * (2.0 * k as f64 / STEPS as f64 - 1.0))));
-
-/// The normal distribution and its density.
-pub(super) fn normal_exactly(u: f64) -> [f64; 2] {
-    [0.5 * libm::erfc(-u * FRAC_1_SQRT_2), (-0.5 * u * u).exp() / TAU.sqrt()]
-}
-
-/// The normal distribution and its density, from the table. Beyond [`Field::REACH`], their values there.
-pub(super) fn normal(u: f64) -> [f64; 2] {
-    from_table(&NORMAL, u)
-}
-
-#[inline]
-fn from_table(table: &[[f64; 2]; STEPS + 1], u: f64) -> [f64; 2] {
-    const SCALE: f64 = 0.5 * STEPS as f64 / Field::REACH;
-    let at = (SCALE * (u + Field::REACH)).clamp(0.0, STEPS as f64);
-    let k = (at as usize).min(STEPS - 1);
-    let share = at - k as f64;
-    let ([below, density], [next_below, next_density]) = (table[k], table[k + 1]);
-    [below + share * (next_below - below), density + share * (next_density - density)]
-}
-
 /// The pressure under one press.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Field {
@@ -75,7 +46,7 @@ pub(super) struct Field {
 
 impl Field {
     /// Pressures further outside the disc than this many spreads are left out, and those further inside are full.
-    pub const REACH: f64 = 5.0;
+    pub const REACH: f64 = normal::REACH;
 
     pub fn new(press: &Pressed, spread_m: f64) -> Self {
         let (pressure_pa, radius_m) = (press.log_pressure.exp(), press.log_radius.exp());
@@ -93,9 +64,7 @@ impl Field {
 
     /// Distance from the centre beyond which the pressure is below this one (pascal), metres; at most the reach.
     pub fn reach_above_m(&self, least_pa: f64) -> f64 {
-        let share = least_pa / self.pressure_pa;
-        let below = NORMAL.partition_point(|[below, _]| *below < share).saturating_sub(1);
-        let u = Self::REACH * (2.0 * below as f64 / STEPS as f64 - 1.0);
+        let u = deviate_below(least_pa / self.pressure_pa);
         self.radius_m - u * self.spread_m
     }
 
@@ -149,21 +118,6 @@ impl Field {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_table_is_the_normal_distribution() {
-        // Abramowitz and Stegun, table 26.1: P(x) and Z(x) at 0.5, 1 and 2.
-        let table = [
-            (0.5, 0.691_462_461, 0.352_065_327),
-            (1.0, 0.841_344_746, 0.241_970_725),
-            (2.0, 0.977_249_868, 0.053_990_967),
-        ];
-        for (u, below, density) in table {
-            let [p, z] = normal(u);
-            assert!((p - below).abs() < 4e-6 && (z - density).abs() < 4e-6, "{u}: {p} {z}");
-            assert!((normal(-u)[0] - 1.0 + below).abs() < 4e-6);
-        }
-    }
 
     #[test]
     fn derivatives_of_a_pressure_are_those_of_differences() {

@@ -3,7 +3,9 @@
 use std::f64::consts::PI;
 
 use super::law::Conductance;
-use super::pressure::{Field, Pressed, normal, normal_exactly};
+use dermis_tomo::normal::{normal, normal_exactly};
+
+use super::pressure::{Field, Pressed};
 
 /// Number of rings over which a contact is integrated where its pressure changes.
 const RINGS: usize = 24;

@@ -28,10 +28,8 @@ struct Refined {
     fades: f64,
 }
 
-/// Number of electrodes from which model errors grow, with the square of the number: electrodes that are close together
-/// see more of a touch's shape. On twins of six gels and foams with 20 to 32 electrodes, the error of sheets was 0.0016
-/// to 0.003 of half the shorter side up to three radii from the rim; on twins of three liquids with 32, it was 0.004 to
-/// 0.006 near the rim.
+/// Number of electrodes from which model errors of liquids grow, with the square of the number: on twins of three liquids
+/// with 32, the error near the rim was 0.004 to 0.006 of half the shorter side.
 const CLOSE_ELECTRODES: f64 = 16.0;
 /// Liquids under a membrane, which spreads the load; in shares of half the shorter side. The error at the rim is that
 /// of 16 electrodes.
@@ -42,16 +40,9 @@ const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 
 const CONTACTS: f64 = 0.1;
 /// Smooth spots on patches, in pitches. A patch conducts as a whole, and the rim cuts some of them.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
-/// Sheets with 16 electrodes, in radii of a fingertip, and near the rim in radii of the touch: fields are steep there,
-/// and a spot differs in shape from the indenter.
-const SHEET_EVERYWHERE: f64 = 0.006;
-const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.4, fades: 0.63 };
-/// A layer that spreads pressure over most of a touch makes it look like a spot. The error at the rim then falls
-/// linearly with the ratio of spread to radius, down to the least share of it. On twins of nine gels and foams, it fell
-/// from 0.067 at a ratio of 0.43 to 0.01 at 0.78.
-const SHAPED: f64 = 2.4;
-const SPREAD: f64 = 1.2;
-const LEAST_SHAPED: f64 = 0.15;
+/// Sheets, near the rim in radii of the touch: pixels that the rim cuts are only roughly right. On twins of 22 gels and
+/// foams it was 0 to 0.03 within two radii of the rim, and nothing beyond them.
+const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.016, within: 2.6, fades: 0.6 };
 /// Open tanks, in shares of half the shorter side, and near the wall in radii of the touch. The surface takes the shape
 /// of the indenter, which has a sharper edge than a spot.
 const TANK_EVERYWHERE: f64 = 0.0005;
@@ -60,10 +51,6 @@ const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.
 /// Position error of a touch that isn't shaped like a spot, in its radii, per square root of the share of the frame's
 /// energy that the fit leaves unexplained.
 const OF_SHAPE: f64 = 1.0;
-/// A position uncertain by this share of half the shorter side gets as much uncertainty again, because a step of that
-/// length is not linear.
-const CURVED: f64 = 0.03;
-
 impl Refined {
     /// Multiplies all lengths by the size of the unit that they are given in.
     fn times(self, unit: f64) -> Self {
@@ -104,8 +91,6 @@ enum OfRefined {
         of_radius: Refined,
         /// Variance common to all, m^2.
         everywhere_m2: f64,
-        /// Length over which the layer spreads pressure, metres.
-        spread_m: f64,
     },
 }
 
@@ -118,13 +103,11 @@ impl ModelError {
         }
         let by_image = both(BY_IMAGE * half_width_m);
         let by_place = |refined: Refined, unit_m: f64| OfRefined::ByPlace(skin.outline(), refined.times(unit_m));
-        let by_radius = |of_radius: Refined, everywhere_m: f64, spread_m: f64| OfRefined::ByRadius {
+        let by_radius = |of_radius: Refined, everywhere_m: f64| OfRefined::ByRadius {
             outline: skin.outline(),
             of_radius,
             everywhere_m2: everywhere_m.powi(2),
-            spread_m,
         };
-        let close = (skin.electrode_shapes().len() as f64 / CLOSE_ELECTRODES).max(1.0).powi(2);
         let refined = match &skin.frontend.layer {
             Layer::Elements(_) => {
                 let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
@@ -135,12 +118,12 @@ impl ModelError {
             }
             _ if !skin.fits_touches() => return by_image,
             Layer::Sandwich(_) => by_place(SANDWICH.multiplied(coarseness(skin)), half_width_m),
-            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE * half_width_m, 0.0),
-            Layer::Sheet(layer) => {
-                let everywhere_m = SHEET_EVERYWHERE * close * skin.fingertip_m();
-                by_radius(SHEET_AT_RIM, everywhere_m, 1e-3 * layer.spread_mm())
+            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE * half_width_m),
+            Layer::Sheet(_) => by_radius(SHEET_AT_RIM, 0.0),
+            Layer::Liquid(_) => {
+                let close = (skin.electrode_shapes().len() as f64 / CLOSE_ELECTRODES).max(1.0).powi(2);
+                by_place(Refined { at_rim: close * MEMBRANE.at_rim, ..MEMBRANE }, half_width_m)
             }
-            Layer::Liquid(_) => by_place(Refined { at_rim: close * MEMBRANE.at_rim, ..MEMBRANE }, half_width_m),
             Layer::Patches(_) if fits_contacts(prepared) => OfRefined::Alike((CONTACTS * element_m(skin)).powi(2)),
             Layer::Patches(layer) => by_place(PATCHES, 1e-3 * layer.pitch_mm),
         };
@@ -153,10 +136,8 @@ impl ModelError {
         match &self.refined {
             OfRefined::Alike(variance_m2) => *variance_m2,
             OfRefined::ByPlace(outline, refined) => refined.variance(outline.inside_by_m(contact.centroid_m)),
-            OfRefined::ByRadius { outline, of_radius, everywhere_m2, spread_m } => {
-                let shape = (SHAPED * (1.0 - SPREAD * spread_m / radius_m)).clamp(LEAST_SHAPED, 1.0);
-                let of_place = of_radius.times(radius_m).multiplied(shape);
-                everywhere_m2 + of_place.variance(outline.inside_by_m(contact.centroid_m))
+            OfRefined::ByRadius { outline, of_radius, everywhere_m2 } => {
+                everywhere_m2 + of_radius.times(radius_m).variance(outline.inside_by_m(contact.centroid_m))
             }
         }
     }
@@ -164,23 +145,19 @@ impl ModelError {
 
 /// The error that a fit of smooth spots estimates for itself.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SpotError {
-    half_width_m: f64,
-}
+pub(super) struct SpotError;
 
 impl SpotError {
     /// `None` if touches are not smooth spots.
     pub fn of(prepared: &Prepared) -> Option<Self> {
         let are_smooth = matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_));
-        are_smooth.then(|| Self { half_width_m: prepared.half_width_m() })
+        are_smooth.then_some(Self)
     }
 
     /// Variance of each coordinate of a press in addition to its covariance, m^2. `unexplained` is the share of the
     /// frame's energy above the noise that the fit leaves.
     pub fn variance_m2(self, press: &Press, unexplained: f64) -> f64 {
-        let uncertain_m2 = 0.5 * (press.covariance[0][0] + press.covariance[1][1]);
-        let curved_m2 = (uncertain_m2 / (CURVED * self.half_width_m)).powi(2);
-        curved_m2 + (OF_SHAPE * press.radius_m).powi(2) * unexplained
+        (OF_SHAPE * press.radius_m).powi(2) * unexplained
     }
 }
 

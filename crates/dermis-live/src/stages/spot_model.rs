@@ -1,6 +1,6 @@
 //! The responses to spots that presses on sheets, separate patches and liquids are fitted with.
 
-use dermis_skin::Layer;
+use dermis_skin::{Layer, Skin};
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane as ThinMembrane, MembraneSpec};
@@ -51,6 +51,7 @@ pub(crate) fn spot_model_under(
         smallest_radius_m: SMALLEST_RADIUS * half_width,
         largest_radius_m: LARGEST_RADIUS * half_width,
         typical_radius_m: TYPICAL_RADIUS * half_width,
+        smoothing_m: smoothing_m(&prepared.skin),
         most_spots: MOST_SPOTS,
     };
     let response = response.as_ref().unwrap_or(&pressed);
@@ -64,6 +65,17 @@ pub(crate) fn spot_model_under(
         return Ok(model.with_large_changes(response, jacobian.as_ref(), spread, &positions, polarity)?);
     }
     Ok(model)
+}
+
+/// Standard deviation by which a layer smooths the edges of loads, metres. A patch conducts as a whole.
+pub(crate) fn smoothing_m(skin: &Skin) -> f64 {
+    1e-3 * match &skin.frontend.layer {
+        Layer::Sheet(layer) => layer.spread_mm(),
+        Layer::Liquid(layer) => layer.smoothing_mm,
+        Layer::Sandwich(layer) => layer.smoothing_mm,
+        Layer::Patches(layer) => layer.smoothing_mm.max(layer.pitch_mm),
+        Layer::Elements(_) => skin.fingertip_m() * 1e3,
+    }
 }
 
 /// The response to large changes and its linear part: channels by pixels, in volts per relative change in the direction
@@ -253,7 +265,6 @@ fn means(mesh: &Mesh, of_nodes: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_skin::Skin;
 
     #[test]
     fn responses_to_loads_are_those_of_the_dents_that_they_make() {

@@ -3,7 +3,8 @@
 //! and radii, whitened, and projected on the few combinations of channels that spots can change. A fit then only
 //! interpolates, and allocates nothing.
 //!
-//! A spot at p with radius r and amplitude a is a load `a exp(-|q - p|^2 / (2 r^2))`. The channels change by that
+//! A spot at p with radius r and amplitude a is the load of a round face with a smoothed edge ([`SpotShape`]) that has
+//! the integral and the second moment of a Gaussian `a exp(-|q - p|^2 / (2 r^2))`. The channels change by that
 //! load times the response to a load on each pixel, summed over pixels. If a load changes only the pixel it acts on,
 //! the response is the Jacobian. A membrane spreads loads, and the response is then the Jacobian times the change of
 //! every pixel per load on one. All spots of a frame are fitted together with a uniform change of the whole skin
@@ -23,6 +24,7 @@ mod products;
 mod responses;
 mod scratch;
 mod seek;
+mod shape;
 mod spot;
 mod table;
 
@@ -31,5 +33,6 @@ pub use large_changes::ChangeResponse;
 pub use model::SpotModel;
 pub use scratch::FitScratch;
 pub use seek::{SpotFilter, SpotProposal};
+pub use shape::SpotShape;
 pub use spot::Spot;
 pub use table::SpotOptions;

@@ -5,7 +5,7 @@ use dermis_lab::twin_sample::random_presses;
 use dermis_skin::Skin;
 use dermis_tomo::mesh::distance;
 use dermis_twin::from_skin::press_range;
-use dermis_twin::mechanics::Indenter;
+use dermis_twin::mechanics::{Indenter, Shape};
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
@@ -293,6 +293,32 @@ fn images_of_squares_with_eight_electrodes_are_brightest_under_presses() {
         }
         let near = away_mm.iter().filter(|mm| **mm < 20.0).count();
         assert!(near >= 11, "{layer}: brightest pixels {away_mm:.0?} mm from the press");
+    }
+}
+
+/// A cup or a palm: twice as wide as a fingertip, with the same pressure.
+#[test]
+fn objects_wider_than_a_fingertip_are_one_touch_each() {
+    for layer in [LAYERS[0], LAYERS[1], LAYERS[3]] {
+        let skin = written("{ square = { side_mm = 110.0 } }", layer, (16, 10.0), 0, "");
+        let places = random_presses(&skin.outline(), &press_range(&skin), 12, 8).unwrap();
+        let mut bench = Bench::of(skin);
+        let (mut several, mut away_mm) = (0, Vec::new());
+        for mut press in places.into_iter().flatten() {
+            let Shape::Disc { radius_m } = press.shape else { panic!("{press:?}") };
+            press.shape = Shape::Disc { radius_m: 2.0 * radius_m };
+            bench.twin.scene_mut().press_with(0, press).unwrap();
+            bench.run(4);
+            several += usize::from(bench.touches.len() > 1);
+            let away = bench.touches.iter().map(|touch| 1e3 * distance(touch.position_m, press.centre_m));
+            away_mm.push(away.fold(f64::INFINITY, f64::min));
+            bench.release(30);
+        }
+        away_mm.sort_by(f64::total_cmp);
+        assert!(
+            several <= 1 && away_mm[6] < 0.4 && away_mm[10] < 2.0,
+            "{layer}: {several} split, {away_mm:.2?} mm off"
+        );
     }
 }
 

@@ -12,14 +12,13 @@ use faer::{Mat, MatRef};
 use pulp::Arch;
 
 use super::responses::Responses;
+use super::shape::SpotShape;
 use crate::mesh::Point;
 
 /// Lowest change used. A perfect insulator responds like -2.
 const LOWEST: f64 = -0.95;
 /// Changes below this share are small: the channels' response to them is linear to 1 %.
 const SMALL: f64 = 0.02;
-/// Exponent beyond which a load counts as zero.
-const NOTHING: f64 = 8.0;
 
 /// A forward model's response to changes of conductivity.
 #[derive(Clone)]
@@ -69,6 +68,8 @@ pub(super) struct LargeChanges {
     positions_m: Vec<Point>,
     /// 1 if positive spots raise conductivity, -1 if they lower it.
     sign: f64,
+    /// Standard deviation by which the layer smooths the edges of loads, metres.
+    smoothing_m: f64,
 }
 
 /// Working memory for the nonlinear response.
@@ -101,12 +102,13 @@ impl LargeChanges {
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
         positions_m: &[Point],
+        smoothing_m: f64,
         sign: f64,
     ) -> Self {
         let single = |m: MatRef<'_, f64>| Mat::from_fn(m.nrows(), m.ncols(), |row, column| m[(row, column)] as f32);
         let (projection, positions_m) = (projection.to_vec(), positions_m.to_vec());
         let (jacobian, spread) = (single(jacobian), spread.map(single));
-        Self { response, projection, jacobian, spread, positions_m, sign }
+        Self { response, projection, jacobian, spread, positions_m, sign, smoothing_m }
     }
 
     /// Memory for a model with this number of combinations.
@@ -198,12 +200,11 @@ impl LargeChanges {
     /// Changes of all pixels by a load of amplitude 1.
     fn one(&self, [x, y]: Point, radius_m: f64, one: &mut [f32]) {
         one.fill(0.0);
-        let per = 0.5 / (radius_m * radius_m);
+        let shape = SpotShape::new(radius_m, self.smoothing_m);
         Arch::new().dispatch(|| {
             for (pixel, at) in self.positions_m.iter().enumerate() {
-                let exponent = per * ((at[0] - x).powi(2) + (at[1] - y).powi(2));
-                if exponent < NOTHING {
-                    let load = (-exponent).exp() as f32;
+                let load = shape.at((at[0] - x).powi(2) + (at[1] - y).powi(2)) as f32;
+                if load > 0.0 {
                     match &self.spread {
                         None => one[pixel] = load,
                         Some(spread) => add(load, spread.col_as_slice(pixel), one),
@@ -235,7 +236,7 @@ mod tests {
         for sign in [1.0, -1.0] {
             let none = ChangeResponse::new(0.0, |_| None);
             let nothing = Mat::<f64>::zeros(1, 1);
-            let large = LargeChanges::new(none, &[0.0], nothing.as_ref(), None, &[[0.0; 2]], sign);
+            let large = LargeChanges::new(none, &[0.0], nothing.as_ref(), None, &[[0.0; 2]], 1e-3, sign);
             for spot in [0.3, -0.4, 0.01] {
                 // Twice the contrast factor (s1 - s) / (s1 + s) of a concentric disc, to which its first harmonic is
                 // proportional (Isaacson, IEEE TMI 5, 1986, eq. 4.9).

@@ -59,6 +59,7 @@ impl SpotModel {
             return Err(InverseError::Size { what: "response to a uniform change", expected, got });
         }
         check(response, deviations, positions_m, pixel_m, &options)?;
+        let options = options.on_pixels(pixel_m);
         let root = |channel: usize| {
             let deviation = deviations[channel];
             if deviation > 0.0 && deviation.is_finite() { 1.0 / deviation } else { 0.0 }
@@ -75,7 +76,8 @@ impl SpotModel {
         let volts = |channel: usize| if root(channel) > 0.0 { deviations[channel] } else { 0.0 };
         let lift = Mat::from_fn(response.nrows(), count, |c, k| volts(c) * basis[(c, k)]);
         let responses = Responses::new(table);
-        Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None, loads: None })
+        let channels = response.nrows();
+        Ok(Self { options, responses, projection, channels, uniform, lift, large: None, loads: None })
     }
 
     /// The same model for spots that may be large. `response` gives the change of the channels. `jacobian` is
@@ -109,7 +111,9 @@ impl SpotModel {
         }
         let project = Mat::from_fn(count, channels, |k, c| f64::from(self.projection[c * count + k]));
         let reduced = &project * jacobian;
-        let large = LargeChanges::new(response, &self.projection, reduced.as_ref(), spread, positions_m, sign);
+        let smoothing_m = self.options.smoothing_m;
+        let large =
+            LargeChanges::new(response, &self.projection, reduced.as_ref(), spread, positions_m, smoothing_m, sign);
         self.large = Some(Arc::new(large));
         self.loads = self.large.clone();
         Ok(self)
@@ -278,6 +282,7 @@ fn check(
         options.largest_radius_m / options.smallest_radius_m - 1.0,
     )?;
     positive("typical radius of a spot (m)", options.typical_radius_m)?;
+    positive("smoothing of edges (m)", options.smoothing_m)?;
     positive("most spots", options.most_spots as f64)?;
     let sum: f64 = response.col_iter().map(|column| column.iter().sum::<f64>()).sum();
     if !sum.is_finite() {

@@ -10,9 +10,9 @@ pub(super) const OF_SPOT: usize = 4;
 pub struct Spot {
     /// Centre, metres.
     pub position_m: Point,
-    /// Height: relative change of conductivity.
+    /// Height of a Gaussian with the same integral and second moment: relative change of conductivity.
     pub amplitude: f64,
-    /// Radius r of `exp(-d^2 / (2 r^2))`, metres.
+    /// Radius r of that Gaussian, `exp(-d^2 / (2 r^2))`, metres.
     pub radius_m: f64,
     /// Covariance of x, y (metres), amplitude and log radius.
     pub covariance: [[f64; 4]; 4],

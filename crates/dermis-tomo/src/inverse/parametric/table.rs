@@ -4,6 +4,7 @@ use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
 use super::products::{KINDS, WeightedColumns, sum_up};
+use super::shape::SpotShape;
 use crate::mesh::Point;
 
 /// Largest ratio of neighbouring radii: the response changes little enough between them for cubics.
@@ -12,8 +13,8 @@ const RADIUS_FACTOR: f64 = 1.4;
 const MARGIN: usize = 2;
 /// Largest number of positions along the longer side.
 const MOST_ALONG: f64 = 44.0;
-/// Exponent beyond which a spot counts as zero: 6e-6.
-const NOTHING: f64 = 12.0;
+/// Minimum smoothing of edges, in pixels: sharper ones would make the pixels visible.
+const LEAST_SMOOTHING: f64 = 0.5;
 
 /// The range of spots that the table covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,8 +25,17 @@ pub struct SpotOptions {
     pub largest_radius_m: f64,
     /// Expected radius (the mean of the prior), metres.
     pub typical_radius_m: f64,
+    /// Standard deviation by which the layer smooths the edge of a load, metres.
+    pub smoothing_m: f64,
     /// Largest number of spots fitted together.
     pub most_spots: usize,
+}
+
+impl SpotOptions {
+    /// The same on pixels of this side, metres.
+    pub(super) fn on_pixels(self, pixel_m: f64) -> Self {
+        Self { smoothing_m: self.smoothing_m.max(LEAST_SMOOTHING * pixel_m), ..self }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -62,25 +72,19 @@ impl Table {
         let (log_step, radii) = (span / intervals, intervals as usize + 3);
         let log_first = options.smallest_radius_m.ln() - log_step;
         let low_m = low.map(|l| l - MARGIN as f64 * step_m);
-        // A spot is the product of a function of x and one of y. The first is the same for all rows.
-        let along = |distance_m: f64, radius_m: f64| (-0.5 * (distance_m / radius_m).powi(2)).exp();
         let x_of = |column: usize| low_m[0] + column as f64 * step_m;
-        let least = (-NOTHING).exp();
         let of_radius = |r: f64| -> Vec<f32> {
-            let of_x = Mat::from_fn(positions_m.len(), columns, |pixel, column| {
-                along(positions_m[pixel][0] - x_of(column), r)
-            });
+            let shape = SpotShape::new(r, options.smoothing_m);
+            let [_, reach] = shape.edges_m();
             // One row of positions at a time, with only the pixels near it, which are contiguous.
             let of_row = |row: usize| -> Vec<f32> {
                 let y = low_m[1] + row as f64 * step_m;
-                let reach = r * (2.0 * NOTHING).sqrt();
                 let near = |p: &Point| (p[1] - y).abs() <= reach;
                 let first = positions_m.iter().position(near).unwrap_or(0);
                 let end = positions_m.iter().rposition(near).map_or(first, |last| last + 1);
-                let of_y: Vec<f64> = positions_m[first..end].iter().map(|p| along(p[1] - y, r)).collect();
                 let spots = Mat::from_fn(end - first, columns, |pixel, column| {
-                    let value = of_y[pixel] * of_x[(first + pixel, column)];
-                    if value > least { value } else { 0.0 }
+                    let [x_m, y_m] = positions_m[first + pixel];
+                    shape.at((x_m - x_of(column)).powi(2) + (y_m - y).powi(2))
                 });
                 let responses = reduced.subcols(first, end - first) * &spots;
                 responses.col_iter().flat_map(|column| column.iter().map(|v| *v as f32).collect::<Vec<_>>()).collect()

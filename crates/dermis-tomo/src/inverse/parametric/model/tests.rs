@@ -2,6 +2,7 @@ use faer::Mat;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 use super::*;
+use crate::inverse::SpotShape;
 use crate::mesh::{Point, distance};
 
 /// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
@@ -23,8 +24,13 @@ fn uniform(jacobian: &Mat<f64>) -> Vec<f64> {
 
 fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
     let (jacobian, positions) = skin();
-    let options =
-        SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 4 };
+    let options = SpotOptions {
+        smallest_radius_m: 0.006,
+        largest_radius_m: 0.03,
+        typical_radius_m: 0.012,
+        smoothing_m: 4e-3,
+        most_spots: 4,
+    };
     let model =
         SpotModel::new(jacobian.as_ref(), &uniform(&jacobian), &vec![noise_v; 60], &positions, 0.005, options).unwrap();
     (model, jacobian, positions)
@@ -35,7 +41,7 @@ fn frame(jacobian: &Mat<f64>, positions: &[Point], spots: &[([f64; 2], f64, f64)
         .iter()
         .map(|q| {
             let of = |(p, r, a): &([f64; 2], f64, f64)| {
-                a * (-((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)) / (2.0 * r * r)).exp()
+                a * SpotShape::new(*r, 4e-3).at((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2))
             };
             spots.iter().map(of).sum()
         })
@@ -195,7 +201,13 @@ fn derivatives_agree_with_differences_of_the_values() {
 #[test]
 fn impossible_input_is_refused() {
     let (jacobian, positions) = skin();
-    let good = SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 2 };
+    let good = SpotOptions {
+        smallest_radius_m: 0.006,
+        largest_radius_m: 0.03,
+        typical_radius_m: 0.012,
+        smoothing_m: 4e-3,
+        most_spots: 2,
+    };
     let make = |noise: &[f64], options| {
         SpotModel::new(jacobian.as_ref(), &uniform(&jacobian), noise, &positions, 0.005, options)
     };
