@@ -5,6 +5,7 @@ use std::fs::OpenOptions;
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use dermis_device::SourceSelector;
 use dermis_device::instruments::csv::read_numbers;
 use dermis_skin::{FileError, Skin};
@@ -59,7 +60,7 @@ pub struct Arguments {
     /// Instrument that reads it, as for `dermis run --source`; none if there is no instrument yet.
     #[arg(long, value_name = "SOURCE|none")]
     instrument: Option<String>,
-    /// Folder for both files.
+    /// Folder for both files; made if it does not exist.
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     out: PathBuf,
 }
@@ -111,6 +112,7 @@ impl Arguments {
         let skin = Skin::parse(&text, &file.display().to_string())?;
         let body = skin.body()?;
         let picture = SkinDrawing { body: &body.mesh, title: &skin.title, width_px: 1000, mesh: false }.picture();
+        std::fs::create_dir_all(&self.out).with_context(|| format!("creating {}", self.out.display()))?;
         write_new(&file, text.as_bytes())?;
         if let Err(error) = write_new(&drawing, draw::svg(&picture).as_bytes()) {
             // A lone file would only get in the way of the next attempt.

@@ -113,6 +113,15 @@ fn a_recording_in_place_of_a_skin_is_answered_with_the_right_option() {
 }
 
 #[test]
+fn a_new_skin_may_go_into_a_folder_that_does_not_exist() {
+    let desk = Desk::with(&[]);
+    let begin =
+        ["new", "mine", "--outline", "square:60", "--electrodes", "8", "--layer", "gel", "--instrument", "none"];
+    desk.done(&[&begin[..], &["--out", "skins/first"]].concat());
+    assert!(desk.path("skins/first/mine.toml").is_file() && desk.path("skins/first/mine.svg").is_file());
+}
+
+#[test]
 fn skins_side_by_side_get_one_instrument_and_a_verdict_that_no_noise_turns() {
     let desk = Desk::with(&[]);
     for count in ["8", "16", "32"] {

@@ -28,8 +28,8 @@ struct Refined {
     fades: f64,
 }
 
-/// Number of electrodes from which model errors of liquids grow, with the square of the number: on twins of three liquids
-/// with 32, the error near the rim was 0.004 to 0.006 of half the shorter side.
+/// Number of electrodes from which model errors of liquids grow, with the square of the number: on twins of three
+/// liquids with 32, the error near the rim was 0.004 to 0.006 of half the shorter side.
 const CLOSE_ELECTRODES: f64 = 16.0;
 /// Liquids under a membrane, which spreads the load; in shares of half the shorter side. The error at the rim is that
 /// of 16 electrodes.

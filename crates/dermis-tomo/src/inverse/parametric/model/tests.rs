@@ -5,6 +5,9 @@ use super::*;
 use crate::inverse::SpotShape;
 use crate::mesh::{Point, distance};
 
+/// Smoothing of edges: two pixels.
+const SMOOTHING_M: f64 = 0.01;
+
 /// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
 fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
     let positions: Vec<Point> =
@@ -28,7 +31,7 @@ fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
         smallest_radius_m: 0.006,
         largest_radius_m: 0.03,
         typical_radius_m: 0.012,
-        smoothing_m: 4e-3,
+        smoothing_m: SMOOTHING_M,
         most_spots: 4,
     };
     let model =
@@ -41,7 +44,7 @@ fn frame(jacobian: &Mat<f64>, positions: &[Point], spots: &[([f64; 2], f64, f64)
         .iter()
         .map(|q| {
             let of = |(p, r, a): &([f64; 2], f64, f64)| {
-                a * SpotShape::new(*r, 4e-3).at((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2))
+                a * SpotShape::new(*r, SMOOTHING_M).at((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2))
             };
             spots.iter().map(of).sum()
         })
@@ -83,13 +86,10 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
         linear.clone().with_large_changes(response.clone(), jacobian.as_ref(), None, positions, -1.0)
     };
     let truth = ([0.012, -0.02], 0.013, 0.5);
-    let changes: Vec<f64> = positions
-        .iter()
-        .map(|q| {
-            let square = (q[0] - truth.0[0]).powi(2) + (q[1] - truth.0[1]).powi(2);
-            -truth.2 * (-square / (2.0 * truth.1 * truth.1)).exp()
-        })
-        .collect();
+    let shape = SpotShape::new(truth.1, SMOOTHING_M);
+    let change =
+        |q: &Point| -truth.2 * shape.at((q[0] - truth.0[0]).powi(2) + (q[1] - truth.0[1]).powi(2)) / shape.height();
+    let changes: Vec<f64> = positions.iter().map(change).collect();
     let frame = response.to(&changes).unwrap();
     let fit = |model: &SpotModel| {
         let mut scratch = model.scratch();
@@ -101,7 +101,8 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     assert!((spot.radius_m / truth.1 - 1.0).abs() < 0.03 && left < left_by_linear, "{spot:?} {left} {left_by_linear}");
     assert!(as_linear.radius_m < 0.95 * truth.1, "{as_linear:?}");
     // Amplitudes are defined by the channels' response.
-    assert!((spot.amplitude / (truth.2 / (1.0 - 0.5 * truth.2)) - 1.0).abs() < 0.05, "{spot:?}");
+    let answered = truth.2 / (1.0 - 0.5 * truth.2);
+    assert!((spot.amplitude * shape.height() / answered - 1.0).abs() < 0.05, "{spot:?}");
     assert!(distance(spot.position_m, truth.0) < 1e-4, "{spot:?}");
     assert!(large(&positions[1..]).is_err());
     // From its own result, a fit is settled within two steps; from the linear one, it takes more.
@@ -205,7 +206,7 @@ fn impossible_input_is_refused() {
         smallest_radius_m: 0.006,
         largest_radius_m: 0.03,
         typical_radius_m: 0.012,
-        smoothing_m: 4e-3,
+        smoothing_m: SMOOTHING_M,
         most_spots: 2,
     };
     let make = |noise: &[f64], options| {
