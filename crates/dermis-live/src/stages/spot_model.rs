@@ -20,6 +20,9 @@ pub(super) const LARGEST_RADIUS: f64 = 0.6;
 pub(crate) const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius, relative to half the shorter side.
 pub(super) const SMALLEST_RADIUS: f64 = 0.05;
+/// Smoothing of loads on a membrane, which spreads them itself: as wide as spots allow, mm. With sharper edges, fits
+/// without the channels of two electrodes lose presses.
+const WIDE_MM: f64 = 1e3;
 /// Large changes are solved on half the elements, but on this many at least, if the skin has them.
 const LEAST_BEYOND: usize = 1000;
 
@@ -71,7 +74,7 @@ pub(crate) fn spot_model_under(
 pub(crate) fn smoothing_m(skin: &Skin) -> f64 {
     1e-3 * match &skin.frontend.layer {
         Layer::Sheet(layer) => layer.spread_mm(),
-        Layer::Liquid(layer) => layer.smoothing_mm,
+        Layer::Liquid(_) => WIDE_MM,
         Layer::Sandwich(layer) => layer.smoothing_mm,
         Layer::Patches(layer) => layer.smoothing_mm.max(layer.pitch_mm),
         Layer::Elements(_) => skin.fingertip_m() * 1e3,

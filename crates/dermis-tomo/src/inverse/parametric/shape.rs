@@ -114,7 +114,7 @@ mod tests {
         let wide = SpotShape::new(5e-3, 1.0);
         for d in [0.0, 2e-3, 5e-3, 8e-3, 0.012, 0.016] {
             let gaussian = (-d * d / (2.0 * 25e-6_f64)).exp();
-            assert!((wide.at(d * d) - gaussian).abs() < 0.05, "{d}: {} {gaussian}", wide.at(d * d));
+            assert!((wide.at(d * d) - gaussian).abs() < 0.1, "{d}: {} {gaussian}", wide.at(d * d));
         }
     }
 

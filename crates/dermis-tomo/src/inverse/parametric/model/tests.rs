@@ -168,7 +168,7 @@ fn a_model_with_changed_noise_equals_one_built_for_it() {
     let sigma = b.covariance[0][0].sqrt();
     // The combinations kept differ a little, and the estimates by a fraction of their standard deviation.
     assert!((a.position_m[0] - b.position_m[0]).abs() < 0.2 * sigma, "{a:?} {b:?}");
-    assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.1, "{a:?} {b:?}");
+    assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.15, "{a:?} {b:?}");
     assert!(first.reweighted(&noise[1..]).is_err());
 }
 
