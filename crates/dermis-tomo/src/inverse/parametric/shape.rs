@@ -4,8 +4,8 @@ use crate::normal::{REACH, normal};
 
 /// Smallest and largest smoothing of the edge, relative to the radius of the spot. With the largest, the face is 1.5
 /// times as wide as its edge, and the spot hardly differs from a Gaussian. With edges as sharp as those of a membrane,
-/// wide spots pass for two presses in one frame of forty; with 0.5 instead of 0.35, presses twice as wide as a fingertip
-/// pass for several in one of fifteen.
+/// wide spots pass for two presses in one frame of forty; with 0.5 instead of 0.35, presses twice as wide as a
+/// fingertip pass for several in one of fifteen.
 const EDGES: [f64; 2] = [0.35, 0.776];
 
 /// A spot of radius r is a load `h Phi((R - d) / s)` at distance d from its centre, with the normal distribution Phi,
@@ -23,8 +23,8 @@ pub struct SpotShape {
 }
 
 impl SpotShape {
-    /// A spot of this radius on a layer that smooths edges by this standard deviation (metres), within limits that depend
-    /// on the radius.
+    /// A spot of this radius on a layer that smooths edges by this standard deviation (metres), within limits that
+    /// depend on the radius.
     ///
     /// The integral of `Phi((R - d) / s)` is `pi (R^2 + s^2)`, and that of its product with `d^2` is `pi / 2 (R^4 + 6
     /// R^2 s^2 + 3 s^4)`, for s well below R. Their ratio must be `2 r^2`.
