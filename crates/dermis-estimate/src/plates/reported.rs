@@ -2,9 +2,9 @@
 
 use std::f64::consts::PI;
 
-use super::law::Conductance;
 use dermis_tomo::normal::{normal, normal_exactly};
 
+use super::law::Conductance;
 use super::pressure::{Field, Pressed};
 
 /// Number of rings over which a contact is integrated where its pressure changes.

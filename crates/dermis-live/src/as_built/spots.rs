@@ -18,12 +18,12 @@ const STEP: f64 = 0.01;
 pub(crate) struct Spots<'a> {
     prepared: &'a Prepared,
     membrane: Option<Membrane>,
-    smoothing_m: f64,
+    smoothing_m: Option<f64>,
 }
 
 impl<'a> Spots<'a> {
     pub(crate) fn new(prepared: &'a Prepared) -> Result<Self, Error> {
-        let smoothing_m = smoothing_m(&prepared.skin);
+        let smoothing_m = smoothing_m(&prepared.skin.frontend.layer);
         Ok(Self { prepared, membrane: Membrane::of(prepared)?, smoothing_m })
     }
 

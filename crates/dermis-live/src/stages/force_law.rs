@@ -19,7 +19,6 @@ use dermis_tomo::inverse::SpotShape;
 use dermis_touch::force::ForceReading;
 
 use crate::prepare::Prepared;
-use crate::stages::spot_model::smoothing_m;
 
 /// Error of the law as a share of the response, on twins pressed by discs with 0.3 to 3 times the usual force: twelve
 /// gels and foams, and six liquids.
@@ -54,8 +53,7 @@ impl ForceLaw {
         match &prepared.skin.frontend.layer {
             Layer::Sheet(layer) => {
                 let per_pa = sheet_per_pa(layer);
-                let smoothing_m = smoothing_m(&prepared.skin);
-                (per_pa != 0.0).then_some(Self::Sheet { per_pa, smoothing_m })
+                (per_pa != 0.0).then_some(Self::Sheet { per_pa, smoothing_m: 1e-3 * layer.spread_mm() })
             }
             Layer::Liquid(_) => membrane_pa.map(|pressure_pa| Self::Membrane { pressure_pa }),
             Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => None,
@@ -67,7 +65,7 @@ impl ForceLaw {
     pub fn read(&self, press: &Press, largest: f64, polarity: f64, built: &BuiltVariance) -> Option<ForceReading> {
         let largest = match self {
             Self::Membrane { .. } => largest,
-            Self::Sheet { smoothing_m, .. } => SpotShape::new(press.radius_m, *smoothing_m).height(),
+            Self::Sheet { smoothing_m, .. } => disc(press.radius_m, *smoothing_m).height(),
         };
         let response = polarity * press.load * largest;
         let bounded = response.clamp(RESPONSES[0], RESPONSES[1]);
@@ -95,11 +93,15 @@ impl ForceLaw {
     fn force_n(&self, radius_m: f64, response: f64, largest: f64) -> f64 {
         let change = response / (1.0 - 0.5 * response);
         match self {
-            Self::Sheet { per_pa, smoothing_m } => logarithms(change, &SpotShape::new(radius_m, *smoothing_m)) / per_pa,
+            Self::Sheet { per_pa, smoothing_m } => logarithms(change, &disc(radius_m, *smoothing_m)) / per_pa,
             // The channels respond to the dent. A narrow load dents a membrane less than its amplitude suggests.
             Self::Membrane { pressure_pa } => -2.0 * PI * radius_m * radius_m * change / largest * pressure_pa,
         }
     }
+}
+
+fn disc(radius_m: f64, smoothing_m: f64) -> SpotShape {
+    SpotShape::new(radius_m, Some(smoothing_m))
 }
 
 /// Integral of `ln (1 + u t)` over a spot, m^2, where t is its shape, 1 in the middle.
@@ -121,11 +123,20 @@ mod tests {
     #[test]
     fn logarithms_are_integrated_over_the_spot() {
         // By SciPy: 4,000 steps of the trapezoidal rule.
-        let shape = SpotShape::new(4.317_294_761e-3, 2.5e-3);
+        let shape = disc(4.317_294_761e-3, 2.5e-3);
         for (u, integral_m2) in [(38.0, 1.046_38e-3), (2.0, 2.142_985e-4)] {
             let found_m2 = logarithms(u, &shape);
             assert!((found_m2 / integral_m2 - 1.0).abs() < 1e-3, "{found_m2}");
         }
+    }
+
+    #[test]
+    fn the_integral_over_a_gaussian_is_the_dilogarithm() {
+        // Abramowitz and Stegun 27.7: Li2(1/2) = pi^2 / 12 - ln^2 2 / 2, and Li2(-1) = -pi^2 / 12. The Gaussian ends
+        // where it is 6e-6.
+        let half = PI * PI / 12.0 - 0.5 * 2.0_f64.ln().powi(2);
+        let of = |u: f64| logarithms(u, &SpotShape::new(5e-3, None)) / (2.0 * PI * 25e-6);
+        assert!((of(-0.5) + half).abs() < 1e-5 && (of(1.0) - PI * PI / 12.0).abs() < 1e-5);
     }
 
     #[test]

@@ -51,6 +51,7 @@ const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.
 /// Position error of a touch that isn't shaped like a spot, in its radii, per square root of the share of the frame's
 /// energy that the fit leaves unexplained.
 const OF_SHAPE: f64 = 1.0;
+
 impl Refined {
     /// Multiplies all lengths by the size of the unit that they are given in.
     fn times(self, unit: f64) -> Self {
@@ -143,22 +144,10 @@ impl ModelError {
     }
 }
 
-/// The error that a fit of smooth spots estimates for itself.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct SpotError;
-
-impl SpotError {
-    /// `None` if touches are not smooth spots.
-    pub fn of(prepared: &Prepared) -> Option<Self> {
-        let are_smooth = matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_));
-        are_smooth.then_some(Self)
-    }
-
-    /// Variance of each coordinate of a press in addition to its covariance, m^2. `unexplained` is the share of the
-    /// frame's energy above the noise that the fit leaves.
-    pub fn variance_m2(self, press: &Press, unexplained: f64) -> f64 {
-        (OF_SHAPE * press.radius_m).powi(2) * unexplained
-    }
+/// Variance of each coordinate of a spot in addition to its covariance, m^2. `unexplained` is the share of the frame's
+/// energy above the noise that the fit leaves.
+pub(super) fn shape_variance_m2(press: &Press, unexplained: f64) -> f64 {
+    (OF_SHAPE * press.radius_m).powi(2) * unexplained
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The responses to spots that presses on sheets, separate patches and liquids are fitted with.
 
-use dermis_skin::{Layer, Skin};
+use dermis_skin::Layer;
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane as ThinMembrane, MembraneSpec};
@@ -20,9 +20,6 @@ pub(super) const LARGEST_RADIUS: f64 = 0.6;
 pub(crate) const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius, relative to half the shorter side.
 pub(super) const SMALLEST_RADIUS: f64 = 0.05;
-/// Smoothing of loads on a membrane, which spreads them itself: as wide as spots allow, mm. With sharper edges, fits
-/// without the channels of two electrodes lose presses.
-const WIDE_MM: f64 = 1e3;
 /// Large changes are solved on half the elements, but on this many at least, if the skin has them.
 const LEAST_BEYOND: usize = 1000;
 
@@ -54,7 +51,7 @@ pub(crate) fn spot_model_under(
         smallest_radius_m: SMALLEST_RADIUS * half_width,
         largest_radius_m: LARGEST_RADIUS * half_width,
         typical_radius_m: TYPICAL_RADIUS * half_width,
-        smoothing_m: smoothing_m(&prepared.skin),
+        smoothing_m: smoothing_m(&prepared.skin.frontend.layer),
         most_spots: MOST_SPOTS,
     };
     let response = response.as_ref().unwrap_or(&pressed);
@@ -70,15 +67,11 @@ pub(crate) fn spot_model_under(
     Ok(model)
 }
 
-/// Standard deviation by which a layer smooths the edges of loads, metres. A patch conducts as a whole.
-pub(crate) fn smoothing_m(skin: &Skin) -> f64 {
-    1e-3 * match &skin.frontend.layer {
-        Layer::Sheet(layer) => layer.spread_mm(),
-        Layer::Liquid(_) => WIDE_MM,
-        Layer::Sandwich(layer) => layer.smoothing_mm,
-        Layer::Patches(layer) => layer.smoothing_mm.max(layer.pitch_mm),
-        Layer::Elements(_) => skin.fingertip_m() * 1e3,
-    }
+/// Standard deviation by which the sheet smooths the edges of loads, metres. On other layers, spots are Gaussian: a
+/// membrane spreads loads itself, and a patch conducts as a whole.
+pub(crate) fn smoothing_m(layer: &Layer) -> Option<f64> {
+    let Layer::Sheet(layer) = layer else { return None };
+    Some(1e-3 * layer.spread_mm())
 }
 
 /// The response to large changes and its linear part: channels by pixels, in volts per relative change in the direction
@@ -268,6 +261,7 @@ fn means(mesh: &Mesh, of_nodes: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use dermis_skin::Skin;
 
     #[test]
     fn responses_to_loads_are_those_of_the_dents_that_they_make() {

@@ -14,7 +14,7 @@ use crate::prepare::Prepared;
 use crate::stages::ended_presses::EndedPresses;
 use crate::stages::ended_presses::Gone;
 use crate::stages::force_law::ForceLaw;
-use crate::stages::model_error::SpotError;
+use crate::stages::model_error::shape_variance_m2;
 use crate::stages::pace::Pace;
 use crate::stages::plates::fits_contacts;
 use crate::stages::press_peaks::{Peaks, Remains};
@@ -40,8 +40,8 @@ const LOBE: f64 = 0.2;
 #[derive(Debug)]
 pub(crate) struct SpotStage {
     estimator: Estimator,
-    /// The fit's estimate of its own error. `None` on patches: a patch that conducts as a whole is no smooth spot.
-    error: Option<SpotError>,
+    /// Presses are smooth spots, whose fit tells how far they are not. Patches conduct as a whole.
+    are_smooth: bool,
     /// The largest share of a frame that a fit may leave unexplained above the noise.
     most_unexplained: f64,
     /// Weak presses are side lobes.
@@ -127,7 +127,7 @@ impl SpotStage {
             scaled: Vec::new(),
             pace: Pace::default(),
             estimator,
-            error: SpotError::of(prepared),
+            are_smooth: matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_)),
             most_unexplained: touch.most_unexplained.min(if is_joint { MOST_UNEXPLAINED } else { 1.0 }),
             is_tank: touch.most_unexplained < 1.0,
             both_signs: touch.both_signs,
@@ -455,7 +455,7 @@ impl SpotStage {
                 significance: estimate.evidence[k],
                 radius_m: Some(footprint.radius_m),
                 force: by_contact.or_else(by_law),
-                model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
+                model_variance_m2: if self.are_smooth { shape_variance_m2(press, estimate.unexplained) } else { 0.0 },
                 is_single: true,
                 was_found: self.found.iter().any(|found| press.distance_m(found) < press.radius_m),
                 ..Contact::even(press.position_m, value, area_m2)

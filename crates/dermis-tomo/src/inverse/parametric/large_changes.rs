@@ -19,6 +19,8 @@ use crate::mesh::Point;
 const LOWEST: f64 = -0.95;
 /// Changes below this share are small: the channels' response to them is linear to 1 %.
 const SMALL: f64 = 0.02;
+/// Loads below this share count as zero.
+const NOTHING: f64 = 3e-4;
 
 /// A forward model's response to changes of conductivity.
 #[derive(Clone)]
@@ -68,8 +70,8 @@ pub(super) struct LargeChanges {
     positions_m: Vec<Point>,
     /// 1 if positive spots raise conductivity, -1 if they lower it.
     sign: f64,
-    /// Standard deviation by which the layer smooths the edges of loads, metres.
-    smoothing_m: f64,
+    /// As in [`super::SpotOptions`].
+    smoothing_m: Option<f64>,
 }
 
 /// Working memory for the nonlinear response.
@@ -102,7 +104,7 @@ impl LargeChanges {
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
         positions_m: &[Point],
-        smoothing_m: f64,
+        smoothing_m: Option<f64>,
         sign: f64,
     ) -> Self {
         let single = |m: MatRef<'_, f64>| Mat::from_fn(m.nrows(), m.ncols(), |row, column| m[(row, column)] as f32);
@@ -203,8 +205,9 @@ impl LargeChanges {
         let shape = SpotShape::new(radius_m, self.smoothing_m);
         Arch::new().dispatch(|| {
             for (pixel, at) in self.positions_m.iter().enumerate() {
-                let load = shape.at((at[0] - x).powi(2) + (at[1] - y).powi(2)) as f32;
-                if load > 0.0 {
+                let load = shape.at((at[0] - x).powi(2) + (at[1] - y).powi(2));
+                if load > NOTHING {
+                    let load = load as f32;
                     match &self.spread {
                         None => one[pixel] = load,
                         Some(spread) => add(load, spread.col_as_slice(pixel), one),
@@ -236,7 +239,7 @@ mod tests {
         for sign in [1.0, -1.0] {
             let none = ChangeResponse::new(0.0, |_| None);
             let nothing = Mat::<f64>::zeros(1, 1);
-            let large = LargeChanges::new(none, &[0.0], nothing.as_ref(), None, &[[0.0; 2]], 1e-3, sign);
+            let large = LargeChanges::new(none, &[0.0], nothing.as_ref(), None, &[[0.0; 2]], None, sign);
             for spot in [0.3, -0.4, 0.01] {
                 // Twice the contrast factor (s1 - s) / (s1 + s) of a concentric disc, to which its first harmonic is
                 // proportional (Isaacson, IEEE TMI 5, 1986, eq. 4.9).

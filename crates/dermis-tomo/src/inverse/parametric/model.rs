@@ -282,7 +282,7 @@ fn check(
         options.largest_radius_m / options.smallest_radius_m - 1.0,
     )?;
     positive("typical radius of a spot (m)", options.typical_radius_m)?;
-    positive("smoothing of edges (m)", options.smoothing_m)?;
+    positive("smoothing of edges (m)", options.smoothing_m.unwrap_or(1.0))?;
     positive("most spots", options.most_spots as f64)?;
     let sum: f64 = response.col_iter().map(|column| column.iter().sum::<f64>()).sum();
     if !sum.is_finite() {

@@ -25,8 +25,8 @@ pub struct SpotOptions {
     pub largest_radius_m: f64,
     /// Expected radius (the mean of the prior), metres.
     pub typical_radius_m: f64,
-    /// Standard deviation by which the layer smooths the edge of a load, metres.
-    pub smoothing_m: f64,
+    /// Standard deviation by which the layer smooths the edges of discs, metres. Without it, spots are Gaussian.
+    pub smoothing_m: Option<f64>,
     /// Largest number of spots fitted together.
     pub most_spots: usize,
 }
@@ -34,7 +34,8 @@ pub struct SpotOptions {
 impl SpotOptions {
     /// The same on pixels of this side, metres.
     pub(super) fn on_pixels(self, pixel_m: f64) -> Self {
-        Self { smoothing_m: self.smoothing_m.max(LEAST_SMOOTHING * pixel_m), ..self }
+        let smoothing_m = self.smoothing_m.map(|smoothing_m| smoothing_m.max(LEAST_SMOOTHING * pixel_m));
+        Self { smoothing_m, ..self }
     }
 }
 

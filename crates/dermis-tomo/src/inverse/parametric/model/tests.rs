@@ -5,9 +5,6 @@ use super::*;
 use crate::inverse::SpotShape;
 use crate::mesh::{Point, distance};
 
-/// Smoothing of edges: two pixels.
-const SMOOTHING_M: f64 = 0.01;
-
 /// A square of 20 x 20 pixels, seen by 60 smooth channels that all differ.
 fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
     let positions: Vec<Point> =
@@ -26,12 +23,16 @@ fn uniform(jacobian: &Mat<f64>) -> Vec<f64> {
 }
 
 fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
+    model_of(noise_v, None)
+}
+
+fn model_of(noise_v: f64, smoothing_m: Option<f64>) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
     let (jacobian, positions) = skin();
     let options = SpotOptions {
         smallest_radius_m: 0.006,
         largest_radius_m: 0.03,
         typical_radius_m: 0.012,
-        smoothing_m: SMOOTHING_M,
+        smoothing_m,
         most_spots: 4,
     };
     let model =
@@ -40,11 +41,20 @@ fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
 }
 
 fn frame(jacobian: &Mat<f64>, positions: &[Point], spots: &[([f64; 2], f64, f64)]) -> Vec<f64> {
+    frame_of(jacobian, positions, spots, None)
+}
+
+fn frame_of(
+    jacobian: &Mat<f64>,
+    positions: &[Point],
+    spots: &[([f64; 2], f64, f64)],
+    smoothing_m: Option<f64>,
+) -> Vec<f64> {
     let sigma: Vec<f64> = positions
         .iter()
         .map(|q| {
             let of = |(p, r, a): &([f64; 2], f64, f64)| {
-                a * SpotShape::new(*r, SMOOTHING_M).at((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2))
+                a * SpotShape::new(*r, smoothing_m).at((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2))
             };
             spots.iter().map(of).sum()
         })
@@ -58,19 +68,21 @@ fn normal(random: &mut StdRng) -> f64 {
 
 #[test]
 fn spots_without_noise_are_recovered_together() {
-    let (model, jacobian, positions) = model(1e-6);
-    let truth = [([0.012, -0.02], 0.011, 0.2), ([-0.017, 0.013], 0.016, 0.1)];
-    let mut scratch = model.scratch();
-    let starts = [[0.016, -0.016], [-0.021, 0.01]];
-    let outcome = model.fit(&frame(&jacobian, &positions, &truth), &starts, &mut scratch).unwrap();
-    for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
-        // Interpolation error of the cubics between tabulated positions (5 mm steps, spots of 11 mm and more) and
-        // radii (a factor of up to 1.4 apart).
-        assert!(distance(spot.position_m, *place) < 1e-4, "{spot:?} {outcome:?}");
-        assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
+    for smoothing_m in [None, Some(0.01)] {
+        let (model, jacobian, positions) = model_of(1e-6, smoothing_m);
+        let truth = [([0.012, -0.02], 0.011, 0.2), ([-0.017, 0.013], 0.016, 0.1)];
+        let mut scratch = model.scratch();
+        let starts = [[0.016, -0.016], [-0.021, 0.01]];
+        let outcome = model.fit(&frame_of(&jacobian, &positions, &truth, smoothing_m), &starts, &mut scratch).unwrap();
+        for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
+            // Interpolation error of the cubics between tabulated positions (5 mm steps, spots of 11 mm and more) and
+            // radii (a factor of up to 1.4 apart).
+            assert!(distance(spot.position_m, *place) < 1e-4, "{spot:?} {outcome:?}");
+            assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
+        }
+        // 1.2 % of the frame, from the same cubics.
+        assert!(outcome.residual < 3e-4 * outcome.energy, "{outcome:?}");
     }
-    // 1.2 % of the frame, from the same cubics.
-    assert!(outcome.residual < 3e-4 * outcome.energy, "{outcome:?}");
 }
 
 #[test]
@@ -86,10 +98,13 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
         linear.clone().with_large_changes(response.clone(), jacobian.as_ref(), None, positions, -1.0)
     };
     let truth = ([0.012, -0.02], 0.013, 0.5);
-    let shape = SpotShape::new(truth.1, SMOOTHING_M);
-    let change =
-        |q: &Point| -truth.2 * shape.at((q[0] - truth.0[0]).powi(2) + (q[1] - truth.0[1]).powi(2)) / shape.height();
-    let changes: Vec<f64> = positions.iter().map(change).collect();
+    let changes: Vec<f64> = positions
+        .iter()
+        .map(|q| {
+            let square = (q[0] - truth.0[0]).powi(2) + (q[1] - truth.0[1]).powi(2);
+            -truth.2 * (-square / (2.0 * truth.1 * truth.1)).exp()
+        })
+        .collect();
     let frame = response.to(&changes).unwrap();
     let fit = |model: &SpotModel| {
         let mut scratch = model.scratch();
@@ -101,8 +116,7 @@ fn large_spots_are_recovered_if_the_model_includes_them() {
     assert!((spot.radius_m / truth.1 - 1.0).abs() < 0.03 && left < left_by_linear, "{spot:?} {left} {left_by_linear}");
     assert!(as_linear.radius_m < 0.95 * truth.1, "{as_linear:?}");
     // Amplitudes are defined by the channels' response.
-    let answered = truth.2 / (1.0 - 0.5 * truth.2);
-    assert!((spot.amplitude * shape.height() / answered - 1.0).abs() < 0.05, "{spot:?}");
+    assert!((spot.amplitude / (truth.2 / (1.0 - 0.5 * truth.2)) - 1.0).abs() < 0.05, "{spot:?}");
     assert!(distance(spot.position_m, truth.0) < 1e-4, "{spot:?}");
     assert!(large(&positions[1..]).is_err());
     // From its own result, a fit is settled within two steps; from the linear one, it takes more.
@@ -168,7 +182,7 @@ fn a_model_with_changed_noise_equals_one_built_for_it() {
     let sigma = b.covariance[0][0].sqrt();
     // The combinations kept differ a little, and the estimates by a fraction of their standard deviation.
     assert!((a.position_m[0] - b.position_m[0]).abs() < 0.2 * sigma, "{a:?} {b:?}");
-    assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.15, "{a:?} {b:?}");
+    assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.1, "{a:?} {b:?}");
     assert!(first.reweighted(&noise[1..]).is_err());
 }
 
@@ -206,7 +220,7 @@ fn impossible_input_is_refused() {
         smallest_radius_m: 0.006,
         largest_radius_m: 0.03,
         typical_radius_m: 0.012,
-        smoothing_m: SMOOTHING_M,
+        smoothing_m: None,
         most_spots: 2,
     };
     let make = |noise: &[f64], options| {
