@@ -23,7 +23,7 @@ use crate::prepare::Prepared;
 /// Error of the law as a share of the response, on twins pressed by discs with 0.3 to 3 times the usual force: twelve
 /// gels and foams, and six liquids.
 const SHEET_SHARE: f64 = 0.013;
-const MEMBRANE_SHARE: f64 = 0.02;
+const MEMBRANE_SHARE: f64 = 0.01;
 /// Number of steps of the integral across the edge of a spot. Simpson's rule is then accurate to 1e-5 for changes of up
 /// to 95 %.
 const STEPS: usize = 64;
