@@ -1,6 +1,6 @@
 //! Several touches at once on a skin known only by pokes. A frame is a sum of signatures, y = sum_k a_k s(p_k) + noise.
 //!
-//! s, the change that a typical poke at p makes, is a Gaussian process with covariance 1 + k(p, p'), k Matern 5/2. A
+//! s, the change that a typical poke at p makes, is a Gaussian process with covariance c + k(p, p'), k Matern 5/2. A
 //! sum of signatures is again Gaussian, so frames of one touch and of several labelled touches teach the same map. Its
 //! length and noise maximise the marginal likelihood (Rasmussen & Williams 2006, eq. 2.30). Frames and map are
 //! projected on the leading principal directions of the pokes, and weighted by the covariance of the map's errors in
@@ -8,10 +8,11 @@
 //!
 //! A new frame is explained greedily: the position that explains most of what is left joins, all positions are then
 //! searched again with the others fixed, and the strengths a_k >= 0 are fitted together. Candidates are the places of
-//! pokes. Each touch needs evidence: its strength must be far more probable with a touch at that place than with the
-//! noise and the map's errors alone. The threshold counts touches best in pokes, and in sums of two of them, by a map
-//! learned from the others.
+//! pokes. Each touch needs evidence: the frame must be far more probable with all touches than without this one,
+//! whatever their strengths. The threshold counts touches best in pokes, and in sums of two of them, by a map learned
+//! from the others.
 
+mod evidence;
 mod map;
 
 use super::data::MIN_CHANNELS;
@@ -50,8 +51,6 @@ const FEW: f64 = 20.0;
 const CLEARLY: f64 = 3.0;
 /// Maximum number of times that all positions are searched again.
 const MOST_SWEEPS: usize = 4;
-/// Minimum error of the map, relative to the typical strength at a place.
-const MAP_ERROR: f64 = 0.1;
 /// If the map explains less than `MOST_NOISE` of the median poke, frames are mostly noise, and a first touch needs as
 /// much evidence as a further one. Up to the share `WEAK` of the pokes may then be too weak.
 const MOST_NOISE: f64 = 0.5;
@@ -310,28 +309,15 @@ impl Superposition {
                 break;
             }
         }
-        // The best single touch tells how strong the frame is. Halves of it, if it is split, are weaker.
+        // The best single touch tells how strong the frame is: halves of it, if it is split, are weaker.
         if let [alone] = scratch.trial[..] {
+            scratch.gain = 1.0;
+            let evidence = self.evidence(scratch, 0);
             scratch.gain = alone.share / self.typical[alone.index];
-            return Some(self.evidence(&alone, 1.0));
+            return Some(evidence);
         }
-        let evidence = scratch.trial.iter().map(|part| self.evidence(part, scratch.gain));
+        let evidence = (0..scratch.trial.len()).map(|part| self.evidence(scratch, part));
         Some(evidence.fold(f64::INFINITY, f64::min))
-    }
-
-    /// Evidence that a part is a touch, in standard deviations: (2 ln b)^1/2, with b how many times as probable its
-    /// strength a is with a touch as without, 0 if it isn't. Without a touch, a is the noise and the map's error,
-    /// a ~ N(0, v). With one, it is about the strength t that is typical at its place, a ~ N(t, v + t^2). The map's
-    /// error is `MAP_ERROR` of t at the typical strength. As far as errors aren't noise, they grow and fall with the
-    /// `gain`: the frame's strength in typical touches.
-    fn evidence(&self, part: &Part, gain: f64) -> f64 {
-        let noise = self.map.noise_share;
-        let (strength, typical) = (part.share, self.typical[part.index]);
-        let map_error = (MAP_ERROR * typical).powi(2) * (noise + (1.0 - noise) * gain * gain);
-        let without = noise * self.map.error_variance / f64::from(self.map.squares[part.index]) + map_error;
-        let with = without + typical * typical;
-        let ratio = strength.powi(2) / without - (strength - typical).powi(2) / with - (with / without).ln();
-        ratio.max(0.0).sqrt()
     }
 
     /// Searches the position of each part again, with the others fixed. Returns true if one has moved.
