@@ -42,7 +42,7 @@ const PARTS: usize = 10;
 /// Sums of two frames of one touch are judged as well, if the touches are this far apart relative to the radius of the
 /// pokes. A real frame counts for as many as `REAL` sums, since false second touches are worse than missed ones.
 const SUMS_APART: f64 = 0.5;
-const REAL: f64 = 15.0;
+const REAL: f64 = 18.0;
 /// Share of the frames that may show a wrong number of touches, beyond those that always do.
 const WRONG: f64 = 0.005;
 /// The threshold is raised by this over the number of frames, since few of them seldom include a bad one.
